@@ -1,0 +1,1 @@
+"""Metrics, baselines and tables for unsupervised scene segmentation."""

@@ -1,0 +1,1 @@
+"""Synthetic RGB-D scenes of objects on a table, with exact labels."""

@@ -1,0 +1,188 @@
+"""THE format: one table of the fields that a scene has; writer, reader, checker and documentation follow from it.
+
+A `SceneRecord` is a dict from field names to arrays of one scene. Shards stack records along a first axis `scene`.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+FORMAT_VERSION = 1
+"""Rises when a reader written for the version before would misread the files."""
+
+DATA_VERSION = 1
+"""Rises when an existing array of any scene changes; new optional fields do not raise it."""
+
+DEPTH_SCALE = 1e-4
+"""Metres per unit of stored depth."""
+
+MAX_DEPTH = 65535 * DEPTH_SCALE
+"""The farthest depth that the format can hold, metres."""
+
+GENERATOR = "obpose-datagen"
+
+SPLITS = ("train", "val", "test")
+
+SceneRecord = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Field:
+    """One array of the format."""
+
+    name: str
+    """Its path in the file."""
+    dtype: str
+    """NumPy's name; `S` stands for ASCII text of any fixed length."""
+    axes: tuple[str, ...]
+    """Of one scene; axis `object` is padded to the recipe's maximum, `object+1` has the table in front."""
+    unit: str
+    frame: str
+    """Frame of reference, `-` where it has none."""
+    description: str
+    group: str = "simulation"
+    """`simulation`: always there; `pixels`: there once rendered; `sensor`: there where the recipe has a depth sensor."""
+
+
+def _field(name: str, dtype: str, axes: str, unit: str, frame: str, description: str, group: str) -> Field:
+    return Field(name, dtype, tuple(axes.split()), unit, frame, description, group)
+
+
+_PIXELS = "frame view height width"
+_FIELDS = [
+    ("rgb", "uint8", f"{_PIXELS} channel", "sRGB 0-255", "image", "colour, anti-aliased", "pixels"),
+    ("depth", "uint16", _PIXELS, "0.1 mm", "camera", "planar z at the pixel's centre, 0 = no return", "pixels"),
+    (
+        "segmentation",
+        "uint8",
+        _PIXELS,
+        "id",
+        "image",
+        "object id at the pixel's centre: row in objects/ plus 1, constant over frames and views; 0 = table and backdrop",
+        "pixels",
+    ),
+    ("sensor_depth", "uint16", _PIXELS, "0.1 mm", "camera", "depth as a noisy sensor sees it, 0 = no return", "sensor"),
+    ("sensor_valid", "uint8", _PIXELS, "bool", "image", "1 where the sensor returned a depth", "sensor"),
+    ("camera/K", "float64", "view 3 3", "pixel", "image", "camera matrix, pixel centres at +0.5", "pixels"),
+    ("camera/world_from_camera", "float64", "view 4 4", "m", "world", "pose, OpenCV axes (x right, y down, z forward)", "simulation"),
+    ("lights/direction", "float64", "light 3", "1", "world", "unit vector towards each light; row 0 casts the shadow", "simulation"),
+    ("lights/radiance", "float64", "light 3", "1", "-", "linear RGB on a surface that faces the light", "simulation"),
+    ("lights/ambient", "float64", "3", "1", "-", "linear RGB of the light from everywhere", "simulation"),
+    ("objects/count", "uint8", "", "1", "-", "rows in use below; the rest are zeros", "simulation"),
+    ("objects/category", "S", "object", "-", "-", "name in the catalog", "simulation"),
+    ("objects/parameters", "S", "object", "m, rad", "object", "family and its parameters, JSON", "simulation"),
+    ("objects/motion", "S", "object", "-", "-", "what the object was meant to do: rest, drop, slide, roll, push, throw", "simulation"),
+    ("objects/size", "float32", "object 3", "m", "object", "extents along the object's axes", "simulation"),
+    ("objects/color", "float32", "object 2 3", "sRGB 0-1", "-", "first and second colour", "simulation"),
+    ("objects/pattern", "S", "object", "-", "-", "layout of the two colours", "simulation"),
+    ("objects/material", "S", "object", "-", "-", "name of the material", "simulation"),
+    ("objects/roughness", "float32", "object", "1", "-", "0 mirror, 1 chalk", "simulation"),
+    ("objects/metalness", "float32", "object", "1", "-", "0 dielectric, 1 metal", "simulation"),
+    ("objects/mass", "float32", "object", "kg", "-", "density times volume", "simulation"),
+    ("objects/inertia", "float32", "object 3 3", "kg m^2", "object", "about the centre of mass", "simulation"),
+    ("objects/friction", "float32", "object", "1", "-", "Coulomb coefficient", "simulation"),
+    ("objects/restitution", "float32", "object", "1", "-", "bounciness", "simulation"),
+    ("objects/symmetry", "S", "object", "-", "object", "exact rotation group, see docs/dataset.md", "simulation"),
+    ("objects/minimum_box_center", "float32", "object 3", "m", "object", "minimum-volume box: centre", "simulation"),
+    ("objects/minimum_box_rotation", "float32", "object 3 3", "1", "object", "minimum-volume box: axes in columns", "simulation"),
+    ("objects/minimum_box_size", "float32", "object 3", "m", "object", "minimum-volume box: side lengths", "simulation"),
+    ("poses/position", "float32", "frame object 3", "m", "world", "centre of mass", "simulation"),
+    ("poses/quaternion_wxyz", "float32", "frame object 4", "1", "world", "orientation", "simulation"),
+    ("poses/linear_velocity", "float32", "frame object 3", "m/s", "world", "of the centre of mass", "simulation"),
+    ("poses/angular_velocity", "float32", "frame object 3", "rad/s", "world", "", "simulation"),
+    ("contacts/gap", "float32", "frame object+1 object+1", "m", "-", "surface distance, negative = overlap, inf beyond 2 cm; row 0 = table", "simulation"),
+    ("contacts/impulse", "float32", "frame object+1 object+1", "N s", "-", "normal impulse since the frame before; row 0 = table", "simulation"),
+    ("visibility/visible_pixels", "uint32", "frame view object", "pixel", "image", "pixels that carry the object's id", "pixels"),
+    ("visibility/amodal_pixels", "uint32", "frame view object", "pixel", "image", "pixels it would have alone", "pixels"),
+    ("visibility/visible_fraction", "float32", "frame view object", "1", "-", "visible over amodal, 0 where out of view", "pixels"),
+    ("boxes/box_2d", "uint16", "frame view object 4", "pixel", "image", "x0 y0 x1 y1 of the visible pixels, ends exclusive; zeros if hidden", "pixels"),
+    ("boxes/box_3d", "float32", "frame object 8 3", "m", "world", "corners of the minimum-volume box", "pixels"),
+    ("scene/description", "S", "", "-", "-", "the scene before time starts, JSON", "simulation"),
+    ("scene/attempts", "uint16", "", "1", "-", "samples drawn until one met the recipe's rules", "simulation"),
+]  # fmt: skip
+
+FIELDS: dict[str, Field] = {row[0]: _field(*row) for row in _FIELDS}
+
+
+class SchemaError(ValueError):
+    """A record that is not of this format."""
+
+
+def validate(record: Mapping[str, np.ndarray], groups: tuple[str, ...]) -> None:
+    """Check names, dtypes and axes of one scene's arrays.
+
+    Raises:
+        SchemaError: names the field and what is wrong with it.
+    """
+    wanted = {name for name, field in FIELDS.items() if field.group in groups}
+    if missing := sorted(wanted - set(record)):
+        raise SchemaError(f"Fields are missing: {', '.join(missing)}.")
+    sizes: dict[str, int] = {"3": 3, "4": 4, "8": 8, "2": 2, "channel": 3}
+    for name, array in record.items():
+        if name not in FIELDS:
+            raise SchemaError(f"Field {name} is not part of format {FORMAT_VERSION}.")
+        _check(FIELDS[name], np.asarray(array), sizes)
+
+
+def _check(field: Field, array: np.ndarray, sizes: dict[str, int]) -> None:
+    if field.dtype == "S":
+        if array.dtype.kind != "S":
+            raise SchemaError(f"Field {field.name} has dtype {array.dtype}, expected fixed-length bytes.")
+    elif array.dtype != np.dtype(field.dtype):
+        raise SchemaError(f"Field {field.name} has dtype {array.dtype}, expected {field.dtype}.")
+    if array.ndim != len(field.axes):
+        raise SchemaError(f"Field {field.name} has shape {array.shape}, expected axes {' '.join(field.axes)}.")
+    for axis, length in zip(field.axes, array.shape, strict=True):
+        base, extra = ("object", 1) if axis == "object+1" else (axis, 0)
+        if sizes.setdefault(base, length - extra) + extra != length:
+            raise SchemaError(f"Field {field.name}: axis {axis} has length {length}, expected {sizes[base] + extra}.")
+
+
+def scene_hash(record: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 over names, dtypes, shapes and bytes of a scene's arrays, in the order of their names."""
+    digest = hashlib.sha256()
+    for name in sorted(record):
+        digest.update(array_hash(name, record[name]).encode())
+    return digest.hexdigest()
+
+
+def array_hash(name: str, array: np.ndarray) -> str:
+    """SHA-256 of one named array; text counts without its padding, so that shards may pad it differently."""
+    array = np.asarray(array)
+    if array.dtype.kind == "S":
+        payload, kind = b"\0".join(bytes(text) for text in array.ravel()), "S"
+    else:
+        payload, kind = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes(), array.dtype.name
+    return hashlib.sha256(f"{name}|{kind}|{array.shape}|".encode() + payload).hexdigest()
+
+
+def encode_depth(depth: np.ndarray) -> np.ndarray:
+    """Metres to stored units.
+
+    Raises:
+        ValueError: a depth does not fit the format (negative, beyond `MAX_DEPTH`, or not finite).
+    """
+    if not np.all((depth >= 0) & (depth <= MAX_DEPTH)):
+        raise ValueError(
+            f"Depths from {np.min(depth):.3f} to {np.max(depth):.3f} m do not fit the format, which holds 0 to "
+            f"{MAX_DEPTH:.3f} m; move the camera closer or make the table smaller."
+        )
+    return np.rint(depth.astype(np.float64) / DEPTH_SCALE).astype(np.uint16)
+
+
+def decode_depth(stored: np.ndarray) -> np.ndarray:
+    """Stored units to metres, float32."""
+    return (stored * np.float64(DEPTH_SCALE)).astype(np.float32)
+
+
+def axis_sizes(record: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Length of every named axis of a record."""
+    return {
+        axis: length
+        for name, array in record.items()
+        for axis, length in zip(FIELDS[name].axes, np.shape(array), strict=True)
+        if not axis.isdigit() and axis != "object+1"
+    }

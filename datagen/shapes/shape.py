@@ -1,0 +1,78 @@
+"""What a built shape is: one surface to render, solids to check it against, convex parts to simulate, exact inertia.
+
+All in the object frame: metres, origin at the centre of mass of the homogeneous solid, z the main axis.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+MESH_TOLERANCE = 8e-5
+"""Metres by which a rendered mesh may differ from the surface it stands for."""
+
+
+class Solid(Protocol):
+    """A piece of a shape, given by its exact surface and not by triangles; a shape is the union of its solids."""
+
+    def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
+        """Metres to the surface, negative inside.
+
+        Zero exactly on the surface, exact to first order near it (away from edges), and never longer than the true
+        distance, so that one may step along a ray by it.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedBox:
+    """A box in the object frame."""
+
+    center: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "3 3"]
+    """Columns are the box's axes."""
+    size: Float[np.ndarray, "3"]
+    """Full side lengths along these axes."""
+
+    @property
+    def corners(self) -> Float[np.ndarray, "8 3"]:
+        """Corners in the object frame, the last axis varying fastest."""
+        signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        return self.center + (signs * self.size) @ self.rotation.T
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One object's geometry."""
+
+    vertices: Float[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+    """Counter-clockwise seen from outside; the surface is closed (a union may have faces inside another part)."""
+    normals: Float[np.ndarray, "face 3 3"]
+    """Unit normals at each face's corners: shared across smooth surfaces, different on the two sides of an edge."""
+    solids: tuple[Solid, ...]
+    convex_parts: tuple[Float[np.ndarray, "corner 3"], ...]
+    """Corner points of the convex hulls that physics uses; at most 1 mm from the true surface."""
+    volume: float
+    """Cubic metres."""
+    inertia: Float[np.ndarray, "3 3"]
+    """About the centre of mass, of the homogeneous solid of density 1 (m^5)."""
+    symmetry: str
+    """Exact group of rotations that leave the shape unchanged, see `datagen.shapes.symmetry`."""
+    minimum_box: OrientedBox
+    """The box of least volume that holds the shape."""
+
+    @property
+    def size(self) -> Float[np.ndarray, "3"]:
+        """Extents along the object frame's axes."""
+        return np.ptp(self.vertices, axis=0)
+
+    @property
+    def radius(self) -> float:
+        """Of the smallest origin-centred ball that holds the shape, metres."""
+        return float(np.sqrt(np.max(np.sum(self.vertices**2, axis=1))))
+
+    def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
+        """Of the union of the solids; see `Solid.signed_distance`."""
+        return np.min([solid.signed_distance(points) for solid in self.solids], axis=0)
