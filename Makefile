@@ -1,0 +1,45 @@
+# Every target sets up its own .venv; nothing else has to be installed but Python 3.11, pip and make.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+# One thread a process: the numbers must not depend on how many cores a machine has.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+
+.PHONY: demo test test-slow check bench clean
+
+demo: .venv/.core
+	$(BIN)/obpose-datagen --video --scenes 100 --out demo/moving
+	$(BIN)/obpose-datagen verify demo/moving
+	$(BIN)/obpose-bench --model plane-dbscan --data demo/moving --out demo/leaderboard.csv
+	$(BIN)/obpose-datagen preview demo/moving --out demo/contact-sheet.png
+	@echo
+	@echo "The main job ran end to end:"
+	@echo "  dataset        $(CURDIR)/demo/moving  (what it holds: README.md in it)"
+	@echo "  leaderboard    $(CURDIR)/demo/leaderboard.csv"
+	@echo "  contact sheet  $(CURDIR)/demo/contact-sheet.png"
+
+test: .venv/.dev
+	$(BIN)/python -m pytest
+
+test-slow: .venv/.dev
+	$(BIN)/python -m pytest -m slow
+
+check: .venv/.dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+bench: .venv/.dev
+	$(BIN)/python -m pytest tests/perf -o addopts= --benchmark-columns=median,min,max,rounds --benchmark-group-by=group -s
+
+clean:
+	rm -rf .venv demo build dist *.egg-info
+
+.venv/.core: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	touch $@
+
+.venv/.dev: .venv/.core
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
