@@ -5,6 +5,7 @@ A recipe file names only what differs from the defaults below. `moving` is the d
 
 import dataclasses
 import difflib
+import functools
 import tomllib
 import typing
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any, Literal
 
 import assets
 from datagen.errors import UsageError
+from datagen.recipe_rules import problems
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,18 @@ class Objects:
     """Names from the catalog that objects are drawn from; empty means all tabletop categories."""
     size: tuple[float, float] = (0.03, 0.16)
     """Shortest and longest allowed longest side, metres."""
+    sizes: tuple[float, ...] = ()
+    """Where not empty, every longest side is one of these, metres; `size` is then not used."""
+    size_skew: float = 0.7
+    """Power of a uniform draw between the sizes: 1 is even, below 1 favours large objects."""
     shape_pool: int = 0
     """Where positive: train and val draw shapes 0 to N-1 of each category, test draws shapes N to 2N-1; 0: no pool."""
+    density: tuple[float, float] = (300.0, 1500.0)
+    """Kilograms per cubic metre, drawn evenly on a logarithmic scale."""
+    friction: tuple[float, float] = (0.4, 0.9)
+    """Coulomb coefficient; that of a contact is the product of both bodies'."""
+    restitution: tuple[float, float] = (0.1, 0.7)
+    """Bounciness; that of a contact is the product of both bodies'."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +47,41 @@ class Layout:
     """Where objects start."""
 
     placement: Literal["scattered", "touching", "stacked"] = "scattered"
-    """`scattered`: apart; `touching`: at least one pair in contact; `stacked`: some on top of others."""
-    center: tuple[float, float] = (0.28, 0.0)
+    """`scattered`: apart; `touching`: a group in contact that moves as one; `stacked`: towers, and drops onto others."""
+    stack_share: float = 0.4
+    """Chance that an object of a group or tower lies on top of another instead of beside it."""
+    center: tuple[float, float] = (-0.03, 0.0)
     """Middle of the region where objects start, metres on the table."""
-    half_extent: tuple[float, float] = (0.2, 0.22)
+    half_extent: tuple[float, float] = (0.18, 0.2)
     """Half sides of that region, metres."""
-    gap: float = 0.01
+    gap: float = 0.008
     """Least distance between scattered objects, metres."""
-    workspace_half_extent: tuple[float, float] = (0.33, 0.36)
+    upright_share: float = 0.6
+    """Chance that an object that starts on the table stands on its base and not on any face that would carry it."""
+    tries: int = 60
+    """Places tried for one object before the scene's sample is given up."""
+    workspace_half_extent: tuple[float, float] = (0.33, 0.33)
     """Half sides of the region around `center` that no object may leave, metres."""
+    table_size: float = 2.0
+    """Side of the square table, metres."""
+
+
+@dataclass(frozen=True)
+class MotionWeights:
+    """How often each motion is drawn, relative to the others."""
+
+    rest: float = 1.0
+    """Lies still until something hits it."""
+    drop: float = 1.2
+    """Falls from rest, tumbling where it lands."""
+    slide: float = 1.5
+    """Starts on the table with a velocity."""
+    roll: float = 4.0
+    """Rolls without slipping; drawn for round shapes only."""
+    push: float = 1.0
+    """Starts at rest; a horizontal force drives it for a while."""
+    throw: float = 0.6
+    """Flies in an arc."""
 
 
 @dataclass(frozen=True)
@@ -52,32 +90,51 @@ class MotionConfig:
 
     moving: bool = True
     """Whether objects move in the clip; if not, they rest from the first frame on."""
-    weights: dict[str, float] = dataclasses.field(
-        default_factory=lambda: {"rest": 0.2, "drop": 0.2, "slide": 0.2, "roll": 0.15, "push": 0.15, "throw": 0.1}
-    )
-    """How often each motion is drawn."""
-    speed: tuple[float, float] = (0.25, 0.8)
-    """Initial speed of what slides, rolls or is thrown, m/s."""
+    weights: MotionWeights = MotionWeights()
+    speed: tuple[float, float] = (0.4, 1.1)
+    """Initial speed of what slides, rolls or is thrown, and what a push reaches without friction, m/s."""
     drop_height: tuple[float, float] = (0.03, 0.15)
-    """Free height under what drops, metres."""
+    """Free height under what drops or is thrown, metres."""
+    spin: float = 6.0
+    """Largest angular speed of what drops or is thrown, rad/s."""
+    push_start: tuple[float, float] = (0.0, 0.25)
+    """Seconds after frame 0."""
+    push_duration: tuple[float, float] = (0.1, 0.3)
+    """Seconds."""
+    aim_share: float = 0.6
+    """Chance that what slides, rolls, flies or is pushed is aimed at another object."""
     least_travel: float = 0.03
     """At least one object of a clip travels this far between its first and last frame, metres."""
-    together: bool = False
-    """Whether objects that touch share one velocity."""
+    contact_gap: float = 0.005
+    """Where the placement is `touching`: the gap below which two objects count as touching, metres."""
+    contact_share: float = 0.8
+    """Where the placement is `touching`: share of the frames in which at least one pair touches."""
+    rest_speed: float = 0.01
+    """Where nothing moves: the fastest any surface point may be when the picture is taken, m/s."""
 
 
 @dataclass(frozen=True)
 class Appearance:
     """How objects and table look."""
 
-    style: Literal["varied", "same-colour", "two-colour", "textured", "clevr"] = "varied"
+    style: Literal["varied", "same-colour", "two-colour", "textured"] = "varied"
     """`varied`: all of it; the others are what the recipes of these names need."""
     one_hue_share: float = 0.0
     """Share of scenes in which all objects share one narrow hue."""
+    hue_width: float = 0.03
+    """Width of that hue as a share of the colour circle."""
     metal_share: float = 0.2
     """Share of objects made of metal."""
+    pattern_share: float = 0.4
+    """Share of objects with two colours where the style is `varied`."""
     table_textures: bool = True
     """Whether tables may have a pattern."""
+    table_color: str = ""
+    """Where not empty: the colour of every table, such as `#808080`."""
+    palette: tuple[str, ...] = ()
+    """Where not empty: the colours that objects may have, such as `#ad2323`."""
+    finishes: tuple[Literal["rubber", "plastic", "ceramic"], ...] = ("rubber", "plastic", "ceramic")
+    """What objects are made of that are not of metal."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +147,12 @@ class Rig:
     """Degrees that the camera looks down."""
     field_of_view: float = 40.0
     """Horizontal, degrees."""
-    target: tuple[float, float, float] = (0.28, 0.0, 0.0)
-    """The point that the camera looks at, metres."""
+    target: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The point that the first camera looks at, metres; the other views are this one, turned about the world's z axis."""
     azimuth: float = 0.0
     """Degrees about the world's z axis of the first camera as seen from its target; 0 looks along -x."""
     jitter: float = 0.0
-    """Standard deviation of each camera's position, metres."""
+    """Standard deviation of each camera's position along each axis, metres."""
 
 
 @dataclass(frozen=True)
@@ -106,18 +163,34 @@ class Lighting:
     """Whether the key light casts shadows."""
     softness: float = 2.5
     """Angular radius of the key light, degrees."""
+    elevation: tuple[float, float] = (40.0, 75.0)
+    """Range of the key light's height above the horizon, degrees."""
+    key: tuple[float, float] = (0.75, 1.0)
+    """Range of the key light's irradiance; 1 makes a white surface that faces it white."""
+    fill: tuple[float, float] = (0.1, 0.25)
+    """Range of the fill light's irradiance; it casts no shadow."""
+    ambient: tuple[float, float] = (0.2, 0.3)
+    """Range of the light from everywhere."""
 
 
 @dataclass(frozen=True)
 class Physics:
     """The simulator's constants."""
 
-    step: float = 1 / 240
-    """Seconds."""
+    step: float = 1 / 480
+    """Longest time step, seconds; at 1/240 flat objects that slide dip 5 mm into the table, at 1/480 1 mm."""
     gravity: float = 9.81
     """m/s^2."""
     table_friction: float = 0.5
-    """Coulomb coefficient of the table."""
+    """Coulomb coefficient of the table; that of a contact is the product of both bodies'."""
+    table_restitution: float = 0.7
+    """Bounciness of the table."""
+    rolling_friction: float = 0.0005
+    """Metres; the torque that slows a rolling body is this times the normal force."""
+    spinning_friction: float = 0.001
+    """Metres; the torque that slows a spinning body is this times the normal force."""
+    deepest_overlap: float = 0.001
+    """Two bodies may overlap by so much at the start, metres."""
     settle_seconds: float = 0.0
     """Simulated before frame 0 so that what is stacked or dropped comes to rest."""
 
@@ -157,7 +230,9 @@ class Recipe:
     resolution: tuple[int, int] = (128, 128)
     """Width and height in pixels."""
     least_visible_pixels: int = 20
-    """Every object shows at least this many pixels in frame 0 at 128x128."""
+    """Every object shows at least this many pixels in every view of frame 0."""
+    visibility_resolution: tuple[int, int] = (128, 128)
+    """Width and height at which these pixels are counted, whatever the resolution of the dataset is."""
     attempts: int = 200
     """Samples drawn for one scene before the recipe counts as impossible."""
     parts: tuple[str, ...] = ()
@@ -171,18 +246,39 @@ class Recipe:
     physics: Physics = Physics()
     sensor: Sensor = Sensor()
 
+    def __post_init__(self) -> None:
+        if wrong := list(problems(self)):
+            raise UsageError(f"Recipe {self.name!r} is impossible: {'; '.join(wrong)}.")
+
     @property
     def video(self) -> bool:
         """Whether clips have more than one frame."""
         return self.frames > 1
 
     def for_scene(self, index: int) -> "Recipe":
-        """The recipe that scene `index` of a split follows: itself, or one of its parts at this recipe's sizes."""
-        if not self.parts:
-            return self
-        part = load_recipe(self.parts[index % len(self.parts)])
-        shared = {name: getattr(self, name) for name in ("frames", "fps", "views", "resolution", "attempts")}
-        return dataclasses.replace(part, **shared)
+        """The recipe that scene `index` of a split follows: itself, or one of its parts.
+
+        What this recipe sets itself, its part follows too.
+        """
+        return _part(self, self.parts[index % len(self.parts)]) if self.parts else self
+
+
+@functools.lru_cache(maxsize=64)
+def _part(whole: Recipe, name: str) -> Recipe:
+    own = _difference(recipe_to_dict(whole), recipe_to_dict(Recipe()))
+    own = {key: value for key, value in own.items() if key not in ("name", "description", "parts")}
+    return recipe_from_dict(_merge(recipe_to_dict(load_recipe(name)), own))
+
+
+def _difference(values: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
+    """What differs from the defaults, nested in the same way."""
+    changed = {key: value for key, value in values.items() if value != defaults[key]}
+    return {k: _difference(v, defaults[k]) if isinstance(v, dict) else v for k, v in changed.items()}
+
+
+def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    merged = {k: _merge(values[k], v) if isinstance(v, dict) else v for k, v in changes.items()}
+    return {**values, **merged}
 
 
 def recipe_names() -> list[str]:
@@ -190,6 +286,7 @@ def recipe_names() -> list[str]:
     return sorted(path.stem for path in assets.RECIPES.glob("*.toml"))
 
 
+@functools.cache
 def load_recipe(name: str) -> Recipe:
     """The recipe of that name.
 

@@ -83,6 +83,8 @@ class Body:
     push: Push | None = None
     touches: int | None = None
     """Row of an earlier object that physics brings this one into contact with before time starts."""
+    shape_id: int | None = None
+    """Number of the shape in its category's pool, where the recipe draws from a pool."""
 
 
 @dataclass(frozen=True)
@@ -178,9 +180,7 @@ def scene_from_json(text: str) -> Scene:
     return Scene(
         bodies=tuple(_body(body) for body in data["bodies"]),
         table=Table(data["table"]["size"], _material(data["table"]["material"])),
-        cameras=tuple(
-            Camera(tuple(c["position"]), tuple(c["target"]), c["field_of_view"]) for c in data["cameras"]
-        ),
+        cameras=tuple(Camera(tuple(c["position"]), tuple(c["target"]), c["field_of_view"]) for c in data["cameras"]),
         lights=tuple(
             Light(tuple(x["direction"]), tuple(x["radiance"]), x["angular_radius"], x["casts_shadow"])
             for x in data["lights"]
@@ -193,7 +193,9 @@ def scene_from_json(text: str) -> Scene:
 
 
 def _body(data: dict[str, Any]) -> Body:
-    vectors = {name: tuple(data[name]) for name in ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity")}
+    vectors = {
+        name: tuple(data[name]) for name in ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity")
+    }
     push = data["push"]
     return Body(
         **{

@@ -71,7 +71,7 @@ _FIELDS = [
     ("lights/direction", "float64", "light 3", "1", "world", "unit vector towards each light; row 0 casts the shadow", "simulation"),
     ("lights/radiance", "float64", "light 3", "1", "-", "linear RGB on a surface that faces the light", "simulation"),
     ("lights/ambient", "float64", "3", "1", "-", "linear RGB of the light from everywhere", "simulation"),
-    ("objects/count", "uint8", "", "1", "-", "rows in use below; the rest are zeros", "simulation"),
+    ("objects/count", "uint8", "", "1", "-", "rows in use below; the rest are padding: zeros, infinite gaps", "simulation"),
     ("objects/category", "S", "object", "-", "-", "name in the catalog", "simulation"),
     ("objects/parameters", "S", "object", "m, rad", "object", "family and its parameters, JSON", "simulation"),
     ("objects/motion", "S", "object", "-", "-", "what the object was meant to do: rest, drop, slide, roll, push, throw", "simulation"),
@@ -102,6 +102,7 @@ _FIELDS = [
     ("boxes/box_3d", "float32", "frame object 8 3", "m", "world", "corners of the minimum-volume box", "pixels"),
     ("scene/description", "S", "", "-", "-", "the scene before time starts, JSON", "simulation"),
     ("scene/attempts", "uint16", "", "1", "-", "samples drawn until one met the recipe's rules", "simulation"),
+    ("scene/rejections", "S", "", "-", "-", "how many of these samples failed for which reason, JSON", "simulation"),
 ]  # fmt: skip
 
 FIELDS: dict[str, Field] = {row[0]: _field(*row) for row in _FIELDS}

@@ -88,7 +88,9 @@ def luminance(rgb: UInt8[np.ndarray, "height width 3"]) -> Depth:
     return _LINEAR[rgb] @ LUMINANCE
 
 
-def _tangent(points: Float[np.ndarray, "height width 3"], depth: Depth, axis: int) -> Float[np.ndarray, "height width 3"]:
+def _tangent(
+    points: Float[np.ndarray, "height width 3"], depth: Depth, axis: int
+) -> Float[np.ndarray, "height width 3"]:
     """Step to the next or from the last pixel, whichever stays nearer in depth: the one on the same surface."""
     forward = np.diff(points, axis=axis)
     first, last = np.take(forward, [0], axis), np.take(forward, [-1], axis)

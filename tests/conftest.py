@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from jaxtyping import install_import_hook
 
 ROOT = Path(__file__).parent.parent
@@ -16,3 +17,15 @@ def _leaf_modules() -> list[str]:
 
 
 install_import_hook(_leaf_modules(), "beartype.beartype")
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of eight clips of the recipe `moving`, 4 train, 2 val, 2 test, at 64x64; not to be changed."""
+    pytest.importorskip("pybullet", reason="simulation needs PyBullet")
+    from datagen.config import load_recipe
+    from datagen.generate import generate
+
+    folder = tmp_path_factory.mktemp("data") / "moving"
+    generate(folder, load_recipe("moving"), splits={"train": 4, "val": 2, "test": 2}, resolution=(64, 64))
+    return folder

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
@@ -25,6 +25,7 @@ class Image:
     """Pixels whose centre each object would cover if it were alone."""
 
 
+@runtime_checkable
 class Renderer(Protocol):
     """Turns scenes into images. One scene is loaded at a time; poses and cameras may change between calls."""
 

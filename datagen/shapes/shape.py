@@ -3,8 +3,9 @@
 All in the object frame: metres, origin at the centre of mass of the homogeneous solid, z the main axis.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,6 +14,18 @@ MESH_TOLERANCE = 8e-5
 """Metres by which a rendered mesh may differ from the surface it stands for."""
 
 
+Numbers = Sequence[float | int] | np.ndarray
+"""A few numbers, such as side lengths."""
+
+Corners = Sequence[Sequence[float | int]] | np.ndarray
+"""Points of a plane, one a row."""
+
+Primitive = tuple[Literal["box", "sphere", "cylinder", "capsule"], tuple[float, ...]]
+"""A box (full side lengths), a sphere (radius), a cylinder (radius, height along z) or a capsule (radius, length of its
+cylindrical part along z), each around the origin."""
+
+
+@runtime_checkable
 class Solid(Protocol):
     """A piece of a shape, given by its exact surface and not by triangles; a shape is the union of its solids."""
 
@@ -52,7 +65,7 @@ class Shape:
     normals: Float[np.ndarray, "face 3 3"]
     """Unit normals at each face's corners: shared across smooth surfaces, different on the two sides of an edge."""
     solids: tuple[Solid, ...]
-    convex_parts: tuple[Float[np.ndarray, "corner 3"], ...]
+    convex_parts: tuple[Float[np.ndarray, "_ 3"], ...]
     """Corner points of the convex hulls that physics uses; at most 1 mm from the true surface."""
     volume: float
     """Cubic metres."""
@@ -62,6 +75,8 @@ class Shape:
     """Exact group of rotations that leave the shape unchanged, see `datagen.shapes.symmetry`."""
     minimum_box: OrientedBox
     """The box of least volume that holds the shape."""
+    primitive: Primitive | None = None
+    """What the whole shape is exactly, if it is that simple."""
 
     @property
     def size(self) -> Float[np.ndarray, "3"]:

@@ -1,0 +1,51 @@
+"""A split of a dataset as models and metrics get it: clips without labels, and the labels apart from them."""
+
+from collections.abc import Sequence
+from typing import Any, overload
+
+import numpy as np
+from jaxtyping import UInt8
+
+from benchmark.interface import Clip
+from datagen import schema, storage
+from datagen.errors import UsageError
+
+
+class ClipSequence(Sequence[Clip]):
+    """The clips of one split, read when they are asked for. Where the recipe has a depth sensor, its depth is seen.
+
+    Raises:
+        UsageError: the dataset holds no images.
+    """
+
+    def __init__(self, scenes: storage.Split):
+        if scenes.spec["resolution"] is None:
+            raise UsageError(f"{scenes.folder} holds no images; make them with: obpose-datagen render.")
+        self._scenes = scenes
+        self._sensor: bool = scenes.spec["recipe"]["sensor"]["enabled"]
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    @overload
+    def __getitem__(self, index: int) -> Clip: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Clip]: ...
+    def __getitem__(self, index: int | slice) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        depth = "sensor_depth" if self._sensor else "depth"
+        fields = ["rgb", depth, "camera/K", "camera/world_from_camera"]
+        record = self._scenes.read(index, [*fields, *(["sensor_valid"] if self._sensor else [])])
+        return Clip(
+            rgb=record["rgb"],
+            depth=schema.decode_depth(record[depth]),
+            valid=record["sensor_valid"] > 0 if self._sensor else record[depth] > 0,
+            k=record["camera/K"],
+            world_from_camera=record["camera/world_from_camera"],
+        )
+
+
+def read_truth(scenes: storage.Split, index: int) -> UInt8[np.ndarray, "frame view height width"]:
+    """Object ids of one scene, 0 = background."""
+    return scenes.read(index, ["segmentation"])["segmentation"]

@@ -1,0 +1,139 @@
+"""The flags of every subcommand of `obpose-datagen`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from datagen.config import Recipe, Rig
+
+_OVERRIDES = tyro.conf.arg(name="")
+_FOLDER = Annotated[Path, tyro.conf.Positional]
+_Flag = tyro.conf.FlagCreatePairsOff[bool]
+
+
+@dataclass(frozen=True)
+class Constants(Recipe):
+    """Every constant of a recipe that the command line can change."""
+
+    name: tyro.conf.Suppress[str] = ""
+    description: tyro.conf.Suppress[str] = ""
+    resolution: tyro.conf.Suppress[tuple[int, int]] = (128, 128)
+    parts: tyro.conf.Suppress[tuple[str, ...]] = ()
+
+    @classmethod
+    def of(cls, recipe: Recipe) -> "Constants":
+        """The constants of a recipe."""
+        return cls(**vars(recipe))
+
+    def recipe(self) -> Recipe:
+        """The recipe with these constants."""
+        return Recipe(**vars(self))
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Generate a dataset, complete an interrupted one, or extend one: the same command again goes on."""
+
+    scenes: int | None = None
+    """Number of scenes, split 80/10/10 into train, val and test."""
+    split: str | None = None
+    """Instead of --scenes, the scenes of each split: train=2000,val=100,test=300."""
+    video: _Flag = False
+    """Clips of moving objects (recipe `moving`) instead of stills (recipe `static`)."""
+    recipe: str | None = None
+    """Name of a recipe."""
+    out: Path | None = None
+    """Folder of the dataset; default data/RECIPE-WxH-seedS."""
+    resolution: str | None = None
+    """Width x height in pixels, such as 64x64; default the recipe's."""
+    seed: int = 0
+    """Any number from 0; scene i of a split depends on the recipe, the seed, the split and i alone."""
+    workers: int | None = None
+    """Processes; default one a core."""
+    renderer: Literal["raster", "pyrender"] | None = None
+    """`raster`, the default, needs no GL library; `pyrender` uses EGL."""
+    simulate_only: _Flag = False
+    """Store scenes and trajectories without images, to be rendered later with `render`."""
+    shard: str | None = None
+    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs can share the work."""
+    overwrite: _Flag = False
+    """Give up a dataset of other settings in the same folder."""
+    constants: Annotated[Constants, _OVERRIDES] = Constants()
+
+
+@dataclass(frozen=True)
+class Render:
+    """Make images of the scenes of another dataset; needs no physics engine."""
+
+    source: Annotated[Path, tyro.conf.arg(name="from")]
+    """The dataset whose scenes are rendered."""
+    out: Path | None = None
+    """Folder of the new dataset; default data/RECIPE-WxH-seedS."""
+    resolution: str | None = None
+    """Width x height in pixels; default the source's."""
+    renderer: Literal["raster", "pyrender"] = "raster"
+    """`raster` needs no GL library; `pyrender` uses EGL."""
+    views: int = 1
+    """Cameras; more than one are spread evenly around the world's z axis."""
+    workers: int | None = None
+    """Processes; default one a core."""
+    shard: str | None = None
+    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs can share the work."""
+    overwrite: _Flag = False
+    """Give up a dataset of other settings in the same folder."""
+    rig: Rig = field(default_factory=Rig)
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Prove that a dataset's labels, depths, poses and images agree."""
+
+    folder: _FOLDER
+    workers: int | None = None
+    """Processes; default one a core."""
+
+
+@dataclass(frozen=True)
+class Stats:
+    """Print figures about a dataset."""
+
+    folder: _FOLDER
+
+
+@dataclass(frozen=True)
+class Preview:
+    """Draw a contact sheet and an animation of a dataset."""
+
+    folder: _FOLDER
+    split: Literal["train", "val", "test"] = "train"
+    """Split to show."""
+    scenes: tuple[int, ...] = (0, 1, 2, 3)
+    """Scenes to show."""
+    out: Path | None = None
+    """The picture's file; default preview.png in the folder."""
+    animation: Path | None = None
+    """The animation's file, .gif or .mp4; default preview.gif in the folder, for clips."""
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Print the facts of one scene."""
+
+    folder: _FOLDER
+    split: Literal["train", "val", "test"] = "train"
+    """Split of the scene."""
+    scene: int = 0
+    """Index of the scene within its split."""
+
+
+@dataclass(frozen=True)
+class Regenerate:
+    """Make one scene anew and compare all its arrays with the stored ones."""
+
+    folder: _FOLDER
+    split: Literal["train", "val", "test"] = "train"
+    """Split of the scene."""
+    scene: int = 0
+    """Index of the scene within its split."""

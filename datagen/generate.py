@@ -1,0 +1,231 @@
+"""Making datasets: scenes as a pure function of the spec, in parallel, shard by shard, from wherever a run left off."""
+
+import itertools
+import json
+import time
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from datagen.card import write_card
+from datagen.config import Recipe, recipe_to_dict
+from datagen.errors import UsageError
+from datagen.folder import begin, write_whole
+from datagen.maker import SceneMaker, make_scene, renderer_identity
+from datagen.manifest import make_manifest
+from datagen.parallel import make_all
+from datagen.progress import Advance, Progress, no_progress
+from datagen.schema import FIELDS, SPLITS, array_hash
+from datagen.shard import PackedScene, Shard, shard_image
+from datagen.spec import MANIFEST_FILE, Spec, make_spec, settings_hash, shard_name, shard_ranges
+from datagen.storage import Dataset
+
+
+@dataclass(frozen=True)
+class Run:
+    """How a dataset is made; nothing of this changes what is in it."""
+
+    workers: int = 1
+    """Processes."""
+    share: tuple[int, int] = (0, 1)
+    """(i, n): make only the shards whose number modulo n is i."""
+    overwrite: bool = False
+    """Give up a dataset of other settings in the same folder."""
+    progress: Progress = no_progress
+    """Shows how far it is."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a run did."""
+
+    spec: Spec
+    """Of the dataset as it is now."""
+    scenes_made: int
+    complete: bool
+    """Whether every scene of the spec is there."""
+    seconds: float
+
+
+def generate(
+    folder: Path,
+    recipe: Recipe,
+    *,
+    splits: Mapping[str, int],
+    seed: int = 0,
+    resolution: tuple[int, int] | None = None,
+    renderer: str | None = "raster",
+    run: Run = Run(),
+) -> Report:
+    """Make a dataset, complete it, or extend it.
+
+    Args:
+        folder: Where it is or will be.
+        recipe: What it holds.
+        splits: Scenes of each split.
+        seed: Any non-negative integer.
+        resolution: Width and height of the images, the recipe's if None.
+        renderer: Name of the renderer; None stores scenes and trajectories without images.
+        run: How to go about it.
+
+    Raises:
+        UsageError: the request contradicts itself or what is in the folder.
+        DatagenError: it could not be completed; running it again goes on.
+    """
+    spec = make_spec(
+        recipe_to_dict(recipe),
+        seed=seed,
+        splits=splits,
+        resolution=(resolution or recipe.resolution) if renderer else None,
+        renderer=renderer_identity(renderer),
+    )
+    return _fill(folder, spec, None, run)
+
+
+def render(
+    source: Path,
+    folder: Path,
+    *,
+    resolution: tuple[int, int] | None = None,
+    renderer: str = "raster",
+    rig: Recipe | None = None,
+    run: Run = Run(),
+) -> Report:
+    """Make images of the scenes of another dataset; needs no physics engine.
+
+    Args:
+        source: A complete dataset, with or without images.
+        folder: Where the new one is or will be.
+        resolution: Width and height of the images, the source's or its recipe's if None.
+        renderer: Name of the renderer.
+        rig: A recipe whose cameras (`rig`, `views`) replace the source's; None keeps these.
+        run: How to go about it.
+
+    Raises:
+        UsageError: the source is no dataset, or the request contradicts what is in the folder.
+        DatagenError: the source is incomplete, or the run could not be completed.
+    """
+    dataset = Dataset(source)
+    dataset.check_complete()
+    return _fill(folder, render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig), source, run)
+
+
+def render_spec(
+    source: Spec, *, resolution: tuple[int, int] | None = None, renderer: str = "raster", rig: Recipe | None = None
+) -> Spec:
+    """The spec of a dataset that `render` makes of the scenes of another."""
+    width, height = resolution or source["resolution"] or source["recipe"]["resolution"]
+    cameras = {key: recipe_to_dict(rig)[key] for key in ("rig", "views")} if rig else None
+    return make_spec(
+        source["recipe"],
+        seed=source["seed"],
+        splits=source["splits"],
+        resolution=(width, height),
+        renderer=renderer_identity(renderer),
+        rig=cameras or source["rig"],
+    )
+
+
+def regenerate(folder: Path, split: str, index: int) -> list[str]:
+    """Make one scene anew and compare it with the stored one; returns the names of the arrays that differ.
+
+    Raises:
+        UsageError: the folder holds no dataset, or no such scene.
+        DatagenError: the scene has not been made yet, or cannot be read.
+    """
+    dataset = Dataset(folder)
+    stored = dataset.split(split)[index]
+    fresh = make_scene(dataset.spec, split, index)
+    return [
+        name for name in stored if name not in fresh or array_hash(name, stored[name]) != array_hash(name, fresh[name])
+    ]
+
+
+def _fill(folder: Path, wanted: Spec, source: Path | None, run: Run) -> Report:
+    started = time.monotonic()
+    spec = begin(folder, wanted, overwrite=run.overwrite)
+    tasks = [task for task in _tasks(folder, spec) if task.order % run.share[1] == run.share[0] and task.todo]
+    scenes = [(task.split, index) for task in tasks for index in task.todo]
+    maker = SceneMaker(spec, source)
+    progress = run.progress if scenes else no_progress
+    with progress(len(scenes)) as advance, closing(make_all(maker, scenes, run.workers)) as made:
+        for task in tasks:
+            new = [_counted(scene, advance) for scene in itertools.islice(made, len(task.todo))]
+            _write_shard(folder, spec, task, new)
+    complete = not any(task.todo for task in _tasks(folder, spec))
+    seconds = time.monotonic() - started
+    if complete:
+        _finish(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
+    return Report(spec, len(scenes), complete, seconds)
+
+
+def _counted(scene: PackedScene, advance: Advance) -> PackedScene:
+    advance()
+    return scene
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A shard and what is to be done about it."""
+
+    split: str
+    order: int
+    """Number among the shards of all splits."""
+    number: int
+    kept: range
+    """Scenes to take over from the file that is there."""
+    todo: range
+    """Scenes to make."""
+
+
+def _tasks(folder: Path, spec: Spec) -> list[_Task]:
+    places = [
+        (split, number, indices)
+        for split in SPLITS
+        for number, indices in enumerate(shard_ranges(spec["splits"][split], spec["scenes_per_shard"]))
+    ]
+    return [_task(folder, spec, order, *place) for order, place in enumerate(places)]
+
+
+def _task(folder: Path, spec: Spec, order: int, split: str, number: int, indices: range) -> _Task:
+    path = folder / shard_name(split, number)
+    kept = _usable_scenes(path, spec) if path.exists() else 0
+    return _Task(split, order, number, indices[:kept], indices[kept:])
+
+
+def _usable_scenes(path: Path, spec: Spec) -> int:
+    """Scenes of a shard that hold all fields that a new one would hold."""
+    with closing(Shard(path)) as shard:
+        if shard.attributes["settings_hash"] != settings_hash(spec):
+            raise UsageError(f"{path} belongs to another dataset; move it away and run the same command again.")
+        return len(shard) if set(shard.fields) == _fields(spec) else 0
+
+
+def _fields(spec: Spec) -> set[str]:
+    groups = {"simulation"}
+    if spec["renderer"]:
+        groups |= {"pixels", "sensor"} if spec["recipe"]["sensor"]["enabled"] else {"pixels"}
+    return {name for name, field in FIELDS.items() if field.group in groups}
+
+
+def _write_shard(folder: Path, spec: Spec, task: _Task, new: list[PackedScene]) -> None:
+    path = folder / shard_name(task.split, task.number)
+    scenes = new
+    if task.kept:
+        with closing(Shard(path)) as shard:
+            scenes = [*(shard.packed(row) for row in range(len(task.kept))), *new]
+    attributes = {
+        "data_version": spec["data_version"],
+        "settings_hash": settings_hash(spec),
+        "split": task.split,
+        "first_scene": (task.kept or task.todo).start,
+    }
+    write_whole(path, shard_image(scenes, attributes))
+
+
+def _finish(folder: Path, spec: Spec, **run: Any) -> None:
+    write_card(folder)
+    manifest = make_manifest(folder, spec, **run)
+    write_whole(folder / MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode())

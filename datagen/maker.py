@@ -1,0 +1,118 @@
+"""One scene from first to last: a pure function of the spec, the split and the index."""
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datagen.config import Recipe, recipe_from_dict
+from datagen.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
+from datagen.render import make_renderer
+from datagen.render.renderer import Renderer
+from datagen.sampling.cameras import sample_cameras
+from datagen.scene import Scene
+from datagen.schema import FIELDS, SPLITS, SceneRecord
+from datagen.shapes import build
+from datagen.shard import PackedScene, pack
+from datagen.spec import Spec
+from datagen.storage import Dataset, Split
+
+_SENSOR_STREAM = 1
+_RIG_STREAM = 2
+
+
+@dataclass(frozen=True)
+class SceneMaker:
+    """Makes the scenes of a dataset, ready to be stored, in whatever process it is called."""
+
+    spec: Spec
+    source: Path | None = None
+    """Dataset that the simulation fields are read from; None simulates."""
+
+    def __call__(self, split: str, index: int) -> PackedScene:
+        """Make one scene."""
+        return pack(make_scene(self.spec, split, index, self._source_record(split, index)))
+
+    def _source_record(self, split: str, index: int) -> SceneRecord | None:
+        if self.source is None:
+            return None
+        scenes = _source_split(self.source, self.spec["spec_hash"], split)
+        return scenes.read(index, [name for name in scenes.fields(index) if FIELDS[name].group == "simulation"])
+
+
+@functools.lru_cache(maxsize=len(SPLITS))
+def _source_split(folder: Path, _spec_hash: str, split: str) -> Split:
+    """A split, kept open from scene to scene."""
+    return Dataset(folder).split(split)
+
+
+def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = None) -> SceneRecord:
+    """All arrays of one scene, a pure function of the spec's settings, the split and the index.
+
+    Args:
+        spec: The dataset's spec.
+        split: One of `schema.SPLITS`.
+        index: Counts from 0 within the split.
+        source: The scene's simulation fields where they are known; else it is simulated.
+    """
+    recipe = recipe_from_dict(spec["recipe"])
+    record = source or _simulate(recipe, spec["seed"], split, index)
+    scene, trajectory = scene_and_trajectory(record)
+    if spec["rig"]:
+        scene = _with_cameras(scene, spec, _rng(spec, split, index, _RIG_STREAM))
+        record = with_scene(record, scene)
+    if not spec["renderer"]:
+        return record
+    width, height = spec["resolution"]
+    pixels = pixel_record(
+        scene,
+        [build(body.shape) for body in scene.bodies],
+        trajectory,
+        _renderer(spec["renderer"]["name"]),
+        resolution=(width, height),
+        rows=object_rows(recipe),
+        sensor=recipe.sensor,
+        rng=_rng(spec, split, index, _SENSOR_STREAM),
+    )
+    return {**record, **pixels}
+
+
+def object_rows(recipe: Recipe) -> int:
+    """Length of the object axis: the most objects that a scene of the recipe or its parts can have."""
+    return max(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts))))
+
+
+def _simulate(recipe: Recipe, seed: int, split: str, index: int) -> SceneRecord:
+    # Imported here so that rendering stored scenes does not need the physics engine.
+    from datagen.simulate import simulate_scene
+
+    made = simulate_scene(recipe, seed, split, index)
+    return simulation_record(
+        made.scene,
+        made.shapes,
+        made.trajectory,
+        rows=object_rows(recipe),
+        attempts=made.attempts,
+        rejections=made.rejections,
+    )
+
+
+def _with_cameras(scene: Scene, spec: Spec, rng: np.random.Generator) -> Scene:
+    recipe = recipe_from_dict({**spec["recipe"], **spec["rig"]})
+    return dataclasses.replace(scene, cameras=sample_cameras(recipe, rng))
+
+
+def _rng(spec: Spec, split: str, index: int, stream: int) -> np.random.Generator:
+    return np.random.default_rng([spec["seed"], SPLITS.index(split), index, stream])
+
+
+@functools.cache
+def _renderer(name: str) -> Renderer:
+    return make_renderer(name)
+
+
+def renderer_identity(name: str | None) -> dict[str, str | int] | None:
+    """Name and version of a renderer."""
+    return {"name": name, "version": _renderer(name).version} if name else None

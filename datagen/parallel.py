@@ -1,0 +1,61 @@
+"""Scenes made in several processes and handed out in their order."""
+
+import functools
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Generator, Sequence
+from typing import Any
+
+from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+from datagen.errors import EXIT_INCOMPLETE, DatagenError
+from datagen.shard import PackedScene
+
+_PARENT_CHECK_SECONDS = 1.0
+
+MakeScene = Callable[[str, int], PackedScene]
+"""Makes a scene of a split; can be sent to another process."""
+
+
+def make_all(make: MakeScene, scenes: Sequence[tuple[str, int]], workers: int) -> Generator[PackedScene]:
+    """Make scenes, in their order."""
+    if workers == 1 or len(scenes) < 3:
+        yield from (make(*scene) for scene in scenes)
+        return
+    # The first one compiles the renderer and stores it, so that the workers need not do so all at once.
+    yield make(*scenes[0])
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        pool: Any = Parallel(
+            n_jobs=min(workers, len(scenes) - 1),
+            batch_size=1,  # pyright: ignore[reportArgumentType]  # joblib takes numbers too
+            return_as="generator",
+            max_nbytes=None,
+        )
+    try:
+        yield from pool(delayed(_work)(make, *scene, os.getpid()) for scene in scenes[1:])
+    except TerminatedWorkerError:
+        raise DatagenError(
+            "A worker process died, perhaps for want of memory. Finished shards are intact; "
+            "run the same command again to complete the dataset, perhaps with fewer --workers."
+        ) from None
+
+
+def _work(make: MakeScene, split: str, index: int, parent: int) -> PackedScene:
+    _become_worker(parent)
+    return make(split, index)
+
+
+@functools.cache
+def _become_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, and end when it is gone, even if it was killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_PARENT_CHECK_SECONDS)
+    os._exit(EXIT_INCOMPLETE)

@@ -1,0 +1,209 @@
+"""Pictures of a dataset to look at: a contact sheet, and an animation of clips."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Integer, UInt8
+from PIL import Image, ImageDraw, ImageFont
+
+from datagen.errors import UsageError
+from datagen.schema import SceneRecord
+from datagen.storage import Dataset, Split
+
+LEAST_TILE = 160
+"""Pixels that an image is wide at least; smaller ones are enlarged by a whole number."""
+
+WIDEST = 2000
+"""Pixels after which the sheet starts a new line of scenes."""
+
+GAP = 6
+HEADING = 18
+PAPER, INK = (255, 255, 255), (40, 40, 40)
+
+DEPTH_COLORS = np.array(
+    [(250, 240, 190), (250, 180, 110), (230, 100, 90), (160, 50, 110), (80, 20, 110), (20, 10, 50)], np.float64
+)
+"""From near to far; what returns no depth is black."""
+
+Rgb = UInt8[np.ndarray, "_ _ 3"]
+Labels = Integer[np.ndarray, "_ _"]
+
+
+def run(
+    folder: str | Path,
+    *,
+    split: str = "train",
+    scenes: Sequence[int] = (0, 1, 2, 3),
+    out: str | Path | None = None,
+    video: str | Path | None = None,
+) -> list[Path]:
+    """Draw scenes of a dataset and give the paths of the pictures.
+
+    Args:
+        folder: The dataset.
+        split: One of its splits.
+        scenes: Indices within the split.
+        out: Where the contact sheet goes (PNG); `preview.png` in the dataset's folder by default.
+        video: Where an animation goes (`.gif`, or `.mp4` with a codec); by default none for datasets of stills and
+            `preview.gif` in the dataset's folder for clips.
+
+    Raises:
+        UsageError: there are no images, no such scenes, or no codec.
+    """
+    dataset = Dataset(folder)
+    if dataset.spec["resolution"] is None:
+        raise UsageError(f"{folder} holds no images; render it first with `obpose-datagen render --from {folder}`.")
+    chosen = _chosen(dataset.split(split), scenes)
+    sheet = Path(out or dataset.folder / "preview.png")
+    Image.fromarray(contact_sheet(chosen)).save(_ready(sheet))
+    if video is None and dataset.spec["recipe"]["frames"] == 1:
+        return [sheet]
+    animation = Path(video or dataset.folder / "preview.gif")
+    save_animation(_ready(animation), list(animation_frames(chosen)), dataset.spec["recipe"]["fps"])
+    return [sheet, animation]
+
+
+def contact_sheet(records: dict[str, SceneRecord]) -> Rgb:
+    """All scenes: first, middle and last frame or all views across; colour, depth, ids and sensor depth down."""
+    return _flow([_with_heading(_scene_block(record), name) for name, record in records.items()])
+
+
+def animation_frames(records: dict[str, SceneRecord]) -> Iterator[Rgb]:
+    """One picture a frame: every scene's colour, depth and ids, its first view."""
+    for frame in range(min(record["rgb"].shape[0] for record in records.values())):
+        rows = {name: [row(record, frame, 0) for row in _rows(record).values()] for name, record in records.items()}
+        yield _flow([_with_heading(_beside([_enlarged(tile) for tile in tiles]), name) for name, tiles in rows.items()])
+
+
+def save_animation(path: Path, frames: list[Rgb], fps: float) -> None:
+    """Write an endless GIF, or an MP4 where the name says so.
+
+    Raises:
+        UsageError: another ending, or no codec for MP4.
+    """
+    if path.suffix.lower() == ".gif":
+        images = [Image.fromarray(frame) for frame in frames]
+        images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)
+    elif path.suffix.lower() == ".mp4":
+        _save_mp4(path, frames, fps)
+    else:
+        raise UsageError(f"Cannot animate into {path.name}; end the name in .gif or .mp4.")
+
+
+def colored_depth(depth: Labels, near: float, far: float) -> Rgb:
+    """Depth between `near` and `far` (stored units) as colours, 0 as black."""
+    place = np.clip((depth - near) / max(far - near, 1), 0, 1) * (len(DEPTH_COLORS) - 1)
+    anchors = np.arange(len(DEPTH_COLORS))
+    channels = [np.interp(place, anchors, DEPTH_COLORS[:, channel]) for channel in range(3)]
+    return np.where(depth[..., None] > 0, np.stack(channels, axis=-1), 0).astype(np.uint8)
+
+
+def colored_labels(labels: Labels) -> Rgb:
+    """Ids as colours that differ; 0 is dark grey."""
+    return label_colors(int(np.max(labels)) + 1)[labels]
+
+
+def label_colors(count: int) -> UInt8[np.ndarray, "label 3"]:
+    """Colours of ids 0 to count - 1: hues a golden angle apart, so that any few of them differ."""
+    hues = (np.arange(count)[:, None] * 0.618034 + np.array([0, 1 / 3, 2 / 3])) % 1
+    colors = 60 + 195 * np.clip(np.abs(6 * hues - 3) - 1, 0, 1)
+    colors[:1] = 45
+    return colors.astype(np.uint8)
+
+
+def _chosen(scenes: Split, indices: Sequence[int]) -> dict[str, SceneRecord]:
+    if wrong := [index for index in indices if not 0 <= index < len(scenes)]:
+        raise UsageError(f"Split {scenes.name} has scenes 0 to {len(scenes) - 1}, but {wrong[0]} was asked for.")
+    fields = [name for name in ("rgb", "depth", "segmentation", "sensor_depth") if name in scenes.fields(indices[0])]
+    return {f"{scenes.name} scene {index}": scenes.read(index, fields) for index in indices}
+
+
+def _ready(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _rows(record: SceneRecord) -> dict[str, Callable[[SceneRecord, int, int], Rgb]]:
+    """What is drawn of an image, from top to bottom."""
+    seen = record["depth"][record["depth"] > 0]
+    near, far = (float(np.min(seen)), float(np.max(seen))) if len(seen) else (0.0, 1.0)
+    rows: dict[str, Callable[[SceneRecord, int, int], Rgb]] = {
+        "rgb": lambda record, frame, view: record["rgb"][frame, view],
+        "depth": lambda record, frame, view: colored_depth(record["depth"][frame, view], near, far),
+        "ids": lambda record, frame, view: colored_labels(record["segmentation"][frame, view]),
+    }
+    if "sensor_depth" in record:
+        rows["sensor"] = lambda record, frame, view: colored_depth(record["sensor_depth"][frame, view], near, far)
+    return rows
+
+
+def _scene_block(record: SceneRecord) -> Rgb:
+    frames, views = record["rgb"].shape[:2]
+    shown = sorted({0, frames // 2, frames - 1})
+    images = [(frame, view) for frame in shown for view in range(views)]
+    rows = _rows(record)
+    columns = [_with_heading(_stacked([_label(name, _enlarged(record["rgb"][0, 0]).shape[0]) for name in rows]), "")]
+    for frame, view in images:
+        tiles = [_enlarged(row(record, frame, view)) for row in rows.values()]
+        name = f"view {view}" if frames == 1 else f"frame {frame}" + (f", view {view}" if views > 1 else "")
+        columns.append(_with_heading(_stacked(tiles), name))
+    return _beside(columns)
+
+
+def _enlarged(tile: Rgb) -> Rgb:
+    factor = max(1, -(-LEAST_TILE // tile.shape[1]))
+    return np.repeat(np.repeat(tile, factor, axis=0), factor, axis=1)
+
+
+def _with_heading(picture: Rgb, text: str) -> Rgb:
+    return np.concatenate([_text(text, picture.shape[1]), picture])
+
+
+def _label(text: str, length: int) -> Rgb:
+    """A text that reads upwards, in the middle of a column of that length."""
+    return np.rot90(_text(text, length, centered=True))
+
+
+def _text(text: str, width: int, *, centered: bool = False) -> Rgb:
+    paper = Image.new("RGB", (width, HEADING), PAPER)
+    place, anchor = ((width / 2, 1), "ma") if centered else ((1, 1), "la")
+    ImageDraw.Draw(paper).text(place, text, INK, ImageFont.load_default(size=13), anchor=anchor)
+    return np.asarray(paper)
+
+
+def _beside(pictures: Sequence[Rgb]) -> Rgb:
+    height, width = max(p.shape[0] for p in pictures), sum(p.shape[1] + GAP for p in pictures) - GAP
+    paper = np.full((height, width, 3), PAPER, np.uint8)
+    left = 0
+    for picture in pictures:
+        paper[: picture.shape[0], left : left + picture.shape[1]] = picture
+        left += picture.shape[1] + GAP
+    return paper
+
+
+def _stacked(pictures: Sequence[Rgb]) -> Rgb:
+    return _beside([picture.swapaxes(0, 1) for picture in pictures]).swapaxes(0, 1)
+
+
+def _flow(blocks: list[Rgb]) -> Rgb:
+    """Blocks of one size in lines, with a margin."""
+    per_line = max(1, WIDEST // (blocks[0].shape[1] + 2 * GAP))
+    lines = [blocks[start : start + per_line] for start in range(0, len(blocks), per_line)]
+    wide = [_beside([np.pad(b, ((0, GAP), (GAP, GAP), (0, 0)), constant_values=255) for b in line]) for line in lines]
+    return _stacked(wide)
+
+
+def _save_mp4(path: Path, frames: list[Rgb], fps: float) -> None:
+    import imageio.v3
+
+    # Video codecs work in blocks of 16 pixels.
+    padding = [(0, -side % 16) for side in frames[0].shape[:2]]
+    padded = np.stack([np.pad(frame, (*padding, (0, 0)), constant_values=255) for frame in frames])
+    try:
+        imageio.v3.imwrite(path, padded, plugin="FFMPEG", fps=fps)
+    except ImportError as error:
+        raise UsageError(
+            f"Cannot write {path.name}: there is no MP4 codec. Install one with `pip install imageio[ffmpeg]`, or end "
+            "the name in .gif."
+        ) from error

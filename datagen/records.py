@@ -1,0 +1,221 @@
+"""From what was simulated and rendered to the arrays of the format, and back."""
+
+import dataclasses
+import json
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from datagen.config import Sensor
+from datagen.errors import UsageError
+from datagen.geometry import transform
+from datagen.render.renderer import Image, Renderer
+from datagen.scene import Body, Scene, Trajectory, scene_from_json, scene_to_json
+from datagen.schema import SceneRecord, encode_depth
+from datagen.sensor import sense
+from datagen.shapes.shape import Shape
+
+_POSES = ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity")
+
+
+def simulation_record(
+    scene: Scene,
+    shapes: Sequence[Shape],
+    trajectory: Trajectory,
+    *,
+    rows: int,
+    attempts: int,
+    rejections: Mapping[str, int],
+) -> SceneRecord:
+    """All fields that need no renderer.
+
+    Args:
+        scene: What is there before time starts.
+        shapes: The built shape of each body.
+        trajectory: Where everything is in every frame.
+        rows: Length of the object axis; rows that are not in use are padding.
+        attempts: Samples that were drawn until one met the recipe's rules.
+        rejections: How many of them failed for which reason.
+    """
+    return {
+        **_surroundings(scene),
+        "objects/count": np.asarray(len(scene.bodies), np.uint8),
+        **{f"objects/{name}": _padded(array, rows) for name, array in _object_arrays(scene.bodies, shapes).items()},
+        **{f"poses/{name}": _padded(getattr(trajectory, name), rows, axes=(1,)) for name in _POSES},
+        "contacts/gap": _padded(trajectory.contact_gap, rows + 1, axes=(1, 2), fill=np.inf),
+        "contacts/impulse": _padded(trajectory.contact_impulse, rows + 1, axes=(1, 2)),
+        "scene/attempts": np.asarray(attempts, np.uint16),
+        "scene/rejections": _text([json.dumps(dict(sorted(rejections.items())))])[0, ...],
+    }
+
+
+def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
+    """The scene and trajectory that a record was made of.
+
+    Raises:
+        ValueError, KeyError or TypeError: its description is not that of a scene.
+    """
+    scene = scene_from_json(record["scene/description"].item().decode())
+    rows = len(scene.bodies)
+    poses = {name: record[f"poses/{name}"][:, :rows] for name in _POSES}
+    gap, impulse = (record[f"contacts/{name}"][:, : rows + 1, : rows + 1] for name in ("gap", "impulse"))
+    return scene, Trajectory(**poses, contact_gap=gap, contact_impulse=impulse)
+
+
+def with_scene(record: SceneRecord, scene: Scene) -> SceneRecord:
+    """The simulation fields of `record` with another description: other cameras or lights of the same objects."""
+    return {**record, **_surroundings(scene)}
+
+
+def _surroundings(scene: Scene) -> SceneRecord:
+    return {
+        "camera/world_from_camera": np.stack([camera.world_from_camera for camera in scene.cameras]),
+        "lights/direction": np.array([light.direction for light in scene.lights], np.float64),
+        "lights/radiance": np.array([light.radiance for light in scene.lights], np.float64),
+        "lights/ambient": np.array(scene.ambient, np.float64),
+        "scene/description": _text([scene_to_json(scene)])[0, ...],
+    }
+
+
+def _object_arrays(bodies: Sequence[Body], shapes: Sequence[Shape]) -> dict[str, np.ndarray]:
+    boxes = [shape.minimum_box for shape in shapes]
+    return {
+        "category": _text(body.category for body in bodies),
+        "parameters": _text(json.dumps(dataclasses.asdict(body.shape)) for body in bodies),
+        "motion": _text(body.motion for body in bodies),
+        "size": _floats(shape.size for shape in shapes),
+        "color": _floats((body.material.color, body.material.color2) for body in bodies),
+        "pattern": _text(body.material.pattern for body in bodies),
+        "material": _text(body.material.name for body in bodies),
+        "roughness": _floats(body.material.roughness for body in bodies),
+        "metalness": _floats(body.material.metalness for body in bodies),
+        "mass": _floats(body.density * shape.volume for body, shape in zip(bodies, shapes, strict=True)),
+        "inertia": _floats(body.density * shape.inertia for body, shape in zip(bodies, shapes, strict=True)),
+        "friction": _floats(body.friction for body in bodies),
+        "restitution": _floats(body.restitution for body in bodies),
+        "symmetry": _text(shape.symmetry for shape in shapes),
+        "minimum_box_center": _floats(box.center for box in boxes),
+        "minimum_box_rotation": _floats(box.rotation for box in boxes),
+        "minimum_box_size": _floats(box.size for box in boxes),
+    }
+
+
+def pixel_record(
+    scene: Scene,
+    shapes: Sequence[Shape],
+    trajectory: Trajectory,
+    renderer: Renderer,
+    *,
+    resolution: tuple[int, int],
+    rows: int,
+    sensor: Sensor,
+    rng: np.random.Generator,
+) -> SceneRecord:
+    """All fields that come with images; those of the sensor only where it is enabled.
+
+    Args:
+        scene: What is there before time starts.
+        shapes: The built shape of each body.
+        trajectory: Where everything is in every frame.
+        renderer: Makes the images.
+        resolution: Their width and height.
+        rows: Length of the object axis.
+        sensor: The depth camera's defects.
+        rng: Draws its noise.
+
+    Raises:
+        UsageError: a depth is farther than the format can hold.
+    """
+    images = _render(scene, shapes, trajectory, renderer, resolution)
+    k = np.stack([camera.k(*resolution) for camera in scene.cameras])
+    segmentation = _stack(images, "segmentation")
+    visible = _visible_pixels(segmentation, len(shapes))
+    amodal = _stack(images, "amodal_pixels").astype(np.uint32)
+    fraction = (visible / np.maximum(amodal, 1)).astype(np.float32)
+    return {
+        "rgb": _stack(images, "rgb"),
+        "depth": _encoded(_stack(images, "depth")),
+        "segmentation": segmentation,
+        **(_sensed(images, k, sensor, rng) if sensor.enabled else {}),
+        "camera/K": k,
+        "visibility/visible_pixels": _padded(visible, rows, axes=(2,)),
+        "visibility/amodal_pixels": _padded(amodal, rows, axes=(2,)),
+        "visibility/visible_fraction": _padded(fraction, rows, axes=(2,)),
+        "boxes/box_2d": _padded(_boxes_2d(segmentation, len(shapes)), rows, axes=(2,)),
+        "boxes/box_3d": _padded(_boxes_3d(shapes, trajectory), rows, axes=(1,)),
+    }
+
+
+def _render(
+    scene: Scene, shapes: Sequence[Shape], trajectory: Trajectory, renderer: Renderer, resolution: tuple[int, int]
+) -> list[list[Image]]:
+    renderer.load(scene, shapes)
+    poses = trajectory.world_from_object
+    return [[renderer.render(pose, camera, *resolution) for camera in scene.cameras] for pose in poses]
+
+
+def _stack(images: list[list[Image]], name: str) -> np.ndarray:
+    return np.array([[getattr(image, name) for image in views] for views in images])
+
+
+def _encoded(depth: np.ndarray) -> np.ndarray:
+    try:
+        return encode_depth(depth)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
+
+
+def _sensed(images: list[list[Image]], k: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> SceneRecord:
+    pairs = [
+        [sense(image.depth, image.rgb, k[view], sensor, rng) for view, image in enumerate(views)] for views in images
+    ]
+    depth = np.array([[depth for depth, _ in views] for views in pairs])
+    valid = np.array([[valid for _, valid in views] for views in pairs], np.uint8)
+    return {"sensor_depth": _encoded(depth), "sensor_valid": valid}
+
+
+def _visible_pixels(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
+    images = segmentation.reshape(*segmentation.shape[:2], -1)
+    return np.stack([np.count_nonzero(images == row + 1, axis=-1) for row in range(objects)], axis=-1).astype(np.uint32)
+
+
+def _boxes_2d(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
+    boxes = np.zeros((*segmentation.shape[:2], objects, 4), np.uint16)
+    for row in range(objects):
+        mask = segmentation == row + 1
+        boxes[:, :, row, 0::2] = _extent(mask.any(axis=2))
+        boxes[:, :, row, 1::2] = _extent(mask.any(axis=3))
+    return boxes
+
+
+def _extent(used: np.ndarray) -> np.ndarray:
+    """First used position and the one after the last, along the last axis; zeros where none is used."""
+    first, last = np.argmax(used, axis=-1), used.shape[-1] - np.argmax(used[..., ::-1], axis=-1)
+    return np.stack([first, last], axis=-1) * np.any(used, axis=-1, keepdims=True)
+
+
+def _boxes_3d(shapes: Sequence[Shape], trajectory: Trajectory) -> Float[np.ndarray, "frame object 8 3"]:
+    corners = [shape.minimum_box.corners for shape in shapes]
+    return np.array(
+        [
+            [transform(pose, points) for pose, points in zip(frame, corners, strict=True)]
+            for frame in trajectory.world_from_object
+        ],
+        np.float32,
+    )
+
+
+def _padded(array: np.ndarray, rows: int, *, axes: tuple[int, ...] = (0,), fill: float = 0) -> np.ndarray:
+    missing = [(0, rows - length if axis in axes else 0) for axis, length in enumerate(array.shape)]
+    if array.dtype.kind == "S":
+        return np.concatenate([array, np.zeros(missing[0][1], array.dtype)])
+    return np.pad(array, missing, constant_values=fill)
+
+
+def _floats(values: Iterable[object]) -> np.ndarray:
+    return np.array(list(values), np.float32)
+
+
+def _text(values: Iterable[str]) -> np.ndarray:
+    return np.array([value.encode("ascii") for value in values])

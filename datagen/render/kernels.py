@@ -1,0 +1,809 @@
+"""The rasteriser's inner loops, compiled by numba; plain arrays in, plain arrays out.
+
+Frames: `world` and `object` are the usual ones. *Samples* are the 3x3 points of each pixel on which visibility is decided;
+the middle one is the pixel's centre, and it alone gives depth and ids. A *light space* is an orthographic view along a
+direction L: texel coordinates u, v and d = -p.L, the distance from the light in metres up to a constant.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+NEAR = 0.05
+"""Surfaces nearer to the camera than this are cut away, pixel by pixel, metres."""
+
+SUB = 3
+"""Samples per pixel along each axis."""
+
+TILE = 8
+"""Texels along each side of the tiles that keep the least depth of a light-space map."""
+
+TABLE = -1
+NOTHING = -2
+FAR = 1e9
+
+CREASE = 0.96
+"""Cosine between two triangles' normals below which the pixel they share is anti-aliased."""
+
+AO_LENGTH = 0.02
+"""Distance over which an object darkens the ambient light around its foot, metres."""
+
+PATTERNS = ("plain", "two-tone", "checker", "stripes", "noise", "wood", "dots")
+
+
+class Row(NamedTuple):
+    """Scratch memory for the samples of one image row that are shaded."""
+
+    kind: np.ndarray
+    """Triangle, or TABLE, or NOTHING."""
+    owner: np.ndarray
+    """Object, or TABLE, or NOTHING."""
+    pixel: np.ndarray
+    share: np.ndarray
+    """Of the pixel's area."""
+    at: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray
+    look: np.ndarray
+    second: np.ndarray
+    """Share of the second colour."""
+    light: np.ndarray
+    """Share of the first light that arrives; shares of ambient light from above and below that do not."""
+    blur: np.ndarray
+    color: np.ndarray
+    total: np.ndarray
+
+
+def _vogel_disc(count: int) -> np.ndarray:
+    turn = np.pi * (3 - np.sqrt(5))
+    index = np.arange(count)
+    radius = np.sqrt((index + 0.5) / count)
+    return np.stack([radius * np.cos(turn * index), radius * np.sin(turn * index)], axis=1)
+
+
+DISC = _vogel_disc(32)
+
+
+def _srgb_table() -> np.ndarray:
+    linear = (np.arange(16384) + 0.5) / 16384
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.rint(255 * encoded).astype(np.uint8)
+
+
+SRGB = _srgb_table()
+
+kernel = njit(cache=True, error_model="numpy")
+
+
+class Mesh(NamedTuple):
+    """All objects of a scene in the object frame, one after the other."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    owners: np.ndarray
+    """Object that each face belongs to."""
+    normals: np.ndarray
+    face_normals: np.ndarray
+
+
+class LightMap(NamedTuple):
+    """What a light sees; see `light_vertices` and `rasterise_light`."""
+
+    front: np.ndarray
+    owner: np.ndarray
+    back: np.ndarray
+    tiles: np.ndarray
+    frame: np.ndarray
+    axes: np.ndarray
+
+
+class Surroundings(NamedTuple):
+    """Lights (direction, radiance, angular radius in each row) and colours, linear RGB."""
+
+    lights: np.ndarray
+    casts_shadow: bool
+    ambient: np.ndarray
+    ground: np.ndarray
+    backdrop: np.ndarray
+    occlusion: np.ndarray
+    occlusion_frame: np.ndarray
+
+
+# --- Solid textures -----------------------------------------------------------------------------------------------
+
+
+@kernel
+def _ramp(x):
+    return min(max(0.5 + x, 0.0), 1.0)
+
+
+@kernel
+def _square_wave(x, period, width):
+    """+1 around multiples of the period, -1 between them, its edges smoothed over `width`."""
+    s = x / period
+    distance = (abs(s - math.floor(s) - 0.5) - 0.25) * period
+    return 2 * _ramp(distance / width) - 1
+
+
+@kernel
+def _lattice(x, y, z):
+    h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
+    h = ((h ^ (h >> 13)) * 1540483477) & 0xFFFFFFFF
+    h = ((h ^ (h >> 15)) * 668265263) & 0xFFFFFFFF
+    return ((h ^ (h >> 13)) & 0xFFFF) / 65535.0
+
+
+@kernel
+def _noise_layer(x, y, z, fx, fy):
+    a = _lattice(x, y, z) * (1 - fx) + _lattice(x + 1, y, z) * fx
+    b = _lattice(x, y + 1, z) * (1 - fx) + _lattice(x + 1, y + 1, z) * fx
+    return a * (1 - fy) + b * fy
+
+
+@kernel
+def _noise(x, y, z):
+    """Value noise on the integer lattice, 0..1."""
+    ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
+    fx, fy, fz = x - ix, y - iy, z - iz
+    fx, fy, fz = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy), fz * fz * (3 - 2 * fz)
+    jx, jy, jz = int(ix), int(iy), int(iz)
+    value = _noise_layer(jx, jy, jz, fx, fy)
+    if fz > 0:
+        value = value * (1 - fz) + _noise_layer(jx, jy, jz + 1, fx, fy) * fz
+    return value
+
+
+@kernel
+def _wood(x, y, z, period, ax, ay, az):
+    """Rings around the axis, wavering along it; the trunk's middle lies outside of most objects."""
+    along = x * ax + y * ay + z * az
+    rx, ry, rz = x - along * ax, y - along * ay, z - along * az
+    scale = 1 / (2.5 * period)
+    slow = 0.12 * along
+    waver = _noise(scale * (rx + slow * ax), scale * (ry + slow * ay), scale * (rz + slow * az))
+    s = math.sqrt(rx * rx + ry * ry + rz * rz) / period + 0.9 * waver
+    t = s - math.floor(s)
+    rise = t / 0.75 if t < 0.75 else (1 - t) / 0.25
+    return rise * rise * (3 - 2 * rise)
+
+
+@kernel
+def _dots(x, y, z, period, width):
+    """Balls on a body-centred cubic lattice, so that no plane misses them all."""
+    nearest = 1.0
+    for shift in (0.0, 0.5):
+        dx, dy, dz = x / period - shift, y / period - shift, z / period - shift
+        dx, dy, dz = dx - math.floor(dx + 0.5), dy - math.floor(dy + 0.5), dz - math.floor(dz + 0.5)
+        nearest = min(nearest, dx * dx + dy * dy + dz * dz)
+    return _ramp((0.3 - math.sqrt(nearest)) * period / width)
+
+
+@kernel
+def _texture(pattern, period, axis, x, y, z, width):
+    """Share of the second colour at a point of the object frame, averaged over about `width` metres."""
+    ax, ay, az = axis
+    if pattern == 0:
+        return 0.0
+    if pattern == 1:
+        return _ramp((x * ax + y * ay + z * az) / width)
+    if pattern == 2:
+        product = _square_wave(x, period, width) * _square_wave(y, period, width) * _square_wave(z, period, width)
+        return 0.5 - 0.5 * product
+    if pattern == 3:
+        return 0.5 - 0.5 * _square_wave(x * ax + y * ay + z * az, period, width)
+    if pattern == 6:
+        return _dots(x, y, z, period, width)
+    if pattern == 5:
+        value = _wood(x, y, z, period, ax, ay, az)
+    else:
+        scale = 2 / period
+        value = 0.65 * _noise(scale * x, scale * y, scale * z)
+        value += 0.35 * _noise(2.03 * scale * x + 17, 2.03 * scale * y + 5, 2.03 * scale * z)
+        value = _ramp(2.4 * (value - 0.5))
+    fade = min(period / (2 * width), 1.0)
+    return 0.5 + fade * (value - 0.5)
+
+
+@kernel
+def texture_weights(pattern, period, axis, points, width):
+    """Share of the second colour at points of the object frame, averaged over about `width` metres."""
+    weights = np.empty(len(points))
+    for i in range(len(points)):
+        weights[i] = _texture(pattern, period, axis, points[i, 0], points[i, 1], points[i, 2], width)
+    return weights
+
+
+# --- Vertices -----------------------------------------------------------------------------------------------------
+
+
+@kernel
+def place_vertices(vertices, vertex_start, poses, world):
+    """Object-frame vertices into the world."""
+    for o in range(len(poses)):
+        for i in range(vertex_start[o], vertex_start[o + 1]):
+            x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+            for r in range(3):
+                world[i, r] = poses[o, r, 0] * x + poses[o, r, 1] * y + poses[o, r, 2] * z + poses[o, r, 3]
+
+
+@kernel
+def project_vertices(world, samples_from_world, homogeneous, screen):
+    """World points into homogeneous sample coordinates (x z, y z, z), and divided where they are in front."""
+    m = samples_from_world
+    for i in range(len(world)):
+        x, y, z = world[i, 0], world[i, 1], world[i, 2]
+        for r in range(3):
+            homogeneous[i, r] = m[r, 0] * x + m[r, 1] * y + m[r, 2] * z + m[r, 3]
+        w = homogeneous[i, 2]
+        if w > NEAR:
+            screen[i, 0] = homogeneous[i, 0] / w
+            screen[i, 1] = homogeneous[i, 1] / w
+
+
+# --- Visibility ---------------------------------------------------------------------------------------------------
+
+
+@kernel
+def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inverse_depth, stamp, amodal):
+    """Nearest triangle of every sample, by homogeneous edge functions, which need no clipping.
+
+    With q the homogeneous corners and s a sample, e_i = s . (q_j x q_k) tells the side of an edge and sum(e) / det(q)
+    is 1/z (Olano and Greer, Triangle scan conversion using 2D homogeneous coordinates, 1997). The edge functions of two
+    triangles along a shared edge are exact negatives, so that no sample falls between them.
+    """
+    height, width = triangle.shape
+    camera_height = view[2, 3]
+    for o in range(len(face_start) - 1):
+        for f in range(face_start[o], face_start[o + 1]):
+            i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+            zi, zj, zk = homogeneous[i, 2], homogeneous[j, 2], homogeneous[k, 2]
+            if zi > NEAR and zj > NEAR and zk > NEAR:
+                xi, xj, xk = screen[i, 0], screen[j, 0], screen[k, 0]
+                yi, yj, yk = screen[i, 1], screen[j, 1], screen[k, 1]
+                if (xj - xi) * (yk - yi) - (yj - yi) * (xk - xi) >= 0:
+                    continue
+                x0 = max(math.ceil(min(xi, min(xj, xk)) - 0.5 - 1e-9), 0.0)
+                x1 = min(math.floor(max(xi, max(xj, xk)) - 0.5 + 1e-9), width - 1.0)
+                y0 = max(math.ceil(min(yi, min(yj, yk)) - 0.5 - 1e-9), 0.0)
+                y1 = min(math.floor(max(yi, max(yj, yk)) - 0.5 + 1e-9), height - 1.0)
+                if x0 > x1 or y0 > y1:
+                    continue
+            elif zi > NEAR or zj > NEAR or zk > NEAR:
+                x0, x1, y0, y1 = 0.0, width - 1.0, 0.0, height - 1.0
+            else:
+                continue
+            qix, qiy = homogeneous[i, 0], homogeneous[i, 1]
+            qjx, qjy = homogeneous[j, 0], homogeneous[j, 1]
+            qkx, qky = homogeneous[k, 0], homogeneous[k, 1]
+            ax, ay, az = qjy * zk - zj * qky, zj * qkx - qjx * zk, qjx * qky - qjy * qkx
+            bx, by, bz = qky * zi - zk * qiy, zk * qix - qkx * zi, qkx * qiy - qky * qix
+            cx, cy, cz = qiy * zj - zi * qjy, zi * qjx - qix * zj, qix * qjy - qiy * qjx
+            det = qix * ax + qiy * ay + zi * az
+            if det >= 0:
+                continue
+            scale = 1 / det
+            sinks = camera_height > 0 and min(world[i, 2], min(world[j, 2], world[k, 2])) < 0
+            for y in range(int(y0), int(y1) + 1):
+                sy = y + 0.5
+                a0, b0, c0 = ay * sy + az, by * sy + bz, cy * sy + cz
+                middle = y % SUB == SUB // 2
+                for x in range(int(x0), int(x1) + 1):
+                    sx = x + 0.5
+                    a, b, c = ax * sx + a0, bx * sx + b0, cx * sx + c0
+                    if a > 0 or b > 0 or c > 0:
+                        continue
+                    inverse = (a + b + c) * scale
+                    if inverse <= 0 or inverse * NEAR > 1:
+                        continue
+                    if middle and x % SUB == SUB // 2 and stamp[y // SUB, x // SUB] != o:
+                        stamp[y // SUB, x // SUB] = o
+                        amodal[o] += 1
+                    if inverse > inverse_depth[y, x] and not (sinks and _under_table(view, sx, sy, inverse)):
+                        inverse_depth[y, x] = inverse
+                        triangle[y, x] = f
+
+
+@kernel
+def _under_table(view, sx, sy, inverse):
+    down = -(view[2, 0] * sx + view[2, 1] * sy + view[2, 2])
+    if down <= 0 or down < view[2, 3] * inverse:
+        return False
+    t = view[2, 3] / down
+    x = view[0, 3] + t * (view[0, 0] * sx + view[0, 1] * sy + view[0, 2])
+    y = view[1, 3] + t * (view[1, 0] * sx + view[1, 1] * sy + view[1, 2])
+    return abs(x) <= view[3, 0] and abs(y) <= view[3, 0]
+
+
+# --- Light-space maps ---------------------------------------------------------------------------------------------
+
+
+@kernel
+def light_vertices(world, axes, size, margin, light, frame):
+    """World points into a light space whose map of `size` texels holds them all with `margin` metres around.
+
+    Writes `frame` = (u of texel 0, v of texel 0, texels per metre, least d).
+    """
+    low_u, low_v, low_d = FAR, FAR, FAR
+    high_u, high_v = -FAR, -FAR
+    for i in range(len(world)):
+        x, y, z = world[i, 0], world[i, 1], world[i, 2]
+        u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
+        v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z
+        d = -(axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z)
+        light[i, 0], light[i, 1], light[i, 2] = u, v, d
+        low_u, high_u = min(low_u, u), max(high_u, u)
+        low_v, high_v = min(low_v, v), max(high_v, v)
+        low_d = min(low_d, d)
+    scale = size / (max(high_u - low_u, high_v - low_v) + 2 * margin)
+    frame[0], frame[1], frame[2], frame[3] = low_u - margin, low_v - margin, scale, low_d
+    for i in range(len(world)):
+        light[i, 0] = (light[i, 0] - frame[0]) * scale
+        light[i, 1] = (light[i, 1] - frame[1]) * scale
+
+
+@kernel
+def rasterise_light(light, faces, face_start, front, owner, back, tiles):
+    """Least d of faces towards the light with the object they belong to, least d of faces away from it."""
+    front[:] = FAR
+    back[:] = FAR
+    tiles[:] = FAR
+    for o in range(len(face_start) - 1):
+        for f in range(face_start[o], face_start[o + 1]):
+            i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+            xi, xj, xk = light[i, 0], light[j, 0], light[k, 0]
+            yi, yj, yk = light[i, 1], light[j, 1], light[k, 1]
+            x0, x1 = int(min(xi, min(xj, xk)) + 0.5), int(max(xi, max(xj, xk)) + 0.5) - 1
+            y0, y1 = int(min(yi, min(yj, yk)) + 0.5), int(max(yi, max(yj, yk)) + 0.5) - 1
+            if x0 > x1 or y0 > y1:
+                continue
+            area = (xj - xi) * (yk - yi) - (yj - yi) * (xk - xi)
+            if area == 0:
+                continue
+            di, dj, dk = light[i, 2], light[j, 2], light[k, 2]
+            inverse = 1 / area
+            du = ((dj - di) * (yk - yi) - (dk - di) * (yj - yi)) * inverse
+            dv = ((dk - di) * (xj - xi) - (dj - di) * (xk - xi)) * inverse
+            facing = area > 0
+            side = 1.0 if facing else -1.0
+            if facing:
+                least = min(di, min(dj, dk))
+                for ty in range(y0 // TILE, y1 // TILE + 1):
+                    for tx in range(x0 // TILE, x1 // TILE + 1):
+                        tiles[ty, tx] = min(tiles[ty, tx], least)
+            ax, bx, cx = side * (yj - yk), side * (yk - yi), side * (yi - yj)
+            ay, by, cy = side * (xk - xj), side * (xi - xk), side * (xj - xi)
+            px = x0 + 0.5
+            for y in range(y0, y1 + 1):
+                py = y + 0.5
+                a = ay * (py - yj) + ax * (px - xj)
+                b = by * (py - yk) + bx * (px - xk)
+                c = cy * (py - yi) + cx * (px - xi)
+                d = di + du * (px - xi) + dv * (py - yi)
+                for x in range(x0, x1 + 1):
+                    if a >= 0 and b >= 0 and c >= 0:
+                        if not facing:
+                            back[y, x] = min(back[y, x], d)
+                        elif d < front[y, x]:
+                            front[y, x] = d
+                            owner[y, x] = o
+                    a, b, c, d = a + ax, b + bx, c + cx, d + du
+
+
+@kernel
+def _blocks(front, back, own, d):
+    """Whether a texel's surface lies between the light and a receiver at `d`.
+
+    An object's lit side is compared with its own far side, which leaves no room for shadow acne and needs no bias.
+    """
+    if front > d:
+        return 0.0
+    return 1.0 if not own or back < d - 1e-4 else 0.0
+
+
+@kernel
+def _tile_before(tiles, u, v, reach, deepest):
+    last = len(tiles) - 1
+    x0, x1 = max(int((u - reach) / TILE), 0), min(int((u + reach) / TILE), last)
+    y0, y1 = max(int((v - reach) / TILE), 0), min(int((v + reach) / TILE), last)
+    for y in range(y0, y1 + 1):
+        for x in range(x0, x1 + 1):
+            if tiles[y, x] < deepest:
+                return True
+    return False
+
+
+@kernel
+def _blockers(front, back, owner, u, v, d, du, dv, reach, receiver):
+    """Number of blockers among 7x7 texels within `reach`, and their mean distance from the receiver's plane."""
+    last = len(front) - 1
+    count, total, step = 0, 0.0, reach / 3
+    for j in range(-3, 4):
+        y = min(max(int(v + j * step), 0), last)
+        for i in range(-3, 4):
+            x = min(max(int(u + i * step), 0), last)
+            at = d + (du * i + dv * j) * step
+            nearest = front[y, x]
+            if _blocks(nearest, back[y, x], owner[y, x] == receiver, at) > 0:
+                count += 1
+                total += at - nearest
+    return count, total / max(count, 1)
+
+
+@kernel
+def _dark_share(front, back, owner, u, v, d, du, dv, radius, receiver):
+    """Share of a disc of texels that blocks the light, each point of it interpolated between four texels."""
+    last = len(front) - 2
+    dark = 0.0
+    for i in range(len(DISC)):
+        su, sv = DISC[i, 0] * radius, DISC[i, 1] * radius
+        at = d + du * su + dv * sv
+        fu, fv = min(max(u + su - 0.5, 0.0), last), min(max(v + sv - 0.5, 0.0), last)
+        x, y = int(fu), int(fv)
+        fu, fv = fu - x, fv - y
+        a = _blocks(front[y, x], back[y, x], owner[y, x] == receiver, at)
+        b = _blocks(front[y, x + 1], back[y, x + 1], owner[y, x + 1] == receiver, at)
+        top = a + fu * (b - a)
+        a = _blocks(front[y + 1, x], back[y + 1, x], owner[y + 1, x] == receiver, at)
+        b = _blocks(front[y + 1, x + 1], back[y + 1, x + 1], owner[y + 1, x + 1] == receiver, at)
+        dark += top + fv * (a + fu * (b - a) - top)
+    return dark / len(DISC)
+
+
+# --- Ambient occlusion ----------------------------------------------------------------------------------------------
+
+
+@kernel
+def occlusion_map(front, back, scale, occlusion):
+    """Darkness of the ambient light on the table, from a light space that looks up from below (d is height)."""
+    size = len(front)
+    for y in range(size):
+        for x in range(size):
+            if front[y, x] >= FAR:
+                occlusion[y, x] = 0
+                continue
+            height = max(front[y, x], 0.0)
+            thickness = min(max(back[y, x] - front[y, x], 0.0), 1.0)
+            fade = AO_LENGTH / (AO_LENGTH + height)
+            occlusion[y, x] = fade * fade * thickness / (thickness + 0.5 * AO_LENGTH)
+    a = 1 / (1 + 0.7 * AO_LENGTH * scale)
+    for _ in range(2):
+        _smooth_columns(occlusion, a)
+        _smooth_columns(occlusion.T, a)
+
+
+@kernel
+def _smooth_columns(image, a):
+    """Two-sided exponential filter down each column."""
+    for y in range(1, len(image)):
+        for x in range(image.shape[1]):
+            image[y, x] = image[y - 1, x] + a * (image[y, x] - image[y - 1, x])
+    for y in range(len(image) - 2, -1, -1):
+        for x in range(image.shape[1]):
+            image[y, x] = image[y + 1, x] + a * (image[y, x] - image[y + 1, x])
+
+
+@kernel
+def _occlusion_at(occlusion, frame, x, y):
+    u, v = (x - frame[0]) * frame[2] - 0.5, (-y - frame[1]) * frame[2] - 0.5
+    size = len(occlusion)
+    if u < 0 or v < 0 or u >= size - 1 or v >= size - 1:
+        return 0.0
+    i, j = int(u), int(v)
+    fu, fv = u - i, v - j
+    top = occlusion[j, i] * (1 - fu) + occlusion[j, i + 1] * fu
+    bottom = occlusion[j + 1, i] * (1 - fu) + occlusion[j + 1, i + 1] * fu
+    return top * (1 - fv) + bottom * fv
+
+
+# --- Shading --------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def _unit(x, y, z):
+    inverse = 1 / math.sqrt(x * x + y * y + z * z)
+    return x * inverse, y * inverse, z * inverse
+
+
+@kernel
+def _tone(x):
+    """Identity up to 0.6, then a shoulder that approaches 1."""
+    if x <= 0.6:
+        return x
+    excess = (x - 0.6) / 0.4
+    return 0.6 + 0.4 * excess / (1 + excess)
+
+
+@kernel
+def _fifth(x):
+    return x * x * x * x * x
+
+
+@kernel
+def _highlight(l, radius, facing, toward, n, e, roughness):
+    """GGX lobe with Smith's shadowing, and the weight of Schlick's Fresnel term, of one light (Walter et al. 2007)."""
+    h = _unit(l[0] + e[0], l[1] + e[1], l[2] + e[2])
+    nh = n[0] * h[0] + n[1] * h[1] + n[2] * h[2]
+    a = max(roughness * roughness, 0.01) + 0.5 * radius
+    k = 0.5 * a
+    spread = nh * nh * (a * a - 1) + 1
+    smith = (facing * (1 - k) + k) * (toward * (1 - k) + k)
+    grazing = _fifth(1 - max(e[0] * h[0] + e[1] * h[1] + e[2] * h[2], 0.0))
+    return 0.25 * a * a / (spread * spread * smith), grazing
+
+
+@kernel
+def _reflect(row, count, s, materials):
+    """Linear RGB, after the tone curve, that each sample sends along its `look`, the unit vector towards the camera.
+
+    Lambert's law for dielectrics, highlights of the lights, and a reflection of the surroundings.
+    """
+    normal, look, light_share, colors = row.normal, row.look, row.light, row.color
+    owner, lights, ambient, ground, backdrop = row.owner, s.lights, s.ambient, s.ground, s.backdrop
+    for q in range(count):
+        o = owner[q]
+        if o == NOTHING:
+            colors[q, 0], colors[q, 1], colors[q, 2] = backdrop[0], backdrop[1], backdrop[2]
+            continue
+        n = (normal[q, 0], normal[q, 1], normal[q, 2])
+        e = (look[q, 0], look[q, 1], look[q, 2])
+        roughness, metalness = materials[o, 11], materials[o, 12]
+        above, below = 1 - light_share[q, 1], 1 - light_share[q, 2]
+        toward = max(n[0] * e[0] + n[1] * e[1] + n[2] * e[2], 1e-3)
+        upper, lower = (0.5 + 0.5 * n[2]) * above, (0.5 - 0.5 * n[2]) * below
+        diffuse_r = upper * ambient[0] + lower * ground[0]
+        diffuse_g = upper * ambient[1] + lower * ground[1]
+        diffuse_b = upper * ambient[2] + lower * ground[2]
+        r = (2 * toward * n[0] - e[0], 2 * toward * n[1] - e[1], 2 * toward * n[2] - e[2])
+        share = _ramp(0.5 * r[2] / (0.04 + 0.8 * roughness))
+        rise = 1 - max(r[2], 0.0)
+        sky = share * above * (0.7 + 1.3 * rise * rise)
+        # Straight down, a mirror sees the shade of the object itself.
+        earth = (1 - share) * below * above * (0.8 - 0.5 * max(-r[2], 0.0))
+        base_r = sky * ambient[0] + earth * ground[0]
+        base_g = sky * ambient[1] + earth * ground[1]
+        base_b = sky * ambient[2] + earth * ground[2]
+        panel_size, panel_scale = 1 / (0.06 + 0.5 * roughness), 0.5 * (1 - roughness) * share * above
+        rim = _fifth(1 - toward) * (1 - roughness)
+        edge_r, edge_g, edge_b = rim * base_r, rim * base_g, rim * base_b
+        for i in range(len(lights)):
+            l = (lights[i, 0], lights[i, 1], lights[i, 2])
+            red, green, blue = lights[i, 3], lights[i, 4], lights[i, 5]
+            panel = panel_scale * _ramp((r[0] * l[0] + r[1] * l[1] + r[2] * l[2] - 0.9) * panel_size)
+            facing = n[0] * l[0] + n[1] * l[1] + n[2] * l[2]
+            arriving = max(facing, 0.0) * (light_share[q, 0] if i == 0 else 1.0)
+            glow, rim = 0.0, 0.0
+            if arriving > 0:
+                lobe, grazing = _highlight(l, lights[i, 6], facing, toward, n, e, roughness)
+                glow, rim = arriving * lobe * (1 - grazing), arriving * lobe * grazing
+            glow += panel
+            diffuse_r, diffuse_g, diffuse_b = (
+                diffuse_r + arriving * red,
+                diffuse_g + arriving * green,
+                diffuse_b + arriving * blue,
+            )
+            base_r, base_g, base_b = base_r + glow * red, base_g + glow * green, base_b + glow * blue
+            edge_r, edge_g, edge_b = edge_r + rim * red, edge_g + rim * green, edge_b + rim * blue
+        second = row.second[q]
+        matte, plain = 1 - metalness, 0.04 * (1 - metalness)
+        for c in range(3):
+            albedo = materials[o, c] + second * (materials[o, 3 + c] - materials[o, c])
+            diffuse = diffuse_r if c == 0 else (diffuse_g if c == 1 else diffuse_b)
+            base = base_r if c == 0 else (base_g if c == 1 else base_b)
+            edge = edge_r if c == 0 else (edge_g if c == 1 else edge_b)
+            colors[q, c] = _tone(matte * albedo * diffuse + (plain + metalness * albedo) * base + edge)
+
+
+@kernel
+def _table_depth(view, sx, sy):
+    """Depth at which the ray of a sample meets the table, 0 where it does not."""
+    down = view[2, 0] * sx + view[2, 1] * sy + view[2, 2]
+    t = -view[2, 3] / down
+    if not (t > NEAR and t < FAR):
+        return 0.0
+    x = view[0, 3] + t * (view[0, 0] * sx + view[0, 1] * sy + view[0, 2])
+    y = view[1, 3] + t * (view[1, 0] * sx + view[1, 1] * sy + view[1, 2])
+    return t if abs(x) <= view[3, 0] and abs(y) <= view[3, 0] else 0.0
+
+
+@kernel
+def _weights(q, i, j, k, sx, sy):
+    """Perspective-correct barycentric weights of a sample and its depth; see `rasterise`."""
+    qix, qiy, zi = q[i, 0], q[i, 1], q[i, 2]
+    qjx, qjy, zj = q[j, 0], q[j, 1], q[j, 2]
+    qkx, qky, zk = q[k, 0], q[k, 1], q[k, 2]
+    ax, ay, az = qjy * zk - zj * qky, zj * qkx - qjx * zk, qjx * qky - qjy * qkx
+    a = ax * sx + ay * sy + az
+    b = (qky * zi - zk * qiy) * sx + (zk * qix - qkx * zi) * sy + qkx * qiy - qky * qix
+    c = (qiy * zj - zi * qjy) * sx + (zi * qjx - qix * zj) * sy + qix * qjy - qiy * qjx
+    total = a + b + c
+    return a / total, b / total, c / total, (qix * ax + qiy * ay + zi * az) / total
+
+
+@kernel
+def _world_ray(view, sx, sy):
+    return (
+        view[0, 0] * sx + view[0, 1] * sy + view[0, 2],
+        view[1, 0] * sx + view[1, 1] * sy + view[1, 2],
+        view[2, 0] * sx + view[2, 1] * sy + view[2, 2],
+    )
+
+
+@kernel
+def _near_table_edge(view, sx, sy):
+    """Whether the table's edge may cross the pixel around a sample."""
+    ray = _world_ray(view, sx, sy)
+    t = -view[2, 3] / ray[2]
+    if t <= 0:
+        return abs(ray[2]) < 2 * view[3, 1]
+    x, y = view[0, 3] + t * ray[0], view[1, 3] + t * ray[1]
+    footprint = view[3, 1] * t * (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]) / abs(ray[2])
+    return abs(max(abs(x), abs(y)) - view[3, 0]) < footprint
+
+
+@kernel
+def _smooth(owners, n, face, other):
+    """Whether two triangles belong to one smooth stretch of surface."""
+    if owners[face] != owners[other]:
+        return False
+    return n[face, 0] * n[other, 0] + n[face, 1] * n[other, 1] + n[face, 2] * n[other, 2] > CREASE
+
+
+@kernel
+def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
+    """Samples of image row `y` that have to be shaded: one a pixel, or one for each surface that meets in it."""
+    faces, owners, normals = mesh.faces, mesh.owners, mesh.face_normals
+    kind, share, pixel, at = row.kind, row.share, row.pixel, row.at
+    count = 0
+    for x in range(depth.shape[1]):
+        cx, cy = SUB * x + 0.5 * SUB, SUB * y + 0.5 * SUB
+        face = triangle[SUB * y + SUB // 2, SUB * x + SUB // 2]
+        if face >= 0:
+            z = _weights(q, faces[face, 0], faces[face, 1], faces[face, 2], cx, cy)[3]
+            segmentation[y, x] = owners[face] + 1
+            edge = False
+        else:
+            z = _table_depth(view, cx, cy)
+            segmentation[y, x] = 0
+            edge = _near_table_edge(view, cx, cy)
+        depth[y, x] = z
+        first = count
+        kind[first] = face if face >= 0 else (TABLE if z > 0 else NOTHING)
+        at[first, 0], at[first, 1] = cx, cy
+        share[first], pixel[first] = 0.0, x
+        count += 1
+        for j in range(SUB * y, SUB * y + SUB):
+            for i in range(SUB * x, SUB * x + SUB):
+                other = triangle[j, i]
+                if other == face and not edge:
+                    share[first] += 1.0 / (SUB * SUB)
+                    continue
+                if other < 0:
+                    other = TABLE if _table_depth(view, i + 0.5, j + 0.5) > 0 else NOTHING
+                known = first
+                while known < count and not (
+                    kind[known] == other
+                    or (other >= 0 and kind[known] >= 0 and _smooth(owners, normals, kind[known], other))
+                ):
+                    known += 1
+                if known == count:
+                    kind[count], pixel[count], share[count] = other, x, 0.0
+                    at[count, 0], at[count, 1] = i + 0.5, j + 0.5
+                    count += 1
+                share[known] += 1.0 / (SUB * SUB)
+    return count
+
+
+@kernel
+def _locate(view, mesh, q, poses, materials, s, row, count):
+    """Position, normal, texture and ambient light of each collected sample."""
+    faces, owners, v, w = mesh.faces, mesh.owners, mesh.vertices, mesh.normals
+    kind, owner, at, point, normal, look = row.kind, row.owner, row.at, row.point, row.normal, row.look
+    occlusion, occlusion_frame, light, blur = s.occlusion, s.occlusion_frame, row.light, row.blur
+    up = 1.0 if view[2, 3] > 0 else -1.0
+    for r in range(count):
+        face = kind[r]
+        if face == NOTHING:
+            owner[r] = NOTHING
+            continue
+        sx, sy = at[r, 0], at[r, 1]
+        ray = _world_ray(view, sx, sy)
+        e = _unit(-ray[0], -ray[1], -ray[2])
+        if face == TABLE:
+            o = TABLE
+            z = _table_depth(view, sx, sy)
+            n = (0.0, 0.0, up)
+            x, y, h = view[0, 3] + z * ray[0], view[1, 3] + z * ray[1], 0.0
+            p = (x, y, h)
+        else:
+            o = owners[face]
+            i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
+            a, b, c, z = _weights(q, i, j, k, sx, sy)
+            x = a * v[i, 0] + b * v[j, 0] + c * v[k, 0]
+            y = a * v[i, 1] + b * v[j, 1] + c * v[k, 1]
+            h = a * v[i, 2] + b * v[j, 2] + c * v[k, 2]
+            nx = a * w[face, 0, 0] + b * w[face, 1, 0] + c * w[face, 2, 0]
+            ny = a * w[face, 0, 1] + b * w[face, 1, 1] + c * w[face, 2, 1]
+            nz = a * w[face, 0, 2] + b * w[face, 1, 2] + c * w[face, 2, 2]
+            n = _unit(
+                poses[o, 0, 0] * nx + poses[o, 0, 1] * ny + poses[o, 0, 2] * nz,
+                poses[o, 1, 0] * nx + poses[o, 1, 1] * ny + poses[o, 1, 2] * nz,
+                poses[o, 2, 0] * nx + poses[o, 2, 1] * ny + poses[o, 2, 2] * nz,
+            )
+            p = (view[0, 3] + z * ray[0], view[1, 3] + z * ray[1], view[2, 3] + z * ray[2])
+        owner[r] = o
+        blur[r] = 0.6 * view[3, 1] * z
+        for c in range(3):
+            point[r, c], normal[r, c], look[r, c] = p[c], n[c], e[c]
+        toward = n[0] * e[0] + n[1] * e[1] + n[2] * e[2]
+        axis = (materials[o, 8], materials[o, 9], materials[o, 10])
+        width = view[3, 1] * z / max(toward, 0.3)
+        row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
+        shade = _occlusion_at(occlusion, occlusion_frame, p[0], p[1])
+        light[r, 0] = 1.0
+        light[r, 1] = min(0.9 * shade, 1.0) if o == TABLE else 0.0
+        light[r, 2] = 0.0 if o == TABLE else min(1.2 * shade * AO_LENGTH / (AO_LENGTH + max(p[2], 0.0)), 1.0)
+
+
+@kernel
+def _shadow(s, shadow, row, count):
+    """Share of the first light's disc that each collected sample sees: percentage-closer soft shadows (Fernando 2005).
+
+    The receiver is taken as a plane around each sample, so that a tilted surface does not shade itself.
+    """
+    receiver, point, normal, light, blur = row.owner, row.point, row.normal, row.light, row.blur
+    front, back, owner, tiles, axes = shadow.front, shadow.back, shadow.owner, shadow.tiles, shadow.axes
+    low_u, low_v, scale, least = shadow.frame
+    spread = s.lights[0, 7]
+    size = len(front)
+    for r in range(count):
+        o = receiver[r]
+        if o == NOTHING:
+            continue
+        nx, ny, nz = normal[r, 0], normal[r, 1], normal[r, 2]
+        facing = axes[2, 0] * nx + axes[2, 1] * ny + axes[2, 2] * nz
+        if facing <= 0:
+            continue
+        x, y, z = point[r, 0], point[r, 1], point[r, 2]
+        d = -(axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z)
+        reach = (spread * max(d - least, 0.0) + blur[r]) * scale
+        u = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - low_u) * scale
+        v = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - low_v) * scale
+        if u + reach < 0 or v + reach < 0 or u - reach > size or v - reach > size:
+            continue
+        steep = 1 / (max(facing, 0.25) * scale)
+        du = (axes[0, 0] * nx + axes[0, 1] * ny + axes[0, 2] * nz) * steep
+        dv = (axes[1, 0] * nx + axes[1, 1] * ny + axes[1, 2] * nz) * steep
+        if not _tile_before(tiles, u, v, reach, d + (abs(du) + abs(dv)) * reach):
+            continue
+        found, height = _blockers(front, back, owner, u, v, d, du, dv, reach, o)
+        if found == 49:
+            light[r, 0] = 0.0
+        elif found > 0:
+            radius = (spread * max(height, 0.0) + blur[r]) * scale
+            light[r, 0] = 1 - _dark_share(front, back, owner, u, v, d, du, dv, radius, o)
+
+
+@kernel
+def shade(view, mesh, homogeneous, triangle, poses, materials, surroundings, shadow, row, rgb, depth, segmentation):
+    """Colour, depth and id of every pixel; the last row of `materials` is the table's."""
+    height, width = depth.shape
+    for y in range(height):
+        count = _collect(view, mesh, homogeneous, triangle, y, row, depth, segmentation)
+        _locate(view, mesh, homogeneous, poses, materials, surroundings, row, count)
+        if surroundings.casts_shadow:
+            _shadow(surroundings, shadow, row, count)
+        _reflect(row, count, surroundings, materials)
+        row.total[:] = 0
+        _blend(row.color, row.share, row.pixel, count, row.total, y, rgb)
+
+
+@kernel
+def _blend(color, share, pixel, count, total, y, rgb):
+    for r in range(count):
+        for c in range(3):
+            total[pixel[r], c] += share[r] * color[r, c]
+    for x in range(len(total)):
+        for c in range(3):
+            rgb[y, x, c] = SRGB[min(max(int(total[x, c] * len(SRGB)), 0), len(SRGB) - 1)]

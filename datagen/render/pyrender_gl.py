@@ -1,0 +1,188 @@
+"""The well-known OpenGL renderer, pyrender, through EGL: for GPUs, and for people who would rather trust it.
+
+Its colour pass is multisampled and resolves depth off the pixel's centre, therefore depth and ids come from the SEG pass.
+"""
+
+import contextlib
+import functools
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from datagen.errors import UsageError
+from datagen.render import kernels
+from datagen.render.lighting import light_axes, linear
+from datagen.render.renderer import Image
+from datagen.scene import Camera, Light, Material, Scene
+from datagen.shapes.shape import Shape
+
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+FAR_LIGHT = 1000.0
+"""Metres to the point lights that stand for distant lights without shadow; pyrender's directional ones all cast one."""
+
+COLORS_PER_PERIOD = 12
+"""Vertices along one period of a pattern, whose colours OpenGL interpolates between."""
+
+MOST_FACES = 200_000
+"""Triangles up to which a patterned mesh is refined."""
+
+MISSING = (
+    "The pyrender renderer needs OpenGL through EGL, which does not work here ({reason}). On Debian or Ubuntu install "
+    "libegl1 libgl1 libgl1-mesa-dri; or use `--renderer raster`, which needs no graphics library."
+)
+
+
+class PyrenderRenderer:
+    """See `datagen.render.renderer.Renderer`.
+
+    Raises:
+        UsageError: OpenGL or EGL is not installed or has no working device.
+    """
+
+    name = "pyrender"
+    version = 1
+
+    def __init__(self) -> None:
+        self._pyrender, self._context = _open_context()
+
+    def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
+        """Take over a scene's materials, lights and shapes, row by row as in `scene.bodies`."""
+        self._scene = self._pyrender.Scene(ambient_light=[*scene.ambient], bg_color=[*scene.backdrop, 1.0])
+        self._nodes = [
+            self._scene.add(self._mesh(s.vertices[s.faces], s.normals, b.material))
+            for s, b in zip(shapes, scene.bodies, strict=True)
+        ]
+        self._table = self._scene.add(self._mesh(*_table(scene.table.size), scene.table.material, double_sided=True))
+        self._shadows = bool(scene.lights) and scene.lights[0].casts_shadow
+        for row, light in enumerate(scene.lights):
+            self._add_light(light, shadow=self._shadows and row == 0)
+        self._camera = self._scene.add(self._pyrender.IntrinsicsCamera(1, 1, 0, 0, znear=kernels.NEAR, zfar=100.0))
+
+    def render(
+        self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int
+    ) -> Image:
+        """Render the loaded scene with its objects at the given poses."""
+        self._place(world_from_object, camera, width, height)
+        with _numpy_infty():
+            rgb, _ = self._context.render(self._scene, flags=self._color_flags())
+            ids, depth = self._segment({node: row + 1 for row, node in enumerate(self._nodes)} | {self._table: 0})
+            amodal = [np.count_nonzero(self._segment({node: 1})[0]) for node in self._nodes]
+        return Image(rgb.copy(), depth.copy(), ids.copy(), np.array(amodal, np.int64))
+
+    def _place(self, poses: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int) -> None:
+        self._context.viewport_width, self._context.viewport_height = width, height
+        for node, pose in zip(self._nodes, poses, strict=True):
+            self._scene.set_pose(node, pose)
+        k = camera.k(width, height)
+        lens = self._camera.camera
+        lens.fx, lens.fy, lens.cx, lens.cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
+        self._scene.set_pose(self._camera, camera.world_from_camera @ OPENGL_FROM_OPENCV)
+
+    def _segment(self, ids: dict[Any, int]) -> tuple[Int[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
+        """Ids and depth of the given nodes, the others being absent."""
+        colors = {node: (number, 0, 0) for node, number in ids.items()}
+        image, depth = self._context.render(self._scene, flags=self._pyrender.RenderFlags.SEG, seg_node_map=colors)
+        return image[..., 0], depth
+
+    def _color_flags(self) -> int:
+        flags = self._pyrender.RenderFlags
+        return flags.SHADOWS_DIRECTIONAL if self._shadows else flags.NONE
+
+    def _mesh(
+        self,
+        corners: Float[np.ndarray, "face 3 3"],
+        normals: Float[np.ndarray, "face 3 3"],
+        material: Material,
+        *,
+        double_sided: bool = False,
+    ) -> Any:
+        color, colors = linear(material.color), None
+        if material.pattern != "plain":
+            corners, normals = refine(corners, normals, material.period / COLORS_PER_PERIOD)
+            color, colors = np.ones(3), _vertex_colors(material, corners.reshape(-1, 3))
+        surface = self._pyrender.MetallicRoughnessMaterial(
+            baseColorFactor=[*color, 1.0],
+            metallicFactor=material.metalness,
+            roughnessFactor=material.roughness,
+            doubleSided=double_sided,
+        )
+        primitive = self._pyrender.Primitive(
+            positions=corners.reshape(-1, 3), normals=normals.reshape(-1, 3), color_0=colors, material=surface
+        )
+        return self._pyrender.Mesh([primitive])
+
+    def _add_light(self, light: Light, *, shadow: bool) -> None:
+        # pyrender divides Lambert's law by pi; integers would be taken for bytes.
+        color, intensity = np.array(light.radiance, np.float64), np.pi
+        axes = light_axes(light.direction)
+        pose = np.eye(4)
+        pose[:3, :3] = axes.T
+        if shadow:
+            self._scene.add(self._pyrender.DirectionalLight(color=color, intensity=intensity), pose=pose)
+        else:
+            pose[:3, 3] = FAR_LIGHT * axes[2]
+            self._scene.add(self._pyrender.PointLight(color=color, intensity=intensity * FAR_LIGHT**2), pose=pose)
+
+
+def refine(
+    corners: Float[np.ndarray, "face 3 3"], normals: Float[np.ndarray, "face 3 3"], longest: float
+) -> tuple[Float[np.ndarray, "finer 3 3"], Float[np.ndarray, "finer 3 3"]]:
+    """Split all triangles into four until no side exceeds `longest` metres, or there are very many."""
+    while len(corners) * 4 <= MOST_FACES and np.max(np.ptp(corners, axis=1)) > longest:
+        corners, normals = _split(corners), _split(normals)
+    length = np.sqrt(np.sum(normals * normals, axis=-1, keepdims=True))
+    return corners, normals / length
+
+
+def _split(corners: Float[np.ndarray, "face 3 3"]) -> Float[np.ndarray, "finer 3 3"]:
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.concatenate([np.stack(part, axis=1) for part in parts])
+
+
+def _table(size: float) -> tuple[Float[np.ndarray, "2 3 3"], Float[np.ndarray, "2 3 3"]]:
+    square = 0.5 * size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    return square[[[0, 1, 2], [0, 2, 3]]], np.tile([0.0, 0.0, 1.0], (2, 3, 1))
+
+
+def _vertex_colors(material: Material, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 4"]:
+    pattern = kernels.PATTERNS.index(material.pattern)
+    width = material.period / COLORS_PER_PERIOD
+    second = kernels.texture_weights(pattern, material.period, material.axis, points, width)[:, None]
+    colors = (1 - second) * linear(material.color) + second * linear(material.color2)
+    return np.concatenate([colors, np.ones((len(points), 1))], axis=1)
+
+
+@contextlib.contextmanager
+def _numpy_infty() -> Iterator[None]:
+    """Give NumPy 2 back the name `infty` that pyrender 0.1.45 still uses."""
+    if hasattr(np, "infty"):
+        yield
+        return
+    np.infty = np.inf  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        del np.infty  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@functools.cache
+def _open_context() -> tuple[Any, Any]:
+    """The pyrender module and this process' one OpenGL context: deleting one would break all others."""
+    os.environ["PYOPENGL_PLATFORM"] = "egl"
+    os.environ.setdefault("PYGLET_HEADLESS", "1")
+    # Mesa's software rasteriser would otherwise start a thread for each core in each worker.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
+    try:
+        with _numpy_infty():
+            import pyrender
+
+            return pyrender, pyrender.OffscreenRenderer(64, 64)
+    except Exception as error:
+        # PyOpenGL fails in many ways where a library is missing: ImportError, AttributeError, GLError and others.
+        raise UsageError(MISSING.format(reason=error)) from error

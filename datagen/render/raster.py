@@ -1,0 +1,216 @@
+"""The default renderer: a rasteriser in numba that needs no graphics library and repeats itself bit by bit."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.geometry import invert_rigid
+from datagen.render import kernels
+from datagen.render.lighting import light_axes, linear
+from datagen.render.renderer import Image
+from datagen.scene import Camera, Light, Material, Scene
+from datagen.shapes.shape import Shape
+
+OCCLUSION_SIZE = 64
+"""Texels along each side of the map that darkens the ambient light around objects."""
+
+
+class RasterRenderer:
+    """See `datagen.render.renderer.Renderer`; scenes share nothing but buffers that every call overwrites."""
+
+    name = "raster"
+    version = 1
+
+    def __init__(self) -> None:
+        self._buffers: dict[tuple[int, int], _Buffers] = {}
+
+    def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
+        """Take over a scene's materials, lights and shapes, row by row as in `scene.bodies`."""
+        self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
+        self._materials = np.array([_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)])
+        self._table_half = 0.5 * scene.table.size
+        self._scene = scene
+        self._lights = _pack_lights(scene.lights)
+        self._ambient = np.array(scene.ambient, np.float64)
+        self._ground = _ground(scene)
+        self._backdrop = linear(scene.backdrop)
+        self._shadows = bool(shapes and scene.lights and scene.lights[0].casts_shadow)
+        self._key_axes = light_axes(scene.lights[0].direction) if scene.lights else np.eye(3)
+        count = len(self._mesh.vertices)
+        self._world, self._homogeneous, self._light = (np.zeros((count, 3)) for _ in range(3))
+        self._screen = np.zeros((count, 2))
+
+    def render(
+        self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int
+    ) -> Image:
+        """Render the loaded scene with its objects at the given poses."""
+        poses = np.ascontiguousarray(world_from_object, np.float64)
+        buffers = self._buffers.setdefault((width, height), _Buffers(width, height))
+        view, samples_from_world = _view(camera, width, height, self._table_half)
+        kernels.place_vertices(self._mesh.vertices, self._vertex_start, poses, self._world)
+        amodal = self._visibility(view, samples_from_world, buffers)
+        image = Image(
+            rgb=np.empty((height, width, 3), np.uint8),
+            depth=np.empty((height, width), np.float32),
+            segmentation=np.empty((height, width), np.uint8),
+            amodal_pixels=amodal,
+        )
+        shadow = self._shadow_map(buffers)
+        kernels.shade(
+            view,
+            self._mesh,
+            self._homogeneous,
+            buffers.triangle,
+            poses,
+            self._materials,
+            self._surroundings(buffers),
+            shadow,
+            buffers.row,
+            image.rgb,
+            image.depth,
+            image.segmentation,
+        )
+        return image
+
+    def _visibility(self, view: np.ndarray, samples_from_world: np.ndarray, buffers: "_Buffers") -> np.ndarray:
+        buffers.clear()
+        amodal = np.zeros(len(self._face_start) - 1, np.int64)
+        kernels.project_vertices(self._world, samples_from_world, self._homogeneous, self._screen)
+        kernels.rasterise(
+            self._world,
+            self._homogeneous,
+            self._screen,
+            self._mesh.faces,
+            self._face_start,
+            view,
+            buffers.triangle,
+            buffers.inverse_depth,
+            buffers.stamp,
+            amodal,
+        )
+        return amodal
+
+    def _shadow_map(self, buffers: "_Buffers") -> kernels.LightMap:
+        light_map = buffers.shadow._replace(axes=self._key_axes)
+        if self._shadows:
+            self._light_map(light_map, margin=0.005)
+        return light_map
+
+    def _surroundings(self, buffers: "_Buffers") -> kernels.Surroundings:
+        below = buffers.below
+        if len(self._world):
+            self._light_map(below, margin=4 * kernels.AO_LENGTH)
+            kernels.occlusion_map(below.front, below.back, below.frame[2], buffers.occlusion)
+        return kernels.Surroundings(
+            self._lights,
+            self._shadows,
+            self._ambient,
+            self._ground,
+            self._backdrop,
+            buffers.occlusion,
+            below.frame,
+        )
+
+    def _light_map(self, m: kernels.LightMap, margin: float) -> None:
+        kernels.light_vertices(self._world, m.axes, len(m.front), margin, self._light, m.frame)
+        kernels.rasterise_light(
+            self._light, self._mesh.faces, self._face_start, m.front, m.owner, m.back, m.tiles
+        )
+
+
+class _Buffers:
+    """Scratch memory for one image size."""
+
+    def __init__(self, width: int, height: int) -> None:
+        size = (height * kernels.SUB, width * kernels.SUB)
+        self.triangle = np.empty(size, np.int32)
+        self.inverse_depth = np.empty(size, np.float32)
+        self.stamp = np.empty((height, width), np.int32)
+        self.row = _row(width)
+        texels = 256 if max(width, height) <= 160 else 512 if max(width, height) <= 400 else 1024
+        self.shadow = _light_map(texels, np.eye(3))
+        self.below = _light_map(OCCLUSION_SIZE, light_axes((0.0, 0.0, -1.0)))
+        self.occlusion = np.zeros((OCCLUSION_SIZE, OCCLUSION_SIZE))
+
+    def clear(self) -> None:
+        self.triangle.fill(-1)
+        self.inverse_depth.fill(0)
+        self.stamp.fill(-1)
+
+
+def _row(width: int) -> kernels.Row:
+    count = width * kernels.SUB**2
+    kind, owner, pixel = (np.empty(count, np.int32) for _ in range(3))
+    share, second, blur = (np.empty(count) for _ in range(3))
+    point, normal, look, light, color = (np.empty((count, 3)) for _ in range(5))
+    total, at = np.empty((width, 3)), np.empty((count, 2))
+    return kernels.Row(kind, owner, pixel, share, at, point, normal, look, second, light, blur, color, total)
+
+
+def _light_map(size: int, axes: np.ndarray) -> kernels.LightMap:
+    tiles = size // kernels.TILE
+    return kernels.LightMap(
+        front=np.empty((size, size), np.float32),
+        owner=np.empty((size, size), np.int32),
+        back=np.empty((size, size), np.float32),
+        tiles=np.empty((tiles, tiles), np.float32),
+        frame=np.zeros(4),
+        axes=axes,
+    )
+
+
+def _view(camera: Camera, width: int, height: int, table_half: float) -> tuple[np.ndarray, np.ndarray]:
+    """World direction of a sample's ray, scaled to depth 1, with position and sizes; and samples from world points."""
+    k = camera.k(width, height)
+    k[:2] *= kernels.SUB
+    world_from_camera = camera.world_from_camera
+    k_inverse = np.array([[1 / k[0, 0], 0, -k[0, 2] / k[0, 0]], [0, 1 / k[1, 1], -k[1, 2] / k[1, 1]], [0, 0, 1]])
+    view = np.zeros((4, 4))
+    view[:3, :3] = world_from_camera[:3, :3] @ k_inverse
+    view[:3, 3] = world_from_camera[:3, 3]
+    view[3, :2] = table_half, kernels.SUB / k[0, 0]
+    return view, k @ invert_rigid(world_from_camera)[:3]
+
+
+def _pack_mesh(shapes: Sequence[Shape]) -> tuple[kernels.Mesh, np.ndarray, np.ndarray]:
+    vertex_start = np.cumsum([0, *(len(s.vertices) for s in shapes)])
+    face_start = np.cumsum([0, *(len(s.faces) for s in shapes)])
+    vertices = np.concatenate([np.zeros((0, 3)), *(s.vertices for s in shapes)])
+    faces = np.concatenate([np.zeros((0, 3)), *(s.faces + start for s, start in zip(shapes, vertex_start, strict=False))])
+    normals = np.concatenate([np.zeros((0, 3, 3)), *(s.normals for s in shapes)])
+    faces = faces.astype(np.int32)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    across = np.cross(b - a, c - a)
+    length = np.sqrt(np.sum(across * across, axis=1, keepdims=True))
+    mesh = kernels.Mesh(
+        vertices=vertices,
+        faces=faces,
+        owners=np.repeat(np.arange(len(shapes)), np.diff(face_start)).astype(np.int32),
+        normals=normals.astype(np.float32),
+        face_normals=(across / np.where(length > 0, length, 1)).astype(np.float32),
+    )
+    return mesh, vertex_start, face_start
+
+
+def _pack_material(material: Material) -> Float[np.ndarray, "column"]:
+    pattern = kernels.PATTERNS.index(material.pattern)
+    colors = [*linear(material.color), *linear(material.color2)]
+    return np.array([*colors, pattern, material.period, *material.axis, material.roughness, material.metalness])
+
+
+def _pack_lights(lights: Sequence[Light]) -> Float[np.ndarray, "light 8"]:
+    rows = [[*light_axes(x.direction)[2], *x.radiance, x.angular_radius, np.tan(x.angular_radius)] for x in lights]
+    return np.array(rows, np.float64).reshape(-1, 8)
+
+
+def _ground(scene: Scene) -> Float[np.ndarray, "3"]:
+    """Linear RGB that the middle of the table sends upwards, as objects see it from above."""
+    material = scene.table.material
+    albedo = linear(material.color)
+    if material.pattern != "plain":
+        albedo = 0.5 * (albedo + linear(material.color2))
+    arriving = np.array(scene.ambient, np.float64)
+    for light in scene.lights:
+        arriving = arriving + max(light.direction[2], 0.0) * np.array(light.radiance)
+    return albedo * arriving

@@ -1,0 +1,112 @@
+"""rng -> Scene: everything that is random about a scene, and no physics engine."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from datagen.config import Recipe
+from datagen.geometry import quaternion_from_rotation
+from datagen.sampling.appearance import sample_backdrop, sample_materials, sample_table
+from datagen.sampling.cameras import sample_ambient, sample_cameras, sample_lights
+from datagen.sampling.items import Item, sample_item, sample_items
+from datagen.sampling.layout import Spot, cluster, flattest, on_top, place, scatter
+from datagen.sampling.motion import Start, sample_motion, sample_starts
+from datagen.sampling.rejected import Rejected
+from datagen.sampling.values import rounded, vector
+from datagen.scene import Body, Material, Scene, Table
+
+__all__ = ["Rejected", "sample_scene"]
+
+
+def sample_scene(recipe: Recipe, rng: np.random.Generator, split: str, index: int) -> Scene:
+    """One draw of the recipe's scene `index` of a split; whether it keeps the recipe's rules only physics can tell.
+
+    Raises:
+        Rejected: the objects that were drawn found no place.
+    """
+    recipe = recipe.for_scene(index)
+    spots = _sample_spots(recipe, split, rng)
+    starts = sample_starts(spots, recipe.layout, recipe.motion, recipe.physics, rng)
+    sizes = [float(np.max(spot.item.shape.size)) for spot in spots]
+    materials = sample_materials(recipe.appearance, sizes, rng)
+    return Scene(
+        bodies=tuple(_body(*row) for row in zip(spots, starts, materials, strict=True)),
+        table=Table(recipe.layout.table_size, sample_table(recipe.appearance, rng)),
+        cameras=sample_cameras(recipe, rng),
+        lights=sample_lights(recipe.lighting, rng),
+        ambient=sample_ambient(recipe.lighting, rng),
+        backdrop=sample_backdrop(rng),
+        frames=recipe.frames,
+        fps=recipe.fps,
+    )
+
+
+def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator) -> list[Spot]:
+    if recipe.layout.placement == "touching":
+        return _touching(recipe, split, rng)
+    items = sample_items(recipe.objects, split, rng)
+    motions = [sample_motion(item, recipe.motion, rng) for item in items]
+    if recipe.layout.placement == "scattered":
+        return scatter(items, motions, recipe.layout, recipe.motion, rng)
+    return _stacked(recipe, items, rng)
+
+
+def _touching(recipe: Recipe, split: str, rng: np.random.Generator) -> list[Spot]:
+    """A group of at least two in contact, and the rest apart from it."""
+    count = int(rng.integers(recipe.objects.minimum, recipe.objects.maximum + 1))
+    size = int(rng.integers(2, count + 1))
+    kind = "slide" if rng.uniform() < 0.5 else "push"
+    friction = rounded(rng.uniform(*recipe.objects.friction))
+    members = [_steady_item(recipe, split, rng) for _ in range(size)]
+    spots = cluster(
+        [dataclasses.replace(item, friction=friction) for item in members], kind, recipe.layout, rng
+    )
+    for _ in range(count - size):
+        item = sample_item(recipe.objects, split, rng)
+        spots.append(
+            place(item, sample_motion(item, recipe.motion, rng), spots, recipe.layout, recipe.motion, rng)
+        )
+    return spots
+
+
+def _steady_item(recipe: Recipe, split: str, rng: np.random.Generator) -> Item:
+    for _ in range(recipe.layout.tries):
+        item = sample_item(recipe.objects, split, rng)
+        if flattest(item) is not None:
+            return item
+    raise Rejected("unsteady")
+
+
+def _stacked(recipe: Recipe, items: Sequence[Item], rng: np.random.Generator) -> list[Spot]:
+    """Objects on the table, on each other, and in the air above both."""
+    spots: list[Spot] = []
+    for item in items:
+        stance = flattest(item)
+        spot = None
+        if spots and stance is not None and rng.uniform() < recipe.layout.stack_share:
+            spot = on_top(item, "rest", stance.turned(rng.uniform(0, 2 * np.pi)), spots, rng)
+        kind = sample_motion(item, recipe.motion, rng)
+        spots.append(spot or place(item, kind, spots, recipe.layout, recipe.motion, rng))
+    return spots
+
+
+def _body(spot: Spot, start: Start, material: Material) -> Body:
+    w, x, y, z = (rounded(value) for value in quaternion_from_rotation(spot.stance.rotation))
+    item = spot.item
+    return Body(
+        category=item.category,
+        shape=item.spec,
+        material=material,
+        density=item.density,
+        friction=item.friction,
+        restitution=item.restitution,
+        motion=spot.motion,
+        position=vector(spot.position),
+        quaternion_wxyz=(w, x, y, z),
+        linear_velocity=start.linear_velocity,
+        angular_velocity=start.angular_velocity,
+        push=start.push,
+        touches=spot.touches,
+        shape_id=item.shape_id,
+    )

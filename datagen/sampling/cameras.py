@@ -1,0 +1,51 @@
+"""Cameras and lights of a scene."""
+
+import numpy as np
+
+from datagen.config import Lighting, Recipe, Rig
+from datagen.sampling.poses import about_vertical
+from datagen.sampling.values import rounded, vector
+from datagen.scene import Camera, Light
+
+
+def sample_cameras(recipe: Recipe, rng: np.random.Generator) -> tuple[Camera, ...]:
+    """The rig's camera, and the same turned about the world's z axis for every further view."""
+    return tuple(_camera(recipe.rig, 2 * np.pi * view / recipe.views, rng) for view in range(recipe.views))
+
+
+def _camera(rig: Rig, angle: float, rng: np.random.Generator) -> Camera:
+    turn = about_vertical(angle)
+    target = np.array(rig.target)
+    offset = rig.distance * direction(np.radians(rig.azimuth), np.radians(rig.elevation))
+    jitter = rig.jitter * rng.normal(size=3) if rig.jitter else np.zeros(3)
+    return Camera(
+        vector(turn @ (target + offset) + jitter), vector(turn @ target), float(np.radians(rig.field_of_view))
+    )
+
+
+def direction(azimuth: float, elevation: float) -> np.ndarray:
+    """Unit vector with an angle about world z and one above the horizon, radians."""
+    return np.array(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+
+
+def sample_lights(lighting: Lighting, rng: np.random.Generator) -> tuple[Light, Light]:
+    """A key light from anywhere above, and a weaker, bluer one from across it that casts no shadow."""
+    azimuth = rng.uniform(0, 2 * np.pi)
+    warmth = rng.uniform(-0.06, 0.06)
+    key = rng.uniform(*lighting.key) * np.array([1 + warmth, 1.0, 1 - warmth])
+    fill = rng.uniform(*lighting.fill) * np.array([1 - warmth, 1.0, 1 + warmth])
+    elevation = np.radians(rng.uniform(*lighting.elevation))
+    across = azimuth + np.pi + rng.uniform(-1, 1)
+    return (
+        Light(
+            vector(direction(azimuth, elevation)), vector(key), rounded(np.radians(lighting.softness)), lighting.shadows
+        ),
+        Light(vector(direction(across, np.radians(rng.uniform(25, 60)))), vector(fill), 0.0, casts_shadow=False),
+    )
+
+
+def sample_ambient(lighting: Lighting, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Linear RGB of the light from everywhere."""
+    return vector(np.full(3, rng.uniform(*lighting.ambient)))

@@ -1,0 +1,64 @@
+"""Which objects a scene holds: category, shape and mechanical properties, before anything is placed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen import catalog, shapes
+from datagen.config import Objects
+from datagen.sampling.values import rounded
+from datagen.scene import ShapeSpec
+from datagen.shapes.shape import Shape
+
+_POOL_KEY = 20261120
+"""Key of the generators of pool shapes; a pool's member is the same in every recipe, scene and split."""
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """An object to be placed."""
+
+    category: str
+    spec: ShapeSpec
+    shape: Shape
+    density: float
+    friction: float
+    restitution: float
+    shape_id: int | None = None
+
+
+def sample_items(objects: Objects, split: str, rng: np.random.Generator) -> list[Item]:
+    """As many objects as the recipe wants."""
+    count = int(rng.integers(objects.minimum, objects.maximum + 1))
+    return [sample_item(objects, split, rng) for _ in range(count)]
+
+
+def sample_item(objects: Objects, split: str, rng: np.random.Generator) -> Item:
+    """One object; where the recipe has a pool of shapes, the test split draws from a part of its own."""
+    category = str(rng.choice(objects.categories or catalog.TABLETOP))
+    shape_id = None
+    if objects.shape_pool:
+        shape_id = int(rng.integers(objects.shape_pool)) + (objects.shape_pool if split == "test" else 0)
+        number = list(catalog.CATEGORIES).index(category)
+        spec = _sample_spec(category, objects, np.random.default_rng([_POOL_KEY, number, shape_id]))
+    else:
+        spec = _sample_spec(category, objects, rng)
+    low, high = np.log(objects.density)
+    return Item(
+        category,
+        spec,
+        shapes.build(spec),
+        density=rounded(np.exp(rng.uniform(low, high))),
+        friction=rounded(rng.uniform(*objects.friction)),
+        restitution=rounded(rng.uniform(*objects.restitution)),
+        shape_id=shape_id,
+    )
+
+
+def _sample_spec(category: str, objects: Objects, rng: np.random.Generator) -> ShapeSpec:
+    if objects.sizes:
+        length = float(rng.choice(objects.sizes))
+    else:
+        low, high = objects.size
+        length = low + (high - low) * rng.uniform() ** objects.size_skew
+    return catalog.sample_shape(category, rng, (length, length))

@@ -1,0 +1,165 @@
+"""Where objects start: apart from each other, in contact, or on top of each other."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.config import Layout, MotionConfig
+from datagen.sampling import poses
+from datagen.sampling.items import Item
+from datagen.sampling.poses import Stance
+from datagen.sampling.rejected import Rejected
+from datagen.scene import Motion
+
+AIRBORNE = ("drop", "throw")
+
+_CLEARANCE = 2e-4
+"""Metres left between surfaces that shall touch, so that nothing starts by being pushed apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """An object at its place."""
+
+    item: Item
+    motion: Motion
+    stance: Stance
+    position: Float[np.ndarray, "3"]
+    """Of the centre of mass, metres."""
+    in_group: bool = False
+    """Whether it belongs to the objects that touch and move as one."""
+    touches: int | None = None
+    """Row of the earlier object that this one is brought into contact with."""
+
+    @property
+    def low(self) -> float:
+        """Height of its lowest point."""
+        return self.position[2] + self.stance.bottom
+
+    @property
+    def high(self) -> float:
+        """Height of its highest point."""
+        return self.position[2] + self.stance.top
+
+
+def scatter(
+    items: Sequence[Item], motions: Sequence[Motion], layout: Layout, motion: MotionConfig, rng: np.random.Generator
+) -> list[Spot]:
+    """Every object at a place of its own; what is in the air may hang over what is not.
+
+    Raises:
+        Rejected: no free place was found for one of them.
+    """
+    spots: list[Spot] = []
+    for row in sorted(range(len(items)), key=lambda row: motions[row] in AIRBORNE):
+        spots.append(place(items[row], motions[row], spots, layout, motion, rng))
+    return spots
+
+
+def place(
+    item: Item, kind: Motion, others: Sequence[Spot], layout: Layout, motion: MotionConfig, rng: np.random.Generator
+) -> Spot:
+    """One object on the table or above it, at least `layout.gap` away from the others.
+
+    Raises:
+        Rejected: no free place was found.
+    """
+    stance = sample_stance(item, kind, layout, rng)
+    height = rng.uniform(*motion.drop_height) if kind in AIRBORNE else _CLEARANCE
+    for _ in range(layout.tries):
+        center = np.array(layout.center) + np.array(layout.half_extent) * rng.uniform(-1, 1, 2)
+        below = [spot for spot in others if _overlap_from_above(stance, center, spot, layout.gap)]
+        if below and kind not in AIRBORNE:
+            continue
+        ground = max((spot.high for spot in below), default=0.0)
+        return Spot(item, kind, stance, np.array([*center, ground + height - stance.bottom]))
+    raise Rejected("crowded")
+
+
+def _overlap_from_above(stance: Stance, center: Float[np.ndarray, "2"], spot: Spot, gap: float) -> bool:
+    distance = np.sqrt(np.sum((center - spot.position[:2]) ** 2))
+    return bool(distance < stance.reach + spot.stance.reach + gap)
+
+
+def sample_stance(item: Item, kind: Motion, layout: Layout, rng: np.random.Generator) -> Stance:
+    """An orientation that suits the motion, turned about the vertical by any angle."""
+    yaw = rng.uniform(0, 2 * np.pi)
+    if kind in AIRBORNE:
+        return poses.tumbled(item.shape, rng)
+    if kind == "roll":
+        return poses.rolling_stance(item.shape).turned(yaw)
+    stances = poses.steady_stances(item.shape)
+    if not stances or rng.uniform() < layout.upright_share:
+        return poses.upright(item.shape).turned(yaw)
+    return stances[rng.integers(len(stances))].turned(yaw)
+
+
+def flattest(item: Item) -> Stance | None:
+    """The steady orientation with the lowest centre of mass, if there is a steady one."""
+    return max(poses.steady_stances(item.shape), key=lambda stance: stance.bottom, default=None)
+
+
+def cluster(
+    items: Sequence[Item], kind: Motion, layout: Layout, rng: np.random.Generator
+) -> list[Spot]:
+    """A group that moves as one: each further object lies on top of another one or is brought to touch it.
+
+    Raises:
+        Rejected: one of them cannot lie steadily.
+    """
+    spots: list[Spot] = []
+    for item in items:
+        stance = flattest(item)
+        if stance is None:
+            raise Rejected("unsteady")
+        stance = stance.turned(rng.uniform(0, 2 * np.pi))
+        spot = _first(item, kind, stance, layout, rng) if not spots else None
+        if spots and rng.uniform() < layout.stack_share:
+            spot = on_top(item, kind, stance, spots, rng)
+        spots.append(spot or _beside(item, kind, stance, spots, layout, rng))
+    return [dataclasses.replace(spot, in_group=True) for spot in spots]
+
+
+def _first(item: Item, kind: Motion, stance: Stance, layout: Layout, rng: np.random.Generator) -> Spot:
+    center = np.array(layout.center) + 0.6 * np.array(layout.half_extent) * rng.uniform(-1, 1, 2)
+    return Spot(item, kind, stance, np.array([*center, _CLEARANCE - stance.bottom]))
+
+
+def _beside(
+    item: Item, kind: Motion, stance: Stance, spots: Sequence[Spot], layout: Layout, rng: np.random.Generator
+) -> Spot:
+    """All but touching another object that stands on the table, clear of the rest.
+
+    Raises:
+        Rejected: no free place was found.
+    """
+    standing = [row for row, spot in enumerate(spots) if spot.low < 2 * _CLEARANCE]
+    for _ in range(layout.tries):
+        row = int(rng.choice(standing))
+        angle = rng.uniform(0, 2 * np.pi)
+        way = np.array([np.cos(angle), np.sin(angle)])
+        distance = poses.extent(spots[row].stance, way) + poses.extent(stance, -way) + _CLEARANCE
+        center = spots[row].position[:2] + distance * way
+        rest = [spot for other, spot in enumerate(spots) if other != row]
+        if not any(_overlap_from_above(stance, center, spot, 0.0) for spot in rest):
+            return Spot(item, kind, stance, np.array([*center, _CLEARANCE - stance.bottom]), touches=row)
+    raise Rejected("crowded")
+
+
+def on_top(
+    item: Item, kind: Motion, stance: Stance, spots: Sequence[Spot], rng: np.random.Generator
+) -> Spot | None:
+    """On the roof of another object that carries it steadily, or None where there is no such roof."""
+    for row in rng.permutation(len(spots)):
+        roof = spots[row].stance.roof
+        low, high = np.min(roof, axis=0), np.max(roof, axis=0)
+        offset = (low + high) / 2 + 0.25 * (high - low) * rng.uniform(-1, 1, 2)
+        carried = any(spot.low > spots[row].high - 1e-3 for spot in spots)
+        if carried or spots[row].motion in AIRBORNE or poses.depth_inside(roof, offset) < poses.STEADY:
+            continue
+        center = spots[row].position[:2] + offset
+        return Spot(item, kind, stance, np.array([*center, spots[row].high + _CLEARANCE - stance.bottom]))
+    return None

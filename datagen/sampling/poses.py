@@ -1,0 +1,125 @@
+"""How an object can stand, lie, roll or tumble: orientations of a shape, and what it rests on in each of them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.geometry import rotation_from_quaternion
+from datagen.shapes.shape import Shape
+
+_SUPPORT_DEPTH = 3e-4
+"""Points this near to the lowest one carry the object, metres."""
+
+_ANGLES = 2 * np.pi * np.arange(24) / 24
+_DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+
+STEADY = 0.004
+"""An object stands steadily where its centre of mass is this far inside of what carries it, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """A shape in one orientation; lengths in metres, relative to its centre of mass."""
+
+    shape: Shape
+    rotation: Float[np.ndarray, "3 3"]
+    """From the object frame to the world's axes."""
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "corner 3"]:
+        """Corners of the turned shape."""
+        return np.concatenate(self.shape.convex_parts) @ self.rotation.T
+
+    @cached_property
+    def bottom(self) -> float:
+        """Height of the lowest point."""
+        return float(np.min(self.points[:, 2]))
+
+    @cached_property
+    def top(self) -> float:
+        """Height of the highest point."""
+        return float(np.max(self.points[:, 2]))
+
+    @cached_property
+    def reach(self) -> float:
+        """Radius of the upright cylinder around the centre of mass that holds the shape."""
+        return float(np.sqrt(np.max(np.sum(self.points[:, :2] ** 2, axis=1))))
+
+    @cached_property
+    def base(self) -> Float[np.ndarray, "corner 2"]:
+        """The lowest points, seen from above."""
+        return self.points[self.points[:, 2] < self.bottom + _SUPPORT_DEPTH, :2]
+
+    @cached_property
+    def roof(self) -> Float[np.ndarray, "corner 2"]:
+        """The highest points, seen from above."""
+        return self.points[self.points[:, 2] > self.top - _SUPPORT_DEPTH, :2]
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the shape stays as it is when set down."""
+        return depth_inside(self.base, np.zeros(2)) > STEADY
+
+    def turned(self, yaw: float) -> "Stance":
+        """The same, turned about the vertical by `yaw` radians."""
+        return Stance(self.shape, about_vertical(yaw) @ self.rotation)
+
+
+def depth_inside(outline: Float[np.ndarray, "corner 2"], point: Float[np.ndarray, "2"]) -> float:
+    """How far inside the convex hull of some corners a point lies (metres), negative outside."""
+    return float(np.min(np.max((outline - point) @ _DIRECTIONS, axis=0)))
+
+
+def extent(stance: Stance, direction: Float[np.ndarray, "2"]) -> float:
+    """How far a shape reaches from its centre of mass along a horizontal unit vector, metres."""
+    return float(np.max(stance.points[:, :2] @ direction))
+
+
+def upright(shape: Shape) -> Stance:
+    """The shape with its main axis up."""
+    return Stance(shape, np.eye(3))
+
+
+def steady_stances(shape: Shape) -> list[Stance]:
+    """All orientations with an axis of the object frame or of the smallest box down in which the shape stays put."""
+    axes = np.eye(3)
+    if not np.allclose(np.abs(shape.minimum_box.rotation).max(axis=0), 1):
+        axes = np.concatenate([axes, shape.minimum_box.rotation.T])
+    stances = [Stance(shape, _with_up(sign * axis)) for axis in axes for sign in (1.0, -1.0)]
+    return [stance for stance in stances if stance.is_steady]
+
+
+def can_roll(shape: Shape) -> bool:
+    """Whether the shape is round about its main axis and, laid on its side, touches the ground beside its middle."""
+    if shape.symmetry == "SO3":
+        return True
+    if not shape.symmetry.endswith("inf"):
+        return False
+    along_axis = rolling_stance(shape).base[:, 1]
+    return bool(np.min(along_axis) < 1e-3 and np.max(along_axis) > -1e-3)
+
+
+def rolling_stance(shape: Shape) -> Stance:
+    """The shape on its side, ready to roll along x."""
+    return Stance(shape, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+
+
+def tumbled(shape: Shape, rng: np.random.Generator) -> Stance:
+    """The shape in any orientation, all equally likely."""
+    return Stance(shape, rotation_from_quaternion(rng.normal(size=4)))
+
+
+def about_vertical(angle: float) -> Float[np.ndarray, "3 3"]:
+    """Rotation about world z by an angle in radians."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _with_up(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """A rotation that brings a unit vector of the object frame to world z."""
+    helper = np.eye(3)[np.argmin(np.abs(axis))]
+    first = np.cross(helper, axis)
+    first /= np.sqrt(np.sum(first**2))
+    return np.stack([first, np.cross(axis, first), axis])

@@ -1,0 +1,286 @@
+"""Triangle meshes of curved surfaces: as few triangles as the tolerance allows, closed, facing outwards.
+
+Where a surface curves, vertices lie a little outside it and the middles of edges as far inside, which halves the
+error of a mesh whose vertices lie on the surface.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from datagen.shapes.shape import MESH_TOLERANCE, Numbers
+
+CHORD_ERROR = 0.9 * MESH_TOLERANCE
+"""Metres by which tessellation may miss a curved surface; the rest is left to rounding."""
+
+CREASE_COSINE = np.cos(np.radians(40))
+"""Neighbouring faces that turn by less than 40 degrees share their normals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with a normal at each corner of each face."""
+
+    vertices: Float[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+    normals: Float[np.ndarray, "face 3 3"]
+
+    def placed(self, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> "Mesh":
+        """The mesh after `outer = rotation @ local + translation`."""
+        return Mesh(self.vertices @ rotation.T + translation, self.faces, self.normals @ rotation.T)
+
+
+def merge(meshes: Sequence[Mesh]) -> Mesh:
+    """All triangles of all meshes."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts[:-1], strict=True)]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+    )
+
+
+def flat(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> Mesh:
+    """A mesh whose normals are those of its planar faces."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return Mesh(vertices, faces, np.repeat(unit(np.cross(b - a, c - a))[:, None], 3, axis=1))
+
+
+def unit(vectors: Float[np.ndarray, "*batch axis"]) -> Float[np.ndarray, "*batch axis"]:
+    """The vectors' directions."""
+    return vectors / np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
+
+
+def segments_of_circle(radius: float, tolerance: float = CHORD_ERROR, least: int = 12) -> int:
+    """How many chords keep within `tolerance` of a circle, their ends as far outside it as their middles inside."""
+    cosine = (radius - tolerance) / (radius + tolerance)
+    return max(least, int(np.ceil(np.pi / np.arccos(cosine)))) if cosine > 0 else least
+
+
+def balanced(count: int) -> float:
+    """Radius of a regular polygon's corners that lie as far outside the unit circle as its sides' middles inside."""
+    return 2 / (1 + np.cos(np.pi / count))
+
+
+def circle(count: int) -> Float[np.ndarray, "corner 2"]:
+    """Corners of the regular polygon that stands for the unit circle, the first one on the x axis."""
+    angles = 2 * np.pi * np.arange(count) / count
+    return balanced(count) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def box(size: Numbers) -> Mesh:
+    """A box around the origin: 12 triangles."""
+    vertices, faces, normals = _unit_box()
+    return Mesh(vertices * np.asarray(size), faces, normals)
+
+
+def ellipsoid(half_axes: Numbers, tolerance: float = CHORD_ERROR) -> Mesh:
+    """An ellipsoid around the origin; a stretched unit sphere, whose error grows no faster than its longest axis."""
+    axes = np.asarray(half_axes, float)
+    directions, faces, inner = _fine_enough_dome(float(axes.max()), tolerance)
+    normals = unit(directions / axes)
+    return Mesh(directions * (axes * (2 / (1 + inner))), faces, normals[faces])
+
+
+def capsule(radius: float, length: float) -> Mesh:
+    """Half spheres around z = -length/2 and z = length/2 and the cylinder between them."""
+    directions, faces, inner = _fine_enough_dome(radius)
+    upper = np.flatnonzero(directions[:, 2] > -1e-9)
+    lower = np.flatnonzero(directions[:, 2] < 1e-9)
+    position = np.full((2, len(directions)), -1)
+    position[0, upper] = np.arange(len(upper))
+    position[1, lower] = len(upper) + np.arange(len(lower))
+    is_upper = directions[faces, 2].min(axis=1) > -1e-9
+    ring = np.flatnonzero(np.abs(directions[:, 2]) < 1e-9)
+    a, b = position[0, ring], position[1, ring]
+    c, d = np.roll(a, -1), np.roll(b, -1)
+    sides = np.concatenate([np.stack([b, d, a], axis=1), np.stack([d, c, a], axis=1)])
+    faces = np.concatenate([position[0, faces[is_upper]], position[1, faces[~is_upper]], sides])
+    normals = np.concatenate([directions[upper], directions[lower]])
+    vertices = normals * (radius * 2 / (1 + inner))
+    vertices[:, 2] += np.where(np.arange(len(vertices)) < len(upper), 0.5, -0.5) * length
+    return Mesh(vertices, faces, normals[faces])
+
+
+def torus(ring_radius: float, tube_radius: float) -> Mesh:
+    """A torus about the z axis of nearly equilateral triangles; every other ring is turned by half a step."""
+    # Equilateral triangles of side s, measured in units that make both curvatures 1, are off by s^2 / 6, a chord as
+    # long as the side by 3/4 of that and one as long as the height by 9/16.
+    around = 2 * ((segments_of_circle(ring_radius + tube_radius, 9 / 16 * CHORD_ERROR) + 1) // 2)
+    tube = segments_of_circle(tube_radius, 3 / 4 * CHORD_ERROR)
+    i, j = np.meshgrid(np.arange(around), np.arange(tube), indexing="ij")
+    turn, tilt = 2 * np.pi * i / around, 2 * np.pi * (j + 0.5 * (i % 2)) / tube
+    radial = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=-1)
+    normals = np.cos(tilt)[..., None] * radial
+    normals[..., 2] = np.sin(tilt)
+    # Towards the axis the surface is a saddle, whose triangles need less shift to lie half outside, half inside.
+    shift = CHORD_ERROR * (0.75 + 0.25 * np.cos(tilt))[..., None]
+    vertices = ring_radius * radial + (tube_radius + shift) * normals
+    index = i * tube + j
+    a, c = index, np.roll(index, -1, axis=1)
+    b, d = np.roll(a, -1, axis=0), np.roll(c, -1, axis=0)
+    # The next column lies half a step higher than an even one and lower than an odd one.
+    even = (i % 2 == 0)[..., None]
+    first = np.where(even, np.stack([a, b, c], axis=-1), np.stack([a, b, d], axis=-1))
+    second = np.where(even, np.stack([c, b, d], axis=-1), np.stack([a, d, c], axis=-1))
+    faces = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+    return Mesh(vertices.reshape(-1, 3), faces, normals.reshape(-1, 3)[faces])
+
+
+def revolution(profile: Float[np.ndarray, "corner 2"]) -> Mesh:
+    """The surface that a counter-clockwise polygon (r, z) sweeps about the z axis, without its edges on the axis."""
+    steps = segments_of_circle(float(profile[:, 0].max()))
+    corners = len(profile)
+    ring = np.broadcast_to(circle(steps), (corners, steps, 2)) * profile[:, None, :1]
+    vertices = np.concatenate([ring, np.broadcast_to(profile[:, None, 1:], (corners, steps, 1))], axis=2)
+    # A corner on the axis is one vertex, and the triangle with two corners there is none.
+    at_axis = profile[:, 0] == 0
+    index = np.arange(corners * steps).reshape(corners, steps)
+    index[at_axis] = index[at_axis, :1]
+    a, b = index, np.roll(index, -1, axis=1)
+    c, d = np.roll(a, -1, axis=0), np.roll(b, -1, axis=0)
+    lower, upper = ~at_axis, ~np.roll(at_axis, -1)
+    start, end, middle = (_turned_normals(profile, steps, share) for share in (0.0, 1.0, 0.5))
+    apex_above = np.where(upper[:, None, None], start[1], middle[1])
+    apex_below = np.where(lower[:, None, None], end[0], middle[0])
+    faces = [np.stack([a, b, c], axis=-1)[lower], np.stack([b, d, c], axis=-1)[upper]]
+    normals = [
+        np.stack([start[0], end[0], apex_above], axis=-2)[lower],
+        np.stack([apex_below, end[1], start[1]], axis=-2)[upper],
+    ]
+    return _compact(
+        vertices.reshape(-1, 3),
+        np.concatenate([part.reshape(-1, 3) for part in faces]),
+        np.concatenate([part.reshape(-1, 3, 3) for part in normals]),
+    )
+
+
+def lofted(
+    ring: Float[np.ndarray, "step 2"],
+    profile: Float[np.ndarray, "level 2"],
+    normals: Float[np.ndarray, "level step 3"],
+) -> Mesh:
+    """A closed surface of scaled copies of one ring: point (s, z) of the profile puts the ring times s at height z.
+
+    Args:
+        ring: counter-clockwise convex polygon around the origin.
+        profile: from one pole to the other, z rising; s is 0 at both.
+        normals: of the smooth surface at each level and step.
+    """
+    levels, steps = normals.shape[:2]
+    rows = np.concatenate([profile[:, None, :1] * ring, np.repeat(profile[:, None, 1:], steps, axis=1)], axis=2)
+    index = np.arange(levels * steps).reshape(levels, steps)
+    index[0], index[-1] = index[0, 0], index[-1, 0]
+    after = np.roll(index, -1, axis=1)
+    low = np.stack([index[:-1], after[:-1], after[1:]], axis=-1)[1:]
+    high = np.stack([index[:-1], after[1:], index[1:]], axis=-1)[:-1]
+    faces = np.concatenate([low.reshape(-1, 3), high.reshape(-1, 3)])
+    return _compact(rows.reshape(-1, 3), faces, normals.reshape(-1, 3)[faces])
+
+
+def extrusion(polygon: Float[np.ndarray, "corner 2"], pieces: Sequence[Sequence[int]], height: float) -> Mesh:
+    """A prism along z, symmetric about z = 0, over a counter-clockwise polygon with its cut into convex pieces."""
+    count = len(polygon)
+    half = np.full((count, 1), 0.5 * height)
+    vertices = np.concatenate([np.hstack([polygon, half]), np.hstack([polygon, -half])])
+    cap = np.array([[p[0], p[i], p[i + 1]] for p in pieces for i in range(1, len(p) - 1)])
+    i = np.arange(count)
+    k = (i + 1) % count
+    at_start, at_end = _profile_normals(polygon)
+    start, end = (np.hstack([n, np.zeros((count, 1))]) for n in (at_start, at_end))
+    up = np.zeros((len(cap), 3, 3))
+    up[..., 2] = 1
+    faces = [cap, cap[:, ::-1] + count, np.stack([i + count, k + count, i], 1), np.stack([k + count, k, i], 1)]
+    normals = [up, -up, np.stack([start, end, start], 1), np.stack([end, end, start], 1)]
+    return Mesh(vertices, np.concatenate(faces), np.concatenate(normals))
+
+
+@lru_cache(maxsize=64)
+def unit_dome(order: int) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"], float]:
+    """Unit sphere of rings with 5, 10 .. 5*order, .. 10, 5 points between two poles, its equator at z = 0.
+
+    Also gives the radius of the largest ball around the origin inside the mesh.
+    """
+    upper = [np.array([[0.0, 0.0, 1.0]])]
+    for ring in range(1, order + 1):
+        # Rings a little denser at the poles make the largest triangles smaller.
+        polar = 0.5 * np.pi * (ring / order) * (0.85 + 0.15 * ring / order)
+        angles = 2 * np.pi * np.arange(5 * ring) / (5 * ring)
+        z = np.full_like(angles, np.cos(polar) if ring < order else 0.0)
+        upper.append(np.stack([np.sin(polar) * np.cos(angles), np.sin(polar) * np.sin(angles), z], axis=1))
+    vertices = np.concatenate(upper)
+    faces = np.array([face for ring in range(1, order + 1) for face in _dome_ring(ring)])
+    inner = 1 + 5 * order * (order - 1) // 2
+    below = np.where(
+        np.arange(len(vertices)) < inner, np.arange(len(vertices)) + len(vertices), np.arange(len(vertices))
+    )
+    faces = np.concatenate([faces, below[faces[:, ::-1]]])
+    vertices = np.concatenate([vertices, vertices[:inner] * np.array([1.0, 1.0, -1.0])])
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return vertices, faces, float(np.einsum("ij,ij->i", a, unit(np.cross(b - a, c - a))).min())
+
+
+def _dome_ring(ring: int) -> list[tuple[int, int, int]]:
+    def inside(sector: int, step: int) -> int:
+        if ring == 1:
+            return 0
+        return 1 + 5 * (ring - 1) * (ring - 2) // 2 + (sector * (ring - 1) + step) % (5 * (ring - 1))
+
+    def outside(sector: int, step: int) -> int:
+        return 1 + 5 * ring * (ring - 1) // 2 + (sector * ring + step) % (5 * ring)
+
+    upward = [(inside(s, k), outside(s, k), outside(s, k + 1)) for s in range(5) for k in range(ring)]
+    downward = [(inside(s, k), outside(s, k + 1), inside(s, k + 1)) for s in range(5) for k in range(ring - 1)]
+    return upward + downward
+
+
+def _fine_enough_dome(
+    radius: float, tolerance: float = CHORD_ERROR
+) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"], float]:
+    order = 2
+    while radius * (1 - unit_dome(order)[2]) > tolerance * (1 + unit_dome(order)[2]):
+        order += 1
+    return unit_dome(order)
+
+
+@lru_cache(maxsize=1)
+def _unit_box() -> tuple[Float[np.ndarray, "8 3"], Int[np.ndarray, "12 3"], Float[np.ndarray, "12 3 3"]]:
+    square = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
+    mesh = extrusion(square, [(0, 1, 2, 3)], 1.0)
+    return mesh.vertices, mesh.faces, mesh.normals
+
+
+def _profile_normals(
+    polygon: Float[np.ndarray, "corner 2"],
+) -> tuple[Float[np.ndarray, "edge 2"], Float[np.ndarray, "edge 2"]]:
+    """Outward normals at start and end of each edge of a counter-clockwise polygon, shared where it is smooth."""
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    own = unit(np.stack([edges[:, 1], -edges[:, 0]], axis=1))
+    before = np.roll(own, 1, axis=0)
+    smooth = np.einsum("ij,ij->i", own, before) > CREASE_COSINE
+    shared = np.where(smooth[:, None], unit(own + before + 1e-30), own)
+    at_start = shared
+    at_end = np.roll(np.where(smooth[:, None], shared, before), -1, axis=0)
+    return at_start, at_end
+
+
+def _turned_normals(
+    profile: Float[np.ndarray, "corner 2"], steps: int, share: float
+) -> Float[np.ndarray, "end corner step 3"]:
+    """Normals at both ends of each edge of a profile, turned about z to that share of each step."""
+    radial, upward = np.moveaxis(np.stack(_profile_normals(profile)), -1, 0)
+    angles = 2 * np.pi * (np.arange(steps) + share) / steps
+    turned = np.empty((*radial.shape, steps, 3))
+    turned[..., 0] = radial[..., None] * np.cos(angles)
+    turned[..., 1] = radial[..., None] * np.sin(angles)
+    turned[..., 2] = upward[..., None]
+    return turned
+
+
+def _compact(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh:
+    used = np.zeros(len(vertices), bool)
+    used[faces] = True
+    return Mesh(vertices[used], (np.cumsum(used) - 1)[faces], normals)

@@ -1,0 +1,164 @@
+"""(recipe, seed, split, index) -> Simulated: draw scenes until one keeps all rules of its recipe."""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from datagen import shapes as shape_families
+from datagen.config import Recipe
+from datagen.errors import ImpossibleScene
+from datagen.physics import World
+from datagen.render import make_renderer
+from datagen.sampling import Rejected, sample_scene
+from datagen.scene import Scene, Trajectory
+from datagen.schema import SPLITS
+from datagen.shapes.shape import Shape
+
+_DENSEST = 0.6
+"""Share of a region that discs dropped at random places can fill before there is no place left."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A scene that keeps its recipe's rules, and what became of it."""
+
+    scene: Scene
+    shapes: tuple[Shape, ...]
+    trajectory: Trajectory
+    attempts: int
+    """Scenes drawn, this one included."""
+    rejections: dict[str, int]
+    """How many of them broke which rule."""
+
+
+def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulated:
+    """Scene `index` of a split, a pure function of its arguments and `DATA_VERSION`.
+
+    Raises:
+        ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws.
+        UsageError: PyBullet is not installed.
+    """
+    rng = np.random.default_rng([seed, SPLITS.index(split), index, 0])
+    part = recipe.for_scene(index)
+    check_room(part)
+    rejections: Counter[str] = Counter()
+    for attempt in range(1, recipe.attempts + 1):
+        try:
+            scene = sample_scene(part, rng, split, index)
+            shapes = tuple(shape_families.build(body.shape) for body in scene.bodies)
+            trajectory = _trajectory(part, scene, shapes)
+        except Rejected as rejection:
+            rejections[rejection.reason] += 1
+            continue
+        return Simulated(scene, shapes, trajectory, attempt, dict(rejections))
+    raise ImpossibleScene(_explain(part, split, index, rejections))
+
+
+def _trajectory(recipe: Recipe, scene: Scene, shapes: Sequence[Shape]) -> Trajectory:
+    with World(scene, shapes, recipe.physics) as world:
+        check_start(recipe, scene, shapes, world.start())
+        trajectory = world.run()
+    check_course(recipe, trajectory)
+    return trajectory
+
+
+def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Trajectory) -> None:
+    """Rules that frame 0 alone decides, the cheap ones first.
+
+    Raises:
+        Rejected: one of them is broken.
+    """
+    if np.min(start.contact_gap) < -recipe.physics.deepest_overlap:
+        raise Rejected("overlap")
+    _check_workspace(recipe, start)
+    if recipe.layout.placement == "touching":
+        for row, body in enumerate(scene.bodies):
+            if body.touches is not None and start.contact_gap[0, row + 1, body.touches + 1] > 0.001:
+                raise Rejected("unmet")
+    if not recipe.motion.moving and np.max(_surface_speed(start, shapes)) > recipe.motion.rest_speed:
+        raise Rejected("restless")
+    if np.min(visible_pixels(recipe, scene, shapes, start)) < recipe.least_visible_pixels:
+        raise Rejected("hidden")
+
+
+def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
+    """Rules about the whole clip.
+
+    Raises:
+        Rejected: one of them is broken.
+    """
+    _check_workspace(recipe, trajectory)
+    if recipe.video and recipe.motion.moving:
+        travel = np.sqrt(np.sum((trajectory.position[-1] - trajectory.position[0]) ** 2, axis=-1))
+        if np.max(travel) < recipe.motion.least_travel:
+            raise Rejected("still")
+    if recipe.layout.placement == "touching":
+        touching = trajectory.contact_gap[:, 1:, 1:] < recipe.motion.contact_gap
+        if np.max(np.mean(touching, axis=0)) < recipe.motion.contact_share:
+            raise Rejected("apart")
+
+
+def _check_workspace(recipe: Recipe, trajectory: Trajectory) -> None:
+    away = np.abs(trajectory.position[..., :2] - np.array(recipe.layout.center))
+    if not np.all(away < np.array(recipe.layout.workspace_half_extent)):
+        raise Rejected("left")
+
+
+def _surface_speed(start: Trajectory, shapes: Sequence[Shape]) -> np.ndarray:
+    """Upper bound of the speed of any surface point of each object in frame 0, m/s."""
+    linear = np.sqrt(np.sum(start.linear_velocity[0] ** 2, axis=-1))
+    angular = np.sqrt(np.sum(start.angular_velocity[0] ** 2, axis=-1))
+    return linear + angular * np.array([shape.radius for shape in shapes])
+
+
+def visible_pixels(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Trajectory) -> np.ndarray:
+    """Pixels that each object shows in frame 0 in its worst view."""
+    renderer = make_renderer("raster")
+    renderer.load(scene, shapes)
+    width, height = recipe.visibility_resolution
+    counts = []
+    for camera in scene.cameras:
+        image = renderer.render(start.world_from_object[0], camera, width, height)
+        counts.append(np.bincount(image.segmentation.ravel(), minlength=len(shapes) + 1)[1:])
+    return np.min(counts, axis=0)
+
+
+def check_room(recipe: Recipe) -> None:
+    """Refuse at once what cannot work: more objects than the region has room for.
+
+    Raises:
+        ImpossibleScene: says what would have to change.
+    """
+    objects, layout = recipe.objects, recipe.layout
+    length = np.mean(objects.sizes) if objects.sizes else np.mean(objects.size)
+    if layout.placement == "stacked":
+        return
+    room = _DENSEST * 4 * np.prod(layout.half_extent)
+    fits = int(room / (np.pi / 4 * (length + layout.gap) ** 2))
+    if objects.minimum > fits:
+        raise ImpossibleScene(
+            f"Recipe {recipe.name!r} wants at least {objects.minimum} objects of about {100 * length:.0f} cm in a region "
+            f"of {200 * layout.half_extent[0]:.0f} x {200 * layout.half_extent[1]:.0f} cm, which holds about {fits}; "
+            "lower --objects.minimum and --objects.maximum, lower --objects.size, or enlarge --layout.half-extent."
+        )
+
+
+_REMEDIES = {
+    "crowded": "no free place: lower --objects.maximum or enlarge --layout.half-extent",
+    "unsteady": "a group without shapes that lie steadily: name other --objects.categories",
+    "overlap": "objects overlap at the start: enlarge --layout.gap",
+    "left": "an object leaves the workspace: lower --motion.speed or enlarge --layout.workspace-half-extent",
+    "apart": "objects that should touch come apart: lower --motion.speed",
+    "unmet": "objects were not brought into contact: name other --objects.categories",
+    "restless": "objects do not come to rest: raise --physics.settle-seconds",
+    "hidden": "an object shows too few pixels: lower --least-visible-pixels or bring the camera closer",
+    "still": "nothing moves far enough: raise --motion.speed",
+}
+
+
+def _explain(recipe: Recipe, split: str, index: int, rejections: Counter[str]) -> str:
+    reasons = "; ".join(f"{count} times {_REMEDIES[reason]}" for reason, count in rejections.most_common())
+    return f"Recipe {recipe.name!r}, {split} scene {index}: no scene in {recipe.attempts} attempts. {reasons}."

@@ -1,0 +1,145 @@
+"""What a dataset is: the content of its `dataset.json`, decided before anything is made.
+
+The spec is a plain dict:
+    format_version, data_version, generator
+    recipe .......... every constant of the recipe; its `resolution` is the one that sampling judges visibility by
+    seed
+    resolution ...... width and height of the images, null where there are none
+    renderer ........ name and version, null where there are no images
+    rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
+    scenes_per_shard
+    splits .......... number of scenes of each split
+    spec_hash ....... SHA-256 of all this: the dataset's identity
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from datagen.errors import CorruptFile, UsageError
+from datagen.schema import DATA_VERSION, FORMAT_VERSION, GENERATOR, SPLITS
+
+SPEC_FILE = "dataset.json"
+MANIFEST_FILE = "manifest.json"
+CARD_FILE = "README.md"
+
+_MOST_SCENES_PER_SHARD = 64
+_MOST_BYTES_PER_SHARD = 2**30
+_BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
+
+Spec = dict[str, Any]
+
+
+def make_spec(
+    recipe: Mapping[str, Any],
+    *,
+    seed: int,
+    splits: Mapping[str, int],
+    resolution: tuple[int, int] | None,
+    renderer: Mapping[str, Any] | None,
+    rig: Mapping[str, Any] | None = None,
+) -> Spec:
+    """The spec of a dataset; `recipe` and `rig` as plain values."""
+    views = rig["views"] if rig else recipe["views"]
+    width, height = resolution or (0, 0)
+    scene_bytes = recipe["frames"] * views * width * height * _BYTES_PER_PIXEL
+    spec = {
+        "format_version": FORMAT_VERSION,
+        "data_version": DATA_VERSION,
+        "generator": GENERATOR,
+        "recipe": recipe,
+        "seed": seed,
+        "resolution": resolution,
+        "renderer": renderer,
+        "rig": rig,
+        "scenes_per_shard": max(1, min(_MOST_SCENES_PER_SHARD, _MOST_BYTES_PER_SHARD // max(1, scene_bytes))),
+        "splits": {name: int(splits.get(name, 0)) for name in SPLITS},
+    }
+    spec = json.loads(json.dumps(spec))
+    return {**spec, "spec_hash": _digest(spec)}
+
+
+def with_splits(spec: Spec, splits: Mapping[str, int]) -> Spec:
+    """The same settings with other numbers of scenes."""
+    changed = {key: value for key, value in spec.items() if key != "spec_hash"}
+    changed["splits"] = {name: int(splits.get(name, 0)) for name in SPLITS}
+    return {**changed, "spec_hash": _digest(changed)}
+
+
+def spec_text(spec: Spec) -> str:
+    """What stands in `dataset.json`."""
+    return json.dumps(spec, indent=2, allow_nan=False) + "\n"
+
+
+def settings_hash(spec: Spec) -> str:
+    """SHA-256 of what decides a scene: all but the numbers of scenes."""
+    return _digest({key: value for key, value in spec.items() if key not in ("splits", "spec_hash")})
+
+
+def _digest(values: Mapping[str, Any]) -> str:
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def split_sizes(scenes: int) -> dict[str, int]:
+    """N scenes as 80/10/10; of every ten, the second is a test and the third a validation scene, the others train.
+
+    Every size only grows with N, so that a dataset can be extended: 1 -> 1/0/0, 2 -> 1/0/1, 3 -> 1/1/1, 10 -> 8/1/1.
+    """
+    test, val = (scenes + 8) // 10, (scenes + 7) // 10
+    return {"train": scenes - val - test, "val": val, "test": test}
+
+
+def shard_name(split: str, number: int) -> str:
+    """File name of a split's shard."""
+    return f"{split}-{number:05d}.h5"
+
+
+def shard_ranges(scenes: int, per_shard: int) -> list[range]:
+    """Indices of the scenes of each shard of a split."""
+    return [range(start, min(start + per_shard, scenes)) for start in range(0, scenes, per_shard)]
+
+
+def read_spec(folder: Path) -> Spec:
+    """Read a dataset's spec.
+
+    Raises:
+        UsageError: the folder holds no dataset, or one of another format version.
+        CorruptFile: the file is damaged.
+    """
+    path = folder / SPEC_FILE
+    try:
+        spec = json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        raise UsageError(
+            f"{folder} holds no dataset: it has no {SPEC_FILE}; give a folder made by {GENERATOR}."
+        ) from None
+    except ValueError as error:
+        raise CorruptFile(
+            f"{path} is damaged ({error}); restore it, or make the dataset anew with --overwrite."
+        ) from None
+    if not isinstance(spec, dict) or spec.get("generator") != GENERATOR:
+        raise UsageError(f"{path} was not written by {GENERATOR}; give a folder made by it.")
+    if spec.get("format_version") != FORMAT_VERSION:
+        found = spec.get("format_version")
+        raise UsageError(f"{path} has format version {found}, this program reads {FORMAT_VERSION}; update the program.")
+    if spec.get("spec_hash") != _digest({key: value for key, value in spec.items() if key != "spec_hash"}):
+        raise CorruptFile(f"{path} was changed after it was written: its spec_hash does not fit; restore the original.")
+    return spec
+
+
+def differences(old: Spec, new: Spec) -> list[str]:
+    """The settings in which two specs differ, as `key: old -> new`; numbers of scenes do not count."""
+    ignored = ("splits", "spec_hash")
+    return _differences(
+        {k: v for k, v in old.items() if k not in ignored}, {k: v for k, v in new.items() if k not in ignored}, ""
+    )
+
+
+def _differences(old: Any, new: Any, where: str) -> list[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = [*old, *(key for key in new if key not in old)]
+        return [line for key in keys for line in _differences(old.get(key), new.get(key), f"{where}.{key}".lstrip("."))]
+    return [] if old == new else [f"{where}: {json.dumps(old)} -> {json.dumps(new)}"]

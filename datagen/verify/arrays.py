@@ -1,0 +1,136 @@
+"""Stored arrays against each other and against the scene's description."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+from jaxtyping import Integer
+
+from datagen import schema
+from datagen.scene import Body
+from datagen.shapes.shape import Shape
+from datagen.verify.case import Case
+from datagen.verify.finding import Finding
+
+RELATIVE = 1e-5
+"""Relative difference that rounding to float32 may leave."""
+
+Expected = Callable[[Body, Shape], object]
+
+DESCRIBED: dict[str, Expected] = {
+    "objects/category": lambda body, shape: body.category,
+    "objects/parameters": lambda body, shape: json.dumps(dataclasses.asdict(body.shape)),
+    "objects/motion": lambda body, shape: body.motion,
+    "objects/size": lambda body, shape: shape.size,
+    "objects/color": lambda body, shape: [body.material.color, body.material.color2],
+    "objects/pattern": lambda body, shape: body.material.pattern,
+    "objects/material": lambda body, shape: body.material.name,
+    "objects/roughness": lambda body, shape: body.material.roughness,
+    "objects/metalness": lambda body, shape: body.material.metalness,
+    "objects/mass": lambda body, shape: body.density * shape.volume,
+    "objects/inertia": lambda body, shape: body.density * shape.inertia,
+    "objects/friction": lambda body, shape: body.friction,
+    "objects/restitution": lambda body, shape: body.restitution,
+    "objects/symmetry": lambda body, shape: shape.symmetry,
+    "objects/minimum_box_center": lambda body, shape: shape.minimum_box.center,
+    "objects/minimum_box_rotation": lambda body, shape: shape.minimum_box.rotation,
+    "objects/minimum_box_size": lambda body, shape: shape.minimum_box.size,
+}
+"""What each stored field of an object must be."""
+
+
+def check_schema(record: Mapping[str, np.ndarray], groups: tuple[str, ...]) -> Iterator[Finding]:
+    """Names, dtypes, axes, padding and finiteness."""
+    try:
+        schema.validate(record, groups)
+    except schema.SchemaError as error:
+        yield Finding("schema", str(error))
+        return
+    count = int(record["objects/count"])
+    for name, array in record.items():
+        yield from _check_padding(name, array, count)
+        if array.dtype.kind == "f" and not np.all(np.isfinite(array) | ((name == "contacts/gap") & (array > 0))):
+            yield Finding("schema", f"{name} holds values that are not finite")
+
+
+def _check_padding(name: str, array: np.ndarray, count: int) -> Iterator[Finding]:
+    used = {"object": count, "object+1": count + 1}
+    for axis, kind in enumerate(schema.FIELDS[name].axes):
+        if kind not in used:
+            continue
+        padding = np.moveaxis(array, axis, 0)[used[kind] :]
+        if np.any(padding != (np.inf if name == "contacts/gap" else np.zeros((), array.dtype))):
+            yield Finding("schema", f"{name} is not empty beyond its {used[kind]} rows in use")
+
+
+def check_description(case: Case) -> Iterator[Finding]:
+    """Stored facts of cameras, lights and objects are those of the description."""
+    record, scene = case.record, case.scene
+    yield from _equal(record, "objects/count", case.count)
+    yield from _equal(record, "camera/world_from_camera", [camera.world_from_camera for camera in scene.cameras])
+    yield from _check_k(case)
+    yield from _equal(record, "lights/direction", [light.direction for light in scene.lights])
+    yield from _equal(record, "lights/radiance", [light.radiance for light in scene.lights])
+    yield from _equal(record, "lights/ambient", scene.ambient)
+    for name, expected in DESCRIBED.items():
+        rows = [expected(body, shape) for body, shape in zip(scene.bodies, case.shapes, strict=True)]
+        yield from _equal({name: record[name][: case.count]}, name, rows)
+
+
+def _check_k(case: Case) -> Iterator[Finding]:
+    if "camera/K" in case.record:
+        height, width = case.record["segmentation"].shape[2:]
+        yield from _equal(case.record, "camera/K", [camera.k(width, height) for camera in case.scene.cameras])
+
+
+def _equal(record: Mapping[str, np.ndarray], name: str, expected: object) -> Iterator[Finding]:
+    stored = record[name]
+    if stored.dtype.kind == "S":
+        equal = [text.decode() for text in stored.ravel().tolist()] == np.ravel(np.asarray(expected)).tolist()
+    else:
+        wanted = np.asarray(expected, np.float64)
+        scale = np.max(np.abs(wanted), initial=1e-30)
+        equal = stored.shape == wanted.shape and bool(np.all(np.abs(stored - wanted) <= RELATIVE * scale))
+    if not equal:
+        yield Finding("description", f"{name} is not what scene/description says")
+
+
+def check_counts(case: Case) -> Iterator[Finding]:
+    """Visible pixels, fractions and 2D boxes are those of the segmentation."""
+    record = case.record
+    visible, amodal = record["visibility/visible_pixels"], record["visibility/amodal_pixels"]
+    fraction = np.where(amodal > 0, visible / np.maximum(amodal, 1), 0)
+    if np.any(np.abs(fraction - record["visibility/visible_fraction"]) > 1e-6):
+        yield Finding("counts", "visibility/visible_fraction is not visible_pixels over amodal_pixels")
+    for frame, view in case.images:
+        labels = case.segmentation(frame, view)
+        counted = np.bincount(labels.ravel(), minlength=256)[1 : visible.shape[2] + 1]
+        if np.any(counted != visible[frame, view]):
+            message = f"stored {visible[frame, view].tolist()}, counted {counted.tolist()} visible pixels"
+            yield Finding("counts", message, frame=frame, view=view)
+        if np.any(visible[frame, view] > amodal[frame, view]):
+            yield Finding("counts", "an object shows more pixels than it would alone", frame=frame, view=view)
+        boxes = np.array([tight_box(labels == row + 1) for row in range(visible.shape[2])])
+        if np.any(boxes != record["boxes/box_2d"][frame, view]):
+            yield Finding("counts", "boxes/box_2d are not the boxes of the ids", frame=frame, view=view)
+
+
+def tight_box(mask: np.ndarray) -> Integer[np.ndarray, "4"]:
+    """x0 y0 x1 y1 of a mask, ends exclusive; zeros for an empty one."""
+    columns, rows = np.flatnonzero(np.any(mask, axis=0)), np.flatnonzero(np.any(mask, axis=1))
+    if not len(rows):
+        return np.zeros(4, int)
+    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
+
+
+def check_sensor(case: Case) -> Iterator[Finding]:
+    """Sensor depth is there where it is valid, only where there is something to see, and about right."""
+    record = case.record
+    depth, sensed, valid = record["depth"], record["sensor_depth"], record["sensor_valid"].astype(bool)
+    if np.any(valid != (sensed > 0)):
+        yield Finding("sensor", "sensor_valid is not where sensor_depth is positive")
+    if np.any(valid & (depth == 0)):
+        yield Finding("sensor", "the sensor returns depth where there is nothing")
+    elif np.any(valid) and abs(np.median(sensed[valid].astype(float) / depth[valid]) - 1) > 0.01:
+        yield Finding("sensor", "the median of sensor_depth is more than 1 % off depth")

@@ -1,0 +1,43 @@
+"""All checks of one scene."""
+
+from collections.abc import Callable, Iterator, Mapping
+
+import numpy as np
+
+from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
+from datagen.verify.bodies import check_boxes, check_overlap, check_poses
+from datagen.verify.case import Case, make_case
+from datagen.verify.finding import Finding
+from datagen.verify.pixels import check_order, check_surfaces, check_table
+from datagen.verify.views import check_views
+
+Check = Callable[[Case], Iterator[Finding]]
+
+CHECKS: dict[str, tuple[Check, ...]] = {
+    "simulation": (check_description, check_poses, check_overlap),
+    "pixels": (check_counts, check_boxes, check_surfaces, check_table, check_order, check_views),
+    "sensor": (check_sensor,),
+}
+"""What is checked, by the group of fields that it needs."""
+
+
+def verify_record(record: Mapping[str, np.ndarray], groups: tuple[str, ...]) -> list[Finding]:
+    """All contradictions within one scene's arrays; `groups` are those of `schema.Field.group` that must be there."""
+    if findings := list(check_schema(record, groups)):
+        return findings
+    try:
+        case = make_case(record)
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        return [Finding("description", f"cannot be built: {type(error).__name__} {error}")]
+    if case.count != record["objects/count"]:
+        message = f"objects/count is {record['objects/count']}, scene/description has {case.count} bodies"
+        return [Finding("description", message)]
+    return [finding for group in groups for check in CHECKS[group] for finding in _findings(check, case)]
+
+
+def _findings(check: Check, case: Case) -> list[Finding]:
+    # Damaged numbers, such as a singular camera matrix, must not hide what else is wrong with a dataset.
+    try:
+        return list(check(case))
+    except (ValueError, IndexError, ArithmeticError) as error:
+        return [Finding(check.__name__, f"cannot be checked: {type(error).__name__} {error}")]

@@ -1,0 +1,56 @@
+"""Rays against exact solids: sphere tracing (Hart 1996, The Visual Computer 12)."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.shapes.shape import OrientedBox
+
+STEPS = 128
+"""Rays that are undecided after so many steps only graze the surface."""
+
+LEAST_STEP = 5e-5
+"""Metres; keeps a ray moving where the distance vanishes."""
+
+SignedDistance = Callable[[Float[np.ndarray, "point 3"]], Float[np.ndarray, "point"]]
+
+
+def trace(
+    signed_distance: SignedDistance,
+    origins: Float[np.ndarray, "ray 3"],
+    directions: Float[np.ndarray, "ray 3"],
+    near: Float[np.ndarray, "ray"],
+    far: Float[np.ndarray, "ray"],
+    depth_inside: float,
+) -> tuple[Float[np.ndarray, "ray"], Float[np.ndarray, "ray"]]:
+    """Where each ray first lies `depth_inside` metres below the surface, and its least signed distance until there.
+
+    The first is in units of the ray's direction, inf for rays that never do between `near` and `far` (same units).
+    """
+    hit, closest = np.full(len(near), np.inf), np.full(len(near), np.inf)
+    t, active = near.copy(), np.flatnonzero(near <= far)
+    speed = np.sqrt(np.sum(directions**2, axis=1))
+    for _ in range(STEPS):
+        if not len(active):
+            break
+        distance = signed_distance(origins[active] + t[active, None] * directions[active])
+        closest[active] = np.minimum(closest[active], distance)
+        inside = distance <= -depth_inside
+        hit[active[inside]] = t[active[inside]]
+        t[active] += np.maximum(distance + depth_inside, LEAST_STEP) / speed[active]
+        active = active[~inside & (t[active] <= far[active])]
+    return hit, closest
+
+
+def clip_to_box(
+    box: OrientedBox, origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"], margin: float
+) -> tuple[Float[np.ndarray, "ray"], Float[np.ndarray, "ray"]]:
+    """Where rays enter and leave a box that is `margin` metres larger on every side; those that miss leave first."""
+    local_origins = (origins - box.center) @ box.rotation
+    local_directions = directions @ box.rotation
+    half = 0.5 * box.size + margin
+    safe = np.where(np.abs(local_directions) > 1e-12, local_directions, 1e-12)
+    first, second = (-half - local_origins) / safe, (half - local_origins) / safe
+    near = np.max(np.minimum(first, second), axis=1)
+    return np.maximum(near, 0.0), np.min(np.maximum(first, second), axis=1)

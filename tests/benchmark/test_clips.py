@@ -1,0 +1,44 @@
+import dataclasses
+import json
+from pathlib import Path
+
+import jaxtyping
+import numpy as np
+import pytest
+from fabricated import write_dataset
+
+from benchmark.clips import ClipSequence, read_truth
+from benchmark.interface import Clip
+from datagen import config, schema, spec, storage
+from datagen.errors import UsageError
+
+
+def test_clips_hold_what_cameras_saw_and_no_labels(tmp_path: Path):
+    scenes = storage.Dataset(write_dataset(tmp_path / "data", views=2)).split("val")
+    clips = ClipSequence(scenes)
+    assert len(clips) == len(clips[:]) == 3
+    record, clip = scenes[1], clips[1]
+    assert {field.name for field in dataclasses.fields(Clip)} == {"rgb", "depth", "valid", "k", "world_from_camera"}
+    np.testing.assert_array_equal(clip.rgb, record["rgb"])
+    np.testing.assert_array_equal(clip.depth, schema.decode_depth(record["depth"]))
+    np.testing.assert_array_equal(clip.k, record["camera/K"])
+    np.testing.assert_array_equal(clip.world_from_camera, record["camera/world_from_camera"])
+    assert clip.valid.all()
+    np.testing.assert_array_equal(read_truth(scenes, 1), record["segmentation"])
+
+
+def test_a_sensors_depth_is_what_is_seen(tmp_path: Path):
+    scenes = storage.Dataset(write_dataset(tmp_path / "data", sensor=True)).split("val")
+    record, clip = scenes[0], ClipSequence(scenes)[0]
+    np.testing.assert_array_equal(clip.depth, schema.decode_depth(record["sensor_depth"]))
+    np.testing.assert_array_equal(clip.valid, record["sensor_valid"] > 0)
+
+
+def test_scenes_without_images_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # The type checker looks into sequences, and would miss the scenes before the program does.
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    recipe = config.recipe_to_dict(config.Recipe())
+    facts = spec.make_spec(recipe, seed=0, splits={"train": 1}, resolution=None, renderer=None)
+    (tmp_path / spec.SPEC_FILE).write_text(json.dumps(facts))
+    with pytest.raises(UsageError, match="holds no images"):
+        ClipSequence(storage.Dataset(tmp_path).split("train"))

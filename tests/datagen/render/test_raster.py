@@ -1,0 +1,268 @@
+"""The rasteriser against exact surfaces, against itself, and what light does to its pictures."""
+
+import dataclasses
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rays import surface_distance, table_depth, trace
+from tabletop import ABOVE_LEFT, FILL, FRONT, body, poses, render, scene, six_objects
+
+from datagen.geometry import pixel_rays, rigid
+from datagen.render.raster import RasterRenderer
+from datagen.scene import Camera, Material, Table
+from datagen.shapes import build
+
+TENTH = 1e-4
+"""Metres: the promised accuracy."""
+
+LOW = Camera((-0.3, -0.4, 0.15), (0.3, 0.0, 0.05), np.radians(50))
+NEAR = Camera((0.55, -0.2, 0.3), (0.3, 0.0, 0.04), np.radians(70))
+VIEWS = [(FRONT, 128, 128), (FRONT, 320, 240), (LOW, 64, 64), (NEAR, 97, 61)]
+
+
+@pytest.fixture(scope="module")
+def raster() -> RasterRenderer:
+    return RasterRenderer()
+
+
+@pytest.mark.parametrize(("camera", "width", "height"), VIEWS)
+def test_depth_lies_within_a_tenth_of_a_millimetre_of_the_true_surface(raster, camera, width, height):
+    made = six_objects(np.random.default_rng(width))
+    image = render(raster, made, camera, width, height)
+    assert np.unique(image.segmentation).tolist() == list(range(7))
+    assert surface_distance(made, image, camera).max() < TENTH
+
+
+@pytest.mark.parametrize(("camera", "width", "height"), VIEWS)
+def test_the_tables_depth_is_exact_and_ends_where_the_table_ends(raster, camera, width, height):
+    made = scene(table=Table(0.5, Material("table", (0.5, 0.5, 0.5))))
+    image = render(raster, made, camera, width, height)
+    rays = pixel_rays(camera.k(width, height), width, height)
+    np.testing.assert_allclose(image.depth, table_depth(made, camera, rays), rtol=1e-6)
+    assert (image.depth > 0).any()
+    assert (image.depth == 0).any()
+    assert not image.segmentation.any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ids_name_the_first_surface_along_each_ray(raster, seed):
+    made = six_objects(np.random.default_rng(seed))
+    ids, depth, sure = trace(made, FRONT, 64, 64)
+    image = render(raster, made)
+    assert sure.mean() > 0.95
+    np.testing.assert_array_equal(image.segmentation[sure], ids[sure])
+    # A tenth of a millimetre along the normal is more along a grazing ray.
+    assert np.quantile(np.abs(image.depth - depth)[sure & (ids > 0)], 0.98) < 2 * TENTH
+
+
+def test_amodal_pixels_are_those_that_each_object_shows_alone(raster):
+    made = six_objects(np.random.default_rng(5))
+    image = render(raster, made, LOW)
+    visible = np.bincount(image.segmentation.ravel(), minlength=7)[1:]
+    alone = []
+    for one in made.bodies:
+        alone.append(np.count_nonzero(render(raster, dataclasses.replace(made, bodies=(one,)), LOW).segmentation))
+    assert image.amodal_pixels.tolist() == alone
+    assert np.all(image.amodal_pixels >= visible)
+    assert np.any(image.amodal_pixels > visible)
+
+
+def test_turning_camera_and_objects_together_about_z_changes_neither_depth_nor_ids(raster):
+    made = six_objects(np.random.default_rng(1))
+    # On a table that is large enough to end outside of the picture either way.
+    made = dataclasses.replace(made, table=Table(6.0, made.table.material))
+    turn = rigid(np.zeros(3), np.array([np.cos(0.4), 0.0, 0.0, np.sin(0.4)]))
+    x, y, z = turn[:3, :3] @ FRONT.position
+    a, b, c = turn[:3, :3] @ FRONT.target
+    before = render(raster, made)
+    after = raster.render(turn @ poses(made), Camera((x, y, z), (a, b, c), FRONT.field_of_view), 64, 64)
+    np.testing.assert_array_equal(after.segmentation, before.segmentation)
+    np.testing.assert_array_equal(after.amodal_pixels, before.amodal_pixels)
+    np.testing.assert_allclose(after.depth, before.depth, rtol=1e-6)
+
+
+def test_a_wider_picture_extends_a_narrow_one_of_the_same_camera(raster):
+    made = six_objects()
+    wide = render(raster, made, FRONT, 320, 240)
+    middle = dataclasses.replace(FRONT, field_of_view=2 * np.arctan(0.5 * np.tan(np.radians(20))))
+    narrow = render(raster, made, middle, 160, 120)
+    np.testing.assert_array_equal(narrow.segmentation, wide.segmentation[60:180, 80:240])
+    np.testing.assert_allclose(narrow.depth, wide.depth[60:180, 80:240], rtol=1e-6)
+
+
+def test_what_sinks_into_the_table_is_hidden_by_it(raster):
+    image = render(raster, scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, -0.02))))
+    whole = render(raster, scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.08))))
+    assert 0 < np.count_nonzero(image.segmentation) < 0.7 * image.amodal_pixels[0]
+    assert np.count_nonzero(whole.segmentation) == whole.amodal_pixels[0]
+    rays = pixel_rays(FRONT.k(64, 64), 64, 64)
+    assert np.all(image.depth <= table_depth(scene(), FRONT, rays) * (1 + 1e-6))
+
+
+def test_an_object_around_or_behind_the_camera_corrupts_nothing(raster):
+    around = body("box", {"size": [0.3, 0.3, 0.3]}, FRONT.position)
+    behind = body("sphere", {"radius": 0.05}, (2.0, 0.0, 1.6))
+    beside = body("box", {"size": [1.6, 0.02, 0.02]}, (0.4, 0.12, 0.6), (0.9, 0.0, 0.43, 0.0))
+    ball = body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.06))
+    alone, crowded = render(raster, scene(ball)), render(raster, scene(ball, around, behind, beside))
+    assert crowded.amodal_pixels[0] == alone.amodal_pixels[0]
+    assert crowded.amodal_pixels[2] == 0
+    kept = crowded.segmentation == alone.segmentation
+    np.testing.assert_array_equal(crowded.depth[kept], alone.depth[kept])
+    assert surface_distance(scene(ball, around, behind, beside), crowded, FRONT).max() < TENTH
+    assert set(np.unique(crowded.segmentation)) <= {0, 1, 4}
+
+
+def test_an_empty_scene_is_table_and_backdrop(raster):
+    image = render(raster, scene(), LOW)
+    assert image.amodal_pixels.shape == (0,)
+    assert not image.segmentation.any()
+    backdrop = np.rint(255 * np.array(scene().backdrop))
+    assert np.abs(image.rgb[image.depth == 0][::7] - backdrop).max() <= 40
+    assert np.median(np.abs(image.rgb[image.depth == 0] - backdrop)) <= 1
+
+
+def test_a_shadow_darkens_the_table_and_nothing_gets_darker_without_it(raster):
+    made = scene(body("box", {"size": [0.06, 0.06, 0.1]}, (0.28, 0.0, 0.05)))
+    bare = dataclasses.replace(made, lights=(dataclasses.replace(ABOVE_LEFT, casts_shadow=False), FILL))
+    with_shadow, without = render(raster, made, width=128, height=128), render(raster, bare, width=128, height=128)
+    change = without.rgb.astype(int) - with_shadow.rgb
+    assert change.min() >= 0
+    table = change.min(axis=-1)[with_shadow.segmentation == 0]
+    assert np.count_nonzero(table > 20) > 60
+    assert np.mean(table == 0) > 0.9
+
+
+def test_a_shadow_lies_where_the_light_is_hidden(raster):
+    made = scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.2)))
+    sharp = dataclasses.replace(made, lights=(dataclasses.replace(ABOVE_LEFT, angular_radius=0.0),))
+    bare = dataclasses.replace(sharp, lights=(dataclasses.replace(ABOVE_LEFT, casts_shadow=False),))
+    dark = (render(raster, bare, width=128, height=128).rgb.astype(int) - render(raster, sharp, width=128, height=128).rgb).sum(-1)
+    rays = pixel_rays(FRONT.k(128, 128), 128, 128)
+    pose = FRONT.world_from_camera
+    points = rays * table_depth(made, FRONT, rays)[..., None] @ pose[:3, :3].T + pose[:3, 3]
+    light = np.array(ABOVE_LEFT.direction) / np.sqrt(np.sum(np.square(ABOVE_LEFT.direction)))
+    toward = np.array([0.28, 0.0, 0.2]) - points
+    miss = np.sqrt(np.sum(np.square(toward - (toward @ light)[..., None] * light), axis=-1))
+    table = (render(raster, made, width=128, height=128).segmentation == 0) & (points[..., 2] < 1e-6)
+    assert dark[table & (miss < 0.045)].min() > 30
+    assert dark[table & (miss > 0.058)].max() == 0
+
+
+def test_a_wider_light_casts_a_softer_shadow(raster):
+    widths = []
+    for radius in (0.2, 6.0):
+        light = dataclasses.replace(ABOVE_LEFT, angular_radius=np.radians(radius))
+        ball = body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.2))
+        image = render(raster, scene(ball, lights=(light,)), width=128, height=128)
+        bare = render(raster, scene(ball, lights=(dataclasses.replace(light, casts_shadow=False),)), width=128, height=128)
+        loss = (bare.rgb.astype(float) - image.rgb).sum(-1)
+        widths.append(np.count_nonzero((loss > 0.1 * loss.max()) & (loss < 0.9 * loss.max())))
+    assert widths[1] > 2 * widths[0]
+
+
+@pytest.mark.parametrize("elevation", [20, 50, 85])
+def test_a_convex_object_casts_no_shadow_on_its_lit_side(raster, elevation):
+    x, z = np.cos(np.radians(elevation)), np.sin(np.radians(elevation))
+    light = dataclasses.replace(ABOVE_LEFT, direction=(x, 0.0, z))
+    for family, parameters in (("sphere", {"radius": 0.08}), ("box", {"size": [0.1, 0.1, 0.1]})):
+        made = scene(body(family, parameters, (0.28, 0.0, 0.1)), lights=(light,))
+        bare = dataclasses.replace(made, lights=(dataclasses.replace(light, casts_shadow=False),))
+        mine = render(raster, made, width=128, height=128)
+        change = render(raster, bare, width=128, height=128).rgb.astype(int) - mine.rgb
+        assert np.abs(change[mine.segmentation == 1]).max() <= 2
+
+
+def test_brightness_on_a_lit_sphere_has_no_steps(raster):
+    plain = body("sphere", {"radius": 0.12}, (0.28, 0.0, 0.15), roughness=1.0)
+    image = render(raster, scene(plain), width=128, height=128)
+    inside = image.segmentation == 1
+    inside[1:-1, 1:-1] &= inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]
+    brightness = image.rgb.sum(-1).astype(int)
+    bend = brightness[:, 2:] - 2 * brightness[:, 1:-1] + brightness[:, :-2]
+    whole = inside[:, 2:] & inside[:, 1:-1] & inside[:, :-2]
+    assert np.abs(bend[whole]).max() <= 12
+
+
+def test_edges_are_blended_between_the_two_colours(raster):
+    made = scene(body("box", {"size": [0.1, 0.1, 0.1]}, (0.28, 0.0, 0.051)), lights=(), ambient=(1.0, 1.0, 1.0))
+    image = render(raster, made, width=128, height=128)
+    object_color = np.median(image.rgb[image.segmentation == 1], axis=0)
+    green = image.rgb[..., 1].astype(int)
+    between = (green > object_color[1] + 25) & (green < np.median(green) - 25)
+    edge = image.segmentation.astype(int)
+    assert np.count_nonzero(between) > 0.5 * np.count_nonzero(np.abs(np.diff(edge, axis=0)))
+
+
+@pytest.mark.parametrize("pattern", ["two-tone", "checker", "stripes", "noise", "wood", "dots"])
+def test_every_pattern_shows_both_colours_on_objects_and_table(raster, pattern):
+    look = {"color": (0.9, 0.1, 0.1), "color2": (0.1, 0.1, 0.9), "pattern": pattern, "period": 0.03, "axis": (1.0, 0.0, 0.0)}
+    table = Table(1.2, Material("table", **look))
+    for made in (scene(body("sphere", {"radius": 0.08}, (0.28, 0.0, 0.09), **look)), scene(table=table)):
+        image = render(raster, made, Camera((0.6, 0.0, 0.5), (0.2, 0.0, 0.0), np.radians(40)), 128, 128)
+        shown = image.rgb[image.segmentation == len(made.bodies)].astype(int)
+        assert np.count_nonzero(shown[:, 0] > shown[:, 2] + 40) > 0.1 * len(shown)
+        assert np.count_nonzero(shown[:, 2] > shown[:, 0] + 40) > 0.03 * len(shown)
+
+
+def test_the_light_can_be_turned_around(raster):
+    x, y, z = ABOVE_LEFT.direction
+    turned = dataclasses.replace(ABOVE_LEFT, direction=(-x, -y, z))
+    one, other = render(raster, six_objects()), render(raster, dataclasses.replace(six_objects(), lights=(turned,)))
+    assert np.mean(one.rgb != other.rgb) > 0.1
+    np.testing.assert_array_equal(one.depth, other.depth)
+
+
+def test_metal_is_not_rubber(raster):
+    ball = ("sphere", {"radius": 0.08}, (0.28, 0.0, 0.09))
+    metal = render(raster, scene(body(*ball, metalness=1.0, roughness=0.15)))
+    rubber = render(raster, scene(body(*ball, metalness=0.0, roughness=0.7)))
+    inside = rubber.segmentation == 1
+    assert metal.rgb[inside].astype(float).std(0).max() > 1.5 * rubber.rgb[inside].astype(float).std(0).max()
+
+
+def test_an_image_does_not_depend_on_what_was_rendered_before(raster):
+    fresh = render(RasterRenderer(), six_objects(), width=96, height=64)
+    render(raster, six_objects(np.random.default_rng(9)), LOW, 96, 64)
+    render(raster, scene(), NEAR, 64, 96)
+    used = render(raster, six_objects(), width=96, height=64)
+    for name in ("rgb", "depth", "segmentation", "amodal_pixels"):
+        np.testing.assert_array_equal(getattr(used, name), getattr(fresh, name))
+
+
+def test_images_own_their_memory(raster):
+    first = render(raster, six_objects())
+    kept = first.rgb.copy()
+    raster.render(poses(six_objects()) @ rigid(np.array([0.0, 0.0, 0.1]), np.array([1.0, 0.0, 0.0, 0.0])), FRONT, 64, 64)
+    np.testing.assert_array_equal(first.rgb, kept)
+
+
+def test_a_fresh_process_gives_the_same_bits(raster):
+    program = "from test_raster import digest; print(digest())"
+    here = Path(__file__).parent
+    paths = [str(here), str(here.parents[1]), str(here.parents[2])]
+    code = f"import sys; sys.path[:0] = {paths}; {program}"
+    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == digest()
+
+
+def digest() -> str:
+    """Hash of everything that one image holds."""
+    image = render(RasterRenderer(), six_objects(), width=96, height=72)
+    arrays = (image.rgb, image.depth, image.segmentation, image.amodal_pixels)
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+
+def test_shapes_and_poses_follow_the_rows_of_bodies(raster):
+    made = six_objects()
+    raster.load(made, [build(b.shape) for b in made.bodies])
+    moved = poses(made)
+    moved[2, :3, 3] += (0.0, 0.0, 0.05)
+    before, after = raster.render(poses(made), FRONT, 64, 64), raster.render(moved, FRONT, 64, 64)
+    changed = np.unique(np.stack([before.segmentation, after.segmentation])[:, before.segmentation != after.segmentation])
+    assert 3 in changed
+    assert np.count_nonzero((before.segmentation == 1) != (after.segmentation == 1)) < 20

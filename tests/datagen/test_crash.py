@@ -1,0 +1,151 @@
+"""Whatever ends a run, running it again completes the dataset as if nothing had happened."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK
+from tests.small import FLAGS, ROOT, hashes, make
+
+SIZES = {"train": 4, "val": 2, "test": 2}
+SPLIT = "train=4,val=2,test=2"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    make(folder, SIZES)
+    return hashes(folder)
+
+
+def start(folder: Path, *flags: object, limit: int | None = None) -> subprocess.Popen[str]:
+    """The command in a process group of its own, as a terminal would start it; no file may grow beyond `limit`."""
+    program = (
+        "import resource, sys; from datagen.cli import main\n"
+        f"limit = {limit}\n"
+        "if limit: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))\n"
+        "sys.exit(main())"
+    )
+    arguments = (*FLAGS, "--split", SPLIT, "--out", folder, *flags)
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "300"},
+    )
+
+
+def finish(folder: Path, *flags: object) -> None:
+    process = start(folder, *flags)
+    _, errors = process.communicate()
+    assert process.returncode == EXIT_OK, errors
+
+
+def wait_for(folder: Path, pattern: str) -> None:
+    deadline = time.monotonic() + 60
+    while not list(folder.glob(pattern)):
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def descendants(process: int) -> Iterator[int]:
+    for task in Path(f"/proc/{process}/task").glob("*/children"):
+        for child in map(int, task.read_text().split()):
+            yield child
+            yield from descendants(child)
+
+
+def command_line(process: int) -> bytes:
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def test_a_killed_run_is_completed_and_its_workers_do_not_outlive_it(tmp_path, whole):
+    process = start(tmp_path, "--workers", 2)
+    wait_for(tmp_path, "train-*.h5")
+    workers = {child: command_line(child) for child in descendants(process.pid)}
+    assert len(workers) >= 2
+    process.kill()
+    process.communicate()
+    deadline = time.monotonic() + 20
+    while any(line and command_line(child) == line for child, line in workers.items()):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    finish(tmp_path, "--workers", 1)
+    assert hashes(tmp_path) == whole
+
+
+def test_an_interrupted_run_says_so_in_one_line_and_can_be_completed(tmp_path, whole):
+    process = start(tmp_path, "--workers", 2)
+    wait_for(tmp_path, "train-*.h5")
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate()
+    assert process.returncode == EXIT_INTERRUPTED
+    assert "Interrupted" in errors.splitlines()[-1]
+    assert "Traceback" not in errors
+    assert not list(tmp_path.glob("*.partial*"))
+    finish(tmp_path, "--workers", 1)
+    assert hashes(tmp_path) == whole
+
+
+def test_a_full_disk_is_one_line_and_leaves_finished_shards_intact(tmp_path, whole):
+    sizes = ("--split", "val=4,train=1")
+    process = start(tmp_path, "--workers", 1, *sizes, limit=60_000)
+    _, errors = process.communicate()
+    assert process.returncode == EXIT_INCOMPLETE
+    assert "Cannot write" in errors.splitlines()[-1]
+    assert "Traceback" not in errors
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset.json", "train-00000.h5"]
+    finish(tmp_path, "--workers", 1)
+    assert hashes(tmp_path)["train"] == whole["train"]
+
+
+def test_a_worker_that_is_killed_is_one_line_and_the_run_can_be_completed(tmp_path, whole):
+    process = start(tmp_path, "--workers", 2)
+    wait_for(tmp_path, "train-*.h5")
+    for child in descendants(process.pid):
+        if b"LokyProcess" in command_line(child) or b"loky" in command_line(child):
+            os.kill(child, signal.SIGKILL)
+            break
+    _, errors = process.communicate()
+    if process.returncode != EXIT_OK:  # it had made its last scene before
+        assert process.returncode == EXIT_INCOMPLETE
+        assert "worker process died" in errors.splitlines()[-1]
+    finish(tmp_path, "--workers", 1)
+    assert hashes(tmp_path) == whole
+
+
+@pytest.mark.slow
+def test_twenty_random_kills_lose_and_double_no_scene(tmp_path, whole):
+    chance = random.Random(0)
+    unbroken = time.monotonic()
+    finish(tmp_path / "timed", "--workers", 2)
+    unbroken = time.monotonic() - unbroken
+    folder, kills = tmp_path / "killed", 0
+    while kills < 20:
+        before = {path.name: path.stat().st_ino for path in folder.glob("*.h5")}
+        process = start(folder, "--workers", 2, *(["--overwrite"] if len(before) == 3 else []))
+        try:
+            process.communicate(timeout=chance.uniform(0.1, 1.0) * unbroken)
+        except subprocess.TimeoutExpired:
+            os.kill(process.pid, signal.SIGKILL)
+            process.communicate()
+            kills += 1
+        after = {path.name: path.stat().st_ino for path in folder.glob("*.h5")}
+        if len(before) < 3:
+            assert before.items() <= after.items()
+    finish(folder, "--workers", 2)
+    assert hashes(folder) == whole
+    assert not list(folder.glob("*.partial*"))

@@ -1,0 +1,72 @@
+import pytest
+
+from datagen import options
+from datagen.errors import UsageError
+
+
+def test_sizes_are_width_by_height():
+    assert options.parse_resolution("320x240") == (320, 240)
+
+
+@pytest.mark.parametrize("text", ["64", "64x", "x64", "64x64x3", "-64x64", "0x0", "7x64", "64x99999", "64 x 64", ""])
+def test_a_bad_size_says_what_was_expected(text: str):
+    with pytest.raises(UsageError, match="--resolution"):
+        options.parse_resolution(text)
+
+
+def test_splits_come_from_one_number_or_from_names():
+    assert options.parse_splits(10, None) == {"train": 8, "val": 1, "test": 1}
+    assert options.parse_splits(None, "train=2000,val=100,test=300") == {"train": 2000, "val": 100, "test": 300}
+    assert options.parse_splits(None, "test=3") == {"test": 3}
+
+
+@pytest.mark.parametrize(
+    ("scenes", "split"),
+    [
+        (None, None),
+        (10, "train=1"),
+        (0, None),
+        (-3, None),
+        (None, "train=-1"),
+        (None, "train"),
+        (None, "train=1,"),
+        (None, "train=1,,val=2"),
+        (None, "train=1 val=2"),
+        (None, "train=1,train=2"),
+        (None, "training=5"),
+        (None, "train=0"),
+        (None, ""),
+    ],
+)
+def test_bad_splits_say_what_was_expected(scenes, split):
+    with pytest.raises(UsageError, match="--s"):
+        options.parse_splits(scenes, split)
+
+
+def test_shares_count_from_zero():
+    assert options.parse_share(None) == (0, 1)
+    assert options.parse_share("3/4") == (3, 4)
+
+
+@pytest.mark.parametrize("text", ["4/4", "3/2", "-1/2", "1", "0/0", "a/b", ""])
+def test_a_bad_share_says_what_was_expected(text: str):
+    with pytest.raises(UsageError, match="i/n"):
+        options.parse_share(text)
+
+
+def test_workers_default_to_the_cores():
+    assert options.parse_workers(None) >= 1
+    assert options.parse_workers(3) == 3
+    with pytest.raises(UsageError, match="--workers 0"):
+        options.parse_workers(0)
+
+
+def test_the_recipe_follows_from_video_where_none_is_named():
+    assert options.choose_recipe(None, video=True).name == "moving"
+    assert options.choose_recipe(None, video=False).name == "static"
+    assert options.choose_recipe("noisy", video=True).name == "noisy"
+
+
+def test_stills_and_video_contradict_each_other():
+    with pytest.raises(UsageError, match="--video contradicts --recipe static"):
+        options.choose_recipe("static", video=True)

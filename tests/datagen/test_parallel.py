@@ -1,0 +1,68 @@
+import os
+import time
+from contextlib import closing
+from dataclasses import dataclass
+
+import pytest
+
+from datagen.errors import DatagenError, UsageError
+from datagen.parallel import make_all
+from datagen.shard import PackedScene
+
+SCENES = [("train", index) for index in range(12)]
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Scenes whose hash says which they are and where they were made; some take longer, one is fatal."""
+
+    fatal: int = -1
+    wrong: int = -1
+
+    def __call__(self, split: str, index: int) -> PackedScene:
+        if index == self.fatal:
+            os._exit(9)
+        if index == self.wrong:
+            raise UsageError(f"scene {index} is impossible")
+        time.sleep(0.02 * (index % 3))
+        return PackedScene({}, {}, f"{split} {index} {os.getpid()}")
+
+
+def places(scenes) -> list[str]:
+    return [scene.hash.rpartition(" ")[0] for scene in scenes]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 50])
+def test_scenes_come_in_their_order(workers: int):
+    assert places(make_all(Maker(), SCENES, workers)) == [f"train {index}" for index in range(12)]
+
+
+def test_two_workers_both_work():
+    processes = {scene.hash.rpartition(" ")[2] for scene in make_all(Maker(), SCENES, 2)}
+    assert len(processes - {str(os.getpid())}) == 2
+
+
+@pytest.mark.parametrize("scenes", [[], SCENES[:1], SCENES[:2]])
+def test_few_scenes_need_no_workers(scenes):
+    made = list(make_all(Maker(), scenes, 2))
+    assert {scene.hash.rpartition(" ")[2] for scene in made} <= {str(os.getpid())}
+    assert len(made) == len(scenes)
+
+
+def test_what_is_wrong_with_a_scene_is_told_after_the_scenes_before_it():
+    made = []
+    with pytest.raises(UsageError, match="scene 5 is impossible"):
+        made.extend(make_all(Maker(wrong=5), SCENES, 1))
+    with pytest.raises(UsageError, match="scene 5 is impossible"):
+        list(make_all(Maker(wrong=5), SCENES, 2))
+
+
+def test_a_worker_that_dies_is_one_clear_error_and_the_next_run_works():
+    with pytest.raises(DatagenError, match="worker process died.*same command again"):
+        list(make_all(Maker(fatal=7), SCENES, 2))
+    assert len(list(make_all(Maker(), SCENES, 2))) == 12
+
+
+def test_whoever_needs_no_more_scenes_may_stop():
+    with closing(make_all(Maker(), SCENES, 2)) as scenes:
+        assert places([next(scenes), next(scenes)]) == ["train 0", "train 1"]

@@ -1,0 +1,69 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import staged
+
+from datagen import stats
+from datagen.errors import UsageError
+from datagen.scene import Scene, Trajectory
+from datagen.storage import Dataset
+
+
+def test_figures_are_those_of_a_known_scene(tmp_path: Path):
+    record = staged.record(staged.scene(frames=3))
+    figures = stats.summary(staged.write_dataset(tmp_path / "staged", [record]))
+    assert figures["scenes"] == {"train": 1, "val": 0, "test": 0}
+    assert (figures["images"], figures["frames_per_scene"], figures["views"]) == (3, 3, 1)
+    assert figures["objects_per_scene"] == {"3": 1}
+    assert figures["categories"] == {"box": 1, "cylinder": 1, "sphere": 1}
+    assert figures["motions"] == {"slide": 3}
+    assert figures["moving_objects"] == 1.0
+    assert figures["colliding_clips"] == figures["touching_frames"] == 0.0
+    assert figures["attempts_per_scene"] == 1.0
+    assert figures["rejected"] == {}
+    assert figures["foreground"]["train"] == pytest.approx(np.mean(record["segmentation"] > 0))
+    assert figures["depth_range"] == pytest.approx([1e-4 * record["depth"][0].min(), 1e-4 * record["depth"][0].max()])
+    assert figures["visible_fraction_quantiles"]["0.95"] == 1.0
+    json.dumps(figures)
+
+
+def test_contacts_collisions_and_rest_are_told_apart(tmp_path: Path):
+    def colliding(world: Scene) -> Trajectory:
+        path = staged.trajectory(world)
+        path.position[:] = path.position[:1]
+        path.contact_gap[:, 1, 2] = path.contact_gap[:, 2, 1] = [0.01, 0.001, 0.001]
+        path.contact_impulse[2, 1, 2] = path.contact_impulse[2, 2, 1] = 0.1
+        return path
+
+    record = staged.record(staged.scene(frames=3), motion=colliding)
+    record["scene/attempts"] = np.asarray(4, np.uint16)
+    record["scene/rejections"] = np.asarray(b'{"left": 2, "overlap": 1}')
+    still = staged.record(staged.scene(frames=3))
+    still["scene/rejections"] = np.asarray(b'{"left": 1}')
+    figures = stats.summary(staged.write_dataset(tmp_path / "staged", [record, still]))
+    assert figures["colliding_clips"] == 0.5
+    assert figures["touching_frames"] == pytest.approx(2 / 6)
+    assert figures["moving_objects"] == 0.5
+    assert figures["attempts_per_scene"] == 2.5
+    assert figures["rejected"] == {"left": 3 / 5, "overlap": 1 / 5}
+
+
+def test_stats_and_facts_are_printed(tiny_dataset: Path, capsys: pytest.CaptureFixture[str]):
+    stats.run(tiny_dataset)
+    printed = capsys.readouterr().out
+    assert "moving" in printed
+    assert "foreground" in printed
+    stats.inspect(tiny_dataset, "val", 1)
+    printed = capsys.readouterr().out
+    assert Dataset(tiny_dataset).split("val").hash(1) in printed
+    for category in Dataset(tiny_dataset).split("val")[1]["objects/category"]:
+        assert category.decode() in printed
+
+
+def test_scenes_that_are_not_there_are_the_user_s_error(tiny_dataset: Path):
+    with pytest.raises(UsageError, match="scenes 0 to 1"):
+        stats.inspect(tiny_dataset, "val", 2)
+    with pytest.raises(UsageError, match="Unknown split"):
+        stats.inspect(tiny_dataset, "validation", 0)

@@ -1,0 +1,225 @@
+"""What `verify` says about a generated dataset, clean or with one scene changed and every stored hash made to fit."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import staged
+from staged import change_scene
+
+from datagen import records, shapes, spec, verify
+from datagen.config import load_recipe, recipe_names
+from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
+from datagen.schema import SceneRecord
+from datagen.storage import Dataset
+from datagen.verify.dataset import find
+
+SCENE = 2
+"""Of the training split."""
+
+
+@pytest.fixture
+def folder(tiny_dataset: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
+
+
+def test_a_clean_dataset_is_verified(tiny_dataset: Path, capsys: pytest.CaptureFixture[str]):
+    assert verify.run(tiny_dataset) == EXIT_OK
+    assert "8 scenes verified" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_workers_do_not_change_the_verdict(folder: Path):
+    change_scene(folder, "val", 1, lift_depth)
+    assert find(folder, workers=2) == find(folder, workers=1)
+
+
+def recount(record: SceneRecord) -> None:
+    count = int(record["objects/count"])
+    visible = records._visible_pixels(record["segmentation"], count)
+    amodal = np.maximum(record["visibility/amodal_pixels"][..., :count], visible)
+    record["visibility/visible_pixels"][..., :count] = visible
+    record["visibility/amodal_pixels"][..., :count] = amodal
+    record["visibility/visible_fraction"][..., :count] = visible / np.maximum(amodal, 1)
+    record["boxes/box_2d"][:, :, :count] = records._boxes_2d(record["segmentation"], count)
+
+
+def swap_labels(record: SceneRecord) -> None:
+    ids = record["segmentation"]
+    record["segmentation"] = np.where(ids == 1, 2, np.where(ids == 2, 1, ids)).astype(np.uint8)
+    recount(record)
+
+
+def lift_depth(record: SceneRecord) -> None:
+    record["depth"] += (10 * (record["depth"] > 0)).astype(np.uint16)
+
+
+def lift_depth_of_an_object(record: SceneRecord) -> None:
+    record["depth"] += (10 * (record["segmentation"] == 1)).astype(np.uint16)
+
+
+def turn_by_a_degree(record: SceneRecord, row: int, axis: np.ndarray) -> None:
+    half = np.radians(0.5)
+    a = np.array([np.cos(half), *(np.sin(half) * axis / np.sqrt(axis @ axis))])
+    for quaternions in record["poses/quaternion_wxyz"]:
+        b = quaternions[row].astype(np.float64)
+        vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
+        quaternions[row] = [a[0] * b[0] - a[1:] @ b[1:], *vector]
+    world, path = records.scene_and_trajectory(record)
+    built = [shapes.build(body.shape) for body in world.bodies]
+    record["boxes/box_3d"][:, : len(built)] = records._boxes_3d(built, path)
+
+
+def shift_principal_point(axis: int) -> Callable[[SceneRecord], None]:
+    def shift(record: SceneRecord) -> None:
+        record["camera/K"][:, axis, 2] += 1
+
+    return shift
+
+
+def turn_camera(record: SceneRecord) -> None:
+    """About its vertical axis, until the picture has moved by a pixel."""
+    angle = 1 / record["camera/K"][0, 0, 0]
+    yaw = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    record["camera/world_from_camera"][0, :3, :3] = record["camera/world_from_camera"][0, :3, :3] @ yaw
+
+
+@pytest.mark.parametrize(
+    "tamper",
+    [
+        swap_labels,
+        lift_depth,
+        lift_depth_of_an_object,
+        shift_principal_point(0),
+        shift_principal_point(1),
+        turn_camera,
+    ],
+)
+def test_geometry_alone_finds_the_scene_that_was_tampered_with(
+    folder: Path, tamper: Callable[[SceneRecord], None], capsys: pytest.CaptureFixture[str]
+):
+    change_scene(folder, "train", SCENE, tamper)
+    findings = find(folder)
+    assert "surface" in {finding.check for finding in findings}
+    assert "hash" not in {finding.check for finding in findings}
+    assert {(finding.split, finding.scene) for finding in findings} == {("train", SCENE)}
+    assert verify.run(folder) == EXIT_VERIFICATION
+    assert "train shard train-00000.h5 scene 2 frame 0 view 0: surface: " in capsys.readouterr().out
+
+
+def test_every_box_that_is_turned_by_a_degree_about_any_axis_is_found(folder: Path, tiny_dataset: Path):
+    boxes = [
+        (split, index, row)
+        for split, size in Dataset(tiny_dataset).splits.items()
+        for index in range(size)
+        for row, name in enumerate(Dataset(tiny_dataset).split(split)[index]["objects/category"])
+        if name in (b"box", b"cube")
+    ]
+    assert boxes
+    rng = np.random.default_rng(0)
+    for split, index, row in boxes:
+        for axis in [*np.eye(3), *rng.normal(size=(3, 3))]:
+            record = {name: array.copy() for name, array in Dataset(tiny_dataset).split(split)[index].items()}
+            turn_by_a_degree(record, row, axis)
+            found = {finding.check for finding in verify.verify_record(record, staged.GROUPS)}
+            assert found <= {"surface", "label", "amodal", "table", "overlap"}
+            assert "surface" in found
+    split, index, row = boxes[0]
+    change_scene(folder, split, index, lambda record: turn_by_a_degree(record, row, np.eye(3)[0]))
+    assert {(finding.split, finding.scene) for finding in find(folder)} == {(split, index)}
+
+
+@pytest.mark.parametrize("name", ["rgb", "depth", "segmentation"])
+def test_one_flipped_bit_is_found_by_the_hash(folder: Path, name: str):
+    def flip(record: SceneRecord) -> None:
+        record[name].reshape(-1).view(np.uint8)[4321] ^= 1
+
+    change_scene(folder, "test", 1, flip, keep_hash=True)
+    assert ("test", 1, "hash") in {(finding.split, finding.scene, finding.check) for finding in find(folder)}
+
+
+def test_damaged_files_are_findings(folder: Path):
+    path = folder / "val-00000.h5"
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for position in rng.integers(0, len(whole), 5):
+        damaged = bytearray(whole)
+        damaged[position] ^= 0x10
+        path.write_bytes(damaged)
+        assert {finding.split for finding in find(folder)} <= {"val", None}
+    path.write_bytes(whole[: len(whole) // 2])
+    assert {(finding.check, finding.scene) for finding in find(folder) if finding.split} == {("file", 0), ("file", 1)}
+    path.write_bytes(b"not HDF5")
+    assert {finding.check for finding in find(folder) if finding.split} == {"file"}
+    path.unlink()
+    assert {finding.check for finding in find(folder) if finding.split} == {"file"}
+
+
+def test_a_scene_that_is_there_twice_is_found(folder: Path):
+    other = Dataset(folder).split("train")[0]
+    change_scene(folder, "train", 1, lambda record: record.update(other))
+    (finding,) = find(folder)
+    assert finding.check == "duplicate"
+    assert finding.message == "train scene 1 is the same scene as train scene 0"
+
+
+def test_a_changed_identity_is_found(folder: Path):
+    facts = json.loads((folder / spec.SPEC_FILE).read_text())
+    (folder / spec.SPEC_FILE).write_text(json.dumps({**facts, "seed": 5}))
+    (finding,) = find(folder)
+    assert "spec_hash" in finding.message
+
+
+def test_a_manifest_of_other_files_is_found(folder: Path):
+    facts = json.loads((folder / spec.MANIFEST_FILE).read_text())
+    (folder / spec.MANIFEST_FILE).write_text(json.dumps({**facts, "content_hash": "0"}))
+    assert [finding.check for finding in find(folder)] == ["file"]
+    (folder / spec.MANIFEST_FILE).write_text("{")
+    assert [finding.check for finding in find(folder)] == ["file"]
+    (folder / spec.MANIFEST_FILE).unlink()
+    assert [finding.check for finding in find(folder)] == ["file"]
+
+
+def test_a_folder_without_dataset_is_the_user_s_error(tmp_path: Path):
+    with pytest.raises(UsageError):
+        verify.run(tmp_path)
+
+
+def test_simulations_without_images_are_verified(tmp_path: Path):
+    pytest.importorskip("pybullet", reason="simulation needs PyBullet")
+    from datagen.generate import generate
+
+    generate(tmp_path / "simulated", load_recipe("moving"), splits={"train": 2}, renderer=None)
+    assert find(tmp_path / "simulated") == []
+    change_scene(tmp_path / "simulated", "train", 0, make_heavier)
+    assert [(finding.check, finding.scene) for finding in find(tmp_path / "simulated")] == [("description", 0)]
+
+
+def make_heavier(record: SceneRecord) -> None:
+    record["objects/mass"][0] += 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", recipe_names())
+def test_every_recipe_is_verified(tmp_path: Path, name: str):
+    from datagen.generate import generate
+
+    generate(tmp_path / name, load_recipe(name), splits={"train": 10, "test": 2})
+    assert find(tmp_path / name) == []
+
+
+@pytest.mark.slow
+def test_the_other_renderer_is_verified(tmp_path: Path):
+    from datagen.generate import generate
+    from datagen.render import make_renderer
+
+    try:
+        make_renderer("pyrender")
+    except UsageError as error:
+        pytest.skip(str(error))
+    for name in ("moving", "static"):
+        generate(tmp_path / name, load_recipe(name), splits={"train": 4}, renderer="pyrender")
+        assert find(tmp_path / name) == []

@@ -1,0 +1,284 @@
+"""What each check catches in a staged scene whose other arrays are made to fit, and that it is silent without cause."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import staged
+
+from datagen import geometry, records, schema, shapes
+from datagen.scene import ShapeSpec, scene_from_json
+from datagen.schema import SceneRecord
+from datagen.verify import verify_record
+
+FAMILIES = [
+    ShapeSpec("box", {"size": [0.05, 0.05, 0.05]}),
+    ShapeSpec("sphere", {"radius": 0.02}),
+    ShapeSpec("cylinder", {"radius": 0.03, "height": 0.08}),
+    ShapeSpec("frustum", {"low_radius": 0.04, "high_radius": 0.0, "height": 0.08}),
+    ShapeSpec("capsule", {"radius": 0.02, "length": 0.06}),
+    ShapeSpec("torus", {"ring_radius": 0.04, "tube_radius": 0.015}),
+    ShapeSpec("ellipsoid", {"half_axes": [0.05, 0.03, 0.02]}),
+]
+
+
+@pytest.fixture(scope="module")
+def video() -> SceneRecord:
+    return staged.record(staged.scene())
+
+
+@pytest.fixture(scope="module")
+def views() -> SceneRecord:
+    return staged.record(staged.scene(views=3, frames=1))
+
+
+def copy(record: SceneRecord) -> SceneRecord:
+    return {name: array.copy() for name, array in record.items()}
+
+
+def checks(record: SceneRecord, groups: tuple[str, ...] = staged.GROUPS) -> set[str]:
+    return {finding.check for finding in verify_record(record, groups)}
+
+
+def recount(record: SceneRecord) -> SceneRecord:
+    """Make all that can be counted in the ids fit them."""
+    count = int(record["objects/count"])
+    visible = records._visible_pixels(record["segmentation"], count)
+    record["visibility/visible_pixels"][..., :count] = visible
+    record["visibility/amodal_pixels"][..., :count] = np.maximum(
+        record["visibility/amodal_pixels"][..., :count], visible
+    )
+    fraction = visible / np.maximum(record["visibility/amodal_pixels"][..., :count], 1)
+    record["visibility/visible_fraction"][..., :count] = fraction
+    record["boxes/box_2d"][:, :, :count] = records._boxes_2d(record["segmentation"], count)
+    return record
+
+
+def rebox(record: SceneRecord) -> SceneRecord:
+    """Make the 3D boxes fit the poses."""
+    world, path = records.scene_and_trajectory(record)
+    built = [shapes.build(body.shape) for body in world.bodies]
+    record["boxes/box_3d"][:, : len(built)] = records._boxes_3d(built, path)
+    return record
+
+
+def test_clean_scenes_give_no_finding(video: SceneRecord, views: SceneRecord):
+    assert verify_record(video, staged.GROUPS) == []
+    assert verify_record(views, staged.GROUPS) == []
+
+
+@pytest.mark.parametrize("shape", FAMILIES, ids=lambda shape: shape.family)
+def test_no_family_gives_findings_however_it_lies(shape: ShapeSpec):
+    radius = shapes.build(shape).radius
+    world = staged.scene([(shape, (0.15 + 0.2 * x, 0.2 * y, radius + 0.01)) for x in (0, 1) for y in (-0.5, 0.5)])
+
+    def tumbling(world):
+        path = staged.trajectory(world)
+        path.quaternion_wxyz[:] = np.random.default_rng(0).normal(size=path.quaternion_wxyz.shape)
+        path.quaternion_wxyz[:] /= np.linalg.norm(path.quaternion_wxyz, axis=-1, keepdims=True)
+        return path
+
+    record = staged.record(world, resolution=(128, 128), motion=tumbling)
+    assert verify_record(record, staged.GROUPS) == []
+
+
+def test_the_table_may_end_within_the_image():
+    assert verify_record(staged.record(staged.scene(table=0.8)), staged.GROUPS) == []
+
+
+def test_sensor_fields_are_checked():
+    record = staged.record(staged.scene(), sensor=True)
+    groups = (*staged.GROUPS, "sensor")
+    assert verify_record(record, groups) == []
+    record["sensor_valid"][0, 0, 40, 40] ^= 1
+    assert checks(record, groups) == {"sensor"}
+
+
+def swap_labels(record: SceneRecord) -> None:
+    ids = record["segmentation"]
+    record["segmentation"] = np.where(ids == 1, 2, np.where(ids == 2, 1, ids)).astype(np.uint8)
+    recount(record)
+
+
+def swap_labels_in_one_frame(record: SceneRecord) -> None:
+    part = {**record, "segmentation": record["segmentation"][-1:]}
+    ids = part["segmentation"]
+    record["segmentation"][-1:] = np.where(ids == 2, 3, np.where(ids == 3, 2, ids))
+    recount(record)
+
+
+def lift_depth(record: SceneRecord) -> None:
+    record["depth"] += (10 * (record["depth"] > 0)).astype(np.uint16)
+
+
+def lift_depth_of_one_object(record: SceneRecord) -> None:
+    record["depth"] += (10 * (record["segmentation"] == 3)).astype(np.uint16)
+
+
+def turn(axis: int) -> Callable[[SceneRecord], None]:
+    def turn_the_box(record: SceneRecord) -> None:
+        w, xyz = np.cos(np.radians(0.5)), np.sin(np.radians(0.5)) * np.eye(3)[axis]
+        for frame in record["poses/quaternion_wxyz"]:
+            frame[0] = multiply(np.array([w, *xyz]), frame[0].astype(float))
+        rebox(record)
+
+    return turn_the_box
+
+
+def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
+
+
+def shift_camera(axis: int) -> Callable[[SceneRecord], None]:
+    def shift_the_principal_point(record: SceneRecord) -> None:
+        record["camera/K"][0, axis, 2] += 1
+
+    return shift_the_principal_point
+
+
+def turn_camera(record: SceneRecord) -> None:
+    """By one pixel about its vertical axis, the description along with it."""
+    angle = 1 / record["camera/K"][0, 0, 0]
+    yaw = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    pose = record["camera/world_from_camera"][0]
+    pose[:3, :3] = pose[:3, :3] @ yaw
+
+
+def erase_an_object(record: SceneRecord) -> None:
+    record["segmentation"][record["segmentation"] == 2] = 0
+    recount(record)
+
+
+def paint_over_an_object(record: SceneRecord) -> None:
+    """With the table that is behind it, depth and all."""
+    mask = record["segmentation"] == 2
+    erase_an_object(record)
+    pose = record["camera/world_from_camera"][0]
+    rays = geometry.pixel_rays(record["camera/K"][0], 64, 64) @ pose[:3, :3].T
+    plane = np.broadcast_to(schema.encode_depth(-pose[2, 3] / rays[..., 2]), mask.shape)
+    record["depth"] = np.where(mask, plane, record["depth"])
+
+
+def hide_the_table(record: SceneRecord) -> None:
+    record["depth"][:, :, 0, 0] = 0
+
+
+def move_amodal(record: SceneRecord) -> None:
+    record["visibility/amodal_pixels"][0, 0, 1] = record["visibility/amodal_pixels"][0, 0, 1] * 1.3 + 10
+    recount(record)
+
+
+@pytest.mark.parametrize(
+    ("tamper", "expected"),
+    [
+        (swap_labels, "surface"),
+        (swap_labels_in_one_frame, "surface"),
+        (lift_depth, "table"),
+        (lift_depth, "surface"),
+        (lift_depth_of_one_object, "surface"),
+        (turn(0), "surface"),
+        (turn(1), "surface"),
+        (turn(2), "surface"),
+        (shift_camera(0), "surface"),
+        (shift_camera(1), "surface"),
+        (shift_camera(1), "table"),
+        (turn_camera, "surface"),
+        (erase_an_object, "table"),
+        (paint_over_an_object, "label"),
+        (hide_the_table, "table"),
+        (move_amodal, "amodal"),
+    ],
+)
+def test_geometry_tells_what_was_tampered_with(
+    video: SceneRecord, tamper: Callable[[SceneRecord], None], expected: str
+):
+    record = copy(video)
+    tamper(record)
+    assert expected in checks(record)
+
+
+def test_a_hidden_object_labelled_instead_of_the_one_before_it_is_found():
+    world = staged.scene([(staged.SPHERE, (0.34, 0.0, 0.04)), (staged.BOX, (0.2, 0.0, 0.03))])
+    front, alone = staged.record(world), staged.record(staged.scene([(staged.BOX, (0.2, 0.0, 0.03))]))
+    assert verify_record(front, staged.GROUPS) == []
+    behind = alone["segmentation"] == 1
+    front["segmentation"][behind] = 2
+    front["depth"][behind] = alone["depth"][behind]
+    assert checks(recount(front)) == {"label"}
+
+
+@pytest.mark.parametrize("view", [0, 1, 2])
+def test_views_that_disagree_are_found_without_the_shapes(views: SceneRecord, view: int):
+    record = copy(views)
+    lifted = record["camera/world_from_camera"][view].copy()
+    lifted[2, 3] += 0.01
+    record["camera/world_from_camera"][view] = lifted
+    assert "views" in checks(record)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("visibility/visible_pixels", "counts"),
+        ("visibility/visible_fraction", "counts"),
+        ("boxes/box_2d", "counts"),
+        ("boxes/box_3d", "boxes"),
+        ("objects/mass", "description"),
+        ("objects/category", "description"),
+        ("objects/symmetry", "description"),
+        ("objects/minimum_box_size", "description"),
+        ("camera/K", "description"),
+        ("lights/direction", "description"),
+        ("poses/quaternion_wxyz", "poses"),
+        ("objects/count", "description"),
+    ],
+)
+def test_every_stored_fact_is_compared(video: SceneRecord, name: str, expected: str):
+    record = copy(video)
+    first = (0,) * record[name].ndim
+    record[name][first] = b"other" if record[name].dtype.kind == "S" else record[name][first] + 1
+    assert expected in checks(record)
+
+
+def test_padding_and_finiteness_are_checked(video: SceneRecord):
+    record = copy(video)
+    record["objects/mass"][3] = 1
+    assert checks(record) == {"schema"}
+    record = copy(video)
+    record["poses/position"][0, 0, 0] = np.nan
+    assert checks(record) == {"schema"}
+
+
+def test_deep_overlap_is_found_by_contacts_and_by_surfaces():
+    world = staged.scene([(staged.BOX, (0.2, 0.0, 0.03)), (staged.SPHERE, (0.2, 0.05, 0.04))])
+    assert checks(staged.record(world)) == {"overlap"}
+    record = staged.record(staged.scene())
+    record["contacts/gap"][0, 1, 2] = record["contacts/gap"][0, 2, 1] = -0.0011
+    assert checks(record) == {"overlap"}
+
+
+def test_nonsense_becomes_a_finding(video: SceneRecord):
+    for description in (b"", b"{}", b'{"bodies": [1]}'):
+        assert checks({**video, "scene/description": np.asarray(description)}) == {"description"}
+    singular = copy(video)
+    singular["camera/K"][:] = 0
+    assert checks(singular)
+    assert checks({name: array for name, array in video.items() if name != "rgb"}) == {"schema"}
+    assert scene_from_json(video["scene/description"].item().decode()).frames == 3
+
+
+def test_the_camera_of_the_checks_is_the_project_s(video: SceneRecord):
+    from datagen.verify.case import make_case, rigid_poses
+
+    case = make_case(video)
+    points = geometry.unproject(
+        case.depth(1, 0).astype(np.float32), video["camera/K"][0], video["camera/world_from_camera"][0]
+    )
+    mine = case.center(0) + case.depth(1, 0)[..., None] * case.rays(0)
+    np.testing.assert_allclose(mine, points, atol=1e-6)
+    pixels, z = case.project(points.reshape(-1, 3), 0)
+    np.testing.assert_allclose(pixels.reshape(64, 64, 2)[10, 20], [20.5, 10.5], atol=1e-3)
+    np.testing.assert_allclose(z.reshape(64, 64), case.depth(1, 0), atol=1e-6)
+    quaternions = np.random.default_rng(0).normal(size=(5, 2, 4)).astype(np.float32)
+    positions = np.zeros((5, 2, 3), np.float32)
+    np.testing.assert_allclose(rigid_poses(positions, quaternions), geometry.rigid(positions, quaternions), atol=1e-12)

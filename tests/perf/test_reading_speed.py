@@ -1,0 +1,57 @@
+"""What a training step waits for, and what scoring costs; goals in docs/performance.md."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+from sklearn.metrics import adjusted_rand_score
+from torch import Tensor
+from torch.utils.data import default_collate
+
+from benchmark.metrics import score
+from datagen.config import load_recipe
+from datagen.generate import generate
+from datagen.storage import Dataset
+from obpose.data import SceneDataset
+
+CLIPS = 16
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "moving"
+    generate(folder, load_recipe("moving"), splits={"train": CLIPS}, resolution=(128, 128))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def maps(moving: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Labels of all frames, and the same moved by two pixels in the place of a prediction."""
+    scenes = Dataset(moving).split("train")
+    truth = np.concatenate([scenes.read(i, ["segmentation"])["segmentation"][:, 0] for i in range(CLIPS)])
+    return truth, np.roll(truth, 2, axis=2).astype(np.int64)
+
+
+@pytest.mark.benchmark(group="reading: a batch of 16 clips of 4 frames at 128x128")
+def test_scene_dataset(benchmark: BenchmarkFixture, moving: Path):
+    def open_anew() -> tuple[tuple[SceneDataset], dict[str, object]]:
+        # Files that stay open keep unpacked frames, and the next round would read nothing.
+        return (SceneDataset(moving, frames=4, window="random"),), {}
+
+    def read(dataset: SceneDataset) -> dict[str, Tensor]:
+        return default_collate([dataset[i] for i in range(CLIPS)])
+
+    batch = benchmark.pedantic(read, setup=open_anew, rounds=30, warmup_rounds=2)
+    assert batch["rgb"].shape == (CLIPS, 4, 1, 128, 128, 3)
+
+
+@pytest.mark.benchmark(group="metrics: 160 frames at 128x128")
+def test_all_metrics(benchmark: BenchmarkFixture, maps: tuple[np.ndarray, np.ndarray]):
+    scores = benchmark(lambda: score(*maps))
+    benchmark.extra_info["frames"] = scores["n_frames"]
+
+
+@pytest.mark.benchmark(group="metrics: 160 frames at 128x128")
+def test_scikit_learn_ari_alone(benchmark: BenchmarkFixture, maps: tuple[np.ndarray, np.ndarray]):
+    benchmark(lambda: [adjusted_rand_score(t.ravel(), p.ravel()) for t, p in zip(*maps, strict=True)])

@@ -1,0 +1,207 @@
+"""Who may import whom (docs/architecture.md), checked over the real files, and the checks over small bad ones."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGES = ("assets", "datagen", "obpose", "benchmark")
+
+ONLY_IN = {
+    "pybullet": ("datagen/physics.py",),
+    "pybullet_data": ("datagen/physics.py",),
+    "pyrender": ("datagen/render/pyrender_gl.py",),
+    "OpenGL": ("datagen/render/pyrender_gl.py",),
+    "numba": ("datagen/render/kernels.py",),
+    "torch": ("obpose/", "benchmark/adapters/"),
+}
+"""Third-party modules that only some files, or files of some folders, import."""
+
+LAYERS = (
+    {"errors", "geometry", "scene", "schema", "spec", "config", "shapes", "catalog", "progress"},
+    {"sampling", "physics", "render", "sensor", "storage", "shard", "folder", "manifest", "parallel"},
+    {"simulate", "records", "maker", "stats", "card", "preview", "verify"},
+    {"generate"},
+    {"options", "arguments", "cli"},
+)
+"""Parts of `datagen` from the bottom up; none imports from a layer above its own."""
+
+DATAGEN_FOR = {
+    "obpose": {"schema", "storage", "errors"},
+    "benchmark": {"config", "generate", "schema", "storage", "geometry", "errors"},
+}
+"""What the other packages may use of `datagen`; of `obpose`, only `data.py` does."""
+
+
+def test_every_import_follows_the_arrows():
+    assert {path: found for path in sources() if (found := violations(path, (ROOT / path).read_text()))} == {}
+
+
+def test_no_cycle_of_imports():
+    graph = {module_name(path): set(imported_modules(path, (ROOT / path).read_text())) for path in sources()}
+    assert cycle(graph) is None
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("datagen/scene.py", "import obpose.data"),
+        ("datagen/scene.py", "from benchmark import registry"),
+        ("datagen/scene.py", "def late():\n    import pybullet"),
+        ("datagen/scene.py", "from datagen import storage"),
+        ("datagen/scene.py", "from .storage import Dataset"),
+        ("datagen/render/raster.py", "from numba import njit"),
+        ("datagen/render/raster.py", "import pyrender.constants"),
+        ("datagen/generate.py", "from datagen.cli import main"),
+        ("datagen/render/raster.py", "from ..generate import generate_dataset"),
+        ("datagen/novelty.py", "import numpy"),
+        ("datagen/verify/trace.py", "from datagen.render.kernels import rasterize"),
+        ("obpose/model.py", "from datagen.schema import FIELDS"),
+        ("obpose/data.py", "from datagen.generate import generate"),
+        ("obpose/data.py", "import benchmark.metrics"),
+        ("obpose/model.py", "from benchmark.tracks import TRACKS"),
+        ("obpose/train.py", "from benchmark.runner import run"),
+        ("benchmark/runner.py", "from datagen.physics import simulate"),
+        ("benchmark/runner.py", "import torch.nn as nn"),
+        ("benchmark/metrics/score.py", "from obpose import data"),
+        ("benchmark/tracks.py", "import obpose"),
+        ("assets/__init__.py", "import datagen"),
+    ],
+)
+def test_a_bad_import_is_found(path: str, source: str):
+    assert violations(path, source)
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("datagen/cli.py", "from datagen import errors, generate, schema"),
+        ("datagen/physics.py", "import pybullet as p"),
+        ("datagen/render/kernels.py", "from numba import njit"),
+        ("datagen/render/raster.py", "from datagen.render import kernels\nfrom . import shading"),
+        ("obpose/model.py", "import torch, assets\nfrom obpose.data import SceneDataset"),
+        ("obpose/data.py", "from datagen import schema, storage"),
+        ("obpose/train.py", "from benchmark.metrics import score"),
+        ("benchmark/adapters/obpose.py", "import torch\nfrom obpose.model import ObPose"),
+        ("benchmark/runner.py", "from datagen.storage import Dataset"),
+    ],
+)
+def test_a_good_import_is_let_through(path: str, source: str):
+    assert violations(path, source) == []
+
+
+def test_a_cycle_is_found():
+    assert cycle({"a": {"b"}, "b": {"c", "d"}, "c": {"a"}, "d": set()}) == ["a", "b", "c", "a"]
+
+
+@pytest.mark.parametrize("module", ["datagen.schema", "datagen.storage"])
+def test_reading_costs_numpy_and_h5py_only(module: str):
+    assert third_party_modules_of(module) <= {"numpy", "h5py"}
+
+
+def third_party_modules_of(module: str) -> set[str]:
+    """Installed packages that a fresh interpreter loads for `module`, our own left out."""
+    code = (
+        "import sys; before = set(sys.modules)\n"
+        f"import {module}\n"
+        "new = [name for name in set(sys.modules) - before if getattr(sys.modules[name], '__file__', None)]\n"
+        "print(' '.join({name.partition('.')[0] for name in new} - sys.stdlib_module_names))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    return set(result.stdout.split()) - set(PACKAGES)
+
+
+def sources() -> list[str]:
+    """All source files, as paths from the root."""
+    return sorted(str(path.relative_to(ROOT)) for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+
+def violations(path: str, source: str) -> list[str]:
+    """One line for each import in `source`, the file at `path`, that the rules forbid."""
+    imports = imported_modules(path, source)
+    found = [f"{path} imports {name}: {reason}" for name in imports for reason in reasons_against(path, name)]
+    if path.startswith("datagen/") and layer(module_name(path)) is None:
+        found.append(f"{path} has no place in LAYERS")
+    return found
+
+
+def reasons_against(path: str, imported: str) -> Iterator[str]:
+    """Why the file at `path` must not import the module `imported`."""
+    importer = module_name(path)
+    package, target = path.partition("/")[0], imported.partition(".")[0]
+    if target in ONLY_IN and not path.startswith(ONLY_IN[target]):
+        yield f"only {' and '.join(ONLY_IN[target])} may"
+    if path.startswith("datagen/verify/") and imported.startswith("datagen.render"):
+        yield "a proof must not share code with what it proves"
+    if target not in PACKAGES or target in (package, "assets"):
+        if package == target == "datagen" and above(imported, importer):
+            yield "it stands in a layer above"
+        return
+    part = imported.split(".")[1] if "." in imported else ""
+    if package in ("assets", "datagen"):
+        yield f"{package} stands below {target}"
+    elif target == "datagen" and part not in DATAGEN_FOR[package]:
+        yield f"{package} may import {sorted(DATAGEN_FOR[package])} of datagen"
+    elif target == "datagen" and package == "obpose" and path != "obpose/data.py":
+        yield "only obpose/data.py may import datagen"
+    elif target == "benchmark" and not (path in ("obpose/train.py", "obpose/cli.py") and part in ("metrics", "tracks")):
+        yield "obpose/train.py and obpose/cli.py may import benchmark.metrics and benchmark.tracks, nothing else may"
+    elif target == "obpose" and path.startswith(("benchmark/metrics/", "benchmark/tracks.py")):
+        yield "metrics and tracks need NumPy only"
+
+
+def above(imported: str, importer: str) -> bool:
+    """Whether the first of two modules of `datagen` stands in a layer above the second's."""
+    high, low = layer(imported), layer(importer)
+    return high is not None and low is not None and high > low
+
+
+def layer(module: str) -> int | None:
+    """Layer of a module of `datagen`, which the package itself does not have; None if it is in none."""
+    part = module.split(".")[1] if "." in module else ""
+    return 0 if not part else next((level for level, parts in enumerate(LAYERS) if part in parts), None)
+
+
+def module_name(path: str) -> str:
+    """`a/b.py` is a.b, `a/__init__.py` is a."""
+    return path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def imported_modules(path: str, source: str) -> list[str]:
+    """Absolute names of the modules that a file imports, anywhere in it; `from a import b` may mean a.b."""
+    package = module_name(path) if path.endswith("__init__.py") else module_name(path).rpartition(".")[0]
+    found: list[str] = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*parents, *([node.module] if node.module else [])])
+            found += [submodule if is_module(submodule := f"{base}.{alias.name}") else base for alias in node.names]
+    return found
+
+
+def is_module(name: str) -> bool:
+    """Whether a dotted name is a module or package of ours."""
+    path = ROOT / name.replace(".", "/")
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+def cycle(graph: dict[str, set[str]]) -> list[str] | None:
+    """Modules that import one another in a ring, the first one repeated at the end; None if there is no ring."""
+    done: set[str] = set()
+
+    def search(trail: list[str]) -> list[str] | None:
+        for name in sorted(graph.get(trail[-1], ())):
+            if name in trail:
+                return [*trail[trail.index(name) :], name]
+            if name not in done and (ring := search([*trail, name])):
+                return ring
+        done.add(trail[-1])
+        return None
+
+    return next((ring for name in graph if name not in done and (ring := search([name]))), None)
