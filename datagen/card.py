@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+from datagen.folder import write_whole
 from datagen.schema import FIELDS
 from datagen.shard import CONVENTIONS
-from datagen.spec import Spec
+from datagen.spec import CARD_FILE, Spec
 from datagen.stats import Summary, summary
 from datagen.storage import Dataset
 
@@ -18,8 +19,8 @@ def write_card(folder: str | Path) -> Path:
     Raises:
         DatagenError: the folder holds no complete dataset.
     """
-    path = Path(folder) / "README.md"
-    path.write_text(card(Dataset(folder).spec, summary(folder)), encoding="utf-8")
+    path = Path(folder) / CARD_FILE
+    write_whole(path, card(Dataset(folder).spec, summary(folder)).encode())
     return path
 
 

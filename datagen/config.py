@@ -47,7 +47,7 @@ class Layout:
     """Where objects start."""
 
     placement: Literal["scattered", "touching", "stacked"] = "scattered"
-    """`scattered`: apart; `touching`: a group in contact that moves as one; `stacked`: towers, and drops onto others."""
+    """`scattered`: apart; `touching`: some in contact that move as one; `stacked`: towers, and drops onto others."""
     stack_share: float = 0.4
     """Chance that an object of a group or tower lies on top of another instead of beside it."""
     center: tuple[float, float] = (-0.03, 0.0)
@@ -148,7 +148,7 @@ class Rig:
     field_of_view: float = 40.0
     """Horizontal, degrees."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """The point that the first camera looks at, metres; the other views are this one, turned about the world's z axis."""
+    """The point that the first camera looks at, metres; other views are this one, turned about the world's z axis."""
     azimuth: float = 0.0
     """Degrees about the world's z axis of the first camera as seen from its target; 0 looks along -x."""
     jitter: float = 0.0
@@ -186,9 +186,9 @@ class Physics:
     table_restitution: float = 0.7
     """Bounciness of the table."""
     rolling_friction: float = 0.0005
-    """Metres; the torque that slows a rolling body is this times the normal force."""
+    """Metres; the torque against rolling is this times the normal force times the sum of both Coulomb coefficients."""
     spinning_friction: float = 0.001
-    """Metres; the torque that slows a spinning body is this times the normal force."""
+    """Metres; the same against spinning about the contact's normal."""
     deepest_overlap: float = 0.001
     """Two bodies may overlap by so much at the start, metres."""
     settle_seconds: float = 0.0
@@ -247,7 +247,7 @@ class Recipe:
     sensor: Sensor = Sensor()
 
     def __post_init__(self) -> None:
-        if wrong := list(problems(self)):
+        if wrong := list(problems(dataclasses.asdict(self))):
             raise UsageError(f"Recipe {self.name!r} is impossible: {'; '.join(wrong)}.")
 
     @property

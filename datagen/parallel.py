@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
@@ -34,13 +35,24 @@ def make_all(make: MakeScene, scenes: Sequence[tuple[str, int]], workers: int) -
             return_as="generator",
             max_nbytes=None,
         )
+    made = pool(delayed(_work)(make, *scene, os.getpid()) for scene in scenes[1:])
     try:
-        yield from pool(delayed(_work)(make, *scene, os.getpid()) for scene in scenes[1:])
+        for scene in made:
+            yield scene
     except TerminatedWorkerError:
         raise DatagenError(
             "A worker process died, perhaps for want of memory. Finished shards are intact; "
             "run the same command again to complete the dataset, perhaps with fewer --workers."
         ) from None
+    finally:
+        _stop(made)
+
+
+def _stop(made: Generator[PackedScene]) -> None:
+    """End the workers, if they are not done; joblib would warn that their last scenes were made in vain."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        made.close()
 
 
 def _work(make: MakeScene, split: str, index: int, parent: int) -> PackedScene:

@@ -18,7 +18,8 @@ from jaxtyping import Float
 
 from datagen.config import Physics
 from datagen.errors import UsageError
-from datagen.geometry import quaternion_from_rotation, rotation_from_quaternion
+from datagen.geometry import rotation_from_quaternion
+from datagen.rigid_body import multiply, principal_axes, shrink, wavefront, xyzw
 from datagen.scene import Scene, Trajectory
 from datagen.shapes.shape import Shape
 
@@ -77,7 +78,7 @@ class World:
         self._call("resetSimulation")
 
     def start(self) -> Trajectory:
-        """Bring touching objects together, let everything settle, set the initial velocities; a one-frame trajectory."""
+        """Bring touching objects together, let everything settle, set the velocities; a one-frame trajectory."""
         for row, body in enumerate(self._scene.bodies, 1):
             if body.touches is not None:
                 self._bring_together(row, body.touches + 1)
@@ -129,7 +130,7 @@ class World:
             self._collision_shape(shape, object_from_principal),
             self._picture,
             basePosition=body.position,
-            baseOrientation=_xyzw(_multiply(np.array(body.quaternion_wxyz), object_from_principal)),
+            baseOrientation=xyzw(multiply(np.array(body.quaternion_wxyz), object_from_principal)),
             useMaximalCoordinates=True,
         )
         self._call(
@@ -151,7 +152,6 @@ class World:
             -1,
             lateralFriction=friction,
             restitution=restitution,
-            # Bullet's coefficient of a contact is one body's value times the other's friction, both ways summed.
             rollingFriction=self._physics.rolling_friction,
             spinningFriction=self._physics.spinning_friction,
         )
@@ -160,7 +160,7 @@ class World:
         if shape.primitive:
             return self._primitive(*shape.primitive)
         rotation = rotation_from_quaternion(object_from_principal)
-        parts = [_shrink(part) @ rotation for part in shape.convex_parts]
+        parts = [shrink(part, _HULL_MARGIN) @ rotation for part in shape.convex_parts]
         if len(parts) == 1:
             return self._call("createCollisionShape", self._bullet.GEOM_MESH, vertices=parts[0].tolist())
         # The only way to a compound of hulls in one body leads through a file.
@@ -191,7 +191,7 @@ class World:
             position = np.array(position) + min(gap - _TOUCH_CLEARANCE, 1.0) * direction
             self._call("resetBasePositionAndOrientation", self._ids[row], position.tolist(), orientation)
 
-    def _advance(self, now: float) -> Float[np.ndarray, "object+1 object+1"]:
+    def _advance(self, now: float) -> Float[np.ndarray, "body body"]:
         """Simulate one frame interval from `now` (seconds); normal impulses exchanged in it."""
         impulse = np.zeros((len(self._ids),) * 2)
         for step in range(self._steps):
@@ -208,7 +208,7 @@ class World:
                 center, _ = self._call("getBasePositionAndOrientation", body_id)
                 self._call("applyExternalForce", body_id, -1, body.push.force, center, self._bullet.WORLD_FRAME)
 
-    def _frame(self, impulse: Float[np.ndarray, "object+1 object+1"]) -> tuple[np.ndarray, ...]:
+    def _frame(self, impulse: Float[np.ndarray, "body body"]) -> tuple[np.ndarray, ...]:
         poses = [self._pose(row) for row in range(len(self._shapes))]
         velocities = [self._call("getBaseVelocity", body_id) for body_id in self._ids[1:]]
         position = np.array([pose[0] for pose in poses])
@@ -218,10 +218,10 @@ class World:
     def _pose(self, row: int) -> tuple[Sequence[float], Float[np.ndarray, "4"]]:
         position, (x, y, z, w) = self._call("getBasePositionAndOrientation", self._ids[row + 1])
         object_from_principal = self._axes[row][1]
-        quaternion = _multiply(np.array([w, x, y, z]), object_from_principal * [1, -1, -1, -1])
+        quaternion = multiply(np.array([w, x, y, z]), object_from_principal * [1, -1, -1, -1])
         return position, quaternion if quaternion[0] >= 0 else -quaternion
 
-    def _gaps(self, position: Float[np.ndarray, "object 3"]) -> Float[np.ndarray, "object+1 object+1"]:
+    def _gaps(self, position: Float[np.ndarray, "object 3"]) -> Float[np.ndarray, "body body"]:
         gaps = np.full((len(self._ids),) * 2, np.inf)
         for row, other in self._near_pairs(position):
             gaps[row, other] = gaps[other, row] = self._gap(row, other, GAP_RANGE)
@@ -240,31 +240,6 @@ class World:
         points = self._call("getClosestPoints", self._ids[row], self._ids[other], reach)
         gap = min((point[8] for point in points), default=math.inf)
         return gap if gap <= reach else math.inf
-
-
-def principal_axes(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
-    """Principal moments, and the rotation (quaternion) from the principal frame to the object frame.
-
-    The identity where the object frame is one already, so that shapes with equal moments are not turned by rounding.
-    """
-    diagonal = np.diag(inertia)
-    if np.max(np.abs(inertia - np.diag(diagonal))) < 1e-6 * np.max(diagonal):
-        return diagonal, np.array([1.0, 0.0, 0.0, 0.0])
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
-    return moments, quaternion_from_rotation(axes)
-
-
-def wavefront(parts: Sequence[Float[np.ndarray, "corner 3"]]) -> str:
-    """The text of an OBJ file with one object for each part; its faces only name the corners, three at a time."""
-    lines, first = [], 1
-    for number, part in enumerate(parts):
-        lines.append(f"o part{number}")
-        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in part.tolist()]
-        corners = [first + min(corner, len(part) - 1) for corner in range(-(-len(part) // 3) * 3)]
-        lines += [f"f {a} {b} {c}" for a, b, c in zip(corners[::3], corners[1::3], corners[2::3], strict=True)]
-        first += len(part)
-    return "\n".join(lines) + "\n"
 
 
 @functools.cache
@@ -297,29 +272,3 @@ def _quiet() -> Iterator[None]:
         os.dup2(saved, 2)
         os.close(saved)
         os.close(nowhere)
-
-
-def _shrink(part: Float[np.ndarray, "corner 3"]) -> Float[np.ndarray, "corner 3"]:
-    """Pull a hull's corners in by the margin that PyBullet adds, so that its surface lies where it should."""
-    low, high = np.min(part, axis=0), np.max(part, axis=0)
-    extent = np.maximum(high - low, 1e-9)
-    return (low + high) / 2 + (part - (low + high) / 2) * np.maximum(1 - 2 * _HULL_MARGIN / extent, 0.05)
-
-
-def _multiply(a: Float[np.ndarray, "4"], b: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
-    """Product of two quaternions (w, x, y, z): the rotation b, then a."""
-    aw, ax, ay, az = a.tolist()
-    bw, bx, by, bz = b.tolist()
-    return np.array(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
-    )
-
-
-def _xyzw(quaternion_wxyz: Float[np.ndarray, "4"]) -> list[float]:
-    w, x, y, z = quaternion_wxyz.tolist()
-    return [x, y, z, w]

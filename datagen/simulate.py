@@ -1,6 +1,5 @@
 """(recipe, seed, split, index) -> Simulated: draw scenes until one keeps all rules of its recipe."""
 
-import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -140,9 +139,10 @@ def check_room(recipe: Recipe) -> None:
     fits = int(room / (np.pi / 4 * (length + layout.gap) ** 2))
     if objects.minimum > fits:
         raise ImpossibleScene(
-            f"Recipe {recipe.name!r} wants at least {objects.minimum} objects of about {100 * length:.0f} cm in a region "
-            f"of {200 * layout.half_extent[0]:.0f} x {200 * layout.half_extent[1]:.0f} cm, which holds about {fits}; "
-            "lower --objects.minimum and --objects.maximum, lower --objects.size, or enlarge --layout.half-extent."
+            f"Recipe {recipe.name!r} wants at least {objects.minimum} objects of about {100 * length:.0f} cm in a "
+            f"region of {200 * layout.half_extent[0]:.0f} x {200 * layout.half_extent[1]:.0f} cm, which holds "
+            f"about {fits}; lower --objects.minimum and --objects.maximum, lower --objects.size, or enlarge "
+            "--layout.half-extent."
         )
 
 

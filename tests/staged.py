@@ -100,7 +100,15 @@ def write_dataset(folder: Path, scenes: Sequence[SceneRecord], *, sensor: bool =
     (folder / spec.SPEC_FILE).write_text(json.dumps(facts))
     for number, indices in enumerate(spec.shard_ranges(len(scenes), facts["scenes_per_shard"])):
         packed = [shard.pack(scenes[index]) for index in indices]
-        image = shard.shard_image(packed, {"split": "train", "settings_hash": spec.settings_hash(facts)})
+        image = shard.shard_image(
+            packed,
+            {
+                "data_version": facts["data_version"],
+                "settings_hash": spec.settings_hash(facts),
+                "split": "train",
+                "first_scene": indices.start,
+            },
+        )
         (folder / spec.shard_name("train", number)).write_bytes(image)
     write_manifest(folder)
     return folder

@@ -22,7 +22,19 @@ ONLY_IN = {
 """Third-party modules that only some files, or files of some folders, import."""
 
 LAYERS = (
-    {"errors", "geometry", "scene", "schema", "spec", "config", "shapes", "catalog", "progress"},
+    {
+        "errors",
+        "geometry",
+        "scene",
+        "schema",
+        "spec",
+        "config",
+        "recipe_rules",
+        "rigid_body",
+        "shapes",
+        "catalog",
+        "progress",
+    },
     {"sampling", "physics", "render", "sensor", "storage", "shard", "folder", "manifest", "parallel"},
     {"simulate", "records", "maker", "stats", "card", "preview", "verify"},
     {"generate"},

@@ -1,8 +1,8 @@
 """The rasteriser's inner loops, compiled by numba; plain arrays in, plain arrays out.
 
-Frames: `world` and `object` are the usual ones. *Samples* are the 3x3 points of each pixel on which visibility is decided;
-the middle one is the pixel's centre, and it alone gives depth and ids. A *light space* is an orthographic view along a
-direction L: texel coordinates u, v and d = -p.L, the distance from the light in metres up to a constant.
+*Samples* are the 3x3 points of each pixel on which visibility is decided; the middle one is the pixel's centre, and it
+alone gives depth and ids. A *light space* is an orthographic view along a direction L: texel coordinates u, v and
+d = -p.L, the distance from the light in metres up to a constant.
 """
 
 import math
@@ -44,6 +44,7 @@ class Row(NamedTuple):
     share: np.ndarray
     """Of the pixel's area."""
     at: np.ndarray
+    """Sample coordinates, and depth where it is the table's."""
     point: np.ndarray
     normal: np.ndarray
     look: np.ndarray
@@ -63,7 +64,9 @@ def _vogel_disc(count: int) -> np.ndarray:
     return np.stack([radius * np.cos(turn * index), radius * np.sin(turn * index)], axis=1)
 
 
-DISC = _vogel_disc(32)
+FINE_DISC, COARSE_DISC = _vogel_disc(32), _vogel_disc(16)
+COARSE = 4.0
+"""Radius of a shadow's penumbra in texels up to which fewer samples will do."""
 
 
 def _srgb_table() -> np.ndarray:
@@ -91,10 +94,10 @@ class Mesh(NamedTuple):
 class LightMap(NamedTuple):
     """What a light sees; see `light_vertices` and `rasterise_light`."""
 
-    front: np.ndarray
-    owner: np.ndarray
-    back: np.ndarray
+    texels: np.ndarray
+    """Least d of faces towards the light, least d of faces away from it, and the object that the first belongs to."""
     tiles: np.ndarray
+    """Least d of faces towards the light in blocks of texels."""
     frame: np.ndarray
     axes: np.ndarray
 
@@ -344,11 +347,9 @@ def light_vertices(world, axes, size, margin, light, frame):
 
 
 @kernel
-def rasterise_light(light, faces, face_start, front, owner, back, tiles):
-    """Least d of faces towards the light with the object they belong to, least d of faces away from it."""
-    front[:] = FAR
-    back[:] = FAR
-    tiles[:] = FAR
+def rasterise_light(light, faces, face_start, texels, tiles):
+    """Fill a light's map; see `LightMap`."""
+    texels[:] = FAR
     for o in range(len(face_start) - 1):
         for f in range(face_start[o], face_start[o + 1]):
             i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -367,11 +368,6 @@ def rasterise_light(light, faces, face_start, front, owner, back, tiles):
             dv = ((dk - di) * (xj - xi) - (dj - di) * (xk - xi)) * inverse
             facing = area > 0
             side = 1.0 if facing else -1.0
-            if facing:
-                least = min(di, min(dj, dk))
-                for ty in range(y0 // TILE, y1 // TILE + 1):
-                    for tx in range(x0 // TILE, x1 // TILE + 1):
-                        tiles[ty, tx] = min(tiles[ty, tx], least)
             ax, bx, cx = side * (yj - yk), side * (yk - yi), side * (yi - yj)
             ay, by, cy = side * (xk - xj), side * (xi - xk), side * (xj - xi)
             px = x0 + 0.5
@@ -384,22 +380,28 @@ def rasterise_light(light, faces, face_start, front, owner, back, tiles):
                 for x in range(x0, x1 + 1):
                     if a >= 0 and b >= 0 and c >= 0:
                         if not facing:
-                            back[y, x] = min(back[y, x], d)
-                        elif d < front[y, x]:
-                            front[y, x] = d
-                            owner[y, x] = o
+                            texels[y, x, 1] = min(texels[y, x, 1], d)
+                        elif d < texels[y, x, 0]:
+                            texels[y, x, 0] = d
+                            texels[y, x, 2] = o
                     a, b, c, d = a + ax, b + bx, c + cx, d + du
+    for y in range(len(tiles)):
+        for x in range(len(tiles)):
+            least = FAR
+            for j in range(TILE * y, TILE * y + TILE):
+                for i in range(TILE * x, TILE * x + TILE):
+                    least = min(least, texels[j, i, 0])
+            tiles[y, x] = least
 
 
 @kernel
-def _blocks(front, back, own, d):
+def _blocks(front, back, other, d):
     """Whether a texel's surface lies between the light and a receiver at `d`.
 
     An object's lit side is compared with its own far side, which leaves no room for shadow acne and needs no bias.
     """
-    if front > d:
-        return 0.0
-    return 1.0 if not own or back < d - 1e-4 else 0.0
+    # Bitwise, for a processor guesses badly here.
+    return 1.0 * ((front <= d) & (other | (back < d - 1e-4)))
 
 
 @kernel
@@ -415,56 +417,58 @@ def _tile_before(tiles, u, v, reach, deepest):
 
 
 @kernel
-def _blockers(front, back, owner, u, v, d, du, dv, reach, receiver):
-    """Number of blockers among 7x7 texels within `reach`, and their mean distance from the receiver's plane."""
-    last = len(front) - 1
-    count, total, step = 0, 0.0, reach / 3
-    for j in range(-3, 4):
+def _blockers(texels, u, v, d, du, dv, reach, receiver):
+    """Share of blockers on a grid of texels within `reach`, and their mean distance from the receiver's plane."""
+    last = len(texels) - 1
+    half = 2 if reach < COARSE else 3
+    count, total, step = 0.0, 0.0, reach / half
+    for j in range(-half, half + 1):
         y = min(max(int(v + j * step), 0), last)
-        for i in range(-3, 4):
+        for i in range(-half, half + 1):
             x = min(max(int(u + i * step), 0), last)
             at = d + (du * i + dv * j) * step
-            nearest = front[y, x]
-            if _blocks(nearest, back[y, x], owner[y, x] == receiver, at) > 0:
-                count += 1
-                total += at - nearest
-    return count, total / max(count, 1)
+            front = texels[y, x, 0]
+            hit = _blocks(front, texels[y, x, 1], texels[y, x, 2] != receiver, at)
+            count += hit
+            total += hit * (at - front)
+    return count / (2 * half + 1) ** 2, total / max(count, 1.0)
 
 
 @kernel
-def _dark_share(front, back, owner, u, v, d, du, dv, radius, receiver):
+def _dark_share(texels, disc, u, v, d, du, dv, radius, receiver):
     """Share of a disc of texels that blocks the light, each point of it interpolated between four texels."""
-    last = len(front) - 2
+    last = len(texels) - 2
     dark = 0.0
-    for i in range(len(DISC)):
-        su, sv = DISC[i, 0] * radius, DISC[i, 1] * radius
+    for i in range(len(disc)):
+        su, sv = disc[i, 0] * radius, disc[i, 1] * radius
         at = d + du * su + dv * sv
         fu, fv = min(max(u + su - 0.5, 0.0), last), min(max(v + sv - 0.5, 0.0), last)
         x, y = int(fu), int(fv)
         fu, fv = fu - x, fv - y
-        a = _blocks(front[y, x], back[y, x], owner[y, x] == receiver, at)
-        b = _blocks(front[y, x + 1], back[y, x + 1], owner[y, x + 1] == receiver, at)
+        a = _blocks(texels[y, x, 0], texels[y, x, 1], texels[y, x, 2] != receiver, at)
+        b = _blocks(texels[y, x + 1, 0], texels[y, x + 1, 1], texels[y, x + 1, 2] != receiver, at)
         top = a + fu * (b - a)
-        a = _blocks(front[y + 1, x], back[y + 1, x], owner[y + 1, x] == receiver, at)
-        b = _blocks(front[y + 1, x + 1], back[y + 1, x + 1], owner[y + 1, x + 1] == receiver, at)
+        a = _blocks(texels[y + 1, x, 0], texels[y + 1, x, 1], texels[y + 1, x, 2] != receiver, at)
+        b = _blocks(texels[y + 1, x + 1, 0], texels[y + 1, x + 1, 1], texels[y + 1, x + 1, 2] != receiver, at)
         dark += top + fv * (a + fu * (b - a) - top)
-    return dark / len(DISC)
+    return dark / len(disc)
 
 
 # --- Ambient occlusion ----------------------------------------------------------------------------------------------
 
 
 @kernel
-def occlusion_map(front, back, scale, occlusion):
+def occlusion_map(texels, scale, occlusion):
     """Darkness of the ambient light on the table, from a light space that looks up from below (d is height)."""
-    size = len(front)
+    size = len(texels)
     for y in range(size):
         for x in range(size):
-            if front[y, x] >= FAR:
+            low, high = texels[y, x, 0], texels[y, x, 1]
+            if low >= FAR:
                 occlusion[y, x] = 0
                 continue
-            height = max(front[y, x], 0.0)
-            thickness = min(max(back[y, x] - front[y, x], 0.0), 1.0)
+            height = max(low, 0.0)
+            thickness = min(max(high - low, 0.0), 1.0)
             fade = AO_LENGTH / (AO_LENGTH + height)
             occlusion[y, x] = fade * fade * thickness / (thickness + 0.5 * AO_LENGTH)
     a = 1 / (1 + 0.7 * AO_LENGTH * scale)
@@ -521,9 +525,9 @@ def _fifth(x):
 
 
 @kernel
-def _highlight(l, radius, facing, toward, n, e, roughness):
+def _highlight(light, radius, facing, toward, n, e, roughness):
     """GGX lobe with Smith's shadowing, and the weight of Schlick's Fresnel term, of one light (Walter et al. 2007)."""
-    h = _unit(l[0] + e[0], l[1] + e[1], l[2] + e[2])
+    h = _unit(light[0] + e[0], light[1] + e[1], light[2] + e[2])
     nh = n[0] * h[0] + n[1] * h[1] + n[2] * h[2]
     a = max(roughness * roughness, 0.01) + 0.5 * radius
     k = 0.5 * a
@@ -568,14 +572,15 @@ def _reflect(row, count, s, materials):
         rim = _fifth(1 - toward) * (1 - roughness)
         edge_r, edge_g, edge_b = rim * base_r, rim * base_g, rim * base_b
         for i in range(len(lights)):
-            l = (lights[i, 0], lights[i, 1], lights[i, 2])
+            light = (lights[i, 0], lights[i, 1], lights[i, 2])
             red, green, blue = lights[i, 3], lights[i, 4], lights[i, 5]
-            panel = panel_scale * _ramp((r[0] * l[0] + r[1] * l[1] + r[2] * l[2] - 0.9) * panel_size)
-            facing = n[0] * l[0] + n[1] * l[1] + n[2] * l[2]
+            panel = panel_scale * _ramp((r[0] * light[0] + r[1] * light[1] + r[2] * light[2] - 0.9) * panel_size)
+            facing = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
             arriving = max(facing, 0.0) * (light_share[q, 0] if i == 0 else 1.0)
             glow, rim = 0.0, 0.0
-            if arriving > 0:
-                lobe, grazing = _highlight(l, lights[i, 6], facing, toward, n, e, roughness)
+            # The other lights are large and faint; they show as panels alone.
+            if i == 0 and arriving > 0:
+                lobe, grazing = _highlight(light, lights[i, 6], facing, toward, n, e, roughness)
                 glow, rim = arriving * lobe * (1 - grazing), arriving * lobe * grazing
             glow += panel
             diffuse_r, diffuse_g, diffuse_b = (
@@ -596,15 +601,25 @@ def _reflect(row, count, s, materials):
 
 
 @kernel
-def _table_depth(view, sx, sy):
-    """Depth at which the ray of a sample meets the table, 0 where it does not."""
-    down = view[2, 0] * sx + view[2, 1] * sy + view[2, 2]
-    t = -view[2, 3] / down
-    if not (t > NEAR and t < FAR):
-        return 0.0
-    x = view[0, 3] + t * (view[0, 0] * sx + view[0, 1] * sy + view[0, 2])
-    y = view[1, 3] + t * (view[1, 0] * sx + view[1, 1] * sy + view[1, 2])
-    return t if abs(x) <= view[3, 0] and abs(y) <= view[3, 0] else 0.0
+def _world_ray(view, sx, sy):
+    return (
+        view[0, 0] * sx + view[0, 1] * sy + view[0, 2],
+        view[1, 0] * sx + view[1, 1] * sy + view[1, 2],
+        view[2, 0] * sx + view[2, 1] * sy + view[2, 2],
+    )
+
+
+@kernel
+def _table_hit(view, sx, sy):
+    """Depth at which a sample's ray meets the table, 0 where it does not; whether its edge is within a pixel."""
+    ray = _world_ray(view, sx, sy)
+    t = -view[2, 3] / ray[2]
+    if not t > NEAR:
+        return 0.0, abs(ray[2]) < 2 * view[3, 1]
+    x, y = view[0, 3] + t * ray[0], view[1, 3] + t * ray[1]
+    beyond = max(abs(x), abs(y)) - view[3, 0]
+    footprint = view[3, 1] * t * (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]) / abs(ray[2])
+    return t if beyond <= 0 else 0.0, abs(beyond) < footprint
 
 
 @kernel
@@ -622,32 +637,21 @@ def _weights(q, i, j, k, sx, sy):
 
 
 @kernel
-def _world_ray(view, sx, sy):
-    return (
-        view[0, 0] * sx + view[0, 1] * sy + view[0, 2],
-        view[1, 0] * sx + view[1, 1] * sy + view[1, 2],
-        view[2, 0] * sx + view[2, 1] * sy + view[2, 2],
-    )
-
-
-@kernel
-def _near_table_edge(view, sx, sy):
-    """Whether the table's edge may cross the pixel around a sample."""
-    ray = _world_ray(view, sx, sy)
-    t = -view[2, 3] / ray[2]
-    if t <= 0:
-        return abs(ray[2]) < 2 * view[3, 1]
-    x, y = view[0, 3] + t * ray[0], view[1, 3] + t * ray[1]
-    footprint = view[3, 1] * t * (ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]) / abs(ray[2])
-    return abs(max(abs(x), abs(y)) - view[3, 0]) < footprint
-
-
-@kernel
 def _smooth(owners, n, face, other):
     """Whether two triangles belong to one smooth stretch of surface."""
     if owners[face] != owners[other]:
         return False
     return n[face, 0] * n[other, 0] + n[face, 1] * n[other, 1] + n[face, 2] * n[other, 2] > CREASE
+
+
+@kernel
+def _single(triangle, x, y, face):
+    """Whether all samples of a pixel see the same triangle, or none."""
+    for j in range(SUB * y, SUB * y + SUB):
+        for i in range(SUB * x, SUB * x + SUB):
+            if triangle[j, i] != face:
+                return False
+    return True
 
 
 @kernel
@@ -664,23 +668,25 @@ def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
             segmentation[y, x] = owners[face] + 1
             edge = False
         else:
-            z = _table_depth(view, cx, cy)
+            z, edge = _table_hit(view, cx, cy)
             segmentation[y, x] = 0
-            edge = _near_table_edge(view, cx, cy)
         depth[y, x] = z
         first = count
         kind[first] = face if face >= 0 else (TABLE if z > 0 else NOTHING)
-        at[first, 0], at[first, 1] = cx, cy
-        share[first], pixel[first] = 0.0, x
+        at[first, 0], at[first, 1], at[first, 2] = cx, cy, z
+        pixel[first] = x
         count += 1
+        if not edge and _single(triangle, x, y, face):
+            share[first] = 1.0
+            continue
+        share[first] = 0.0
         for j in range(SUB * y, SUB * y + SUB):
             for i in range(SUB * x, SUB * x + SUB):
                 other = triangle[j, i]
-                if other == face and not edge:
-                    share[first] += 1.0 / (SUB * SUB)
-                    continue
+                z = 0.0
                 if other < 0:
-                    other = TABLE if _table_depth(view, i + 0.5, j + 0.5) > 0 else NOTHING
+                    z = _table_hit(view, i + 0.5, j + 0.5)[0]
+                    other = TABLE if z > 0 else NOTHING
                 known = first
                 while known < count and not (
                     kind[known] == other
@@ -689,7 +695,7 @@ def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
                     known += 1
                 if known == count:
                     kind[count], pixel[count], share[count] = other, x, 0.0
-                    at[count, 0], at[count, 1] = i + 0.5, j + 0.5
+                    at[count, 0], at[count, 1], at[count, 2] = i + 0.5, j + 0.5, z
                     count += 1
                 share[known] += 1.0 / (SUB * SUB)
     return count
@@ -712,7 +718,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         e = _unit(-ray[0], -ray[1], -ray[2])
         if face == TABLE:
             o = TABLE
-            z = _table_depth(view, sx, sy)
+            z = at[r, 2]
             n = (0.0, 0.0, up)
             x, y, h = view[0, 3] + z * ray[0], view[1, 3] + z * ray[1], 0.0
             p = (x, y, h)
@@ -753,10 +759,10 @@ def _shadow(s, shadow, row, count):
     The receiver is taken as a plane around each sample, so that a tilted surface does not shade itself.
     """
     receiver, point, normal, light, blur = row.owner, row.point, row.normal, row.light, row.blur
-    front, back, owner, tiles, axes = shadow.front, shadow.back, shadow.owner, shadow.tiles, shadow.axes
+    texels, tiles, axes = shadow.texels, shadow.tiles, shadow.axes
     low_u, low_v, scale, least = shadow.frame
     spread = s.lights[0, 7]
-    size = len(front)
+    size = len(texels)
     for r in range(count):
         o = receiver[r]
         if o == NOTHING:
@@ -777,19 +783,19 @@ def _shadow(s, shadow, row, count):
         dv = (axes[1, 0] * nx + axes[1, 1] * ny + axes[1, 2] * nz) * steep
         if not _tile_before(tiles, u, v, reach, d + (abs(du) + abs(dv)) * reach):
             continue
-        found, height = _blockers(front, back, owner, u, v, d, du, dv, reach, o)
-        if found == 49:
+        found, height = _blockers(texels, u, v, d, du, dv, reach, o)
+        if found == 1:
             light[r, 0] = 0.0
         elif found > 0:
             radius = (spread * max(height, 0.0) + blur[r]) * scale
-            light[r, 0] = 1 - _dark_share(front, back, owner, u, v, d, du, dv, radius, o)
+            disc = COARSE_DISC if radius < COARSE else FINE_DISC
+            light[r, 0] = 1 - _dark_share(texels, disc, u, v, d, du, dv, radius, o)
 
 
 @kernel
 def shade(view, mesh, homogeneous, triangle, poses, materials, surroundings, shadow, row, rgb, depth, segmentation):
     """Colour, depth and id of every pixel; the last row of `materials` is the table's."""
-    height, width = depth.shape
-    for y in range(height):
+    for y in range(len(depth)):
         count = _collect(view, mesh, homogeneous, triangle, y, row, depth, segmentation)
         _locate(view, mesh, homogeneous, poses, materials, surroundings, row, count)
         if surroundings.casts_shadow:

@@ -1,6 +1,6 @@
 """The well-known OpenGL renderer, pyrender, through EGL: for GPUs, and for people who would rather trust it.
 
-Its colour pass is multisampled and resolves depth off the pixel's centre, therefore depth and ids come from the SEG pass.
+Its colour pass is multisampled and resolves depth off the pixel's centre, so that depth and ids come from the SEG pass.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, UInt8
 
 from datagen.errors import UsageError
 from datagen.render import kernels
@@ -82,7 +82,9 @@ class PyrenderRenderer:
         lens.fx, lens.fy, lens.cx, lens.cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
         self._scene.set_pose(self._camera, camera.world_from_camera @ OPENGL_FROM_OPENCV)
 
-    def _segment(self, ids: dict[Any, int]) -> tuple[Int[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
+    def _segment(
+        self, ids: dict[Any, int]
+    ) -> tuple[UInt8[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
         """Ids and depth of the given nodes, the others being absent."""
         colors = {node: (number, 0, 0) for node, number in ids.items()}
         image, depth = self._context.render(self._scene, flags=self._pyrender.RenderFlags.SEG, seg_node_map=colors)
@@ -164,11 +166,11 @@ def _numpy_infty() -> Iterator[None]:
     if hasattr(np, "infty"):
         yield
         return
-    np.infty = np.inf  # pyright: ignore[reportAttributeAccessIssue]
+    np.__dict__["infty"] = np.inf
     try:
         yield
     finally:
-        del np.infty  # pyright: ignore[reportAttributeAccessIssue]
+        del np.__dict__["infty"]
 
 
 @functools.cache

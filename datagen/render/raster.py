@@ -1,5 +1,6 @@
 """The default renderer: a rasteriser in numba that needs no graphics library and repeats itself bit by bit."""
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -28,7 +29,9 @@ class RasterRenderer:
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Take over a scene's materials, lights and shapes, row by row as in `scene.bodies`."""
         self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
-        self._materials = np.array([_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)])
+        self._materials = np.array(
+            [_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)]
+        )
         self._table_half = 0.5 * scene.table.size
         self._scene = scene
         self._lights = _pack_lights(scene.lights)
@@ -46,7 +49,9 @@ class RasterRenderer:
     ) -> Image:
         """Render the loaded scene with its objects at the given poses."""
         poses = np.ascontiguousarray(world_from_object, np.float64)
-        buffers = self._buffers.setdefault((width, height), _Buffers(width, height))
+        if (width, height) not in self._buffers:
+            self._buffers[width, height] = _Buffers(width, height)
+        buffers = self._buffers[width, height]
         view, samples_from_world = _view(camera, width, height, self._table_half)
         kernels.place_vertices(self._mesh.vertices, self._vertex_start, poses, self._world)
         amodal = self._visibility(view, samples_from_world, buffers)
@@ -101,7 +106,7 @@ class RasterRenderer:
         below = buffers.below
         if len(self._world):
             self._light_map(below, margin=4 * kernels.AO_LENGTH)
-            kernels.occlusion_map(below.front, below.back, below.frame[2], buffers.occlusion)
+            kernels.occlusion_map(below.texels, below.frame[2], buffers.occlusion)
         return kernels.Surroundings(
             self._lights,
             self._shadows,
@@ -113,10 +118,8 @@ class RasterRenderer:
         )
 
     def _light_map(self, m: kernels.LightMap, margin: float) -> None:
-        kernels.light_vertices(self._world, m.axes, len(m.front), margin, self._light, m.frame)
-        kernels.rasterise_light(
-            self._light, self._mesh.faces, self._face_start, m.front, m.owner, m.back, m.tiles
-        )
+        kernels.light_vertices(self._world, m.axes, len(m.texels), margin, self._light, m.frame)
+        kernels.rasterise_light(self._light, self._mesh.faces, self._face_start, m.texels, m.tiles)
 
 
 class _Buffers:
@@ -128,7 +131,7 @@ class _Buffers:
         self.inverse_depth = np.empty(size, np.float32)
         self.stamp = np.empty((height, width), np.int32)
         self.row = _row(width)
-        texels = 256 if max(width, height) <= 160 else 512 if max(width, height) <= 400 else 1024
+        texels = 192 if max(width, height) <= 160 else 512 if max(width, height) <= 400 else 1024
         self.shadow = _light_map(texels, np.eye(3))
         self.below = _light_map(OCCLUSION_SIZE, light_axes((0.0, 0.0, -1.0)))
         self.occlusion = np.zeros((OCCLUSION_SIZE, OCCLUSION_SIZE))
@@ -143,23 +146,22 @@ def _row(width: int) -> kernels.Row:
     count = width * kernels.SUB**2
     kind, owner, pixel = (np.empty(count, np.int32) for _ in range(3))
     share, second, blur = (np.empty(count) for _ in range(3))
-    point, normal, look, light, color = (np.empty((count, 3)) for _ in range(5))
-    total, at = np.empty((width, 3)), np.empty((count, 2))
+    at, point, normal, look, light, color = (np.empty((count, 3)) for _ in range(6))
+    total = np.empty((width, 3))
     return kernels.Row(kind, owner, pixel, share, at, point, normal, look, second, light, blur, color, total)
 
 
 def _light_map(size: int, axes: np.ndarray) -> kernels.LightMap:
     tiles = size // kernels.TILE
     return kernels.LightMap(
-        front=np.empty((size, size), np.float32),
-        owner=np.empty((size, size), np.int32),
-        back=np.empty((size, size), np.float32),
+        texels=np.empty((size, size, 3), np.float32),
         tiles=np.empty((tiles, tiles), np.float32),
         frame=np.zeros(4),
         axes=axes,
     )
 
 
+@functools.lru_cache(maxsize=32)
 def _view(camera: Camera, width: int, height: int, table_half: float) -> tuple[np.ndarray, np.ndarray]:
     """World direction of a sample's ray, scaled to depth 1, with position and sizes; and samples from world points."""
     k = camera.k(width, height)
@@ -177,7 +179,9 @@ def _pack_mesh(shapes: Sequence[Shape]) -> tuple[kernels.Mesh, np.ndarray, np.nd
     vertex_start = np.cumsum([0, *(len(s.vertices) for s in shapes)])
     face_start = np.cumsum([0, *(len(s.faces) for s in shapes)])
     vertices = np.concatenate([np.zeros((0, 3)), *(s.vertices for s in shapes)])
-    faces = np.concatenate([np.zeros((0, 3)), *(s.faces + start for s, start in zip(shapes, vertex_start, strict=False))])
+    faces = np.concatenate(
+        [np.zeros((0, 3)), *(s.faces + start for s, start in zip(shapes, vertex_start, strict=False))]
+    )
     normals = np.concatenate([np.zeros((0, 3, 3)), *(s.normals for s in shapes)])
     faces = faces.astype(np.int32)
     a, b, c = (vertices[faces[:, i]] for i in range(3))

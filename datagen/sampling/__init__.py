@@ -10,11 +10,11 @@ from datagen.geometry import quaternion_from_rotation
 from datagen.sampling.appearance import sample_backdrop, sample_materials, sample_table
 from datagen.sampling.cameras import sample_ambient, sample_cameras, sample_lights
 from datagen.sampling.items import Item, sample_item, sample_items
-from datagen.sampling.layout import Spot, cluster, flattest, on_top, place, scatter
+from datagen.sampling.layout import Spot, cluster, flattest, on_top, place, scatter, try_to_place
 from datagen.sampling.motion import Start, sample_motion, sample_starts
 from datagen.sampling.rejected import Rejected
 from datagen.sampling.values import rounded, vector
-from datagen.scene import Body, Material, Scene, Table
+from datagen.scene import Body, Material, Motion, Scene, Table
 
 __all__ = ["Rejected", "sample_scene"]
 
@@ -46,7 +46,7 @@ def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator) -> list[
     if recipe.layout.placement == "touching":
         return _touching(recipe, split, rng)
     items = sample_items(recipe.objects, split, rng)
-    motions = [sample_motion(item, recipe.motion, rng) for item in items]
+    motions: list[Motion] = [sample_motion(item, recipe.motion, rng) for item in items]
     if recipe.layout.placement == "scattered":
         return scatter(items, motions, recipe.layout, recipe.motion, rng)
     return _stacked(recipe, items, rng)
@@ -56,17 +56,13 @@ def _touching(recipe: Recipe, split: str, rng: np.random.Generator) -> list[Spot
     """A group of at least two in contact, and the rest apart from it."""
     count = int(rng.integers(recipe.objects.minimum, recipe.objects.maximum + 1))
     size = int(rng.integers(2, count + 1))
-    kind = "slide" if rng.uniform() < 0.5 else "push"
+    kind: Motion = "slide" if rng.uniform() < 0.5 else "push"
     friction = rounded(rng.uniform(*recipe.objects.friction))
     members = [_steady_item(recipe, split, rng) for _ in range(size)]
-    spots = cluster(
-        [dataclasses.replace(item, friction=friction) for item in members], kind, recipe.layout, rng
-    )
+    spots = cluster([dataclasses.replace(item, friction=friction) for item in members], kind, recipe.layout, rng)
     for _ in range(count - size):
         item = sample_item(recipe.objects, split, rng)
-        spots.append(
-            place(item, sample_motion(item, recipe.motion, rng), spots, recipe.layout, recipe.motion, rng)
-        )
+        spots.append(place(item, sample_motion(item, recipe.motion, rng), spots, recipe.layout, recipe.motion, rng))
     return spots
 
 
@@ -79,15 +75,16 @@ def _steady_item(recipe: Recipe, split: str, rng: np.random.Generator) -> Item:
 
 
 def _stacked(recipe: Recipe, items: Sequence[Item], rng: np.random.Generator) -> list[Spot]:
-    """Objects on the table, on each other, and in the air above both."""
+    """Objects on the table and on each other; what finds no place falls onto the rest."""
     spots: list[Spot] = []
     for item in items:
-        stance = flattest(item)
         spot = None
+        stance = flattest(item)
         if spots and stance is not None and rng.uniform() < recipe.layout.stack_share:
             spot = on_top(item, "rest", stance.turned(rng.uniform(0, 2 * np.pi)), spots, rng)
         kind = sample_motion(item, recipe.motion, rng)
-        spots.append(spot or place(item, kind, spots, recipe.layout, recipe.motion, rng))
+        spot = spot or try_to_place(item, kind, spots, recipe.layout, recipe.motion, rng)
+        spots.append(spot or place(item, "drop", spots, recipe.layout, recipe.motion, rng))
     return spots
 
 

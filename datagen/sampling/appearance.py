@@ -16,9 +16,7 @@ _STRONG_CONTRAST = 0.75
 _WEAK_CONTRAST = 0.35
 
 
-def sample_materials(
-    appearance: Appearance, sizes: list[float], rng: np.random.Generator
-) -> tuple[Material, ...]:
+def sample_materials(appearance: Appearance, sizes: list[float], rng: np.random.Generator) -> tuple[Material, ...]:
     """One material for each object, given the objects' longest sides in metres."""
     if appearance.style == "same-colour":
         shared = _plain(_finish(appearance, rng), _color(appearance, rng))
@@ -30,11 +28,12 @@ def sample_materials(
 def _material(appearance: Appearance, size: float, hue: float | None, rng: np.random.Generator) -> Material:
     material = _plain(_finish(appearance, rng), _color(appearance, rng, hue))
     if appearance.style == "two-colour":
-        pattern = str(rng.choice(["two-tone", "stripes"], p=[0.7, 0.3]))
+        pattern: Pattern = "two-tone" if rng.uniform() < 0.7 else "stripes"
         color2 = _contrasting(material.color, _STRONG_CONTRAST, appearance, hue, rng)
         return _patterned(material, pattern, color2, size * rng.uniform(0.5, 0.9), rng)
     if appearance.style == "textured" or rng.uniform() < appearance.pattern_share:
-        pattern = str(rng.choice(PATTERNS if appearance.style == "varied" else PATTERNS[1:]))
+        patterns = PATTERNS if appearance.style == "varied" else PATTERNS[1:]
+        pattern = patterns[rng.integers(len(patterns))]
         color2 = _contrasting(material.color, _WEAK_CONTRAST, appearance, hue, rng)
         return _patterned(material, pattern, color2, size * rng.uniform(0.15, 0.4), rng)
     return material
@@ -53,7 +52,7 @@ def _plain(finish: str, color: Vector, rng: np.random.Generator | None = None) -
 
 
 def _patterned(
-    material: Material, pattern: str, color2: Vector, period: float, rng: np.random.Generator
+    material: Material, pattern: Pattern, color2: Vector, period: float, rng: np.random.Generator
 ) -> Material:
     axis = rng.normal(size=3)
     axis /= np.sqrt(np.sum(axis**2))
@@ -92,7 +91,7 @@ def sample_table(appearance: Appearance, rng: np.random.Generator) -> Material:
         return Material("paint", _table_color((0.0, 1.0), (0.0, 0.25), (0.45, 0.85), rng), roughness=0.6)
     if kind == "wood":
         color = _table_color((0.05, 0.1), (0.3, 0.6), (0.4, 0.75), rng)
-        return _table_pattern("wood", color, "wood", 0.85, rng.uniform(0.02, 0.05), rng)
+        return _table_pattern("wood", color, "wood", 0.88, rng.uniform(0.06, 0.15), rng)
     if kind == "cloth":
         color = _table_color((0.0, 1.0), (0.1, 0.5), (0.35, 0.8), rng)
         return _table_pattern("cloth", color, "noise", 0.88, rng.uniform(0.01, 0.03), rng)
@@ -127,5 +126,5 @@ def sample_backdrop(rng: np.random.Generator) -> Vector:
 
 
 def hex_color(text: str) -> Vector:
-    """sRGB in 0..1 of a colour such as `#ad2323`."""
+    """Red, green, blue in 0..1 of a colour such as `#ad2323`."""
     return vector(int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))

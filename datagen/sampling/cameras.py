@@ -25,9 +25,7 @@ def _camera(rig: Rig, angle: float, rng: np.random.Generator) -> Camera:
 
 def direction(azimuth: float, elevation: float) -> np.ndarray:
     """Unit vector with an angle about world z and one above the horizon, radians."""
-    return np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
 def sample_lights(lighting: Lighting, rng: np.random.Generator) -> tuple[Light, Light]:

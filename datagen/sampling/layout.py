@@ -67,6 +67,16 @@ def place(
     Raises:
         Rejected: no free place was found.
     """
+    spot = try_to_place(item, kind, others, layout, motion, rng)
+    if spot is None:
+        raise Rejected("crowded")
+    return spot
+
+
+def try_to_place(
+    item: Item, kind: Motion, others: Sequence[Spot], layout: Layout, motion: MotionConfig, rng: np.random.Generator
+) -> Spot | None:
+    """As `place`, but None where no free place was found; in the air there always is one."""
     stance = sample_stance(item, kind, layout, rng)
     height = rng.uniform(*motion.drop_height) if kind in AIRBORNE else _CLEARANCE
     for _ in range(layout.tries):
@@ -76,7 +86,7 @@ def place(
             continue
         ground = max((spot.high for spot in below), default=0.0)
         return Spot(item, kind, stance, np.array([*center, ground + height - stance.bottom]))
-    raise Rejected("crowded")
+    return None
 
 
 def _overlap_from_above(stance: Stance, center: Float[np.ndarray, "2"], spot: Spot, gap: float) -> bool:
@@ -102,9 +112,7 @@ def flattest(item: Item) -> Stance | None:
     return max(poses.steady_stances(item.shape), key=lambda stance: stance.bottom, default=None)
 
 
-def cluster(
-    items: Sequence[Item], kind: Motion, layout: Layout, rng: np.random.Generator
-) -> list[Spot]:
+def cluster(items: Sequence[Item], kind: Motion, layout: Layout, rng: np.random.Generator) -> list[Spot]:
     """A group that moves as one: each further object lies on top of another one or is brought to touch it.
 
     Raises:
@@ -149,9 +157,7 @@ def _beside(
     raise Rejected("crowded")
 
 
-def on_top(
-    item: Item, kind: Motion, stance: Stance, spots: Sequence[Spot], rng: np.random.Generator
-) -> Spot | None:
+def on_top(item: Item, kind: Motion, stance: Stance, spots: Sequence[Spot], rng: np.random.Generator) -> Spot | None:
     """On the roof of another object that carries it steadily, or None where there is no such roof."""
     for row in rng.permutation(len(spots)):
         roof = spots[row].stance.roof

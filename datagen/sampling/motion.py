@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,8 @@ from datagen.sampling.items import Item
 from datagen.sampling.layout import Spot
 from datagen.sampling.values import rounded, vector
 from datagen.scene import Motion, Push, Vector
+
+KINDS: tuple[Motion, ...] = get_args(Motion)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,12 +27,13 @@ class Start:
 
 
 def sample_motion(item: Item, motion: MotionConfig, rng: np.random.Generator) -> Motion:
-    """A motion by the recipe's weights; only what is round rolls."""
+    """A motion by the recipe's weights; only what is round rolls, the rest then slides if there is nothing else."""
     weights = dataclasses.asdict(motion.weights)
     if not poses.can_roll(item.shape):
         weights["roll"] = 0.0
-    kinds, chances = list(weights), np.array(list(weights.values()))
-    return kinds[rng.choice(len(kinds), p=chances / np.sum(chances))]
+        weights["slide"] = weights["slide"] if any(weights.values()) else 1.0
+    chances = np.array([weights[kind] for kind in KINDS])
+    return KINDS[rng.choice(len(KINDS), p=chances / np.sum(chances))]
 
 
 def sample_starts(
@@ -102,9 +106,7 @@ def _group_starts(
     if spots[grouped[0]].motion == "slide":
         return dict.fromkeys(grouped, Start(vector([*(speed * heading), 0.0])))
     start, duration = rng.uniform(*motion.push_start), rng.uniform(*motion.push_duration)
-    return {
-        row: Start(push=_push(spots[row].item, speed, heading, start, duration, physics)) for row in grouped
-    }
+    return {row: Start(push=_push(spots[row].item, speed, heading, start, duration, physics)) for row in grouped}
 
 
 def _heading(

@@ -9,6 +9,7 @@ from datagen.shapes import mass as masses
 from datagen.shapes import part as parts
 from datagen.shapes.mass import Mass
 from datagen.shapes.part import assemble
+from datagen.shapes.primitives import odd_last
 from datagen.shapes.sampling import Size, longest, rounded
 from datagen.shapes.shape import Shape
 
@@ -79,8 +80,13 @@ def build_bracket(base: float, upright: float, width: float, thickness: float, g
 
 
 def build_jack(lengths: list[float], width: float) -> Shape:
-    """Three square bars of one width that cross at right angles; `lengths` are full, along x, y, z."""
-    x, y, z = lengths
+    """Three square bars of one width that cross at right angles.
+
+    Args:
+        lengths: full, along x, y, z in metres; where only two are equal, the third lies along z.
+        width: of the bars, metres.
+    """
+    x, y, z = odd_last(lengths)
     arms = [parts.box((x, width, width))]
     for axis, length in ((1, y), (2, z)):
         reach = 0.5 * (length - width)

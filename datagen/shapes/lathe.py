@@ -12,7 +12,7 @@ from datagen.shapes.sampling import Size, longest, rounded
 from datagen.shapes.shape import Corners, Shape
 
 PIECE_ERROR = 4.5e-4
-"""Metres by which a convex piece of a profile may cover more than the profile."""
+"""Metres by which a convex piece of a profile may stick out of it or fall short of it."""
 
 
 def build(profile: list[list[float]], wall: float = 0.0, floor: float = 0.0) -> Shape:
@@ -23,7 +23,9 @@ def build(profile: list[list[float]], wall: float = 0.0, floor: float = 0.0) -> 
         wall: horizontal thickness of the wall of the cavity, metres; 0 for none.
         floor: z where the cavity starts, metres.
     """
-    return assemble([turned(profile, wall, floor)], "Cinf")
+    upside_down = [[r, profile[0][1] + profile[-1][1] - z] for r, z in reversed(profile)]
+    same = not wall and np.allclose(upside_down, profile, rtol=0, atol=1e-12)
+    return assemble([turned(profile, wall, floor)], "Dinf" if same else "Cinf")
 
 
 def turned(profile: Corners, wall: float = 0.0, floor: float = 0.0) -> Part:
@@ -118,30 +120,37 @@ def _solid_pieces(outer: Float[np.ndarray, "corner 2"]) -> list[Float[np.ndarray
 def _wall_pieces(
     outer: Float[np.ndarray, "corner 2"], inner: Float[np.ndarray, "corner 2"]
 ) -> list[Float[np.ndarray, "_ 2"]]:
-    """Few convex polygons between two chains of corners at equal heights, each piece as long as the error allows."""
+    """Few convex polygons between two chains of corners at equal heights, each piece as long as the error allows.
+
+    Where a chain is hollow, its piece sticks out of the wall in the middle by as much as it falls short at the ends.
+    """
     pieces, start = [], 0
     while start < len(outer) - 1:
         end = start + 1
-        while end + 1 < len(outer) and _hull_error(outer, inner, start, end + 1) <= PIECE_ERROR:
+        while end + 1 < len(outer) and _hollows(outer, inner, start, end + 1).max() <= 2 * PIECE_ERROR:
             end += 1
         if outer[end, 1] > outer[start, 1]:
-            pieces.append(convex_hull(np.concatenate([outer[start : end + 1], inner[start : end + 1]])))
+            rows = slice(start, end + 1)
+            shift = 0.5 * _hollows(outer, inner, start, end)
+            moved = np.concatenate([outer[rows] - [shift[0], 0.0], inner[rows] + [shift[1], 0.0]])
+            pieces.append(convex_hull(np.maximum(moved, [0.0, -np.inf])))
         start = end
     return pieces
 
 
-def _hull_error(
+def _hollows(
     outer: Float[np.ndarray, "corner 2"], inner: Float[np.ndarray, "corner 2"], start: int, end: int
-) -> float:
-    """Depth of the deepest corner below the convex hull of a stretch of wall, metres."""
+) -> Float[np.ndarray, "2"]:
+    """How deep a stretch of the outer and of the inner chain lies below their common convex hull, metres."""
     points = np.concatenate([outer[start : end + 1], inner[start : end + 1]])
     hull = convex_hull(points)
-    edges = np.roll(hull, -1, axis=0) - hull
-    surface = (hull[:, 0] > 0) | (np.roll(hull, -1, axis=0)[:, 0] > 0)
-    hull, edges = hull[surface], edges[surface]
-    offsets = points[points[:, 0] > 0][:, None] - hull
+    following = np.roll(hull, -1, axis=0)
+    surface = (hull[:, 0] > 0) | (following[:, 0] > 0)
+    edges, hull = (following - hull)[surface], hull[surface]
+    offsets = points[:, None] - hull
     depth = (edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0]) / np.hypot(edges[:, 0], edges[:, 1])
-    return float(depth.min(axis=1).max())
+    deepest = np.where(points[:, 0] > 0, depth.min(axis=1), 0.0).reshape(2, -1).max(axis=1)
+    return np.maximum(deepest, 0.0)
 
 
 def _without_doubles(corners: Float[np.ndarray, "corner 2"]) -> Float[np.ndarray, "distinct 2"]:

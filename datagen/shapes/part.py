@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from datagen.shapes import mass as masses
 from datagen.shapes import mesh as meshes
-from datagen.shapes import solids
+from datagen.shapes import round_mesh, solids
 from datagen.shapes.bounding import Outline, minimum_box
 from datagen.shapes.convex import convex_hull
 from datagen.shapes.mass import Mass
@@ -81,6 +81,12 @@ def box(size: Numbers) -> Part:
     )
 
 
+def slab(x: Numbers, y: Numbers, z: Numbers) -> Part:
+    """The box between the given least and greatest coordinates."""
+    low, high = np.array([x, y, z], float).T
+    return box(high - low).placed(0.5 * (low + high))
+
+
 def sphere(radius: float) -> Part:
     """A ball around the origin."""
     part = ellipsoid((radius, radius, radius))
@@ -90,10 +96,10 @@ def sphere(radius: float) -> Part:
 def ellipsoid(half_axes: Numbers) -> Part:
     """An ellipsoid around the origin."""
     x, y, z = (float(half) for half in half_axes)
-    hull = meshes.ellipsoid(half_axes, HULL_ERROR).vertices
+    hull = round_mesh.ellipsoid(half_axes, HULL_ERROR).vertices
     outline = Outline.of_ellipsoid(half_axes)
     return Part(
-        solids.Ellipsoid((x, y, z)), meshes.ellipsoid(half_axes), (hull,), masses.of_ellipsoid(half_axes), outline
+        solids.Ellipsoid((x, y, z)), round_mesh.ellipsoid(half_axes), (hull,), masses.of_ellipsoid(half_axes), outline
     )
 
 
@@ -103,11 +109,11 @@ def capsule(radius: float, length: float) -> Part:
     ends.append(ends[0].placed(np.diag([1.0, -1.0, -1.0]), np.zeros(3)))
     half = 0.5 * length
     tube = masses.of_revolution(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]))
-    hull = meshes.ellipsoid((radius, radius, radius), HULL_ERROR).vertices
+    hull = round_mesh.ellipsoid((radius, radius, radius), HULL_ERROR).vertices
     shift = np.array([0, 0, half])
     return Part(
         solids.Capsule(radius, length),
-        meshes.capsule(radius, length),
+        round_mesh.capsule(radius, length),
         (np.concatenate([hull[hull[:, 2] > -1e-9] + shift, hull[hull[:, 2] < 1e-9] - shift]),),
         masses.total([*ends, tube]),
         Outline.of_circles(np.zeros(2), np.array([-half, half]), radius),
@@ -119,7 +125,7 @@ def torus(ring_radius: float, tube_radius: float) -> Part:
     """A ring about the z axis with a round cross-section."""
     return Part(
         solids.Torus(ring_radius, tube_radius),
-        meshes.torus(ring_radius, tube_radius),
+        round_mesh.torus(ring_radius, tube_radius),
         _torus_hulls(ring_radius, tube_radius),
         masses.of_torus(ring_radius, tube_radius),
         Outline.of_circles(np.array([ring_radius]), np.zeros(1), tube_radius),

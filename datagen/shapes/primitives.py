@@ -11,8 +11,8 @@ from datagen.shapes.shape import Shape
 
 
 def build_box(size: list[float]) -> Shape:
-    """A box with the given full side lengths along x, y, z."""
-    x, y, z = size
+    """A box with the given full side lengths along x, y, z; where only two are equal, the third lies along z."""
+    x, y, z = size = odd_last(size)
     symmetry = "O" if x == y == z else "D4" if x == y else "D2"
     return assemble([parts.box(size)], symmetry, aligned=True)
 
@@ -45,10 +45,19 @@ def build_torus(ring_radius: float, tube_radius: float) -> Shape:
 
 
 def build_ellipsoid(half_axes: list[float]) -> Shape:
-    """An ellipsoid with the given half axes along x, y, z."""
-    x, y, z = half_axes
+    """An ellipsoid with the given half axes along x, y, z; where only two are equal, the third lies along z."""
+    x, y, z = half_axes = odd_last(half_axes)
     symmetry = "SO3" if x == y == z else "Dinf" if x == y else "D2"
     return assemble([parts.ellipsoid(half_axes)], symmetry, aligned=True)
+
+
+def odd_last(lengths: list[float]) -> list[float]:
+    """Three lengths in their order or, where only two are equal, turned so that they come first.
+
+    The fourfold axis of symmetry then is z, as the names of groups want it.
+    """
+    x, y, z = lengths
+    return [y, z, x] if y == z else [z, x, y] if z == x else lengths
 
 
 def sample_box(rng: np.random.Generator, size: Size) -> dict[str, Any]:

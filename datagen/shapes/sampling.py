@@ -20,11 +20,11 @@ def longest(rng: np.random.Generator, size: Size) -> float:
 
 
 def rounded(parameters: dict[str, Any], scale: float = 1.0) -> dict[str, Any]:
-    """Parameters as plain values, floats times `scale` (metres) and rounded; integers and names as they are."""
-    return {name: _plain(value, scale) for name, value in parameters.items()}
+    """Parameters as plain values: floats and lists times `scale` (metres) and rounded, counts and names as they are."""
+    return {name: value if isinstance(value, int | str) else _plain(value, scale) for name, value in parameters.items()}
 
 
 def _plain(value: Any, scale: float) -> Any:
     if isinstance(value, list | tuple | np.ndarray):
         return [_plain(item, scale) for item in value]
-    return round(float(value) * scale, DECIMALS) if isinstance(value, float | np.floating) else value
+    return round(float(value) * scale, DECIMALS)

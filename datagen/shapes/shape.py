@@ -89,5 +89,5 @@ class Shape:
         return float(np.sqrt(np.max(np.sum(self.vertices**2, axis=1))))
 
     def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
-        """Of the union of the solids; see `Solid.signed_distance`."""
+        """Of the union of the solids; see `Solid.signed_distance`. Also 0 inside, where two solids touch."""
         return np.min([solid.signed_distance(points) for solid in self.solids], axis=0)

@@ -5,6 +5,7 @@ Cameras and rays are computed here from the stored arrays alone, by other code t
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -48,8 +49,12 @@ class Case:
         """Position of a camera, world frame."""
         return self.record["camera/world_from_camera"][view, :3, 3]
 
-    def rays(self, view: int) -> Float[np.ndarray, "height width 3"]:
-        """World directions through the pixel centres; depth times ray is the step from the camera to the point."""
+    @cached_property
+    def rays(self) -> list[Float[np.ndarray, "height width 3"]]:
+        """World directions through the pixel centres of each view; depth times ray is the step from camera to point."""
+        return [self._rays(view) for view in range(len(self.record["camera/K"]))]
+
+    def _rays(self, view: int) -> Float[np.ndarray, "height width 3"]:
         height, width = self.record["segmentation"].shape[2:]
         u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         pixels = np.stack([u, v, np.ones_like(u)], axis=-1)

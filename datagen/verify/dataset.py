@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from rich.progress import track
 from datagen import schema
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError
 from datagen.manifest import make_manifest, read_manifest
-from datagen.spec import MANIFEST_FILE, Spec, shard_name
+from datagen.shard import Shard
+from datagen.spec import MANIFEST_FILE, Spec, shard_name, shard_ranges
 from datagen.storage import Dataset
 from datagen.verify.finding import Finding
 from datagen.verify.record import verify_record
@@ -71,7 +73,8 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
     results = parallel(joblib.delayed(_check_scenes)(dataset, *job) for job in jobs)
     checked = [part for part in track(results, "Verifying", total=len(jobs), transient=True) if part is not None]
     scenes = [finding for part in checked for finding in part.findings]
-    return [*scenes, *_duplicates(checked), *_check_manifest(dataset, whole=not scenes)]
+    whole = [] if scenes else [*_check_attributes(dataset), *_check_manifest(dataset)]
+    return [*scenes, *_duplicates(checked), *whole]
 
 
 def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
@@ -101,8 +104,21 @@ def groups(spec: Spec) -> tuple[str, ...]:
     return ("simulation", "pixels", "sensor") if spec["recipe"]["sensor"]["enabled"] else ("simulation", "pixels")
 
 
-def _check_manifest(dataset: Dataset, *, whole: bool) -> Iterator[Finding]:
-    """The record of the finished dataset is that of its files; unreadable ones have findings of their own."""
+def _check_attributes(dataset: Dataset) -> Iterator[Finding]:
+    """What the shards, which can be read, say about themselves."""
+    for split, size in dataset.splits.items():
+        for number, scenes in enumerate(shard_ranges(size, dataset.spec["scenes_per_shard"])):
+            with closing(Shard(dataset.split(split).path(number))) as shard:
+                stored = shard.attributes
+            expected = {"depth_scale": schema.DEPTH_SCALE, "split": split, "first_scene": scenes.start}
+            for name, value in {**expected, "data_version": dataset.spec["data_version"]}.items():
+                if stored.get(name) != value:
+                    message = f"attribute {name} is {stored.get(name)}, expected {value}"
+                    yield Finding("file", message, split=split, shard=shard_name(split, number))
+
+
+def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
+    """The record of the finished dataset is that of its files, which can be read."""
     try:
         manifest = read_manifest(dataset.folder)
     except ValueError as error:
@@ -110,7 +126,7 @@ def _check_manifest(dataset: Dataset, *, whole: bool) -> Iterator[Finding]:
         return
     if manifest is None:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")
-    elif whole:
+    else:
         fresh = make_manifest(dataset.folder, dataset.spec, seconds=0, workers=0, scenes_made=0)
         if wrong := [key for key in ("spec_hash", "content_hash", "splits") if manifest.get(key) != fresh[key]]:
             yield Finding("file", f"{MANIFEST_FILE} does not fit the files: {', '.join(wrong)}")

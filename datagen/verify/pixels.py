@@ -20,7 +20,7 @@ from datagen.verify.trace import clip_to_box, trace
 SURFACE_TOLERANCE = MESH_TOLERANCE + 0.7 * DEPTH_SCALE
 """Metres that a single unprojected pixel may lie off the surface it is labelled with."""
 
-MEDIAN_TOLERANCE = 6e-5
+MEDIAN_TOLERANCE = 5e-5
 """Metres that the median of an object's pixels in one image may lie off its surface."""
 
 MANY = 30
@@ -48,7 +48,7 @@ def check_surfaces(case: Case) -> Iterator[Finding]:
             message = f"id {np.max(segmentation)}, but the scene has {case.count} objects"
             yield Finding("surface", message, frame=frame, view=view)
         rows, columns = np.nonzero(segmentation)
-        points = case.center(view) + depth[rows, columns, None] * case.rays(view)[rows, columns]
+        points = case.center(view) + depth[rows, columns, None] * case.rays[view][rows, columns]
         labels = segmentation[rows, columns]
         for row in range(case.count):
             distance = signed_distance(case, row, frame, points[labels == row + 1])
@@ -82,7 +82,7 @@ def _off_surface(distance: Float[np.ndarray, "point"], row: int, frame: int, vie
 def check_table(case: Case) -> Iterator[Finding]:
     """Pixels without an object show the table's top where their ray meets it and nothing where it does not."""
     for frame, view in case.images:
-        depth, rays, center = case.depth(frame, view), case.rays(view), case.center(view)
+        depth, rays, center = case.depth(frame, view), case.rays[view], case.center(view)
         background = case.segmentation(frame, view) == 0
         height = center[2] + depth * rays[..., 2]
         seen = background & (depth > 0)
@@ -101,7 +101,7 @@ def check_table(case: Case) -> Iterator[Finding]:
 
 def _distance_to_border(case: Case, view: int) -> Float[np.ndarray, "height width"]:
     """Metres from where a ray meets the plane z = 0 to the table's border, negative outside, -inf if it never does."""
-    center, rays = case.center(view), case.rays(view)
+    center, rays = case.center(view), case.rays[view]
     t = -center[2] / np.where(rays[..., 2] < 0, rays[..., 2], -1e-300)
     meets = center[:2] + t[..., None] * rays[..., :2]
     return np.where(rays[..., 2] < 0, 0.5 * case.scene.table.size - np.max(np.abs(meets), axis=-1), -np.inf)
@@ -135,9 +135,8 @@ class Rays:
 
 def check_order(case: Case) -> Iterator[Finding]:
     """No object lies in front of what a pixel shows, and amodal counts are what the shapes alone would cover."""
-    directions = [case.rays(view) for view in range(case.record["camera/K"].shape[0])]
     for row in range(case.count):
-        rays = _rays_near(case, row, directions)
+        rays = _rays_near(case, row)
         near, far = clip_to_box(case.shapes[row].minimum_box, rays.origins, rays.directions, SHELL)
         hit, closest = trace(case.shapes[row].signed_distance, rays.origins, rays.directions, near, far, SHELL)
         yield from _in_front(rays, hit, row)
@@ -171,17 +170,17 @@ def _amodal(
         yield Finding("amodal", message, frame=int(frame), view=int(view))
 
 
-def _rays_near(case: Case, row: int, directions: list[Float[np.ndarray, "height width 3"]]) -> Rays:
-    parts = [_rays_in_image(case, row, frame, view, directions[view]) for frame, view in case.images]
+def _rays_near(case: Case, row: int) -> Rays:
+    parts = [_rays_in_image(case, row, frame, view) for frame, view in case.images]
     return Rays(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def _rays_in_image(
-    case: Case, row: int, frame: int, view: int, directions: Float[np.ndarray, "height width 3"]
+    case: Case, row: int, frame: int, view: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     pose = case.world_from_object[frame, row]
     window = _window(case, row, frame, view)
-    local = directions[window].reshape(-1, 3) @ pose[:3, :3]
+    local = case.rays[view][window].reshape(-1, 3) @ pose[:3, :3]
     origin = (case.center(view) - pose[:3, 3]) @ pose[:3, :3]
     depth = case.depth(frame, view)[window].ravel()
     image = np.broadcast_to([frame, view], (len(local), 2))

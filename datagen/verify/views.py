@@ -32,7 +32,7 @@ def check_views(case: Case) -> Iterator[Finding]:
 def _check_pair(case: Case, frame: int, a: int, b: int) -> Iterator[Finding]:
     depth, labels = case.depth(frame, a), case.segmentation(frame, a)
     seen = depth > 0
-    points = case.center(a) + depth[seen, None] * case.rays(a)[seen]
+    points = case.center(a) + depth[seen, None] * case.rays[a][seen]
     pixels, z = case.project(points, b)
     height, width = depth.shape
     column, row = np.floor(pixels[:, 0]).astype(int), np.floor(pixels[:, 1]).astype(int)

@@ -98,3 +98,13 @@ def test_torch_is_not_imported(data: Path, tmp_path: Path):
     )
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "l.csv").exists()
+
+
+def test_generated_scenes_are_segmented(tiny_dataset: Path, tmp_path: Path):
+    out = tmp_path / "leaderboard.csv"
+    assert run_cli("--model", "plane-dbscan", "--data", tiny_dataset, "--out", out) == 0
+    row = next(csv.DictReader(out.read_text().splitlines()))
+    assert row["dataset"] == "moving"
+    assert row["n_frames"] == "20"
+    assert float(row["miou_bg"]) > 0.99
+    assert float(row["msc_fg"]) > 0.6

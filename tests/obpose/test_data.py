@@ -99,10 +99,12 @@ def test_depth_is_the_sensors_where_there_is_one(sensor: Path):
     assert torch.equal(clean["sensor_depth"], observed["depth"])
 
 
-def test_loader_workers_give_what_one_process_gives(video: Path):
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize("start", ["spawn", "fork"])
+def test_loader_workers_give_what_one_process_gives(video: Path, start: str):
     dataset = SceneDataset(video, frames=2, window="random")
     dataset[0]  # files open in this process must not disturb the workers
-    loader = DataLoader(dataset, batch_size=2, num_workers=2, multiprocessing_context="spawn", persistent_workers=True)
+    loader = DataLoader(dataset, batch_size=2, num_workers=2, multiprocessing_context=start, persistent_workers=True)
     for epoch in (1, 2):
         dataset.set_epoch(epoch)
         batches = list(loader)

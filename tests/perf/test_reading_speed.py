@@ -1,9 +1,12 @@
-"""What a training step waits for, and what scoring costs; goals in docs/performance.md."""
+"""What a training step waits for, and what scoring costs, in milliseconds of one core: times are CPU times."""
 
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 from sklearn.metrics import adjusted_rand_score
 from torch import Tensor
@@ -33,7 +36,17 @@ def maps(moving: Path) -> tuple[np.ndarray, np.ndarray]:
     return truth, np.roll(truth, 2, axis=2).astype(np.int64)
 
 
-@pytest.mark.benchmark(group="reading: a batch of 16 clips of 4 frames at 128x128")
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """As in a loader's worker."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.usefixtures("one_thread")
+@pytest.mark.benchmark(group="reading: a batch of 16 clips of 4 frames at 128x128", timer=time.process_time)
 def test_scene_dataset(benchmark: BenchmarkFixture, moving: Path):
     def open_anew() -> tuple[tuple[SceneDataset], dict[str, object]]:
         # Files that stay open keep unpacked frames, and the next round would read nothing.
@@ -46,12 +59,12 @@ def test_scene_dataset(benchmark: BenchmarkFixture, moving: Path):
     assert batch["rgb"].shape == (CLIPS, 4, 1, 128, 128, 3)
 
 
-@pytest.mark.benchmark(group="metrics: 160 frames at 128x128")
+@pytest.mark.benchmark(group="metrics: 160 frames at 128x128", timer=time.process_time)
 def test_all_metrics(benchmark: BenchmarkFixture, maps: tuple[np.ndarray, np.ndarray]):
     scores = benchmark(lambda: score(*maps))
     benchmark.extra_info["frames"] = scores["n_frames"]
 
 
-@pytest.mark.benchmark(group="metrics: 160 frames at 128x128")
+@pytest.mark.benchmark(group="metrics: 160 frames at 128x128", timer=time.process_time)
 def test_scikit_learn_ari_alone(benchmark: BenchmarkFixture, maps: tuple[np.ndarray, np.ndarray]):
     benchmark(lambda: [adjusted_rand_score(t.ravel(), p.ravel()) for t, p in zip(*maps, strict=True)])

@@ -8,6 +8,7 @@ from benchmark.baselines.plane_dbscan import PlaneDbscan, PlaneDbscanConfig, cel
 from benchmark.interface import Clip
 from benchmark.metrics import score
 from datagen import schema
+from datagen.geometry import rigid
 
 
 def clip_of(record: schema.SceneRecord) -> Clip:
@@ -56,11 +57,14 @@ def test_holes_are_background_and_harm_nothing_else():
     assert scores["msc_fg"] > 0.97
 
 
+def with_noise(clip: Clip) -> Clip:
+    noise = np.random.default_rng(0).normal(0, 0.002, clip.depth.shape)
+    return dataclasses.replace(clip, depth=(clip.depth + noise).astype(np.float32))
+
+
 def test_noise_of_the_sensor_raises_no_table():
     clip, truth = clip_and_truth()
-    noise = np.random.default_rng(0).normal(0, 0.002, clip.depth.shape)
-    noisy = dataclasses.replace(clip, depth=(clip.depth + noise).astype(np.float32))
-    scores = score(truth[:, 0], fitted().segment(noisy).labels[:, 0])
+    scores = score(truth[:, 0], fitted().segment(with_noise(clip)).labels[:, 0])
     assert scores["miou_bg"] > 0.99
     assert scores["ari_fg"] > 0.95
 
@@ -76,21 +80,37 @@ def test_a_clip_without_depth_is_all_background():
     assert not np.any(fitted().segment(blind).labels)
 
 
-def test_equal_seeds_give_equal_labels_whatever_came_before():
+@pytest.mark.parametrize("quaternion", [(0.0, 1.0, 0.0, 0.0), (0.5, 0.5, 0.5, 0.5), (0.5, -0.5, 0.5, 0.5)])
+def test_turning_the_world_changes_no_cluster(quaternion: tuple[float, ...]):
     clip, _ = clip_and_truth()
-    other, _ = clip_and_truth(1)
-    model = fitted(5)
+    turned_from_world = rigid(np.array([0.3, -2.0, 1.0]), np.array(quaternion))
+    turned = dataclasses.replace(clip, world_from_camera=turned_from_world @ clip.world_from_camera)
+    labels, expected = fitted().segment(turned).labels[:, 0], fitted().segment(clip).labels[:, 0]
+    assert score(expected, labels)["ari"] == 1
+
+
+def test_equal_seeds_give_equal_labels_whatever_came_before():
+    clip, other = (with_noise(clip_and_truth(seed)[0]) for seed in range(2))
+    # With no height to spare, the least change of the plane shows in the labels.
+    config = PlaneDbscanConfig(least_height=0.0, noise_factor=0.0)
+    model, twin, stranger = PlaneDbscan(config), PlaneDbscan(config), PlaneDbscan(config)
+    for segmenter, seed in ((model, 5), (twin, 5), (stranger, 6)):
+        segmenter.fit([], [], seed=seed, budget=1.0)
     first = model.segment(clip).labels
     model.segment(other)
     assert np.array_equal(model.segment(clip).labels, first)
-    assert np.array_equal(fitted(5).segment(clip).labels, first)
+    assert np.array_equal(twin.segment(clip).labels, first)
+    assert not np.array_equal(stranger.segment(clip).labels, first)
 
 
 def test_voxels_change_no_cluster():
     clip, _ = clip_and_truth(frames=1, views=3)
-    fine = PlaneDbscan(dataclasses.replace(PlaneDbscanConfig(), voxel=1e-6))
-    assert np.array_equal(fine.segment(clip).labels > 0, PlaneDbscan().segment(clip).labels > 0)
-    assert score(fine.segment(clip).labels[0], PlaneDbscan().segment(clip).labels[0])["ari"] == 1
+    fine, usual, huge = (
+        PlaneDbscan(PlaneDbscanConfig(voxel=size)).segment(clip).labels for size in (1e-6, 0.004, 10.0)
+    )
+    assert score(fine[0], usual[0])["ari"] == 1
+    # Points that share a voxel are each other's neighbours, so that none of them is alone.
+    assert np.array_equal(fine > 0, huge > 0)
 
 
 def test_cells_are_equal_only_where_points_share_a_cube():

@@ -2,12 +2,12 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from tabletop import poses
 
 from datagen.geometry import invert_rigid, pixel_rays, transform, unproject
 from datagen.render import Image
 from datagen.scene import Camera, Scene
 from datagen.shapes import build
-from tabletop import poses
 
 GRAZE = 3e-4
 """Metres within which a ray that passes a surface may or may not hit its mesh."""
@@ -15,10 +15,8 @@ GRAZE = 3e-4
 
 def trace(
     scene: Scene, camera: Camera, width: int, height: int
-) -> tuple[
-    Int[np.ndarray, "height width"], Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]
-]:
-    """Id and planar depth of the nearest surface at each pixel's centre, and whether a silhouette is far enough away."""
+) -> tuple[Int[np.ndarray, "height width"], Float[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
+    """Id and planar depth of the nearest surface at each pixel's centre, and whether no silhouette is too close."""
     rays = pixel_rays(camera.k(width, height), width, height)
     depth = table_depth(scene, camera, rays)
     ids, sure = np.zeros((height, width), int), np.ones((height, width), bool)
@@ -49,7 +47,9 @@ def _march(distance, object_from_camera, rays):
     return z.reshape(rays.shape[:2]), least.reshape(rays.shape[:2])
 
 
-def table_depth(scene: Scene, camera: Camera, rays: Float[np.ndarray, "height width 3"]) -> Float[np.ndarray, "height width"]:
+def table_depth(
+    scene: Scene, camera: Camera, rays: Float[np.ndarray, "height width 3"]
+) -> Float[np.ndarray, "height width"]:
     """Planar depth of the empty table, 0 beyond it."""
     pose = camera.world_from_camera
     with np.errstate(divide="ignore"):

@@ -24,6 +24,15 @@ NEAR = Camera((0.55, -0.2, 0.3), (0.3, 0.0, 0.04), np.radians(70))
 VIEWS = [(FRONT, 128, 128), (FRONT, 320, 240), (LOW, 64, 64), (NEAR, 97, 61)]
 
 
+def interior(mask: np.ndarray) -> np.ndarray:
+    """Pixels whose eight neighbours are in the mask as well, so that anti-aliasing mixes nothing else in."""
+    inner = np.zeros_like(mask)
+    rows, columns = mask.shape
+    neighbours = [mask[1 + i : rows - 1 + i, 1 + j : columns - 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    inner[1:-1, 1:-1] = np.all(neighbours, axis=0)
+    return inner
+
+
 @pytest.fixture(scope="module")
 def raster() -> RasterRenderer:
     return RasterRenderer()
@@ -56,16 +65,17 @@ def test_ids_name_the_first_surface_along_each_ray(raster, seed):
     assert sure.mean() > 0.95
     np.testing.assert_array_equal(image.segmentation[sure], ids[sure])
     # A tenth of a millimetre along the normal is more along a grazing ray.
-    assert np.quantile(np.abs(image.depth - depth)[sure & (ids > 0)], 0.98) < 2 * TENTH
+    assert np.quantile(np.abs(image.depth - depth)[sure & (ids > 0)], 0.98) < 5 * TENTH
 
 
 def test_amodal_pixels_are_those_that_each_object_shows_alone(raster):
     made = six_objects(np.random.default_rng(5))
     image = render(raster, made, LOW)
     visible = np.bincount(image.segmentation.ravel(), minlength=7)[1:]
-    alone = []
-    for one in made.bodies:
-        alone.append(np.count_nonzero(render(raster, dataclasses.replace(made, bodies=(one,)), LOW).segmentation))
+    alone = [
+        np.count_nonzero(render(raster, dataclasses.replace(made, bodies=(one,)), LOW).segmentation)
+        for one in made.bodies
+    ]
     assert image.amodal_pixels.tolist() == alone
     assert np.all(image.amodal_pixels >= visible)
     assert np.any(image.amodal_pixels > visible)
@@ -95,9 +105,9 @@ def test_a_wider_picture_extends_a_narrow_one_of_the_same_camera(raster):
 
 
 def test_what_sinks_into_the_table_is_hidden_by_it(raster):
-    image = render(raster, scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, -0.02))))
+    image = render(raster, scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, -0.03))))
     whole = render(raster, scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.08))))
-    assert 0 < np.count_nonzero(image.segmentation) < 0.7 * image.amodal_pixels[0]
+    assert 0 < np.count_nonzero(image.segmentation) < 0.8 * image.amodal_pixels[0]
     assert np.count_nonzero(whole.segmentation) == whole.amodal_pixels[0]
     rays = pixel_rays(FRONT.k(64, 64), 64, 64)
     assert np.all(image.depth <= table_depth(scene(), FRONT, rays) * (1 + 1e-6))
@@ -139,16 +149,19 @@ def test_a_shadow_darkens_the_table_and_nothing_gets_darker_without_it(raster):
 
 def test_a_shadow_lies_where_the_light_is_hidden(raster):
     made = scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.2)))
-    sharp = dataclasses.replace(made, lights=(dataclasses.replace(ABOVE_LEFT, angular_radius=0.0),))
-    bare = dataclasses.replace(sharp, lights=(dataclasses.replace(ABOVE_LEFT, casts_shadow=False),))
-    dark = (render(raster, bare, width=128, height=128).rgb.astype(int) - render(raster, sharp, width=128, height=128).rgb).sum(-1)
+    light = dataclasses.replace(ABOVE_LEFT, angular_radius=0.0)
+    sharp = dataclasses.replace(made, lights=(light,))
+    bare = dataclasses.replace(made, lights=(dataclasses.replace(light, casts_shadow=False),))
+    dark = (
+        render(raster, bare, width=128, height=128).rgb.astype(int) - render(raster, sharp, width=128, height=128).rgb
+    ).sum(-1)
     rays = pixel_rays(FRONT.k(128, 128), 128, 128)
     pose = FRONT.world_from_camera
     points = rays * table_depth(made, FRONT, rays)[..., None] @ pose[:3, :3].T + pose[:3, 3]
-    light = np.array(ABOVE_LEFT.direction) / np.sqrt(np.sum(np.square(ABOVE_LEFT.direction)))
+    up = np.array(light.direction) / np.sqrt(np.sum(np.square(light.direction)))
     toward = np.array([0.28, 0.0, 0.2]) - points
-    miss = np.sqrt(np.sum(np.square(toward - (toward @ light)[..., None] * light), axis=-1))
-    table = (render(raster, made, width=128, height=128).segmentation == 0) & (points[..., 2] < 1e-6)
+    miss = np.sqrt(np.sum(np.square(toward - (toward @ up)[..., None] * up), axis=-1))
+    table = interior(render(raster, made, width=128, height=128).segmentation == 0)
     assert dark[table & (miss < 0.045)].min() > 30
     assert dark[table & (miss > 0.058)].max() == 0
 
@@ -159,7 +172,9 @@ def test_a_wider_light_casts_a_softer_shadow(raster):
         light = dataclasses.replace(ABOVE_LEFT, angular_radius=np.radians(radius))
         ball = body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.2))
         image = render(raster, scene(ball, lights=(light,)), width=128, height=128)
-        bare = render(raster, scene(ball, lights=(dataclasses.replace(light, casts_shadow=False),)), width=128, height=128)
+        bare = render(
+            raster, scene(ball, lights=(dataclasses.replace(light, casts_shadow=False),)), width=128, height=128
+        )
         loss = (bare.rgb.astype(float) - image.rgb).sum(-1)
         widths.append(np.count_nonzero((loss > 0.1 * loss.max()) & (loss < 0.9 * loss.max())))
     assert widths[1] > 2 * widths[0]
@@ -174,33 +189,41 @@ def test_a_convex_object_casts_no_shadow_on_its_lit_side(raster, elevation):
         bare = dataclasses.replace(made, lights=(dataclasses.replace(light, casts_shadow=False),))
         mine = render(raster, made, width=128, height=128)
         change = render(raster, bare, width=128, height=128).rgb.astype(int) - mine.rgb
-        assert np.abs(change[mine.segmentation == 1]).max() <= 2
+        assert np.abs(change[interior(mine.segmentation == 1)]).max() == 0
 
 
 def test_brightness_on_a_lit_sphere_has_no_steps(raster):
     plain = body("sphere", {"radius": 0.12}, (0.28, 0.0, 0.15), roughness=1.0)
     image = render(raster, scene(plain), width=128, height=128)
-    inside = image.segmentation == 1
-    inside[1:-1, 1:-1] &= inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]
+    inside = interior(image.segmentation == 1)
     brightness = image.rgb.sum(-1).astype(int)
     bend = brightness[:, 2:] - 2 * brightness[:, 1:-1] + brightness[:, :-2]
     whole = inside[:, 2:] & inside[:, 1:-1] & inside[:, :-2]
-    assert np.abs(bend[whole]).max() <= 12
+    assert np.abs(bend[whole]).max() <= 20
 
 
-def test_edges_are_blended_between_the_two_colours(raster):
-    made = scene(body("box", {"size": [0.1, 0.1, 0.1]}, (0.28, 0.0, 0.051)), lights=(), ambient=(1.0, 1.0, 1.0))
-    image = render(raster, made, width=128, height=128)
-    object_color = np.median(image.rgb[image.segmentation == 1], axis=0)
-    green = image.rgb[..., 1].astype(int)
-    between = (green > object_color[1] + 25) & (green < np.median(green) - 25)
-    edge = image.segmentation.astype(int)
-    assert np.count_nonzero(between) > 0.5 * np.count_nonzero(np.abs(np.diff(edge, axis=0)))
+def test_edges_are_blended_by_the_share_of_the_pixel_that_is_covered(raster):
+    # Nothing sends light but the backdrop, so that darkness is coverage.
+    bar = body("box", {"size": [0.3, 0.04, 0.04]}, (0.28, 0.0, 0.2), (0.9, 0.3, 0.2, 0.24))
+    table = Table(0.3, Material("table", (0.5, 0.5, 0.5)))
+    dark = scene(bar, lights=(), ambient=(0.0, 0.0, 0.0), table=table, backdrop=(0.9, 0.9, 0.9))
+    image, samples = render(raster, dark), render(raster, dark, width=192, height=192)
+    covered = (samples.depth > 0).reshape(64, 3, 64, 3).mean(axis=(1, 3))
+    srgb = image.rgb[..., 0] / 255
+    light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(1 - light / light.max(), covered, atol=0.012)
+    assert np.count_nonzero((covered > 0) & (covered < 1)) > 60
 
 
 @pytest.mark.parametrize("pattern", ["two-tone", "checker", "stripes", "noise", "wood", "dots"])
 def test_every_pattern_shows_both_colours_on_objects_and_table(raster, pattern):
-    look = {"color": (0.9, 0.1, 0.1), "color2": (0.1, 0.1, 0.9), "pattern": pattern, "period": 0.03, "axis": (1.0, 0.0, 0.0)}
+    look = {
+        "color": (0.9, 0.1, 0.1),
+        "color2": (0.1, 0.1, 0.9),
+        "pattern": pattern,
+        "period": 0.03,
+        "axis": (1.0, 0.0, 0.0),
+    }
     table = Table(1.2, Material("table", **look))
     for made in (scene(body("sphere", {"radius": 0.08}, (0.28, 0.0, 0.09), **look)), scene(table=table)):
         image = render(raster, made, Camera((0.6, 0.0, 0.5), (0.2, 0.0, 0.0), np.radians(40)), 128, 128)
@@ -217,12 +240,17 @@ def test_the_light_can_be_turned_around(raster):
     np.testing.assert_array_equal(one.depth, other.depth)
 
 
-def test_metal_is_not_rubber(raster):
-    ball = ("sphere", {"radius": 0.08}, (0.28, 0.0, 0.09))
-    metal = render(raster, scene(body(*ball, metalness=1.0, roughness=0.15)))
-    rubber = render(raster, scene(body(*ball, metalness=0.0, roughness=0.7)))
-    inside = rubber.segmentation == 1
-    assert metal.rgb[inside].astype(float).std(0).max() > 1.5 * rubber.rgb[inside].astype(float).std(0).max()
+def test_a_highlight_is_white_on_plastic_and_coloured_on_metal(raster):
+    red = {"roughness": 0.2, "color": (0.7, 0.1, 0.1)}
+    tints = []
+    for metalness in (0.0, 1.0):
+        made = scene(body("sphere", {"radius": 0.08}, (0.28, 0.0, 0.09), metalness=metalness, **red))
+        image = render(raster, made, width=128, height=128)
+        shown = image.rgb[image.segmentation == 1].astype(int)
+        brightest = shown[np.argmax(shown.sum(axis=1))]
+        tints.append(brightest[0] - brightest[2])
+    assert tints[0] < 40
+    assert tints[1] > 60
 
 
 def test_an_image_does_not_depend_on_what_was_rendered_before(raster):
@@ -237,7 +265,9 @@ def test_an_image_does_not_depend_on_what_was_rendered_before(raster):
 def test_images_own_their_memory(raster):
     first = render(raster, six_objects())
     kept = first.rgb.copy()
-    raster.render(poses(six_objects()) @ rigid(np.array([0.0, 0.0, 0.1]), np.array([1.0, 0.0, 0.0, 0.0])), FRONT, 64, 64)
+    raster.render(
+        poses(six_objects()) @ rigid(np.array([0.0, 0.0, 0.1]), np.array([1.0, 0.0, 0.0, 0.0])), FRONT, 64, 64
+    )
     np.testing.assert_array_equal(first.rgb, kept)
 
 
@@ -263,6 +293,8 @@ def test_shapes_and_poses_follow_the_rows_of_bodies(raster):
     moved = poses(made)
     moved[2, :3, 3] += (0.0, 0.0, 0.05)
     before, after = raster.render(poses(made), FRONT, 64, 64), raster.render(moved, FRONT, 64, 64)
-    changed = np.unique(np.stack([before.segmentation, after.segmentation])[:, before.segmentation != after.segmentation])
+    changed = np.unique(
+        np.stack([before.segmentation, after.segmentation])[:, before.segmentation != after.segmentation]
+    )
     assert 3 in changed
     assert np.count_nonzero((before.segmentation == 1) != (after.segmentation == 1)) < 20

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from datagen.shapes import mesh, solids
+from datagen.shapes import mesh, round_mesh, solids
 from datagen.shapes.shape import MESH_TOLERANCE
 
 CONE = np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.08]])
@@ -14,12 +14,12 @@ STAR = np.array(
 STAR_PIECES = [[7, 0, 1], [1, 2, 3], [3, 4, 5], [5, 6, 7], [1, 3, 5, 7]]
 
 CASES = {
-    "small sphere": (mesh.ellipsoid((0.01, 0.01, 0.01)), solids.Sphere(0.01)),
-    "large sphere": (mesh.ellipsoid((0.08, 0.08, 0.08)), solids.Sphere(0.08)),
-    "ellipsoid": (mesh.ellipsoid((0.03, 0.08, 0.02)), solids.Ellipsoid((0.03, 0.08, 0.02))),
-    "capsule": (mesh.capsule(0.03, 0.05), solids.Capsule(0.03, 0.05)),
-    "thin torus": (mesh.torus(0.06, 0.01), solids.Torus(0.06, 0.01)),
-    "thick torus": (mesh.torus(0.04, 0.03), solids.Torus(0.04, 0.03)),
+    "small sphere": (round_mesh.ellipsoid((0.01, 0.01, 0.01)), solids.Sphere(0.01)),
+    "large sphere": (round_mesh.ellipsoid((0.08, 0.08, 0.08)), solids.Sphere(0.08)),
+    "ellipsoid": (round_mesh.ellipsoid((0.03, 0.08, 0.02)), solids.Ellipsoid((0.03, 0.08, 0.02))),
+    "capsule": (round_mesh.capsule(0.03, 0.05), solids.Capsule(0.03, 0.05)),
+    "thin torus": (round_mesh.torus(0.06, 0.01), solids.Torus(0.06, 0.01)),
+    "thick torus": (round_mesh.torus(0.04, 0.03), solids.Torus(0.04, 0.03)),
     "cone": (mesh.revolution(CONE), solids.Revolution(CONE)),
     "vase": (mesh.revolution(VASE), solids.Revolution(VASE)),
     "box": (mesh.box((0.03, 0.05, 0.02)), solids.Box((0.03, 0.05, 0.02))),
@@ -85,4 +85,4 @@ def test_smooth_corners_share_their_normals_and_edges_do_not():
     belly = np.isclose(vertices[:, 2], 0.05) & (radius > 0.035)
     assert np.ptp(normals[belly, 2]) < 1e-12
     foot = np.isclose(vertices[:, 2], 0.0) & (radius > 0.01)
-    assert np.ptp(normals[foot, 2]) > 0.9
+    assert np.ptp(normals[foot, 2]) > 0.7

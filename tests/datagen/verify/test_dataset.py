@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import staged
@@ -26,15 +27,23 @@ def folder(tiny_dataset: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
 
 
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    """Three staged scenes, quick to check."""
+    places = [(staged.SPHERE, (0.2 + 0.05 * i, 0.0, 0.04)) for i in range(3)]
+    scenes = [staged.record(staged.scene([place], frames=2), resolution=(48, 48)) for place in places]
+    return staged.write_dataset(tmp_path / "plain", scenes)
+
+
 def test_a_clean_dataset_is_verified(tiny_dataset: Path, capsys: pytest.CaptureFixture[str]):
     assert verify.run(tiny_dataset) == EXIT_OK
     assert "8 scenes verified" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_workers_do_not_change_the_verdict(folder: Path):
-    change_scene(folder, "val", 1, lift_depth)
-    assert find(folder, workers=2) == find(folder, workers=1)
+def test_workers_do_not_change_the_verdict(plain: Path):
+    change_scene(plain, "train", 1, lift_depth)
+    assert find(plain, workers=2) == find(plain, workers=1) != []
 
 
 def recount(record: SceneRecord) -> None:
@@ -98,15 +107,17 @@ def turn_camera(record: SceneRecord) -> None:
         turn_camera,
     ],
 )
-def test_geometry_alone_finds_the_scene_that_was_tampered_with(
-    folder: Path, tamper: Callable[[SceneRecord], None], capsys: pytest.CaptureFixture[str]
-):
+def test_geometry_alone_finds_the_scene_that_was_tampered_with(folder: Path, tamper: Callable[[SceneRecord], None]):
     change_scene(folder, "train", SCENE, tamper)
     findings = find(folder)
     assert "surface" in {finding.check for finding in findings}
     assert "hash" not in {finding.check for finding in findings}
     assert {(finding.split, finding.scene) for finding in findings} == {("train", SCENE)}
-    assert verify.run(folder) == EXIT_VERIFICATION
+
+
+def test_findings_are_listed(plain: Path, capsys: pytest.CaptureFixture[str]):
+    change_scene(plain, "train", SCENE, lift_depth)
+    assert verify.run(plain) == EXIT_VERIFICATION
     assert "train shard train-00000.h5 scene 2 frame 0 view 0: surface: " in capsys.readouterr().out
 
 
@@ -133,54 +144,68 @@ def test_every_box_that_is_turned_by_a_degree_about_any_axis_is_found(folder: Pa
 
 
 @pytest.mark.parametrize("name", ["rgb", "depth", "segmentation"])
-def test_one_flipped_bit_is_found_by_the_hash(folder: Path, name: str):
+def test_one_flipped_bit_is_found_by_the_hash(plain: Path, name: str):
     def flip(record: SceneRecord) -> None:
-        record[name].reshape(-1).view(np.uint8)[4321] ^= 1
+        record[name].reshape(-1).view(np.uint8)[2345] ^= 1
 
-    change_scene(folder, "test", 1, flip, keep_hash=True)
-    assert ("test", 1, "hash") in {(finding.split, finding.scene, finding.check) for finding in find(folder)}
+    change_scene(plain, "train", 1, flip, keep_hash=True)
+    assert ("train", 1, "hash") in {(finding.split, finding.scene, finding.check) for finding in find(plain)}
 
 
-def test_damaged_files_are_findings(folder: Path):
-    path = folder / "val-00000.h5"
+def test_damaged_files_are_findings(plain: Path):
+    path = plain / "train-00000.h5"
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     for position in rng.integers(0, len(whole), 5):
         damaged = bytearray(whole)
         damaged[position] ^= 0x10
         path.write_bytes(damaged)
-        assert {finding.split for finding in find(folder)} <= {"val", None}
+        assert {finding.split for finding in find(plain)} <= {"train", None}
     path.write_bytes(whole[: len(whole) // 2])
-    assert {(finding.check, finding.scene) for finding in find(folder) if finding.split} == {("file", 0), ("file", 1)}
+    assert {(finding.check, finding.scene) for finding in find(plain) if finding.split} == {
+        ("file", 0),
+        ("file", 1),
+        ("file", 2),
+    }
     path.write_bytes(b"not HDF5")
-    assert {finding.check for finding in find(folder) if finding.split} == {"file"}
+    assert {finding.check for finding in find(plain) if finding.split} == {"file"}
     path.unlink()
-    assert {finding.check for finding in find(folder) if finding.split} == {"file"}
+    assert {finding.check for finding in find(plain) if finding.split} == {"file"}
 
 
-def test_a_scene_that_is_there_twice_is_found(folder: Path):
-    other = Dataset(folder).split("train")[0]
-    change_scene(folder, "train", 1, lambda record: record.update(other))
-    (finding,) = find(folder)
+def test_a_scene_that_is_there_twice_is_found(plain: Path):
+    other = Dataset(plain).split("train")[0]
+    change_scene(plain, "train", 1, lambda record: record.update(other))
+    (finding,) = find(plain)
     assert finding.check == "duplicate"
     assert finding.message == "train scene 1 is the same scene as train scene 0"
 
 
-def test_a_changed_identity_is_found(folder: Path):
-    facts = json.loads((folder / spec.SPEC_FILE).read_text())
-    (folder / spec.SPEC_FILE).write_text(json.dumps({**facts, "seed": 5}))
-    (finding,) = find(folder)
+@pytest.mark.parametrize(("name", "value"), [("depth_scale", 1e-3), ("first_scene", 1), ("split", "test")])
+def test_what_a_shard_says_about_itself_is_checked(plain: Path, name: str, value: object):
+    with h5py.File(plain / "train-00000.h5", "r+") as file:
+        file.attrs[name] = value
+    # The second finding is the manifest's, since the file's size has changed as well.
+    finding, _ = find(plain)
+    assert finding.check == "file"
+    assert f"attribute {name} is" in finding.message
+
+
+def test_a_changed_identity_is_found(plain: Path):
+    facts = json.loads((plain / spec.SPEC_FILE).read_text())
+    (plain / spec.SPEC_FILE).write_text(json.dumps({**facts, "seed": 5}))
+    (finding,) = find(plain)
     assert "spec_hash" in finding.message
 
 
-def test_a_manifest_of_other_files_is_found(folder: Path):
-    facts = json.loads((folder / spec.MANIFEST_FILE).read_text())
-    (folder / spec.MANIFEST_FILE).write_text(json.dumps({**facts, "content_hash": "0"}))
-    assert [finding.check for finding in find(folder)] == ["file"]
-    (folder / spec.MANIFEST_FILE).write_text("{")
-    assert [finding.check for finding in find(folder)] == ["file"]
-    (folder / spec.MANIFEST_FILE).unlink()
-    assert [finding.check for finding in find(folder)] == ["file"]
+def test_a_manifest_of_other_files_is_found(plain: Path):
+    facts = json.loads((plain / spec.MANIFEST_FILE).read_text())
+    (plain / spec.MANIFEST_FILE).write_text(json.dumps({**facts, "content_hash": "0"}))
+    assert [finding.check for finding in find(plain)] == ["file"]
+    (plain / spec.MANIFEST_FILE).write_text("{")
+    assert [finding.check for finding in find(plain)] == ["file"]
+    (plain / spec.MANIFEST_FILE).unlink()
+    assert [finding.check for finding in find(plain)] == ["file"]
 
 
 def test_a_folder_without_dataset_is_the_user_s_error(tmp_path: Path):

@@ -274,7 +274,7 @@ def test_the_camera_of_the_checks_is_the_project_s(video: SceneRecord):
     points = geometry.unproject(
         case.depth(1, 0).astype(np.float32), video["camera/K"][0], video["camera/world_from_camera"][0]
     )
-    mine = case.center(0) + case.depth(1, 0)[..., None] * case.rays(0)
+    mine = case.center(0) + case.depth(1, 0)[..., None] * case.rays[0]
     np.testing.assert_allclose(mine, points, atol=1e-6)
     pixels, z = case.project(points.reshape(-1, 3), 0)
     np.testing.assert_allclose(pixels.reshape(64, 64, 2)[10, 20], [20.5, 10.5], atol=1e-3)

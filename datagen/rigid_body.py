@@ -1,0 +1,60 @@
+"""A shape as a rigid body for an engine: principal axes of inertia, hulls, quaternions."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.geometry import quaternion_from_rotation
+
+
+def principal_axes(inertia: Float[np.ndarray, "3 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"]]:
+    """Principal moments, and the rotation (quaternion) from the principal frame to the object frame.
+
+    The identity where the object frame is one already, so that shapes with equal moments are not turned by rounding.
+    """
+    diagonal = np.diag(inertia)
+    if np.max(np.abs(inertia - np.diag(diagonal))) < 1e-6 * np.max(diagonal):
+        return diagonal, np.array([1.0, 0.0, 0.0, 0.0])
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return moments, quaternion_from_rotation(axes)
+
+
+def wavefront(parts: Sequence[Float[np.ndarray, "_ 3"]]) -> str:
+    """The text of an OBJ file with one object for each part; its faces only name the corners, three at a time."""
+    lines, first = [], 1
+    for number, part in enumerate(parts):
+        lines.append(f"o part{number}")
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in part.tolist()]
+        corners = [first + min(corner, len(part) - 1) for corner in range(-(-len(part) // 3) * 3)]
+        lines += [f"f {a} {b} {c}" for a, b, c in zip(corners[::3], corners[1::3], corners[2::3], strict=True)]
+        first += len(part)
+    return "\n".join(lines) + "\n"
+
+
+def shrink(part: Float[np.ndarray, "corner 3"], margin: float) -> Float[np.ndarray, "corner 3"]:
+    """Pull a hull's corners in by a margin (metres) along the axes, so that it is itself once inflated by it."""
+    low, high = np.min(part, axis=0), np.max(part, axis=0)
+    extent = np.maximum(high - low, 1e-9)
+    return (low + high) / 2 + (part - (low + high) / 2) * np.maximum(1 - 2 * margin / extent, 0.05)
+
+
+def multiply(a: Float[np.ndarray, "4"], b: Float[np.ndarray, "4"]) -> Float[np.ndarray, "4"]:
+    """Product of two quaternions (w, x, y, z): the rotation b, then a."""
+    aw, ax, ay, az = a.tolist()
+    bw, bx, by, bz = b.tolist()
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def xyzw(quaternion_wxyz: Float[np.ndarray, "4"]) -> list[float]:
+    """The same quaternion in PyBullet's order."""
+    w, x, y, z = quaternion_wxyz.tolist()
+    return [x, y, z, w]

@@ -1,0 +1,60 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from datagen.config import Lighting, Rig, load_recipe
+from datagen.sampling.cameras import sample_cameras, sample_lights
+
+
+def test_the_video_camera_is_the_same_in_every_scene():
+    recipe = load_recipe("moving")
+    first, second = (sample_cameras(recipe, np.random.default_rng(seed)) for seed in (0, 1))
+    assert first == second
+    (camera,) = first
+    offset = np.subtract(camera.position, camera.target)
+    assert np.sqrt(np.sum(offset**2)) == pytest.approx(1.03, abs=1e-5)
+    assert np.degrees(np.arcsin(offset[2] / 1.03)) == pytest.approx(55, abs=1e-3)
+    assert np.degrees(camera.field_of_view) == pytest.approx(40)
+    assert camera.target[2] == 0
+
+
+def test_views_are_turned_about_the_worlds_z_axis():
+    cameras = sample_cameras(load_recipe("static"), np.random.default_rng(0))
+    angles = np.degrees([np.arctan2(c.position[1], c.position[0]) for c in cameras]) % 360
+    np.testing.assert_allclose(angles, [0, 120, 240], atol=1e-3)
+    assert len({c.position[2] for c in cameras}) == 1
+    for camera in cameras:
+        assert camera.target[:2] == (0, 0)
+
+
+def test_jitter_moves_cameras_and_not_what_they_look_at():
+    recipe = load_recipe("clevr3d")
+    first, second = (sample_cameras(recipe, np.random.default_rng(seed)) for seed in (0, 1))
+    assert {c.target for c in first + second} == {(0.0, 0.0, 0.0)}
+    shift = [np.subtract(a.position, b.position) for a, b in zip(first, second, strict=True)]
+    assert np.all(np.abs(shift) < 8 * recipe.rig.jitter)
+    assert np.min(np.abs(shift)) > 0
+
+
+def test_an_azimuth_turns_the_first_camera():
+    recipe = dataclasses.replace(load_recipe("moving"), rig=Rig(azimuth=90.0))
+    (camera,) = sample_cameras(recipe, np.random.default_rng(0))
+    np.testing.assert_allclose(camera.position[:2], [0, 1.03 * np.cos(np.radians(55))], atol=1e-6)
+
+
+def test_lights_come_from_above_and_only_the_key_casts_a_shadow():
+    rng = np.random.default_rng(0)
+    lighting = Lighting()
+    for _ in range(50):
+        key, fill = sample_lights(lighting, rng)
+        assert np.sum(np.square(key.direction)) == pytest.approx(1, abs=1e-5)
+        assert lighting.elevation[0] <= np.degrees(np.arcsin(key.direction[2])) <= lighting.elevation[1] + 1e-3
+        assert fill.direction[2] > 0
+        assert (key.casts_shadow, fill.casts_shadow) == (True, False)
+        assert max(fill.radiance) < min(key.radiance)
+
+
+def test_shadows_can_be_switched_off():
+    key, _ = sample_lights(Lighting(shadows=False), np.random.default_rng(0))
+    assert not key.casts_shadow
