@@ -37,8 +37,7 @@ def make_all(make: MakeScene, scenes: Sequence[tuple[str, int]], workers: int) -
         )
     made = pool(delayed(_work)(make, *scene, os.getpid()) for scene in scenes[1:])
     try:
-        for scene in made:
-            yield scene
+        yield from made
     except TerminatedWorkerError:
         raise DatagenError(
             "A worker process died, perhaps for want of memory. Finished shards are intact; "

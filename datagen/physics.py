@@ -161,9 +161,7 @@ class World:
             return self._primitive(*shape.primitive)
         rotation = rotation_from_quaternion(object_from_principal)
         parts = [shrink(part, _HULL_MARGIN) @ rotation for part in shape.convex_parts]
-        if len(parts) == 1:
-            return self._call("createCollisionShape", self._bullet.GEOM_MESH, vertices=parts[0].tolist())
-        # The only way to a compound of hulls in one body leads through a file.
+        # The only way to several hulls in one body leads through a file; one hull given as an array leaks memory.
         with tempfile.NamedTemporaryFile("w", suffix=".obj") as file:
             file.write(wavefront(parts))
             file.flush()

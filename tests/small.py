@@ -23,7 +23,9 @@ def recipe(**changes: object) -> Recipe:
     return dataclasses.replace(load_recipe("moving"), **{"frames": 3, **changes})
 
 
-def make(folder: Path, splits: dict[str, int], *, renderer: str | None = "raster", seed: int = 0, **run: object) -> Report:
+def make(
+    folder: Path, splits: dict[str, int], *, renderer: str | None = "raster", seed: int = 0, **run: object
+) -> Report:
     """A dataset of `recipe()`."""
     resolution = RESOLUTION if renderer else None
     return generate(

@@ -748,7 +748,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
         shade = _occlusion_at(occlusion, occlusion_frame, p[0], p[1])
         light[r, 0] = 1.0
-        light[r, 1] = min(0.9 * shade, 1.0) if o == TABLE else 0.0
+        light[r, 1] = min(0.75 * shade, 1.0) if o == TABLE else 0.0
         light[r, 2] = 0.0 if o == TABLE else min(1.2 * shade * AO_LENGTH / (AO_LENGTH + max(p[2], 0.0)), 1.0)
 
 

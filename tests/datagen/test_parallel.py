@@ -58,7 +58,7 @@ def test_what_is_wrong_with_a_scene_is_told_after_the_scenes_before_it():
 
 
 def test_a_worker_that_dies_is_one_clear_error_and_the_next_run_works():
-    with pytest.raises(DatagenError, match="worker process died.*same command again"):
+    with pytest.raises(DatagenError, match=r"worker process died.*same command again"):
         list(make_all(Maker(fatal=7), SCENES, 2))
     assert len(list(make_all(Maker(), SCENES, 2))) == 12
 

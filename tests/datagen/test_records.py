@@ -28,7 +28,14 @@ def test_scene_and_trajectory_survive_the_record():
     scene, trajectory = scene_and_trajectory(RECORD)
     expected = staged.trajectory(WORLD)
     assert scene == WORLD
-    for name in ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity", "contact_gap", "contact_impulse"):
+    for name in (
+        "position",
+        "quaternion_wxyz",
+        "linear_velocity",
+        "angular_velocity",
+        "contact_gap",
+        "contact_impulse",
+    ):
         np.testing.assert_array_equal(getattr(trajectory, name), getattr(expected, name))
 
 

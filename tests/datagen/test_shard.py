@@ -33,7 +33,9 @@ def test_hdf5_itself_compresses_to_the_same_bytes_as_we_do(path, tmp_path):
     for name in ("rgb", "depth", "segmentation"):
         frame = RECORDS[0][name][:1, :1]
         with h5py.File(tmp_path / "peer.h5", "w") as peer, h5py.File(path) as ours:
-            peer.create_dataset(name, data=frame, chunks=frame.shape, shuffle=True, compression="gzip", compression_opts=1)
+            peer.create_dataset(
+                name, data=frame, chunks=frame.shape, shuffle=True, compression="gzip", compression_opts=4
+            )
             offset = (0,) * ours[name].ndim
             assert ours[name].id.read_direct_chunk(offset)[1] == peer[name].id.read_direct_chunk(offset[1:])[1]
 
@@ -41,7 +43,7 @@ def test_hdf5_itself_compresses_to_the_same_bytes_as_we_do(path, tmp_path):
 def test_the_filters_are_stock_and_a_frame_is_a_chunk(path):
     with h5py.File(path) as file:
         for name in ("rgb", "depth", "segmentation"):
-            assert (file[name].shuffle, file[name].compression, file[name].compression_opts) == (True, "gzip", 1)
+            assert (file[name].shuffle, file[name].compression, file[name].compression_opts) == (True, "gzip", 4)
             assert file[name].chunks[:3] == (1, 1, 1)
             assert file[name].chunks[3:] == file[name].shape[3:]
 

@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
@@ -15,7 +17,15 @@ def spec(**changes):
 
 @pytest.mark.parametrize(
     ("scenes", "expected"),
-    [(1, (1, 0, 0)), (2, (1, 0, 1)), (3, (1, 1, 1)), (5, (3, 1, 1)), (10, (8, 1, 1)), (20, (16, 2, 2)), (1000, (800, 100, 100))],
+    [
+        (1, (1, 0, 0)),
+        (2, (1, 0, 1)),
+        (3, (1, 1, 1)),
+        (5, (3, 1, 1)),
+        (10, (8, 1, 1)),
+        (20, (16, 2, 2)),
+        (1000, (800, 100, 100)),
+    ],
 )
 def test_scenes_are_split_80_10_10(scenes: int, expected: tuple[int, int, int]):
     assert tuple(split_sizes(scenes)[name] for name in SPLITS) == expected
@@ -23,9 +33,13 @@ def test_scenes_are_split_80_10_10(scenes: int, expected: tuple[int, int, int]):
 
 def test_no_split_shrinks_when_scenes_are_added():
     sizes = [split_sizes(scenes) for scenes in range(200)]
-    for scenes, (before, after) in enumerate(zip(sizes, sizes[1:])):
+    for scenes, (before, after) in enumerate(itertools.pairwise(sizes)):
         assert sum(before.values()) == scenes
-        assert sum(after[name] - before[name] for name in SPLITS) == max(after[name] - before[name] for name in SPLITS) == 1
+        assert (
+            sum(after[name] - before[name] for name in SPLITS)
+            == max(after[name] - before[name] for name in SPLITS)
+            == 1
+        )
 
 
 @pytest.mark.parametrize(("scenes", "per_shard"), [(0, 64), (1, 64), (64, 64), (65, 64), (1000, 7)])

@@ -44,7 +44,9 @@ def test_one_core(benchmark: Any):
     shard_image(made[1:], {})
     writing = (time.process_time() - start) / SCENES
     frames = MOVING.frames / (benchmark.stats.stats.mean + writing)
-    print(f"\n{frames:.0f} frames/s a core (goal {GOAL_FRAMES}); writing is {1000 * writing / MOVING.frames:.2f} ms a frame")
+    print(
+        f"\n{frames:.0f} frames/s a core (goal {GOAL_FRAMES}), {1e6 * writing / MOVING.frames:.0f} us a frame to write"
+    )
     assert frames >= GOAL_FRAMES
 
 

@@ -240,6 +240,14 @@ def test_every_stored_fact_is_compared(video: SceneRecord, name: str, expected: 
     assert expected in checks(record)
 
 
+def test_visible_pixels_are_counted(video: SceneRecord):
+    record = copy(video)
+    record["visibility/visible_pixels"][0, 0, 0] -= 1
+    amodal = record["visibility/amodal_pixels"][0, 0, 0]
+    record["visibility/visible_fraction"][0, 0, 0] = record["visibility/visible_pixels"][0, 0, 0] / amodal
+    assert checks(record) == {"counts"}
+
+
 def test_padding_and_finiteness_are_checked(video: SceneRecord):
     record = copy(video)
     record["objects/mass"][3] = 1
