@@ -1,4 +1,10 @@
-"""What a model gets and what it gives back: NumPy in, NumPy out, and never a label on the way in."""
+"""What a model gets and what it gives back: NumPy in, NumPy out, and no label on the way in.
+
+A model is a class with `fit` and `segment`. The benchmark builds it from **options** given as keyword arguments: the
+values that are tuned for it, by name, and `slots` if its constructor has an argument of that name. `slots` is the
+number of slots that every model may use on a track: its largest object count, plus one for the background. Models
+that find the number of objects themselves do not take it, and may use more.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,6 +12,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer, UInt8
+
+LARGEST_LABEL = 255
+"""Label maps are kept as bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +31,8 @@ class Clip:
     """Camera matrices in pixels, pixel centres at +0.5."""
     world_from_camera: Float[np.ndarray, "view 4 4"]
     """Poses of the cameras, metres."""
+    truth: UInt8[np.ndarray, "frame view height width"] | None = None
+    """Object ids, 0 = background; None for every model but those registered with `uses_labels`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,14 +40,22 @@ class Prediction:
     """One segmentation of a clip."""
 
     labels: Integer[np.ndarray, "frame view height width"]
-    """Slot of every pixel, from 0 on; which slot stands for which object is the model's affair."""
+    """Slot of every pixel, 0 to `LARGEST_LABEL`; which slot stands for which object is the model's affair."""
     background_slot: int | None
     """The slot that the model means as background; None if it means none."""
+
+    @property
+    def background(self) -> int:
+        """The slot that counts as background: the declared one, or else the one with most pixels in the clip."""
+        if self.background_slot is not None:
+            return self.background_slot
+        names, counts = np.unique(self.labels, return_counts=True)
+        return int(names[np.argmax(counts)])
 
 
 @runtime_checkable
 class Segmenter(Protocol):
-    """A model under test. Its constructor takes no argument that the benchmark must know."""
+    """A model under test."""
 
     def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
         """Learn from unlabelled clips, for at most `budget` seconds; all randomness comes from `seed`."""

@@ -1,130 +1,160 @@
-"""One model on one dataset: fit, segment the split, score every frame."""
+"""One job: fit a model once, then segment, store and score one or more tracks; all in the calling process."""
 
+import math
+import resource
+import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Shaped
-
-from benchmark.clips import ClipSequence, read_truth
-from benchmark.interface import Clip, Prediction, Segmenter
-from benchmark.metrics import FrameScores, frame_scores, summarise
+from benchmark.clips import ClipSequence, TruthSequence
+from benchmark.interface import Clip, Segmenter
+from benchmark.model_spec import ModelSpec, Options
 from benchmark.registry import find_model
-from datagen import storage
-from datagen.errors import DatagenError, UsageError
+from benchmark.results import LABELS, Measured, RunKey, RunRow, save_row
+from benchmark.scoring import score_labels, segment_split
+from benchmark.tuning import choose
+from datagen.errors import UsageError
+from datagen.storage import Dataset, Split
 
-DEFAULT_BUDGET = 600.0
-"""Seconds that a model may train for."""
+SPLIT = "test"
+"""The split that is scored."""
 
 
 @dataclass(frozen=True)
-class Result:
-    """How one model with one seed did on one split."""
+class Target:
+    """One row to be made."""
+
+    key: RunKey
+    data: Path
+    """Dataset to score on."""
+    slots: int
+    """Slots that the model may use there."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A model and a seed: fitted once, scored on every target."""
 
     model: str
-    version: int
-    """Of the model."""
-    dataset: str
-    """Name of the recipe."""
-    spec_hash: str
-    """Identity of the dataset."""
-    split: str
     seed: int
-    scenes: int
-    scores: dict[str, float]
-    """As `benchmark.metrics.summarise` gives them, all frames of the split pooled."""
-    seconds_per_frame: float
-    """Wall time of `segment`, reading and scoring left out."""
+    fit_data: Path
+    fit_slots: int
+    targets: tuple[Target, ...]
+    out: Path
+    """The run folder."""
+    seconds: float = math.inf
+    """That the model may train for."""
+    steps: int | None = None
+    """That it trains for, where budgets are counted in steps."""
 
 
-class BadPrediction(DatagenError):
-    """A model broke the contract of `benchmark.interface`."""
-
-
-def run(
-    model: str,
-    data: str | Path,
-    *,
-    seed: int,
-    split: str = "test",
-    budget: float = DEFAULT_BUDGET,
-    progress: Callable[[int], None] = lambda scenes: None,
-) -> Result:
-    """Fit a registered model on a dataset's train and val splits and score it on `split`.
+def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> None:
+    """Make all rows of a job; `announce` hears "fitted", and the name of every row when it is written.
 
     Raises:
-        UsageError: the model, the dataset or the split does not exist, or the split is empty.
+        UsageError: the model, a dataset or a split does not exist, or a split is empty.
         BadPrediction: the model returned something else than labels for every pixel.
-        CorruptFile: the dataset is damaged.
+        CorruptFile: a dataset is damaged.
     """
-    spec, dataset = find_model(model), storage.Dataset(data)
-    scenes = dataset.split(split)
+    spec = find_model(job.model)
+    fitted = _fit(spec, job)
+    announce("fitted")
+    for target in job.targets:
+        _make_row(spec, job, fitted, target)
+        announce(target.key.name)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """What fitting found out; models that learn nothing are built anew for the slots of every target."""
+
+    segmenter: Segmenter
+    options: Options
+    tuned: bool
+    seconds: float
+
+
+def _fit(spec: ModelSpec, job: Job) -> _Fitted:
+    started = time.perf_counter()
+    dataset = Dataset(job.fit_data)
+    # Only models that learn get training clips, so that the others do not wait for these to be made.
+    train: Sequence[Clip] = _clips(dataset.split("train"), spec) if spec.kind == "learned" else []
+    val = _clips(dataset.split("val"), spec)
+    options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
+    truths = TruthSequence(dataset.split("val"))
+    if len(spec.grid) > 1 and not len(val):
+        raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
+    choice = choose(spec, options, train, val, truths, seed=job.seed, budget=job.seconds)
+    left = job.seconds - (time.perf_counter() - started) if choice.scores else job.seconds
+    segmenter = spec.build(choice.options)
+    segmenter.fit(train, val, seed=job.seed, budget=max(left, 0.0))
+    return _Fitted(segmenter, choice.options, bool(choice.scores), time.perf_counter() - started)
+
+
+def _clips(scenes: Split, spec: ModelSpec) -> ClipSequence:
+    return ClipSequence(scenes, uses_labels=spec.uses_labels)
+
+
+def _make_row(spec: ModelSpec, job: Job, fitted: _Fitted, target: Target) -> None:
+    scenes = Dataset(target.data).split(SPLIT)
     if len(scenes) == 0:
-        raise UsageError(f"Split {split!r} of {data} has no scenes; generate some, or choose another split.")
-    segmenter = spec.build()
-    train, val = (ClipSequence(dataset.split(name)) for name in ("train", "val"))
-    segmenter.fit(train, val, seed=seed, budget=budget)
-    frames, seconds = [], 0.0
-    for done, (scores, elapsed) in enumerate(score_scenes(segmenter, scenes), start=1):
-        frames.append(scores)
-        seconds += elapsed
-        progress(done)
-    pooled = {name: np.concatenate([scores[name] for scores in frames]) for name in frames[0]}
-    scores = summarise(pooled)
-    return Result(
-        model=model,
-        version=spec.version,
-        dataset=dataset.spec["recipe"]["name"],
-        spec_hash=dataset.spec["spec_hash"],
-        split=split,
-        seed=seed,
-        scenes=len(scenes),
-        scores=scores,
-        seconds_per_frame=seconds / scores["n_frames"],
+        raise UsageError(f"Split {SPLIT!r} of {target.data} has no scenes; generate some.")
+    segmenter, options = _for_target(spec, job, fitted, target)
+    labels = job.out / LABELS / f"{target.key.name}.h5"
+    seconds = segment_split(lambda _, clip: segmenter.segment(clip), _clips(scenes, spec), labels)
+    frames = score_labels(labels, scenes, job.out, target.key.name)
+    row = RunRow(
+        key=target.key,
+        status="ok",
+        reason="",
+        config=dict(options),
+        tuned=fitted.tuned,
+        uses_labels=spec.uses_labels,
+        kind=spec.kind,
+        priors=spec.priors,
+        random=spec.random,
+        n_scenes=len(scenes),
+        parameters=int(getattr(segmenter, "parameters", 0)),
+        device=str(getattr(segmenter, "device", "cpu")),
+        commit=commit(),
+        measured=Measured(seconds / frames, fitted.seconds, peak_mib()),
+        learning_curve=getattr(segmenter, "learning_curve", None),
     )
+    save_row(job.out, row)
 
 
-def score_scenes(segmenter: Segmenter, scenes: storage.Split) -> Iterator[tuple[FrameScores, float]]:
-    """For each scene the scores of its frames (views count as frames) and the seconds that `segment` took.
-
-    Pixels without depth are left out: nothing can be known of them from geometry.
-    """
-    for index, clip in enumerate(ClipSequence(scenes)):
-        start = time.perf_counter()
-        prediction = segmenter.segment(clip)
-        elapsed = time.perf_counter() - start
-        check_prediction(prediction, clip, f"scene {index}")
-        truth = read_truth(scenes, index)
-        labels, ignore = as_frames(prediction.labels), as_frames(~clip.valid)
-        yield frame_scores(as_frames(truth), labels, background_slot(prediction), ignore), elapsed
+def _for_target(spec: ModelSpec, job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:
+    if spec.kind == "learned" or target.slots == job.fit_slots:
+        return fitted.segmenter, fitted.options
+    options = {**fitted.options, "slots": target.slots}
+    segmenter = spec.build(options)
+    segmenter.fit([], _clips(Dataset(job.fit_data).split("val"), spec), seed=job.seed, budget=job.seconds)
+    return segmenter, options
 
 
-def check_prediction(prediction: Prediction, clip: Clip, where: str) -> None:
-    """Check that a model gave a label for every pixel.
-
-    Raises:
-        BadPrediction: says what it gave instead.
-    """
-    labels, slot = np.asarray(prediction.labels), prediction.background_slot
-    if labels.shape != clip.depth.shape or not np.issubdtype(labels.dtype, np.integer):
-        expected = f"integers of shape {clip.depth.shape}"
-        raise BadPrediction(f"In {where} the model gave labels {labels.dtype} {labels.shape}; expected {expected}.")
-    if labels.min() < 0 or (slot is not None and slot < 0):
-        raise BadPrediction(
-            f"In {where} the model gave label {labels.min()} and background slot {slot}; both start at 0."
-        )
+def peak_mib() -> float:
+    """Largest resident memory that this process ever had, MiB."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
 
 
-def background_slot(prediction: Prediction) -> int:
-    """The slot that the model declares as background; where it declares none, the one with most pixels in the clip."""
-    if prediction.background_slot is not None:
-        return prediction.background_slot
-    names, counts = np.unique(prediction.labels, return_counts=True)
-    return int(names[np.argmax(counts)])
+@cache
+def commit() -> str:
+    """The commit of the code, with a plus sign where files were changed since; empty outside a git checkout."""
+    root = Path(__file__).parent.parent
 
+    def git(*arguments: str) -> str:
+        found = subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True, check=False)
+        return found.stdout.strip() if found.returncode == 0 else ""
 
-def as_frames(maps: Shaped[np.ndarray, "frame view height width"]) -> Shaped[np.ndarray, "frame*view height width"]:
-    """Views as frames of their own."""
-    return maps.reshape(-1, *maps.shape[2:])
+    if not (root / ".git").exists():
+        return ""
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", "benchmark", "datagen", "obpose")
+        return git("rev-parse", "--short=12", "HEAD") + ("+" if changed else "")
+    except OSError:
+        return ""

@@ -31,6 +31,8 @@ class Run:
     """Processes."""
     share: tuple[int, int] = (0, 1)
     """(i, n): make only the shards whose number modulo n is i."""
+    splits: tuple[str, ...] = SPLITS
+    """Make only shards of these splits; the others can follow in another run."""
     overwrite: bool = False
     """Give up a dataset of other settings in the same folder."""
     progress: Progress = no_progress
@@ -74,14 +76,26 @@ def generate(
         UsageError: the request contradicts itself or what is in the folder.
         DatagenError: it could not be completed; running it again goes on.
     """
-    spec = make_spec(
+    spec = dataset_spec(recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer)
+    return _fill(folder, spec, None, run)
+
+
+def dataset_spec(
+    recipe: Recipe,
+    *,
+    splits: Mapping[str, int],
+    seed: int = 0,
+    resolution: tuple[int, int] | None = None,
+    renderer: str | None = "raster",
+) -> Spec:
+    """The spec of the dataset that `generate` makes of these arguments in a new folder."""
+    return make_spec(
         recipe_to_dict(recipe),
         seed=seed,
         splits=splits,
         resolution=(resolution or recipe.resolution) if renderer else None,
         renderer=renderer_identity(renderer),
     )
-    return _fill(folder, spec, None, run)
 
 
 def render(
@@ -146,7 +160,7 @@ def regenerate(folder: Path, split: str, index: int) -> list[str]:
 def _fill(folder: Path, wanted: Spec, source: Path | None, run: Run) -> Report:
     started = time.monotonic()
     spec = begin(folder, wanted, overwrite=run.overwrite)
-    tasks = [task for task in _tasks(folder, spec) if task.order % run.share[1] == run.share[0] and task.todo]
+    tasks = [task for task in _tasks(folder, spec) if _is_wanted(task, run)]
     scenes = [(task.split, index) for task in tasks for index in task.todo]
     maker = SceneMaker(spec, source)
     progress = run.progress if scenes else no_progress
@@ -159,6 +173,10 @@ def _fill(folder: Path, wanted: Spec, source: Path | None, run: Run) -> Report:
     if complete:
         _finish(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
     return Report(spec, len(scenes), complete, seconds)
+
+
+def _is_wanted(task: "_Task", run: Run) -> bool:
+    return bool(task.todo) and task.split in run.splits and task.order % run.share[1] == run.share[0]
 
 
 def _counted(scene: PackedScene, advance: Advance) -> PackedScene:

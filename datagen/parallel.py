@@ -37,7 +37,8 @@ def make_all(make: MakeScene, scenes: Sequence[tuple[str, int]], workers: int) -
         )
     made = pool(delayed(_work)(make, *scene, os.getpid()) for scene in scenes[1:])
     try:
-        yield from made
+        for scene in made:  # noqa: UP028  # `yield from` would close it before the warnings are off
+            yield scene
     except TerminatedWorkerError:
         raise DatagenError(
             "A worker process died, perhaps for want of memory. Finished shards are intact; "

@@ -19,6 +19,21 @@ from datagen.shapes.shape import Shape
 _DENSEST = 0.6
 """Share of a region that discs dropped at random places can fill before there is no place left."""
 
+_LAYERS = 4
+"""Where objects may lie on each other: how many times over they may cover the region."""
+
+_REMEDIES = {
+    "crowded": "no free place: lower --objects.maximum or enlarge --layout.half-extent",
+    "unsteady": "a group without shapes that lie steadily: name other --objects.categories",
+    "overlap": "objects overlap at the start: enlarge --layout.gap",
+    "left": "an object leaves the workspace: lower --motion.speed or enlarge --layout.workspace-half-extent",
+    "apart": "objects that should touch come apart: lower --motion.speed",
+    "unmet": "objects were not brought into contact: name other --objects.categories",
+    "restless": "objects do not come to rest: raise --physics.settle-seconds",
+    "hidden": "an object shows too few pixels: lower --least-visible-pixels or bring the camera closer",
+    "still": "nothing moves far enough: raise --motion.speed",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
@@ -133,9 +148,8 @@ def check_room(recipe: Recipe) -> None:
     """
     objects, layout = recipe.objects, recipe.layout
     length = np.mean(objects.sizes) if objects.sizes else np.mean(objects.size)
-    if layout.placement == "stacked":
-        return
-    room = _DENSEST * 4 * np.prod(layout.half_extent)
+    layers = _LAYERS if layout.placement == "stacked" else 1
+    room = layers * _DENSEST * 4 * np.prod(layout.half_extent)
     fits = int(room / (np.pi / 4 * (length + layout.gap) ** 2))
     if objects.minimum > fits:
         raise ImpossibleScene(
@@ -144,19 +158,6 @@ def check_room(recipe: Recipe) -> None:
             f"about {fits}; lower --objects.minimum and --objects.maximum, lower --objects.size, or enlarge "
             "--layout.half-extent."
         )
-
-
-_REMEDIES = {
-    "crowded": "no free place: lower --objects.maximum or enlarge --layout.half-extent",
-    "unsteady": "a group without shapes that lie steadily: name other --objects.categories",
-    "overlap": "objects overlap at the start: enlarge --layout.gap",
-    "left": "an object leaves the workspace: lower --motion.speed or enlarge --layout.workspace-half-extent",
-    "apart": "objects that should touch come apart: lower --motion.speed",
-    "unmet": "objects were not brought into contact: name other --objects.categories",
-    "restless": "objects do not come to rest: raise --physics.settle-seconds",
-    "hidden": "an object shows too few pixels: lower --least-visible-pixels or bring the camera closer",
-    "still": "nothing moves far enough: raise --motion.speed",
-}
 
 
 def _explain(recipe: Recipe, split: str, index: int, rejections: Counter[str]) -> str:

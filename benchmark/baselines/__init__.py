@@ -1,1 +1,117 @@
-"""Models that need no training, one file each."""
+"""Models that need no training, one file each, and what the benchmark must know of them.
+
+A grid holds few values, each with a reason to be the best on some data; labels of the validation split choose.
+"""
+
+from itertools import product
+
+from benchmark.baselines.floors import AllBackground, ConstantGrid, OneCluster, RandomSlots
+from benchmark.baselines.kmeans import KMeansXyzRgb
+from benchmark.baselines.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground
+from benchmark.baselines.plane_components import PlaneComponents
+from benchmark.baselines.plane_dbscan import PlaneDbscan
+from benchmark.baselines.plane_dbscan_tracked import PlaneDbscanTracked
+from benchmark.baselines.plane_hdbscan import PlaneHdbscan
+from benchmark.model_spec import ModelSpec, Options, builder
+
+
+def _grid(**values: tuple[float, ...]) -> tuple[Options, ...]:
+    """All combinations; the first of each is the default."""
+    return tuple(dict(zip(values, chosen, strict=True)) for chosen in product(*values.values()))
+
+
+# Low where the depth is exact, high where noise lets the table stand up.
+HEIGHTS = (0.001, 0.005)
+# Pixels apart that still touch: fewer keep neighbours apart, more hold surfaces together that are seen aslant.
+REACHES = (3.0, 1.5, 2.0, 2.5, 4.0)
+
+DBSCAN = _grid(reach_pixels=REACHES, least_height=HEIGHTS)
+# As much colour as tells two objects that touch apart, and no more than leaves shades of one object together.
+DBSCAN_COLOUR = _grid(colour=(0.05, 0.1, 0.2), reach_pixels=(3.0, 2.0, 4.0), least_height=(0.001,))
+# Small objects against noise; and how near clusters must be to be one.
+HDBSCAN = _grid(least_cells=(10, 5, 20), merge_pixels=(2.0, 0.0, 3.0), least_height=(0.001,))
+# From the slope of one surface in neighbouring pixels up to the depth of an object.
+COMPONENTS = _grid(step=(0.03, 0.01, 0.015, 0.02, 0.05), least_height=HEIGHTS)
+# Against a table of about a metre: position alone, up to colour alone.
+KMEANS = _grid(colour=(0.2, 0.0, 0.1, 0.4, 0.8, 1.6))
+
+PLANE = ("background slot", "camera pose", "plane")
+
+FLOORS = {
+    "one-cluster": ModelSpec(
+        builder(OneCluster), 1, "everything is one object", "floor", random=False, priors=("background slot",)
+    ),
+    "all-background": ModelSpec(
+        builder(AllBackground), 1, "everything is background", "floor", random=False, priors=("background slot",)
+    ),
+    "random-slots": ModelSpec(builder(RandomSlots), 1, "every pixel draws its slot", "floor", priors=("slots",)),
+    "constant-grid": ModelSpec(
+        builder(ConstantGrid), 1, "the same rectangles in every image", "floor", random=False, priors=("slots",)
+    ),
+}
+
+CLASSICAL = {
+    "plane-dbscan": ModelSpec(
+        builder(PlaneDbscan), 1, "RANSAC plane removal, then DBSCAN on the points", "classical", DBSCAN, priors=PLANE
+    ),
+    "plane-dbscan-colour": ModelSpec(
+        builder(PlaneDbscan), 1, "the same on points and colours", "classical", DBSCAN_COLOUR, priors=PLANE
+    ),
+    "plane-dbscan-tracked": ModelSpec(
+        builder(PlaneDbscanTracked),
+        1,
+        "plane-dbscan, its clusters followed over frames by nearest centroid",
+        "classical",
+        DBSCAN,
+        priors=PLANE,
+    ),
+    "plane-hdbscan": ModelSpec(
+        builder(PlaneHdbscan), 1, "RANSAC plane removal, then HDBSCAN on the points", "classical", HDBSCAN, priors=PLANE
+    ),
+    "plane-components": ModelSpec(
+        builder(PlaneComponents),
+        1,
+        "RANSAC plane removal, then connected components of the depth image",
+        "classical",
+        COMPONENTS,
+        priors=PLANE,
+    ),
+    "kmeans-xyz-rgb": ModelSpec(
+        builder(KMeansXyzRgb),
+        1,
+        "k-means on positions and colours of all points",
+        "classical",
+        KMEANS,
+        priors=("slots", "camera pose"),
+    ),
+}
+
+ORACLES = {
+    "oracle-k-slots": ModelSpec(
+        builder(OracleKSlots),
+        1,
+        "the truth, as far as K slots reach",
+        "oracle",
+        random=False,
+        uses_labels=True,
+        priors=("slots", "background slot"),
+    ),
+    "oracle-quarter-resolution": ModelSpec(
+        builder(OracleQuarterResolution),
+        1,
+        "the truth at a quarter of the resolution",
+        "oracle",
+        random=False,
+        uses_labels=True,
+        priors=("background slot",),
+    ),
+    "oracle-split-background": ModelSpec(
+        builder(OracleSplitBackground),
+        1,
+        "the truth, its background in four slots",
+        "oracle",
+        random=False,
+        uses_labels=True,
+        priors=("background slot",),
+    ),
+}

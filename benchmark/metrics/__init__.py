@@ -1,5 +1,23 @@
-"""Metrics of label maps, exact and fast; `score` is all that most callers need."""
+"""Metrics of label maps, exact and fast; `score` is all that most callers need, `clip_scores` what the harness keeps."""
 
-from benchmark.metrics.score import METRICS, FrameScores, frame_scores, score, summarise
+from benchmark.metrics.score import (
+    CLIP_METRICS,
+    METRICS,
+    ClipScores,
+    FrameScores,
+    clip_scores,
+    frame_scores,
+    score,
+    summarise,
+)
 
-__all__ = ["METRICS", "FrameScores", "frame_scores", "score", "summarise"]
+__all__ = [
+    "CLIP_METRICS",
+    "METRICS",
+    "ClipScores",
+    "FrameScores",
+    "clip_scores",
+    "frame_scores",
+    "score",
+    "summarise",
+]

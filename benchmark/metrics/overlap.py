@@ -2,6 +2,7 @@
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from scipy.optimize import linear_sum_assignment
 
 
 def intersection_over_union(tables: Int64[np.ndarray, "frame truth slot"]) -> Float64[np.ndarray, "frame truth slot"]:
@@ -18,10 +19,19 @@ def covering(
     The covering of Arbelaez et al. (2011) without weights. Which slots are candidates is for the caller to choose by
     leaving out columns of `iou`; with none left, every object counts 0.
     """
+    return _mean_over_objects(iou[:, 1:].max(axis=2, initial=0.0), tables)
+
+
+def one_to_one_overlap(
+    iou: Float64[np.ndarray, "frame truth slot"], tables: Int64[np.ndarray, "frame truth slot"]
+) -> Float64[np.ndarray, "frame"]:
+    """Mean over the objects of the IoU with the slot matched to each, no slot twice, where that mean is largest.
+
+    All slots may be matched; objects left without one count 0. nan in frames without objects.
+    """
     present = tables[:, 1:].sum(axis=2) > 0
-    best = iou[:, 1:].max(axis=2, initial=0.0)
-    objects = present.sum(axis=1)
-    return np.where(objects > 0, np.sum(best * present, axis=1) / np.maximum(objects, 1), np.nan)
+    total = [_best_matching(overlaps[there]) for overlaps, there in zip(iou[:, 1:], present, strict=True)]
+    return _per_object(np.array(total, np.float64), present.sum(axis=1))
 
 
 def background_overlap(
@@ -29,3 +39,36 @@ def background_overlap(
 ) -> Float64[np.ndarray, "frame"]:
     """IoU of the true background with the given slot; nan in frames without true background."""
     return np.where(tables[:, 0].sum(axis=1) > 0, iou[:, 0, slot], np.nan)
+
+
+def best_background_slot(
+    iou: Float64[np.ndarray, "frame truth slot"], tables: Int64[np.ndarray, "frame truth slot"]
+) -> Int64[np.ndarray, "frame"]:
+    """Of the slots that have pixels, the one that overlaps the true background most; the first of equals."""
+    return np.where(tables.sum(axis=1) > 0, iou[:, 0], -1.0).argmax(axis=1)
+
+
+def without_slot(
+    iou: Float64[np.ndarray, "frame truth slot"], slots: Int64[np.ndarray, "frame"]
+) -> Float64[np.ndarray, "frame truth slot"]:
+    """The same overlaps with one slot of each frame taken out of the running."""
+    columns = np.arange(iou.shape[2])
+    return np.where(columns == slots[:, None, None], 0.0, iou)
+
+
+def _best_matching(overlaps: Float64[np.ndarray, "object slot"]) -> float:
+    best = overlaps.argmax(axis=1)
+    if len(set(best.tolist())) == len(best):  # No two objects want the same slot: nothing can be better.
+        return float(overlaps.max(axis=1).sum())
+    return float(overlaps[linear_sum_assignment(overlaps, maximize=True)].sum())
+
+
+def _mean_over_objects(
+    values: Float64[np.ndarray, "frame object"], tables: Int64[np.ndarray, "frame truth slot"]
+) -> Float64[np.ndarray, "frame"]:
+    present = tables[:, 1:].sum(axis=2) > 0
+    return _per_object(np.sum(values * present, axis=1), present.sum(axis=1))
+
+
+def _per_object(totals: Float64[np.ndarray, "frame"], objects: np.ndarray) -> Float64[np.ndarray, "frame"]:
+    return np.where(objects > 0, totals / np.maximum(objects, 1), np.nan)

@@ -33,30 +33,6 @@ AO_LENGTH = 0.02
 PATTERNS = ("plain", "two-tone", "checker", "stripes", "noise", "wood", "dots")
 
 
-class Row(NamedTuple):
-    """Scratch memory for the samples of one image row that are shaded."""
-
-    kind: np.ndarray
-    """Triangle, or TABLE, or NOTHING."""
-    owner: np.ndarray
-    """Object, or TABLE, or NOTHING."""
-    pixel: np.ndarray
-    share: np.ndarray
-    """Of the pixel's area."""
-    at: np.ndarray
-    """Sample coordinates, and depth where it is the table's."""
-    point: np.ndarray
-    normal: np.ndarray
-    look: np.ndarray
-    second: np.ndarray
-    """Share of the second colour."""
-    light: np.ndarray
-    """Share of the first light that arrives; shares of ambient light from above and below that do not."""
-    blur: np.ndarray
-    color: np.ndarray
-    total: np.ndarray
-
-
 def _vogel_disc(count: int) -> np.ndarray:
     turn = np.pi * (3 - np.sqrt(5))
     index = np.arange(count)
@@ -112,6 +88,30 @@ class Surroundings(NamedTuple):
     backdrop: np.ndarray
     occlusion: np.ndarray
     occlusion_frame: np.ndarray
+
+
+class Row(NamedTuple):
+    """Scratch memory for the samples of one image row that are shaded."""
+
+    kind: np.ndarray
+    """Triangle, or TABLE, or NOTHING."""
+    owner: np.ndarray
+    """Object, or TABLE, or NOTHING."""
+    pixel: np.ndarray
+    share: np.ndarray
+    """Of the pixel's area."""
+    at: np.ndarray
+    """Sample coordinates, and depth where it is the table's."""
+    point: np.ndarray
+    normal: np.ndarray
+    look: np.ndarray
+    second: np.ndarray
+    """Share of the second colour."""
+    light: np.ndarray
+    """Share of the first light that arrives; shares of ambient light from above and below that do not."""
+    blur: np.ndarray
+    color: np.ndarray
+    total: np.ndarray
 
 
 # --- Solid textures -----------------------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
     triangles along a shared edge are exact negatives, so that no sample falls between them.
     """
     height, width = triangle.shape
-    camera_height = view[2, 3]
+    side = 1.0 if view[2, 3] > 0 else -1.0
     for o in range(len(face_start) - 1):
         for f in range(face_start[o], face_start[o + 1]):
             i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -287,7 +287,7 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
             if det >= 0:
                 continue
             scale = 1 / det
-            sinks = camera_height > 0 and min(world[i, 2], min(world[j, 2], world[k, 2])) < 0
+            sinks = min(side * world[i, 2], min(side * world[j, 2], side * world[k, 2])) < 0
             for y in range(int(y0), int(y1) + 1):
                 sy = y + 0.5
                 a0, b0, c0 = ay * sy + az, by * sy + bz, cy * sy + cz
@@ -303,19 +303,19 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
                     if middle and x % SUB == SUB // 2 and stamp[y // SUB, x // SUB] != o:
                         stamp[y // SUB, x // SUB] = o
                         amodal[o] += 1
-                    if inverse > inverse_depth[y, x] and not (sinks and _under_table(view, sx, sy, inverse)):
+                    if inverse > inverse_depth[y, x] and not (sinks and _behind_table(view, sx, sy, inverse)):
                         inverse_depth[y, x] = inverse
                         triangle[y, x] = f
 
 
 @kernel
-def _under_table(view, sx, sy, inverse):
-    down = -(view[2, 0] * sx + view[2, 1] * sy + view[2, 2])
-    if down <= 0 or down < view[2, 3] * inverse:
+def _behind_table(view, sx, sy, inverse):
+    """Whether a sample's ray meets the table at an inverse depth above `inverse`."""
+    nearer = -(view[2, 0] * sx + view[2, 1] * sy + view[2, 2]) / view[2, 3]
+    if not nearer > inverse:
         return False
-    t = view[2, 3] / down
-    x = view[0, 3] + t * (view[0, 0] * sx + view[0, 1] * sy + view[0, 2])
-    y = view[1, 3] + t * (view[1, 0] * sx + view[1, 1] * sy + view[1, 2])
+    x = view[0, 3] + (view[0, 0] * sx + view[0, 1] * sy + view[0, 2]) / nearer
+    y = view[1, 3] + (view[1, 0] * sx + view[1, 1] * sy + view[1, 2]) / nearer
     return abs(x) <= view[3, 0] and abs(y) <= view[3, 0]
 
 

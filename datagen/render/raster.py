@@ -33,7 +33,6 @@ class RasterRenderer:
             [_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)]
         )
         self._table_half = 0.5 * scene.table.size
-        self._scene = scene
         self._lights = _pack_lights(scene.lights)
         self._ambient = np.array(scene.ambient, np.float64)
         self._ground = _ground(scene)
@@ -107,6 +106,8 @@ class RasterRenderer:
         if len(self._world):
             self._light_map(below, margin=4 * kernels.AO_LENGTH)
             kernels.occlusion_map(below.texels, below.frame[2], buffers.occlusion)
+        else:
+            buffers.occlusion.fill(0)
         return kernels.Surroundings(
             self._lights,
             self._shadows,

@@ -71,7 +71,8 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
     ]
     parallel = joblib.Parallel(n_jobs=workers, return_as="generator")
     results = parallel(joblib.delayed(_check_scenes)(dataset, *job) for job in jobs)
-    checked = [part for part in track(results, "Verifying", total=len(jobs), transient=True) if part is not None]
+    shown = track(results, "Verifying", total=len(jobs), transient=True, disable=not Console().is_terminal)
+    checked = [part for part in shown if part is not None]
     scenes = [finding for part in checked for finding in part.findings]
     whole = [] if scenes else [*_check_attributes(dataset), *_check_manifest(dataset)]
     return [*scenes, *_duplicates(checked), *whole]
@@ -127,7 +128,7 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
     if manifest is None:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")
     else:
-        fresh = make_manifest(dataset.folder, dataset.spec, seconds=0, workers=0, scenes_made=0)
+        fresh = make_manifest(dataset.folder, dataset.spec, seconds=0.0, workers=0, scenes_made=0)
         if wrong := [key for key in ("spec_hash", "content_hash", "splits") if manifest.get(key) != fresh[key]]:
             yield Finding("file", f"{MANIFEST_FILE} does not fit the files: {', '.join(wrong)}")
 

@@ -24,7 +24,12 @@ PHYSICS = Physics()
 
 def body(at: tuple[float, ...], spec: ShapeSpec = BOX, **changes) -> Body:
     fixed = {"category": spec.family, "shape": spec, "material": PAINT, "density": 500.0, "motion": "rest"}
-    values = {"friction": 0.6, "restitution": 0.0, "quaternion_wxyz": (1.0, 0.0, 0.0, 0.0), "position": tuple(map(float, at))}
+    values = {
+        "friction": 0.6,
+        "restitution": 0.0,
+        "quaternion_wxyz": (1.0, 0.0, 0.0, 0.0),
+        "position": tuple(map(float, at)),
+    }
     return Body(**{**fixed, **values, **changes})
 
 
@@ -74,7 +79,9 @@ def test_a_ball_rolls_without_slipping_and_slows_down_as_told():
     lever = PHYSICS.rolling_friction * (0.6 + PHYSICS.table_friction)
     slowing = 5 / 7 * 9.81 * lever / 0.05
     assert trajectory.position[-1, 0, 0] == pytest.approx(0.5 * 0.75 - slowing * 0.75**2 / 2, rel=0.005)
-    np.testing.assert_allclose(trajectory.angular_velocity[:, 0, 1] * 0.05, trajectory.linear_velocity[:, 0, 0], atol=5e-3)
+    np.testing.assert_allclose(
+        trajectory.angular_velocity[:, 0, 1] * 0.05, trajectory.linear_velocity[:, 0, 0], atol=5e-3
+    )
 
 
 @pytest.mark.parametrize("category", ["bracket", "hammer", "box"])
@@ -82,9 +89,7 @@ def test_free_rotation_keeps_angular_momentum_and_energy(category: str):
     spec = parameters(category)
     inertia = 500 * build(spec).inertia
     weightless = dataclasses.replace(PHYSICS, gravity=0.0)
-    spinning = body(
-        (0, 0, 0.5), spec, angular_velocity=(0.4, 6.0, 0.8), quaternion_wxyz=(0.8, 0.0, 0.6, 0.0)
-    )
+    spinning = body((0, 0, 0.5), spec, angular_velocity=(0.4, 6.0, 0.8), quaternion_wxyz=(0.8, 0.0, 0.6, 0.0))
     trajectory = run(spinning, frames=12, physics=weightless)
     rotation = rotation_from_quaternion(trajectory.quaternion_wxyz[:, 0])
     spin = trajectory.angular_velocity[:, 0].astype(float)
@@ -203,3 +208,14 @@ def test_without_pybullet_the_message_says_what_still_works():
     shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "Python 3.11" in shown
     assert "obpose-datagen render --from DIR" in shown
+
+
+@pytest.mark.slow
+def test_memory_stays_flat_over_many_scenes():
+    bodies = [body((0.2 * row, 0, 0.3), parameters(name)) for row, name in enumerate(("mug", "superquadric", "box"))]
+    after = []
+    for _ in range(2):
+        for _ in range(300):
+            run(*bodies, frames=1)
+        after.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096)
+    assert after[1] - after[0] < 1e6

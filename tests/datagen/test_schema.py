@@ -75,6 +75,7 @@ def test_the_hash_depends_on_every_array_its_name_type_and_shape():
     record = random_record(0)
     changed = [{**record, name: _changed(array)} for name, array in record.items()]
     changed.append({**record, "depth": record["sensor_depth"], "sensor_depth": record["depth"]})
+    changed.append({name.replace("sensor_depth", "sensor_deptj"): array for name, array in record.items()})
     changed.append({**record, "depth": record["depth"].astype(np.int16)})
     changed.append({**record, "depth": record["depth"].reshape(3, 2, 7, 5)})
     assert len({schema.scene_hash(variant) for variant in [record, *changed]}) == len(changed) + 1

@@ -106,7 +106,9 @@ def test_over_a_dataset_all_kinds_of_motion_occur(name: str):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "low", "high"), [("moving", 0.03, 0.06), ("noisy", 0.03, 0.06), ("static", 0.06, 0.09)])
+@pytest.mark.parametrize(
+    ("name", "low", "high"), [("moving", 0.03, 0.06), ("noisy", 0.03, 0.06), ("static", 0.06, 0.09)]
+)
 def test_the_mean_foreground_is_that_of_the_papers_sets(name: str, low: float, high: float):
     made = scenes(name, 60)
     frames = (0, 4, 9) if load_recipe(name).video else (0,)

@@ -51,10 +51,10 @@ def test_one_core(benchmark: Any):
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.benchmark(group="pipeline: 250 scenes with one and two workers, wall time")
+@pytest.mark.benchmark(group="pipeline: 400 scenes with one and two workers, wall time")
 def test_workers(benchmark: Any, tmp_path: Path, workers: int):
     def run() -> None:
-        generate(tmp_path, MOVING, splits={"train": 250}, run=Run(workers=workers))
+        generate(tmp_path, MOVING, splits={"train": 400}, run=Run(workers=workers))
 
     benchmark.pedantic(run, rounds=1)
     seconds[str(workers)] = benchmark.stats.stats.mean

@@ -12,6 +12,7 @@ from rays import surface_distance, table_depth, trace
 from tabletop import ABOVE_LEFT, FILL, FRONT, body, poses, render, scene, six_objects
 
 from datagen.geometry import pixel_rays, rigid
+from datagen.render.kernels import NEAR as NEAREST
 from datagen.render.raster import RasterRenderer
 from datagen.scene import Camera, Material, Table
 from datagen.shapes import build
@@ -57,11 +58,12 @@ def test_the_tables_depth_is_exact_and_ends_where_the_table_ends(raster, camera,
     assert not image.segmentation.any()
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_ids_name_the_first_surface_along_each_ray(raster, seed):
+@pytest.mark.parametrize(("seed", "camera", "order"), [(0, FRONT, 1), (1, LOW, 1), (2, LOW, -1)])
+def test_ids_name_the_first_surface_along_each_ray(raster, seed, camera, order):
     made = six_objects(np.random.default_rng(seed))
-    ids, depth, sure = trace(made, FRONT, 64, 64)
-    image = render(raster, made)
+    made = dataclasses.replace(made, bodies=made.bodies[::order])
+    ids, depth, sure = trace(made, camera, 64, 64)
+    image = render(raster, made, camera)
     assert sure.mean() > 0.95
     np.testing.assert_array_equal(image.segmentation[sure], ids[sure])
     # A tenth of a millimetre along the normal is more along a grazing ray.
@@ -113,6 +115,12 @@ def test_what_sinks_into_the_table_is_hidden_by_it(raster):
     assert np.all(image.depth <= table_depth(scene(), FRONT, rays) * (1 + 1e-6))
 
 
+def test_from_below_the_table_hides_what_stands_on_it(raster):
+    image = render(raster, six_objects(), Camera((0.6, 0.1, -0.5), (0.28, 0.0, 0.0), np.radians(40)))
+    assert not image.segmentation.any()
+    assert image.amodal_pixels.min() > 0
+
+
 def test_an_object_around_or_behind_the_camera_corrupts_nothing(raster):
     around = body("box", {"size": [0.3, 0.3, 0.3]}, FRONT.position)
     behind = body("sphere", {"radius": 0.05}, (2.0, 0.0, 1.6))
@@ -125,6 +133,15 @@ def test_an_object_around_or_behind_the_camera_corrupts_nothing(raster):
     np.testing.assert_array_equal(crowded.depth[kept], alone.depth[kept])
     assert surface_distance(scene(ball, around, behind, beside), crowded, FRONT).max() < TENTH
     assert set(np.unique(crowded.segmentation)) <= {0, 1, 4}
+
+
+def test_what_is_too_near_is_cut_away_pixel_by_pixel(raster):
+    pose = FRONT.world_from_camera
+    x, y, z = pose[:3, 3] + 0.07 * pose[:3, 2]
+    image = render(raster, scene(body("sphere", {"radius": 0.03}, (x, y, z))))
+    assert image.depth[image.segmentation == 1].min() >= NEAREST
+    assert np.count_nonzero(image.segmentation) == image.amodal_pixels[0] > 50
+    assert image.segmentation[32, 32] == 0
 
 
 def test_an_empty_scene_is_table_and_backdrop(raster):
@@ -253,11 +270,12 @@ def test_a_highlight_is_white_on_plastic_and_coloured_on_metal(raster):
     assert tints[1] > 60
 
 
-def test_an_image_does_not_depend_on_what_was_rendered_before(raster):
-    fresh = render(RasterRenderer(), six_objects(), width=96, height=64)
+@pytest.mark.parametrize("made", [six_objects(), scene(), scene(lights=())], ids=["six", "empty", "unlit"])
+def test_an_image_does_not_depend_on_what_was_rendered_before(raster, made):
+    fresh = render(RasterRenderer(), made, width=96, height=64)
     render(raster, six_objects(np.random.default_rng(9)), LOW, 96, 64)
-    render(raster, scene(), NEAR, 64, 96)
-    used = render(raster, six_objects(), width=96, height=64)
+    render(raster, six_objects(), NEAR, 64, 96)
+    used = render(raster, made, width=96, height=64)
     for name in ("rgb", "depth", "segmentation", "amodal_pixels"):
         np.testing.assert_array_equal(getattr(used, name), getattr(fresh, name))
 

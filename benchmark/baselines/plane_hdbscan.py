@@ -1,0 +1,63 @@
+"""As `plane_dbscan`, with HDBSCAN (Campello et al., 2013), which needs no one distance that suits all objects."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int64
+from scipy.spatial import KDTree
+from sklearn.cluster import HDBSCAN
+
+from benchmark.baselines.points import cell_ids, pixel_width, scene_points
+from benchmark.baselines.standing import standing
+from benchmark.baselines.untrained import Untrained, keep_largest
+from benchmark.interface import Clip, Prediction
+
+LEAST_NEIGHBOURS = 3
+"""HDBSCAN's min_samples, cells."""
+VOXELS_PER_PIXEL = 0.5
+"""Points in one cell of this many pixels' width are one: it only bites where views overlap."""
+
+
+@dataclass
+class PlaneHdbscan(Untrained):
+    """RANSAC plane removal and HDBSCAN on the remaining points; implements `Segmenter`."""
+
+    least_height: float = 0.001
+    """Metres above the plane from which on a point belongs to an object."""
+    least_cells: int = 10
+    """HDBSCAN's min_cluster_size: groups of fewer points are no object."""
+    merge_pixels: float = 2.0
+    """HDBSCAN's cluster_selection_epsilon, in pixels' width on the table: clusters nearer than this are one."""
+
+    def segment(self, clip: Clip) -> Prediction:
+        """Label 0 is the plane, what lies below it and holes; clusters count from 1 in every frame."""
+        points, pixel = scene_points(clip), pixel_width(clip)
+        labels = np.zeros(clip.depth.shape, np.int64)
+        for frame, mask in enumerate(standing(clip, points, least_height=self.least_height, seed=self.seed)):
+            labels[frame][mask] = keep_largest(self._cluster(points[frame][mask], pixel))
+        return Prediction(labels, background_slot=0)
+
+    def _cluster(self, points: Float[np.ndarray, "point 3"], pixel: float) -> Int64[np.ndarray, "point"]:
+        """Cluster of each point, counted from 1; 0 for all where there are too few for one cluster."""
+        if len(points) == 0:
+            return np.zeros(0, np.int64)
+        _, first, cell = np.unique(cell_ids(points, VOXELS_PER_PIXEL * pixel), return_index=True, return_inverse=True)
+        if len(first) < max(self.least_cells, LEAST_NEIGHBOURS):
+            return np.zeros(len(points), np.int64)
+        hdbscan = HDBSCAN(
+            min_cluster_size=self.least_cells,
+            min_samples=LEAST_NEIGHBOURS,
+            cluster_selection_epsilon=self.merge_pixels * pixel,
+            allow_single_cluster=True,
+            copy=True,
+        )
+        return _adopt_lone(points[first], hdbscan.fit_predict(points[first]) + 1)[cell]
+
+
+def _adopt_lone(points: Float[np.ndarray, "point 3"], labels: Int64[np.ndarray, "point"]) -> Int64[np.ndarray, "point"]:
+    """Points that HDBSCAN takes for noise, label 0, join the nearest cluster: the plane is gone, so they are objects."""
+    lone = labels == 0
+    if np.any(lone) and not np.all(lone):
+        nearest = KDTree(points[~lone]).query(points[lone])[1]
+        labels[lone] = labels[~lone][nearest]
+    return labels

@@ -1,0 +1,25 @@
+"""What stands on the table: the points above the largest plane of a clip."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from benchmark.baselines.plane import fit_plane
+from benchmark.baselines.points import viewpoints
+from benchmark.interface import Clip
+
+NOISE_FACTOR = 3.0
+"""Where the sensor is noisy, points must be higher than this many standard deviations of the plane's own points."""
+
+
+def standing(
+    clip: Clip, points: Float[np.ndarray, "frame view height width 3"], *, least_height: float, seed: int
+) -> Bool[np.ndarray, "frame view height width"]:
+    """Whether a pixel's point lies more than `least_height` metres, and the noise, above the plane of all frames.
+
+    `points` are those of `scene_points`. Nothing stands where there is no plane, as on no valid pixel.
+    """
+    plane = fit_plane(points[clip.valid], np.random.default_rng(seed))
+    if plane is None:
+        return np.zeros_like(clip.valid)
+    plane = plane.oriented_towards(viewpoints(clip))
+    return clip.valid & (plane.height(points) > max(least_height, NOISE_FACTOR * plane.spread))

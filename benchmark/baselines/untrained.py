@@ -1,0 +1,30 @@
+"""What models without training share: they keep the seed, and their labels fit the benchmark's range."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Int64
+
+from benchmark.interface import LARGEST_LABEL, Clip
+
+
+@dataclass
+class Untrained:
+    """Base of segmenters that learn nothing; their fields are their options."""
+
+    seed: int = field(default=0, init=False)
+    """Set by `fit`."""
+
+    def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
+        """Keep the seed; there is nothing to learn."""
+        self.seed = seed
+
+
+def keep_largest(labels: Int64[np.ndarray, "*pixel"], count: int = LARGEST_LABEL) -> Int64[np.ndarray, "*pixel"]:
+    """Labels 1 to `count` for the segments with most pixels, in their old order; the others join segment 0."""
+    sizes = np.bincount(labels.ravel())[1:]
+    largest = np.sort(np.argsort(-sizes, kind="stable")[:count])
+    new = np.zeros(len(sizes) + 1, np.int64)
+    new[1 + largest] = np.arange(1, len(largest) + 1)
+    return new[labels]

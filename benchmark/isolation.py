@@ -1,0 +1,146 @@
+"""Running a job in a process of its own: whatever a model does there costs its own rows and nothing else."""
+
+import json
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from benchmark.runner import Job
+from datagen.errors import EXIT_INTERRUPTED
+
+LOGS = "logs"
+_POLL_SECONDS = 0.05
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a job may use."""
+
+    seconds: float
+    """Until its next row is written, fitting included."""
+    memory_mib: float
+    """Resident memory of its process."""
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a job ended."""
+
+    events: tuple[str, ...]
+    """As `benchmark.runner.run_job` announced them."""
+    reason: str
+    """Why it did not finish; empty if it did."""
+
+
+def run_isolated(job: Job, limits: Limits, log: Path, stop: threading.Event, heard: Callable[[str], None]) -> Outcome:
+    """Run a job in its own process; `heard` gets its events at once, `stop` ends it. A failure leaves a log."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("wb") as errors:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "benchmark.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            env=_environment(limits.threads),
+            start_new_session=True,
+        )
+        try:
+            outcome = _watch(process, job, limits, stop, heard)
+        finally:
+            _kill(process)
+    if not outcome.reason or log.stat().st_size == 0:
+        log.unlink()
+    return outcome
+
+
+def _watch(
+    process: subprocess.Popen[bytes], job: Job, limits: Limits, stop: threading.Event, heard: Callable[[str], None]
+) -> Outcome:
+    assert process.stdin
+    assert process.stdout
+    with suppress(BrokenPipeError), process.stdin as pipe:
+        pickle.dump((os.getpid(), job), pipe)
+    lines: queue.Queue[bytes | None] = queue.Queue()
+    threading.Thread(target=_read, args=(process.stdout, lines), daemon=True).start()
+    events: list[str] = []
+    deadline = time.monotonic() + limits.seconds
+    while True:
+        try:
+            line = lines.get(timeout=_POLL_SECONDS)
+        except queue.Empty:
+            if reason := _trespass(process, limits, deadline, stop):
+                return Outcome(tuple(events), reason)
+            continue
+        if line is None:
+            return Outcome(tuple(events), _ending(process.wait()))
+        event = json.loads(line)
+        if "failed" in event:
+            return Outcome(tuple(events), event["failed"])
+        events.append(event["done"])
+        heard(event["done"])
+        deadline = deadline if event["done"] == "fitted" else time.monotonic() + limits.seconds
+
+
+def _read(stream: IO[bytes], lines: "queue.Queue[bytes | None]") -> None:
+    with stream:
+        for line in stream:
+            lines.put(line)
+    lines.put(None)
+
+
+def _trespass(process: subprocess.Popen[bytes], limits: Limits, deadline: float, stop: threading.Event) -> str:
+    """Which limit the process has passed; empty if none."""
+    if stop.is_set():
+        return "interrupted"
+    if time.monotonic() > deadline:
+        return f"took longer than the time limit of {limits.seconds / 60:g} minutes"
+    used = resident_mib(process.pid)
+    return f"out of memory: {used:.0f} MiB of {limits.memory_mib:.0f} MiB" if used > limits.memory_mib else ""
+
+
+def resident_mib(process: int) -> float:
+    """Memory that a process holds now, MiB; 0 where the system does not tell."""
+    with suppress(OSError, IndexError, ValueError):
+        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+    return 0.0
+
+
+def machine_mib() -> float:
+    """Memory of this machine, MiB."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def _ending(code: int) -> str:
+    if code == 0:
+        return ""
+    if code == -signal.SIGKILL:
+        return "was killed, most likely because memory ran out"
+    if code < 0:
+        return f"crashed with {signal.Signals(-code).name}"
+    return "interrupted" if code == EXIT_INTERRUPTED else f"ended with exit code {code} and said nothing"
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End the process and all that it started."""
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def _environment(threads: int) -> dict[str, str]:
+    """The same modules as here, and so many threads."""
+    paths = os.pathsep.join(dict.fromkeys([str(Path(__file__).parent.parent), *filter(None, sys.path)]))
+    return {**os.environ, "PYTHONPATH": paths, **dict.fromkeys(_THREADS, str(threads))}

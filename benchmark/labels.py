@@ -1,0 +1,70 @@
+"""Label maps on disk: one HDF5 file a run, from which every score can be computed again without the model."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+from jaxtyping import UInt8
+
+from benchmark.interface import Prediction
+from datagen.errors import CorruptFile
+
+LARGEST = 255
+"""Labels are bytes."""
+_GZIP_LEVEL = 4
+
+
+class LabelWriter:
+    """Takes the label maps of a split scene by scene."""
+
+    def __init__(self, file: h5py.File, scenes: int):
+        self._file, self._scenes = file, scenes
+        self._slots = file.create_dataset("background_slots", (scenes,), np.uint8)
+
+    def put(self, scene: int, prediction: Prediction) -> None:
+        """Store one scene's labels, 0 to 255, and its background slot."""
+        labels = np.asarray(prediction.labels).astype(np.uint8)
+        if "labels" not in self._file:
+            shape, chunks = (self._scenes, *labels.shape), (1, *labels.shape)
+            options = {"compression": "gzip", "compression_opts": _GZIP_LEVEL, "shuffle": False}
+            self._file.create_dataset("labels", shape, np.uint8, chunks=chunks, **options)
+        self._dataset("labels")[scene] = labels
+        self._slots[scene] = prediction.background
+
+    def _dataset(self, name: str) -> h5py.Dataset:
+        dataset = self._file[name]
+        assert isinstance(dataset, h5py.Dataset)
+        return dataset
+
+
+@contextmanager
+def write_labels(path: Path, scenes: int) -> Iterator[LabelWriter]:
+    """Write the label maps of that many scenes; the file is there only if all went well."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with h5py.File(partial, "w", libver=("v110", "v110")) as file:
+            yield LabelWriter(file, scenes)
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view height width"], int]]:
+    """Label maps and background slot of every scene, in order.
+
+    Raises:
+        CorruptFile: the file is missing or damaged.
+    """
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            labels, slots = file["labels"], file["background_slots"]
+            assert isinstance(labels, h5py.Dataset)
+            assert isinstance(slots, h5py.Dataset)
+            for scene in range(len(labels)):
+                yield labels[scene], int(slots[scene])
+    except (OSError, KeyError) as error:
+        raise CorruptFile(f"{path} is missing or damaged ({error}); delete its row in runs/ and run again.") from None

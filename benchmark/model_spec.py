@@ -1,0 +1,57 @@
+"""What the benchmark knows of a model besides the model itself."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from benchmark.interface import Segmenter
+
+Options = Mapping[str, Any]
+"""Keyword arguments of a model's constructor: numbers, strings, booleans."""
+
+Kind = Literal["floor", "classical", "oracle", "learned", "predictions"]
+KINDS: tuple[str, ...] = get_args(Kind)
+
+PRIORS = ("slots", "background slot", "camera pose", "plane")
+"""Number of slots; which slot is the background; poses of the cameras; that the background is a plane."""
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """One model that can be named on the command line."""
+
+    build: Callable[[Options], Segmenter]
+    """Makes a model from `slots` and one value of the grid; see `benchmark.interface`."""
+    version: int
+    """Rises when the model's results change."""
+    description: str
+    kind: Kind = "learned"
+    grid: tuple[Options, ...] = ()
+    """Declared values to tune over, the first being the default; empty if nothing is tuned."""
+    random: bool = True
+    """Whether another seed gives other results; if not, it is run once."""
+    uses_labels: bool = False
+    """Whether its clips carry `truth`."""
+    priors: tuple[str, ...] = ()
+    """What it is told beyond the images, out of `PRIORS`."""
+
+    @property
+    def default(self) -> Options:
+        """The first value of the grid."""
+        return self.grid[0] if self.grid else {}
+
+
+OFFERED = ("slots", "steps")
+"""Options that every model is offered, and gets if its constructor has an argument of that name: the number of slots,
+and, where budgets are counted in steps (`--deterministic --steps N`), the number of training steps."""
+
+
+def builder(model: Callable[..., Segmenter]) -> Callable[[Options], Segmenter]:
+    """Calls a class with the options as keyword arguments; with `OFFERED` ones only if its constructor has them."""
+    refused = {name for name in OFFERED if name not in inspect.signature(model).parameters}
+
+    def build(options: Options) -> Segmenter:
+        return model(**{name: value for name, value in options.items() if name not in refused})
+
+    return build

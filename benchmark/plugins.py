@@ -1,0 +1,113 @@
+"""Models of other packages: classes under the entry point group `obpose.models`.
+
+Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`), and may say more of itself in attributes:
+
+- `version`: integer, 1 if left out; raise it when the model's results change, and they are made anew.
+- `description`: one line; the first line of the docstring if left out.
+- `options`: a tuple of dicts, values of constructor arguments to tune over on the validation split, the first being the
+  default. If left out nothing is tuned.
+- `random`: False if seeds make no difference.
+- `uses_labels`: True if it must see `Clip.truth`; its rows are marked.
+- `priors`: what it is told beyond the images, out of `benchmark.model_spec.PRIORS`.
+- `kind`: one of `benchmark.model_spec.KINDS`; "learned" if left out.
+"""
+
+import inspect
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from benchmark.model_spec import KINDS, PRIORS, ModelSpec, builder
+from datagen.errors import UsageError
+
+GROUP = "obpose.models"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A plug-in that cannot be used."""
+
+    name: str
+    """Of the model."""
+    reason: str
+    """What is wrong, in whose package, and what to do."""
+
+
+def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Problem]]:
+    """Models of other packages by name, and what is wrong with the rest; names in `taken` are ours."""
+    entries = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value))
+    times = Counter(entry.name for entry in entries)
+    models, problems = {}, []
+    for entry in entries:
+        try:
+            _check_name(entry, taken, times[entry.name])
+            models[entry.name] = spec_of(_load(entry))
+        except UsageError as error:
+            problems.append(Problem(entry.name, f"{_origin(entry)}: {error}"))
+    return models, problems
+
+
+def spec_of(model: Callable[..., Any]) -> ModelSpec:
+    """What a class says of itself, completed and checked.
+
+    Raises:
+        UsageError: it is no model, or says something that cannot be.
+    """
+    for method in ("fit", "segment"):
+        if not callable(getattr(model, method, None)):
+            raise UsageError(f"{model!r} has no method {method!r}; a model is a class with fit and segment.")
+    description = inspect.getdoc(model) or model.__name__
+    spec = ModelSpec(
+        build=builder(model),
+        version=getattr(model, "version", 1),
+        description=getattr(model, "description", description.splitlines()[0]),
+        kind=getattr(model, "kind", "learned"),
+        grid=tuple(getattr(model, "options", ())),
+        random=getattr(model, "random", True),
+        uses_labels=getattr(model, "uses_labels", False),
+        priors=tuple(getattr(model, "priors", ())),
+    )
+    _check(spec, inspect.signature(model))
+    return spec
+
+
+def _check_name(entry: EntryPoint, taken: Collection[str], times: int) -> None:
+    if entry.name in taken:
+        raise UsageError(f"the name {entry.name!r} is one of obpose's own; give the entry point another.")
+    if times > 1:
+        raise UsageError(f"{times} entry points have the name {entry.name!r}; uninstall or rename all but one.")
+
+
+def _load(entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except Exception as error:  # Anything may go wrong in a foreign module; it is reported, and costs this model only.
+        raise UsageError(f"it does not import: {type(error).__name__}: {error}.") from error
+
+
+def _origin(entry: EntryPoint) -> str:
+    package = f"package {entry.dist.name}, " if entry.dist else ""
+    return f"{package}entry point {entry.value!r}"
+
+
+def _check(spec: ModelSpec, signature: inspect.Signature) -> None:
+    if type(spec.version) is not int or spec.version < 1:
+        raise UsageError(f"its version is {spec.version!r}; expected an integer from 1 on.")
+    if spec.kind not in KINDS:
+        raise UsageError(f"its kind is {spec.kind!r}; expected one of {', '.join(KINDS)}.")
+    if unknown := sorted(set(spec.priors) - set(PRIORS)):
+        raise UsageError(f"its priors name {', '.join(map(repr, unknown))}; expected some of {', '.join(PRIORS)}.")
+    for options in spec.grid or ({},):
+        _check_options(options, signature)
+
+
+def _check_options(options: Any, signature: inspect.Signature) -> None:
+    if not isinstance(options, Mapping):
+        raise UsageError(f"its options hold {options!r}; expected a dict of constructor arguments.")
+    told = {"slots": 1} if "slots" in signature.parameters else {}
+    try:
+        signature.bind(**{**options, **told})
+    except TypeError as error:
+        raise UsageError(f"its constructor does not take the options {dict(options)!r} ({error}).") from None

@@ -1,0 +1,146 @@
+"""What a report says about one track beyond its scores: it needs the label maps and the dataset."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from benchmark.labels import read_labels
+from benchmark.report.gallery import Card, disagreements, telling_image, typical_scenes, worst_scenes
+from benchmark.report.observations import Objects, Outcome, outcome_of_scene, scene_tables
+from benchmark.results import LABELS, RunRow, load_scenes
+from datagen.errors import UsageError
+from datagen.storage import Dataset, Split
+
+SPLIT = "test"
+"""The split that runs are scored on."""
+
+Maps = tuple[UInt8[np.ndarray, "frame view height width"], int]
+"""Label maps of a scene and the background slot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """One track under one way of fitting, looked at object by object. Models go by their number in the report."""
+
+    scenes: Split
+    objects: Objects
+    rows: dict[int, RunRow]
+    """The run of each model that pictures are drawn of: its first seed that has label maps."""
+    scores: dict[int, Float64[np.ndarray, "scene"]]
+    """MSC-FG of these runs by scene, nan where there is no object."""
+    outcomes: dict[int, Outcome]
+    """Of these runs."""
+    means: dict[int, Outcome]
+    """Of all seeds of each model together."""
+
+
+def open_split(folder: Path | None, rows: Iterable[RunRow]) -> Split:
+    """The scored split of a dataset.
+
+    Raises:
+        UsageError: there is no dataset at hand, or another one than the runs were scored on.
+    """
+    if folder is None or not folder.exists():
+        raise UsageError("The dataset is not on this machine.")
+    dataset = Dataset(folder)
+    if any(row.key.track_spec != dataset.spec["spec_hash"] for row in rows):
+        raise UsageError("The dataset at hand is another one than the runs were scored on.")
+    return dataset.split(SPLIT)
+
+
+def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, Sequence[RunRow]]) -> Analysis:
+    """Look at every label map of every model; `seeds` are a model's finished runs.
+
+    Raises:
+        UsageError: no run has label maps.
+    """
+    with_maps = {model: [row for row in rows if labels_path(folder, row).exists()] for model, rows in seeds.items()}
+    kept = {model: rows if rows[0].random else rows[:1] for model, rows in with_maps.items() if rows}
+    if not kept:
+        raise UsageError("The run folder holds no label maps of this track.")
+    truths = [scenes.read(index, ["segmentation"])["segmentation"] for index in range(len(scenes))]
+    found = {model: [outcome(truths, read_labels(labels_path(folder, r))) for r in rows] for model, rows in kept.items()}
+    first = {model: rows[0] for model, rows in kept.items()}
+    return Analysis(
+        scenes,
+        objects,
+        first,
+        {model: scene_scores(folder, row) for model, row in first.items()},
+        {model: outcomes[0] for model, outcomes in found.items()},
+        {model: _mean(outcomes) for model, outcomes in found.items()},
+    )
+
+
+def labels_path(folder: Path, row: RunRow) -> Path:
+    """Where a run's label maps are, if they were kept."""
+    return folder / LABELS / f"{row.key.name}.h5"
+
+
+def scene_scores(folder: Path, row: RunRow) -> Float64[np.ndarray, "scene"]:
+    """MSC-FG of every scene; nan where there is no object."""
+    table = load_scenes(folder, row)
+    return np.where(table["msc_fg_n"] > 0, table["msc_fg"], np.nan)
+
+
+def outcome(truths: Sequence[np.ndarray], predictions: Iterable[Maps]) -> Outcome:
+    """How one run dealt with all objects of a split."""
+    parts = [
+        outcome_of_scene(scene_tables(truth, labels, slot), slot)
+        for truth, (labels, slot) in zip(truths, predictions, strict=True)
+    ]
+    return Outcome(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]).astype(np.float64))
+
+
+def choose_cards(
+    analysis: Analysis, *, worst: int, pairs: int, paired: Iterable[int]
+) -> tuple[dict[int, list[Card]], dict[tuple[int, int], list[Card]]]:
+    """The worst scenes of every model, and the largest disagreements between any two of the `paired` ones."""
+    objects, outcomes = analysis.objects, analysis.outcomes
+    bad = {
+        model: [
+            Card(telling_image(objects, scene, -outcomes[model].overlap), (model,))
+            for scene in worst_scenes(scores, worst)
+        ]
+        for model, scores in analysis.scores.items()
+    }
+    apart = {
+        (a, b): [
+            Card(_most_apart(objects, scene, outcomes[a].overlap - outcomes[b].overlap), (a, b))
+            for scene in disagreements(analysis.scores[a], analysis.scores[b], pairs)
+        ]
+        for a, b in combinations(sorted(set(paired) & set(outcomes)), 2)
+    }
+    return bad, apart
+
+
+def choose_clips(analysis: Analysis, count: int) -> list[int]:
+    """Scenes whose clips are shown with all models."""
+    return typical_scenes(list(analysis.scores.values()), count)
+
+
+def read_maps(folder: Path, row: RunRow, wanted: set[int]) -> dict[int, Maps]:
+    """Label maps of some scenes of a run."""
+    found: dict[int, Maps] = {}
+    for scene, maps in enumerate(read_labels(labels_path(folder, row))):
+        if scene in wanted:
+            found[scene] = maps
+        if len(found) == len(wanted):
+            break
+    return found
+
+
+def _most_apart(objects: Objects, scene: int, difference: np.ndarray) -> tuple[int, int, int]:
+    """The image whose mean difference is largest in the direction in which the whole scene differs."""
+    inside = difference[objects.scene == scene]
+    return telling_image(objects, scene, difference if inside.sum() >= 0 else -difference)
+
+
+def _mean(outcomes: Sequence[Outcome]) -> Outcome:
+    return Outcome(
+        np.mean([outcome.overlap for outcome in outcomes], axis=0),
+        np.mean([outcome.errors for outcome in outcomes], axis=0),
+    )

@@ -1,0 +1,103 @@
+"""Every object in every image of a split, and how a run dealt with it: what slices and galleries are made of."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64, Integer
+
+from benchmark.errors_by_type import errors_by_type
+from benchmark.metrics.contingency import contingency
+from benchmark.metrics.overlap import intersection_over_union
+from datagen.storage import Split
+
+
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """One entry for each object in each image that shows it, ordered by scene, frame, view and object."""
+
+    scene: Int64[np.ndarray, "observation"]
+    frame: Int64[np.ndarray, "observation"]
+    view: Int64[np.ndarray, "observation"]
+    companions: Int64[np.ndarray, "observation"]
+    """Objects in the same image, itself included."""
+    pixels: Int64[np.ndarray, "observation"]
+    hidden: Float64[np.ndarray, "observation"] | None
+    """Share of the object that others or the image's edge hide; None where the dataset does not say."""
+    gap: Float64[np.ndarray, "observation"] | None
+    """Metres to the nearest other object, infinite beyond 2 cm; None where the dataset does not say."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How one run, or several seeds of it, dealt with those objects."""
+
+    overlap: Float64[np.ndarray, "observation"]
+    """Best IoU with a slot other than the background's; its mean is MSC-FG, up to how frames are weighed."""
+    errors: Float64[np.ndarray, "observation type"]
+    """Share of the seeds that make the error; types as in `ERROR_TYPES`."""
+
+
+def observe(scenes: Split) -> Objects:
+    """Look at the truth of a whole split."""
+    wanted = ("segmentation", "visibility/visible_fraction", "contacts/gap")
+    fields = [name for name in wanted if name in scenes.fields()]
+    parts = [_observe_scene(index, scenes.read(index, fields)) for index in range(len(scenes))]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return Objects(**{"hidden": None, "gap": None} | joined)
+
+
+def _observe_scene(scene: int, record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    pixels = object_pixels(record["segmentation"])
+    frame, view, item = np.nonzero(pixels)
+    found = {
+        "scene": np.full(len(frame), scene),
+        "frame": frame,
+        "view": view,
+        "companions": np.count_nonzero(pixels, axis=2)[frame, view],
+        "pixels": pixels[frame, view, item],
+    }
+    if (visible := record.get("visibility/visible_fraction")) is not None:
+        found["hidden"] = 1.0 - visible[frame, view, item].astype(np.float64)
+    if (gaps := record.get("contacts/gap")) is not None:
+        found["gap"] = nearest_gap(gaps)[frame, item]
+    return found
+
+
+def object_pixels(
+    segmentation: Integer[np.ndarray, "frame view height width"],
+) -> Int64[np.ndarray, "frame view object"]:
+    """Pixels of every object; object i has id i + 1."""
+    ids = np.arange(1, int(segmentation.max(initial=0)) + 1)
+    counts = np.count_nonzero(segmentation[..., None] == ids, axis=(2, 3))
+    return counts.astype(np.int64)
+
+
+def nearest_gap(gaps: Float64[np.ndarray, "frame body body"]) -> Float64[np.ndarray, "frame object"]:
+    """Distance of each object to the nearest other one; body 0 is the table and does not count."""
+    between = gaps[:, 1:, 1:].astype(np.float64)
+    return np.where(np.eye(between.shape[1], dtype=bool), np.inf, between).min(axis=2, initial=np.inf)
+
+
+def scene_tables(
+    truth: Integer[np.ndarray, "frame view height width"],
+    labels: Integer[np.ndarray, "frame view height width"],
+    background_slot: int,
+) -> Int64[np.ndarray, "frame view truth slot"]:
+    """Contingency tables of all images of a scene; slots keep their numbers."""
+    frames, views = truth.shape[:2]
+    images = [part.reshape(frames * views, *part.shape[2:]) for part in (truth, labels)]
+    tables, _ = contingency(images[0], images[1], background_slot)
+    return tables.reshape(frames, views, *tables.shape[1:])
+
+
+def outcome_of_scene(
+    tables: Int64[np.ndarray, "frame view truth slot"], background_slot: int
+) -> tuple[Float64[np.ndarray, "observation"], Bool[np.ndarray, "observation type"]]:
+    """Overlap and errors of the objects of one scene, in the order of `Objects`."""
+    present = tables[:, :, 1:].sum(axis=3) > 0
+    views = [tables[:, view] for view in range(tables.shape[1])]
+    overlaps = [np.delete(intersection_over_union(part)[:, 1:], background_slot, axis=2) for part in views]
+    best = np.stack([part.max(axis=2, initial=0.0) for part in overlaps], axis=1)
+    errors = np.stack([errors_by_type(part, background_slot) for part in views], axis=1)
+    return best[present], errors[present]

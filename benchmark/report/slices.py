@@ -1,0 +1,94 @@
+"""Scores by object count, visible size, occlusion, contact and frame index."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from benchmark.report.observations import Objects
+
+SIZES = (8, 16, 32, 64, 128, 256, 512, 1024)
+"""Pixels at which classes of visible size begin, after a first one for what is smaller."""
+
+HIDDEN = (0.02, 0.25, 0.5, 0.75)
+HIDDEN_NAMES = ("none", "to 25%", "to 50%", "to 75%", "more")
+
+GAPS = (0.0005, 0.005, 0.02)
+"""Metres; the format stores no gaps beyond the last."""
+GAP_NAMES = ("touching", "to 5 mm", "to 20 mm", "farther")
+
+MOST_FRAMES = 12
+"""Points of the curve over frames; longer clips are gathered into so many parts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slicing:
+    """A way to sort the observations of a track into classes."""
+
+    title: str
+    axis: str
+    names: tuple[str, ...]
+    members: Int64[np.ndarray, "observation"]
+    """Class of every observation."""
+
+    @property
+    def counts(self) -> Int64[np.ndarray, "name"]:
+        """Observations in every class."""
+        return np.bincount(self.members, minlength=len(self.names))
+
+    def means(self, values: Float64[np.ndarray, "observation"]) -> Float64[np.ndarray, "name"]:
+        """Mean of the values in every class; nan in empty ones."""
+        sums = np.bincount(self.members, values, minlength=len(self.names))
+        return np.where(self.counts > 0, sums / np.maximum(self.counts, 1), np.nan)
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A slicing that the dataset does not allow."""
+
+    title: str
+    reason: str
+
+
+def slicings(objects: Objects) -> list[Slicing | Missing]:
+    """All five, in the order in which they are shown."""
+    return [
+        by_count(objects.companions),
+        by_size(objects.pixels),
+        _by_classes("Occlusion", "share that is hidden", objects.hidden, HIDDEN, HIDDEN_NAMES),
+        _by_classes("Contact", "distance to the nearest object", objects.gap, GAPS, GAP_NAMES),
+        by_frame(objects.frame),
+    ]
+
+
+def by_count(companions: Int64[np.ndarray, "observation"]) -> Slicing:
+    """One class for each number of visible objects that occurs."""
+    values, members = np.unique(companions, return_inverse=True)
+    return Slicing("Object count", "objects in the image", tuple(map(str, values)), members)
+
+
+def by_size(pixels: Int64[np.ndarray, "observation"]) -> Slicing:
+    """Classes of doubling size, without empty ones at the ends."""
+    members = np.searchsorted(SIZES, pixels, side="right")
+    names = (f"<{SIZES[0]}", *(f"{low}+" for low in SIZES))
+    first, last = int(members.min(initial=len(SIZES))), int(members.max(initial=0))
+    return Slicing("Visible size", "pixels", names[first : last + 1], members - first)
+
+
+def by_frame(frames: Int64[np.ndarray, "observation"]) -> Slicing | Missing:
+    """One class for each frame, or for each of `MOST_FRAMES` parts of a long clip."""
+    length = int(frames.max(initial=0)) + 1
+    if length == 1:
+        return Missing("Frame index", "Scenes of this track have one frame.")
+    parts = min(length, MOST_FRAMES)
+    starts = [-(-part * length // parts) for part in range(parts)]
+    return Slicing("Frame index", "frame", tuple(map(str, starts)), frames * parts // length)
+
+
+def _by_classes(
+    title: str, axis: str, values: np.ndarray | None, edges: Sequence[float], names: tuple[str, ...]
+) -> Slicing | Missing:
+    if values is None:
+        return Missing(title, "The dataset has no such field.")
+    return Slicing(title, axis, names, np.searchsorted(edges, values, side="right"))

@@ -1,0 +1,71 @@
+"""From a model's answers to the scene table: segment and store, then score what is stored."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.clips import ClipSequence, read_truth
+from benchmark.interface import Clip, Prediction
+from benchmark.labels import LARGEST, read_labels, write_labels
+from benchmark.metrics import clip_scores
+from benchmark.results import save_scenes, scene_line
+from datagen.errors import DatagenError
+from datagen.storage import Split
+
+Predict = Callable[[int, Clip], Prediction]
+"""Gives the segmentation of a scene, by its number and its clip."""
+
+
+class BadPrediction(DatagenError):
+    """A model broke the contract of `benchmark.interface`."""
+
+
+def segment_split(predict: Predict, clips: ClipSequence, path: Path) -> float:
+    """Segment every clip and store the label maps; returns the seconds that `predict` took.
+
+    Raises:
+        BadPrediction: something else than a label for every pixel came back.
+    """
+    seconds = 0.0
+    with write_labels(path, len(clips)) as writer:
+        for index, clip in enumerate(clips):
+            started = time.perf_counter()
+            prediction = predict(index, clip)
+            seconds += time.perf_counter() - started
+            check_prediction(prediction, clip, f"scene {index}")
+            writer.put(index, prediction)
+    return seconds
+
+
+def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
+    """Score stored label maps and write the scene table; returns the number of frames, views counted apart.
+
+    Pixels without depth are left out: nothing can be known of them from geometry.
+    """
+    lines = []
+    for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
+        lines.append(scene_line(index, clip_scores(read_truth(scenes, index), labels, slot, ~clip.valid)))
+    save_scenes(out, name, lines)
+    return int(sum(line["n_frames"] for line in lines))
+
+
+def check_prediction(prediction: Prediction, clip: Clip, where: str) -> None:
+    """Check that a model gave a label for every pixel.
+
+    Raises:
+        BadPrediction: says what it gave instead.
+    """
+    if not isinstance(prediction, Prediction):
+        raise BadPrediction(f"In {where} the model gave a {type(prediction).__name__}; expected a Prediction.")
+    labels, slot = np.asarray(prediction.labels), prediction.background_slot
+    if labels.shape != clip.depth.shape or not np.issubdtype(labels.dtype, np.integer):
+        nan = " with nan" if labels.dtype.kind == "f" and np.isnan(labels).any() else ""
+        expected = f"integers of shape {clip.depth.shape}"
+        raise BadPrediction(
+            f"In {where} the model gave labels {labels.dtype} {labels.shape}{nan}; expected {expected}."
+        )
+    for value in (labels.min(), labels.max(), 0 if slot is None else slot):
+        if not 0 <= value <= LARGEST:
+            raise BadPrediction(f"In {where} the model gave label or background slot {value}; expected 0 to {LARGEST}.")

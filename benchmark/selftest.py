@@ -1,0 +1,101 @@
+"""`obpose-bench selftest`: the metrics against golden cases, small label maps that reference implementations scored."""
+
+import fnmatch
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from benchmark.metrics import score
+
+Case = Mapping[str, Any]
+
+SUFFIXES = ("_frame_mean", "_batch_mean")
+"""Of metrics in the cases that are means over frames; ours always are."""
+
+
+WITHOUT_EMPTY_FRAMES = {"v_bg_only_frame": 1.0, "batch_with_empty_image": 1.0}
+"""Foreground means of the cases whose policy leaves frames without objects out; references count those as 0 or 1."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One metric of one case."""
+
+    case: str
+    metric: str
+    expected: float
+    """nan where the metric is to be undefined."""
+    found: float
+    tolerance: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the two agree."""
+        both_undefined = math.isnan(self.expected) and math.isnan(self.found)
+        return both_undefined or abs(self.found - self.expected) <= self.tolerance
+
+    def __str__(self) -> str:
+        return f"{self.case}: {self.metric} is {self.found:.7f}, expected {self.expected:.7f}"
+
+
+def run() -> list[str]:
+    """One line for each metric of each golden case that is not as it should be; an empty list is success."""
+    return [str(check) for case in golden()["cases"] for check in checks(case) if not check.passed]
+
+
+@cache
+def golden() -> Mapping[str, Any]:
+    """The file of golden cases: `cases`, the `tolerance` to hold, and `published_per_seed` of the paper's authors."""
+    return json.loads((files("benchmark.metrics") / "golden_cases.json").read_text(encoding="utf-8"))
+
+
+def checks(case: Case) -> Iterator[Check]:
+    """Every metric that the case gives and `score` knows."""
+    truth, prediction = label_maps(case)
+    ignore = truth < 0
+    scores = score(truth, prediction, ignore=ignore if ignore.any() else None)
+    for name, entry in case["metrics"].items():
+        metric = _plain_name(name)
+        if metric in scores:
+            yield Check(case["name"], name, _expected(case, name, entry), scores[metric], golden()["tolerance"])
+
+
+def label_maps(case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Truth and prediction, each (frame, height, width); negative labels of the truth are to be ignored."""
+    if "rule" in case:
+        return _by_rule(case["rule"])
+    truth, prediction = np.array(case["gt"]), np.array(case["pred"])
+    return (truth[None], prediction[None]) if truth.ndim == 2 else (truth, prediction)
+
+
+def _by_rule(rule: Case) -> tuple[np.ndarray, np.ndarray]:
+    """Large maps: a board of four objects and a background, and the same rolled along x."""
+    frames, height, width = (rule[axis] for axis in "THW")
+    y, x = np.mgrid[:height, :width]
+    image = np.where((y * 8 // height + x * 8 // width) % 3 == 0, 0, 1 + (y * 2 // height) * 2 + x * 2 // width)
+    shift = int(rule["pred"].partition("rolled by ")[2].partition(" ")[0])
+    truth = np.broadcast_to(image, (frames, height, width))
+    return truth, np.roll(truth, shift, axis=2)
+
+
+def _plain_name(name: str) -> str:
+    for suffix in SUFFIXES:
+        name = name.removesuffix(suffix)
+    return name
+
+
+def _expected(case: Case, name: str, entry: Case) -> float:
+    """What the recommended policy says, and where it says nothing, the reference's value."""
+    if case["name"] in WITHOUT_EMPTY_FRAMES and "fg" in name and name != _plain_name(name):
+        return WITHOUT_EMPTY_FRAMES[case["name"]]
+    for names, policy in case.get("recommended_policy", {}).items():
+        undefined = policy.startswith("undefined")
+        if undefined and any(fnmatch.fnmatch(name, pattern) for pattern in names.split(",")):
+            return math.nan
+    return entry["expected"]

@@ -1,0 +1,123 @@
+"""Tracks: datasets of fixed recipe, sizes and seed that models are compared on, made when they are first needed.
+
+path = find_track("moving").prepare(("val", "test"))    # makes what is missing in the cache folder
+"""
+
+import difflib
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from datagen.config import load_recipe, recipe_names
+from datagen.errors import UsageError
+from datagen.storage import Dataset
+
+CACHE = "OBPOSE_CACHE"
+"""Environment variable that names the cache folder; without it, it is `~/.cache/obpose`."""
+SIZES = {"train": 2000, "val": 100, "test": 300}
+"""Scenes of each split."""
+SEED = 0
+SQUARE, WIDE = (64, 64), (80, 60)
+"""Width and height of the images, in the profile `cpu`; wide for recipes that are wide themselves."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """One dataset to be compared on: a recipe at fixed sizes."""
+
+    name: str
+    """Of the track and of its recipe."""
+
+    @property
+    def resolution(self) -> tuple[int, int]:
+        """Width and height of its images."""
+        width, height = load_recipe(self.name).resolution
+        return SQUARE if width == height else WIDE
+
+    @property
+    def description(self) -> str:
+        """What its recipe is for."""
+        return load_recipe(self.name).description
+
+    @property
+    def slots(self) -> int:
+        """Slots that every model may use."""
+        recipe = load_recipe(self.name)
+        return _slots(recipe.objects.maximum, recipe.parts)
+
+    @cached_property
+    def spec_hash(self) -> str:
+        """Identity of its dataset, which need not be there."""
+        return self._spec()["spec_hash"]
+
+    @property
+    def folder(self) -> Path:
+        """Where its dataset is or will be; another version of the recipe has another folder."""
+        width, height = self.resolution
+        return cache_folder() / "tracks" / f"{self.name}-{width}x{height}-{self.spec_hash[:8]}"
+
+    def missing(self, splits: Iterable[str]) -> int:
+        """How many scenes of these splits are still to be made."""
+        if not (self.folder / "dataset.json").exists():
+            return sum(SIZES[name] for name in splits)
+        dataset = Dataset(self.folder)
+        return sum(len(dataset.split(name).missing()) for name in splits)
+
+    def prepare(self, splits: Iterable[str], *, workers: int = 1, show: bool = False) -> Path:
+        """Make the scenes of these splits that are missing, and give the folder.
+
+        Raises:
+            DatagenError: they could not be made; a further try goes on.
+        """
+        names = tuple(splits)
+        if self.missing(names):
+            from datagen.generate import Run, generate
+            from datagen.progress import no_progress, progress_bar
+
+            run = Run(workers=workers, splits=names, progress=progress_bar if show else no_progress)
+            generate(self.folder, load_recipe(self.name), run=run, **self._sizes())
+        return self.folder
+
+    def _sizes(self) -> dict[str, Any]:
+        return {"splits": SIZES, "seed": SEED, "resolution": self.resolution}
+
+    def _spec(self) -> dict[str, Any]:
+        from datagen.generate import dataset_spec
+
+        return dataset_spec(load_recipe(self.name), **self._sizes())
+
+
+def find_track(name: str) -> Track:
+    """The track of that name.
+
+    Raises:
+        UsageError: there is none; suggests the nearest name.
+    """
+    names = recipe_names()
+    if name in names:
+        return Track(name)
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise UsageError(f"Unknown track {name!r}; {hint}There are: {', '.join(names)}.")
+
+
+def all_tracks() -> list[Track]:
+    """Every track: one for each recipe."""
+    return [Track(name) for name in recipe_names()]
+
+
+def dataset_slots(spec: Mapping[str, Any]) -> int:
+    """Slots that every model may use on a dataset: its largest object count, plus one for the background."""
+    return _slots(spec["recipe"]["objects"]["maximum"], spec["recipe"]["parts"])
+
+
+def cache_folder() -> Path:
+    """Where tracks are kept."""
+    return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()
+
+
+def _slots(maximum: int, parts: Iterable[str]) -> int:
+    return 1 + max([load_recipe(part).objects.maximum for part in parts], default=maximum)
