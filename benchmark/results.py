@@ -111,7 +111,12 @@ def digest(values: Mapping[str, Any]) -> str:
 def save_row(folder: Path, row: RunRow) -> None:
     """Write a row; from then on it counts."""
     text = json.dumps(dataclasses.asdict(row), indent=1) + "\n"
-    write_whole(folder / RUNS / f"{row.key.name}.json", text.encode())
+    write_whole(row_path(folder, row.key), text.encode())
+
+
+def row_path(folder: Path, key: RunKey) -> Path:
+    """Where a row is or will be."""
+    return folder / RUNS / f"{key.name}.json"
 
 
 def load_runs(folder: Path) -> list[RunRow]:
@@ -120,7 +125,7 @@ def load_runs(folder: Path) -> list[RunRow]:
     Raises:
         CorruptFile: a row is damaged.
     """
-    return sorted((_load_row(path) for path in sorted((folder / RUNS).glob("*.json"))), key=lambda row: row.key)
+    return sorted((load_row(path) for path in sorted((folder / RUNS).glob("*.json"))), key=lambda row: row.key)
 
 
 def check_runs(folder: Path) -> list[RunRow]:
@@ -134,7 +139,12 @@ def check_runs(folder: Path) -> list[RunRow]:
     raise UsageError(f"{folder} holds no finished runs; give a folder that obpose-bench wrote with --out.")
 
 
-def _load_row(path: Path) -> RunRow:
+def load_row(path: Path) -> RunRow:
+    """One row.
+
+    Raises:
+        CorruptFile: it is damaged.
+    """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
         key, measured = RunKey(**values.pop("key")), Measured(**values.pop("measured"))

@@ -5,14 +5,14 @@ path = find_track("moving").prepare(("val", "test"))    # makes what is missing 
 
 import difflib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from datagen.config import load_recipe, recipe_names
-from datagen.errors import UsageError
+from datagen.errors import DatagenError, UsageError
 from datagen.storage import Dataset
 
 CACHE = "OBPOSE_CACHE"
@@ -44,7 +44,7 @@ class Track:
 
     @property
     def slots(self) -> int:
-        """Slots that every model may use."""
+        """Slots that every model may use: its largest object count, plus one for the background."""
         recipe = load_recipe(self.name)
         return _slots(recipe.objects.maximum, recipe.parts)
 
@@ -90,6 +90,51 @@ class Track:
         return dataset_spec(load_recipe(self.name), **self._sizes())
 
 
+@dataclass(frozen=True)
+class DataFolder:
+    """A dataset that somebody made, in the place of a track."""
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self.folder.resolve().name
+
+    @property
+    def slots(self) -> int:
+        """Slots that every model may use: its recipe's largest object count, plus one for the background."""
+        recipe = Dataset(self.folder).spec["recipe"]
+        return _slots(recipe["objects"]["maximum"], recipe["parts"])
+
+    @cached_property
+    def spec_hash(self) -> str:
+        """Its identity."""
+        return Dataset(self.folder).spec["spec_hash"]
+
+    def missing(self, splits: Iterable[str]) -> int:
+        """How many scenes of these splits have not been made."""
+        dataset = Dataset(self.folder)
+        return sum(len(dataset.split(name).missing()) for name in splits)
+
+    def prepare(self, splits: Iterable[str], *, workers: int = 1, show: bool = False) -> Path:
+        """Give the folder.
+
+        Raises:
+            DatagenError: scenes are missing.
+        """
+        if missing := self.missing(splits):
+            raise DatagenError(
+                f"{self.folder} is incomplete: {missing} scenes are missing. "
+                "Run the command that began it again to complete it."
+            )
+        return self.folder
+
+
+Source = Track | DataFolder
+"""Something to fit on or to score on."""
+
+
 def find_track(name: str) -> Track:
     """The track of that name.
 
@@ -107,11 +152,6 @@ def find_track(name: str) -> Track:
 def all_tracks() -> list[Track]:
     """Every track: one for each recipe."""
     return [Track(name) for name in recipe_names()]
-
-
-def dataset_slots(spec: Mapping[str, Any]) -> int:
-    """Slots that every model may use on a dataset: its largest object count, plus one for the background."""
-    return _slots(spec["recipe"]["objects"]["maximum"], spec["recipe"]["parts"])
 
 
 def cache_folder() -> Path:

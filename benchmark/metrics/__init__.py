@@ -1,4 +1,4 @@
-"""Metrics of label maps, exact and fast; `score` is all that most callers need, `clip_scores` what the harness keeps."""
+"""Metrics of label maps, exact and fast; `score` is what most callers need, `clip_scores` what the harness keeps."""
 
 from benchmark.metrics.score import (
     CLIP_METRICS,

@@ -29,8 +29,13 @@ def test_a_wrong_metric_is_reported(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize(
     ("expected", "found", "passed"),
-    [(0.5, 0.5 + 1e-6, True), (0.5, 0.5 + 3e-6, False), (math.nan, math.nan, True), (1.0, math.nan, False)]
-    + [(math.nan, 1.0, False)],
+    [
+        (0.5, 0.5 + 1e-6, True),
+        (0.5, 0.5 + 3e-6, False),
+        (math.nan, math.nan, True),
+        (1.0, math.nan, False),
+        (math.nan, 1.0, False),
+    ],
 )
 def test_what_passes(expected: float, found: float, passed: bool):
     assert selftest.Check("case", "ari", expected, found, tolerance=2e-6).passed is passed

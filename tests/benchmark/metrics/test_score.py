@@ -145,7 +145,7 @@ def test_time_reversed_switches_as_often(truth: np.ndarray, prediction: np.ndarr
 
 
 def test_switches_are_counted_from_when_the_object_was_last_visible():
-    """Object 1: slot 1, hidden, slot 2, slot 2. Object 2 comes late. Object 3 is split evenly over 3 and 4, then in 4."""
+    """Object 1: slot 1, hidden, slot 2, slot 2. Object 2 comes late. Object 3: half 3, half 4, then 4."""
     truth = np.array([[1, 1, 0, 0, 3, 3], [0, 0, 0, 0, 3, 3], [1, 1, 2, 2, 3, 3], [1, 1, 2, 2, 3, 3]])[:, None]
     slots = np.array([[1, 1, 0, 0, 3, 4], [1, 1, 0, 0, 3, 4], [2, 2, 5, 5, 4, 4], [2, 2, 5, 5, 4, 4]])[:, None]
     assert score(truth, slots)["identity_switches"] == 1

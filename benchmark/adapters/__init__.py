@@ -1,0 +1,1 @@
+"""What is scored besides models of the registry."""

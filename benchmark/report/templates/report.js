@@ -1,0 +1,127 @@
+"use strict";
+(() => {
+  const facts = JSON.parse(document.getElementById("facts").textContent);
+  const pictures = JSON.parse(document.getElementById("pictures").textContent);
+  const find = (selector, within = document) => within.querySelector(selector);
+  const all = (selector, within = document) => [...within.querySelectorAll(selector)];
+  const controls = { track: find("#track"), fit: find("#fit"), a: find("#a"), b: find("#b") };
+  const models = facts.models;
+
+  const element = (tag, name, text) => {
+    const made = document.createElement(tag);
+    if (name) made.className = name;
+    if (text !== undefined) made.textContent = text;
+    return made;
+  };
+
+  const panel = () =>
+    find(`[data-track="${CSS.escape(controls.track.value)}"][data-fit="${CSS.escape(controls.fit.value)}"]`);
+
+  // Only what exists can be chosen: ways of fitting of this track, models of this panel.
+  const offer = () => {
+    const fits = all(`[data-track="${CSS.escape(controls.track.value)}"]`).map((part) => part.dataset.fit);
+    for (const option of controls.fit.options) option.disabled = !fits.includes(option.value);
+    if (!fits.includes(controls.fit.value)) controls.fit.value = fits[0];
+    const there = panel().dataset.models.split(" ");
+    for (const select of [controls.a, controls.b]) {
+      for (const option of select.options) option.disabled = !there.includes(option.value);
+    }
+    const [first, second] = panel().dataset.first.split(" ");
+    if (!there.includes(controls.a.value)) controls.a.value = first;
+    if (!there.includes(controls.b.value)) controls.b.value = controls.a.value === second ? first : second;
+  };
+
+  const mark = () => {
+    const rule = (model, letter) =>
+      `[data-m="${model}"]{--mark:var(--${letter});--stroke:2.5;--show:1;--weight:700;--label:inline}`;
+    find("#marks").textContent = rule(controls.b.value, "b") + rule(controls.a.value, "a");
+    for (const letter of ["b", "a"]) {
+      for (const curve of all(`svg [data-m="${controls[letter].value}"]`, panel())) curve.parentNode.append(curve);
+      for (const key of all(`.key.${letter}`)) key.textContent = models[controls[letter].value];
+    }
+  };
+
+  const tile = (name, letter, picture, photo) => {
+    const made = element("div", `tile ${letter}`, name);
+    const image = element("img", photo ? "photo" : "");
+    image.alt = name;
+    image.src = pictures[picture];
+    made.prepend(image);
+    return made;
+  };
+
+  const drawCard = (card) => {
+    const made = element("div", "card");
+    const tiles = element("div", "tiles");
+    tiles.append(tile("image", "", card.rgb, true), tile("truth", "", card.truth, false));
+    const said = element("p", "said", `Scene ${card.scene}, ${card.where}`);
+    for (const [model, picture, score, words] of card.maps) {
+      const letter = String(model) === controls.a.value ? "a" : String(model) === controls.b.value ? "b" : "";
+      tiles.append(tile(models[model], letter, picture, false));
+      said.append(element("br"), element("span", letter, models[model]), ` ${score}: ${words}`);
+    }
+    made.append(tiles, said);
+    return made;
+  };
+
+  const fill = (place, cards, otherwise) => {
+    place.replaceChildren(...(cards && cards.length ? cards.map(drawCard) : [element("p", "note", otherwise)]));
+  };
+
+  const drawGallery = () => {
+    const gallery = facts.galleries[panel().dataset.gallery];
+    if (!gallery) return;
+    const [a, b] = [Number(controls.a.value), Number(controls.b.value)];
+    fill(find(".worst", panel()), gallery.worst[a], "There are no label maps of this model here.");
+    const reason = a === b ? "Choose two different models." : "The report has no pictures of this pair.";
+    fill(find(".apart", panel()), gallery.pairs[`${Math.min(a, b)},${Math.max(a, b)}`], reason);
+  };
+
+  const showComparison = () => {
+    const place = find(".versus", panel());
+    if (!place) return;
+    const [a, b] = [controls.a.value, controls.b.value];
+    const found = (facts.comparisons[panel().dataset.gallery] || {});
+    const line = found[`${a},${b}`], back = found[`${b},${a}`];
+    place.textContent = line || back || "";
+  };
+
+  const drawStrips = () => {
+    for (const image of all("img[data-picture]", panel())) image.src = pictures[image.dataset.picture];
+  };
+
+  const show = () => {
+    offer();
+    for (const part of all("[data-track]")) part.hidden = part !== panel();
+    mark();
+    drawGallery();
+    showComparison();
+    drawStrips();
+  };
+
+  const remember = () => {
+    const state = new URLSearchParams();
+    for (const [name, select] of Object.entries(controls)) {
+      state.set(name, name.length === 1 ? models[select.value] : select.value);
+    }
+    history.replaceState(null, "", `#${state}`);
+  };
+
+  const recall = () => {
+    const state = new URLSearchParams(location.hash.slice(1));
+    for (const [name, select] of Object.entries(controls)) {
+      const wanted = name.length === 1 ? String(models.indexOf(state.get(name))) : state.get(name);
+      if ([...select.options].some((option) => option.value === wanted)) select.value = wanted;
+    }
+  };
+
+  for (const select of Object.values(controls)) {
+    select.addEventListener("change", () => { show(); remember(); });
+  }
+  window.addEventListener("hashchange", () => { recall(); show(); });
+  for (const swap of all("[data-go]")) {
+    swap.addEventListener("click", () => { controls.track.value = swap.dataset.go; show(); remember(); });
+  }
+  recall();
+  show();
+})();

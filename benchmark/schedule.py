@@ -1,0 +1,94 @@
+"""Doing a plan: datasets first, then jobs side by side, each in its own process, each row written when it is known."""
+
+import dataclasses
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from pathlib import Path
+
+from benchmark.files import write_whole
+from benchmark.isolation import LOGS, Limits, Outcome, run_isolated
+from benchmark.model_spec import ModelSpec
+from benchmark.plan import Plan, repeats
+from benchmark.registry import find_model
+from benchmark.results import SCENES, Measured, RunKey, RunRow, load_row, load_runs, row_path, save_row
+from benchmark.runner import Job, commit
+
+Heard = Callable[[RunRow], None]
+"""Is told of every row that a job made or failed to make."""
+
+
+def run_jobs(plan: Plan, out: Path, limits: Limits, workers: int, heard: Heard) -> None:
+    """Do all jobs of a plan. Kill it at any moment: the rows that were written count, the others are made next time."""
+    stop = threading.Event()
+    waiting = list(plan.jobs)
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            running = set()
+            while waiting or running:
+                while waiting and len(running) < workers:
+                    running.add(pool.submit(_do, waiting.pop(0), limits, stop, heard))
+                finished, running = wait(running, return_when=FIRST_COMPLETED)
+                waiting[:0] = [rest for future in finished for rest in future.result()]
+        except BaseException:
+            stop.set()
+            raise
+
+
+def repeat_rows(keys: Sequence[RunKey], out: Path) -> None:
+    """Write the rows of the seeds that were not run because seeds make no difference to their models."""
+    rows = load_runs(out)
+    there = {row.key for row in rows}
+    for row in rows:
+        for twin in repeats(row, keys):
+            if twin.key not in there:
+                _copy_scenes(out, row.key, twin.key)
+                save_row(out, twin)
+
+
+def _copy_scenes(out: Path, old: RunKey, new: RunKey) -> None:
+    table = out / SCENES / f"{old.name}.csv"
+    if table.exists():
+        write_whole(out / SCENES / f"{new.name}.csv", table.read_bytes())
+
+
+def _do(job: Job, limits: Limits, stop: threading.Event, heard: Heard) -> list[Job]:
+    """Run a job, and write failed rows for what went wrong; returns what is left to be tried in another process."""
+    names = {target.key.name: target.key for target in job.targets}
+
+    def hear(event: str) -> None:
+        if event in names:
+            heard(load_row(row_path(job.out, names[event])))
+
+    outcome = run_isolated(job, limits, job.out / LOGS / f"{job.targets[0].key.name}.log", stop, hear)
+    left = [target for target in job.targets if target.key.name not in outcome.events]
+    if not left or stop.is_set():
+        return []
+    # What goes wrong in fitting goes wrong for all tracks, what goes wrong in segmenting for this one.
+    failed = left[:1] if "fitted" in outcome.events else left
+    for target in failed:
+        row = _failed_row(find_model(job.model), target.key, outcome)
+        save_row(job.out, row)
+        heard(row)
+    rest = tuple(left[len(failed) :])
+    return [dataclasses.replace(job, targets=rest)] if rest else []
+
+
+def _failed_row(spec: ModelSpec, key: RunKey, outcome: Outcome) -> RunRow:
+    nan = float("nan")
+    return RunRow(
+        key=key,
+        status="failed",
+        reason=outcome.reason or "its process ended before the row was written",
+        config={},
+        tuned=len(spec.grid) > 1,
+        uses_labels=spec.uses_labels,
+        kind=spec.kind,
+        priors=spec.priors,
+        random=spec.random,
+        n_scenes=0,
+        parameters=0,
+        device="cpu",
+        commit=commit(),
+        measured=Measured(nan, nan, nan),
+    )

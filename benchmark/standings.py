@@ -1,0 +1,230 @@
+"""How models stand on each track: the rows of a run folder brought together over seeds, judged and ranked.
+
+Two models are compared only where they were scored on the same dataset and fitted the same way: each on the track itself,
+or all on one other track. Floors, oracles and models that saw labels are shown and never ranked.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations, groupby
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from benchmark import statistics
+from benchmark.failed_seeds import cause_of_failure, has_finite_loss
+from benchmark.metrics import CLIP_METRICS, METRICS
+from benchmark.results import RunRow, SceneTable, load_runs, load_scenes
+from benchmark.statistics import Difference, Resamples, Summary
+
+ALL_METRICS = (*METRICS, *CLIP_METRICS)
+RANKED_METRICS = ("ari_fg", "msc_fg")
+"""Models are ordered by the mean of their ranks in these."""
+
+BOOTSTRAP_SEED = 0
+
+Scores = tuple[Float64[np.ndarray, "seed scene"], Float64[np.ndarray, "seed scene"]]
+"""Of one metric: each scene's mean, and the number of values behind it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One model on one track, all seeds together."""
+
+    rows: tuple[RunRow, ...]
+    """Ordered by seed; they differ in the seed only."""
+    causes: tuple[str, ...]
+    """Why each seed failed; empty where it did not."""
+    tables: tuple[SceneTable | None, ...]
+    """Each seed's scores scene by scene; None where the run gave none."""
+    mean_rank: float = np.nan
+    """Mean of the ranks in `RANKED_METRICS`; nan where the model is not ranked."""
+    groups: tuple[str, ...] = ("",) * len(RANKED_METRICS)
+    """For each of `RANKED_METRICS` the letters of its groups: models that share one cannot be told apart."""
+
+    @property
+    def row(self) -> RunRow:
+        """The first seed's, for what is the same in all."""
+        return self.rows[0]
+
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """Track, track fitted on, model."""
+        return self.row.key.track, self.row.key.fit_track, self.row.key.model
+
+    @property
+    def is_ranked(self) -> bool:
+        """Whether the model may stand in a ranking: it knows no labels, and there are scores."""
+        return self.row.kind not in ("floor", "oracle") and not self.row.uses_labels and self.n_scenes > 0
+
+    @property
+    def n_failed(self) -> int:
+        """Seeds that failed, by the rule or for want of scores."""
+        return sum(map(bool, self.causes))
+
+    @property
+    def n_scenes(self) -> int:
+        """Scenes that were scored, by each seed."""
+        return max(row.n_scenes for row in self.rows)
+
+    @property
+    def n_skipped(self) -> int:
+        """Scenes that count in no ranked metric, because no frame shows an object."""
+        counted = [self.scores(name)[1].any(axis=0) for name in RANKED_METRICS]
+        return self.n_scenes - int(np.any(counted, axis=0).sum())
+
+    def scores(self, metric: str, *, without_failed: bool = False) -> Scores:
+        """A metric of all seeds that have scores, or of those that did not fail."""
+        tables = [
+            table
+            for table, cause in zip(self.tables, self.causes, strict=True)
+            if table is not None and not (without_failed and cause)
+        ]
+        shape = (len(tables), self.n_scenes)
+        if not tables or metric not in tables[0]:
+            return np.full(shape, np.nan), np.zeros(shape)
+        return np.stack([table[metric] for table in tables]), np.stack([table[f"{metric}_n"] for table in tables])
+
+    def summary(self, metric: str, *, without_failed: bool = False) -> Summary:
+        """Mean, spread and interval of a metric."""
+        scores, weights = self.scores(metric, without_failed=without_failed)
+        if not self.row.random:
+            scores, weights = scores[:1], weights[:1]
+        if scores.size == 0:
+            return Summary(*[np.nan] * 5)
+        summary = statistics.summarise(scores, weights, resamples(*scores.shape))
+        return summary if self.row.random else replace(summary, sample_std=0.0 if len(self.rows) > 1 else np.nan)
+
+    def seed_means(self, metric: str) -> Float64[np.ndarray, "seed"]:
+        """Pooled means of a metric, one for each of `rows`; nan where there are no scores."""
+        return np.array([_pooled(table, metric) for table in self.tables])
+
+    def best_known(self, metric: str) -> float:
+        """The mean over seeds: what entries are compared by."""
+        return statistics.spread(self.seed_means(metric))[0]
+
+
+def load_standings(folder: Path) -> list[Entry]:
+    """All entries of a run folder, ordered by track, track fitted on and model, judged and ranked."""
+    rows = load_runs(folder)
+    return standings(rows, [load_scenes(folder, row) if row.status == "ok" else None for row in rows])
+
+
+def standings(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> list[Entry]:
+    """As `load_standings`, from the rows and their scene tables."""
+    pairs = sorted(zip(rows, tables, strict=True), key=lambda pair: (_group(pair[0]), pair[0].key.seed))
+    entries = [_entry(list(members)) for _, members in groupby(pairs, key=lambda pair: _group(pair[0]))]
+    floors = _best_floors(entries)
+    judged = [replace(entry, causes=_causes(entry, floors)) for entry in entries]
+    ranked = [entry for field in _fields(judged) for entry in _ranked(field)]
+    return sorted(ranked, key=lambda entry: _group(entry.row))
+
+
+def compare_entries(one: Entry, two: Entry, metric: str) -> Difference:
+    """Difference of two entries of the same track in a metric, paired by scene."""
+    return statistics.difference(one.scores(metric), two.scores(metric), resamples(1, one.n_scenes))
+
+
+def best_first(entries: Iterable[Entry]) -> list[Entry]:
+    """Ordered by mean rank where there is one, then by MSC-FG, then by name."""
+
+    def order(entry: Entry) -> tuple[float, float, tuple[str, str, str]]:
+        rank, score = np.nan_to_num([entry.mean_rank, -entry.best_known("msc_fg")], nan=np.inf)
+        return float(rank), float(score), entry.place
+
+    return sorted(entries, key=order)
+
+
+@cache
+def resamples(n_seeds: int, n_scenes: int) -> Resamples:
+    """The same for every model and metric, so that all intervals rest on the same scenes."""
+    return statistics.draw(n_seeds, n_scenes, np.random.default_rng(BOOTSTRAP_SEED))
+
+
+def _group(row: RunRow) -> tuple[object, ...]:
+    key = row.key
+    return key.track, key.fit_track, key.model, key.track_spec, key.fit_spec, key.version, key.config_hash
+
+
+def _entry(pairs: Sequence[tuple[RunRow, SceneTable | None]]) -> Entry:
+    rows, tables = zip(*pairs, strict=True)
+    return Entry(rows, ("",) * len(rows), tables)
+
+
+def _pooled(table: SceneTable | None, metric: str) -> float:
+    if table is None or metric not in table:
+        return np.nan
+    return float(statistics.pooled_means(table[metric][None], table[f"{metric}_n"][None])[0])
+
+
+def _best_floors(entries: Iterable[Entry]) -> dict[str, float]:
+    """Largest MSC-FG of a floor on each dataset."""
+    best: dict[str, float] = {}
+    for entry in entries:
+        if entry.row.kind == "floor":
+            dataset, score = entry.row.key.track_spec, entry.best_known("msc_fg")
+            best[dataset] = float(np.fmax(best.get(dataset, np.nan), score))
+    return best
+
+
+def _causes(entry: Entry, floors: dict[str, float]) -> tuple[str, ...]:
+    best_floor = floors.get(entry.row.key.track_spec, np.nan)
+    scores = zip(entry.rows, entry.seed_means("miou_bg"), entry.seed_means("msc_fg"), strict=True)
+    return tuple(_cause(row, miou_bg, msc_fg, best_floor) for row, miou_bg, msc_fg in scores)
+
+
+def _cause(row: RunRow, miou_bg: float, msc_fg: float, best_floor: float) -> str:
+    if row.status == "failed":
+        return row.reason or "no result"
+    if row.kind == "floor":
+        return ""
+    return cause_of_failure(miou_bg, msc_fg, best_floor, finite_loss=has_finite_loss(row))
+
+
+def _fields(entries: Iterable[Entry]) -> list[list[Entry]]:
+    """Entries that may be compared: the same dataset, fitted on it or all on the same other one."""
+
+    def field(entry: Entry) -> tuple[str, str, str]:
+        key = entry.row.key
+        return key.track, key.track_spec, "" if key.fit_track == key.track else key.fit_track
+
+    return [list(members) for _, members in groupby(sorted(entries, key=field), key=field)]
+
+
+def _ranked(field: Sequence[Entry]) -> list[Entry]:
+    """The same entries, those that may be ranked with their ranks and groups."""
+    ranked = [entry for entry in field if entry.is_ranked]
+    values = {name: np.array([entry.best_known(name) for entry in ranked]) for name in RANKED_METRICS}
+    mean_ranks = statistics.mean_ranks(*(values[name] for name in RANKED_METRICS))
+    letters = zip(*(_letters(ranked, name, values[name]) for name in RANKED_METRICS), strict=True)
+    placed = [
+        replace(entry, mean_rank=float(rank), groups=groups)
+        for entry, rank, groups in zip(ranked, mean_ranks, letters, strict=True)
+    ]
+    return placed + [entry for entry in field if not entry.is_ranked]
+
+
+def _letters(entries: Sequence[Entry], metric: str, values: Float64[np.ndarray, "model"]) -> list[str]:
+    order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")
+    groups = statistics.tied_groups(_different([entries[i] for i in order], metric))
+    found = [""] * len(entries)
+    for letter, group in enumerate(groups):
+        for member in group:
+            found[order[member]] += _letter(letter)
+    return found
+
+
+def _letter(index: int) -> str:
+    return chr(ord("a") + index % 26) + "'" * (index // 26)
+
+
+def _different(entries: Sequence[Entry], metric: str) -> Bool[np.ndarray, "model model"]:
+    """Which pairs differ significantly, corrected for the number of pairs."""
+    pairs = list(combinations(range(len(entries)), 2))
+    p_values = np.array([compare_entries(entries[i], entries[j], metric).p_value for i, j in pairs])
+    different = np.zeros((len(entries), len(entries)), bool)
+    for (i, j), p_value in zip(pairs, statistics.holm(p_values), strict=True):
+        different[i, j] = different[j, i] = p_value < statistics.SIGNIFICANCE
+    return different
