@@ -41,12 +41,13 @@ class LabelWriter:
 
 
 @contextmanager
-def write_labels(path: Path, scenes: int) -> Iterator[LabelWriter]:
-    """Write the label maps of that many scenes; the file is there only if all went well."""
+def write_labels(path: Path, scenes: int, data: Path) -> Iterator[LabelWriter]:
+    """Write the label maps of that many scenes of the dataset `data`; the file is there only if all went well."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         with h5py.File(partial, "w", libver=("v110", "v110")) as file:
+            file.attrs["data"] = str(data.resolve())
             yield LabelWriter(file, scenes)
         os.replace(partial, path)
     finally:
@@ -66,5 +67,18 @@ def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view heig
             assert isinstance(slots, h5py.Dataset)
             for scene in range(len(labels)):
                 yield labels[scene], int(slots[scene])
+    except (OSError, KeyError) as error:
+        raise CorruptFile(f"{path} is missing or damaged ({error}); delete its row in runs/ and run again.") from None
+
+
+def dataset_of(path: Path) -> Path:
+    """Folder of the dataset that the label maps are of, on the machine that made them.
+
+    Raises:
+        CorruptFile: the file is missing or damaged.
+    """
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            return Path(str(file.attrs["data"]))
     except (OSError, KeyError) as error:
         raise CorruptFile(f"{path} is missing or damaged ({error}); delete its row in runs/ and run again.") from None

@@ -153,6 +153,14 @@ def load_row(path: Path) -> RunRow:
         raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
 
 
+def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
+    """Forget rows, with their scores and label maps."""
+    for row in rows:
+        row_path(folder, row.key).unlink(missing_ok=True)
+        (folder / SCENES / f"{row.key.name}.csv").unlink(missing_ok=True)
+        (folder / LABELS / f"{row.key.name}.h5").unlink(missing_ok=True)
+
+
 def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float]:
     """One line of a scene table from the scene's scores, as `benchmark.metrics.clip_scores` gives them."""
     metrics = {name: values for name, values in scores.items() if name not in COUNTS}

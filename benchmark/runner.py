@@ -105,7 +105,7 @@ def _make_row(spec: ModelSpec, job: Job, fitted: _Fitted, target: Target) -> Non
         raise UsageError(f"Split {SPLIT!r} of {target.data} has no scenes; generate some.")
     segmenter, options = _for_target(spec, job, fitted, target)
     labels = job.out / LABELS / f"{target.key.name}.h5"
-    seconds = segment_split(lambda _, clip: segmenter.segment(clip), _clips(scenes, spec), labels)
+    seconds = segment_split(lambda _, clip: segmenter.segment(clip), _clips(scenes, spec), labels, target.data)
     frames = score_labels(labels, scenes, job.out, target.key.name)
     row = RunRow(
         key=target.key,

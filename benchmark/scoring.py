@@ -22,14 +22,14 @@ class BadPrediction(DatagenError):
     """A model broke the contract of `benchmark.interface`."""
 
 
-def segment_split(predict: Predict, clips: ClipSequence, path: Path) -> float:
-    """Segment every clip and store the label maps; returns the seconds that `predict` took.
+def segment_split(predict: Predict, clips: ClipSequence, path: Path, data: Path) -> float:
+    """Segment every clip of the dataset `data` and store the label maps; returns the seconds that `predict` took.
 
     Raises:
         BadPrediction: something else than a label for every pixel came back.
     """
     seconds = 0.0
-    with write_labels(path, len(clips)) as writer:
+    with write_labels(path, len(clips), data) as writer:
         for index, clip in enumerate(clips):
             started = time.perf_counter()
             prediction = predict(index, clip)

@@ -154,6 +154,15 @@ def all_tracks() -> list[Track]:
     return [Track(name) for name in recipe_names()]
 
 
+def find_dataset(track: str, spec_hash: str, folders: Iterable[Path]) -> Path | None:
+    """Where the dataset of that identity is: in one of the folders, or among the tracks that were made; or None."""
+    made = [Track(track).folder] if track in recipe_names() else []
+    for folder in (*folders, *made):
+        if (folder / "dataset.json").exists() and Dataset(folder).spec["spec_hash"] == spec_hash:
+            return folder
+    return None
+
+
 def cache_folder() -> Path:
     """Where tracks are kept."""
     return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()

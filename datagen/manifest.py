@@ -62,6 +62,7 @@ def _shard_facts(path: Path) -> dict[str, Any]:
         "file": path.name,
         "scenes": len(shard),
         "bytes": path.stat().st_size,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "content_hash": _joint_hash(shard.hashes()),
         "attempts": int(shard.column("scene/attempts").sum()),
         "rejections": sum((Counter(counts) for counts in rejections), Counter[str]()),

@@ -28,8 +28,8 @@ REACHES = (3.0, 1.5, 2.0, 2.5, 4.0)
 DBSCAN = _grid(reach_pixels=REACHES, least_height=HEIGHTS)
 # As much colour as tells two objects that touch apart, and no more than leaves shades of one object together.
 DBSCAN_COLOUR = _grid(colour=(0.05, 0.1, 0.2), reach_pixels=(3.0, 2.0, 4.0), least_height=(0.001,))
-# Small objects against noise; and how near clusters must be to be one.
-HDBSCAN = _grid(least_cells=(10, 5, 20), merge_pixels=(2.0, 0.0, 3.0), least_height=(0.001,))
+# Small objects against noise; scenes with many objects against such with one.
+HDBSCAN = _grid(least_cells=(5, 3, 8, 12), one_object=(False, True))
 # From the slope of one surface in neighbouring pixels up to the depth of an object.
 COMPONENTS = _grid(step=(0.03, 0.01, 0.015, 0.02, 0.05), least_height=HEIGHTS)
 # Against a table of about a metre: position alone, up to colour alone.

@@ -24,38 +24,37 @@ class PlaneHdbscan(Untrained):
 
     least_height: float = 0.001
     """Metres above the plane from which on a point belongs to an object."""
-    least_cells: int = 10
+    least_cells: int = 5
     """HDBSCAN's min_cluster_size: groups of fewer points are no object."""
-    merge_pixels: float = 2.0
-    """HDBSCAN's cluster_selection_epsilon, in pixels' width on the table: clusters nearer than this are one."""
+    one_object: bool = False
+    """HDBSCAN's allow_single_cluster: whether all points may be one object; if not, a lone object falls apart."""
 
     def segment(self, clip: Clip) -> Prediction:
         """Label 0 is the plane, what lies below it and holes; clusters count from 1 in every frame."""
-        points, pixel = scene_points(clip), pixel_width(clip)
+        points, voxel = scene_points(clip), VOXELS_PER_PIXEL * pixel_width(clip)
         labels = np.zeros(clip.depth.shape, np.int64)
         for frame, mask in enumerate(standing(clip, points, least_height=self.least_height, seed=self.seed)):
-            labels[frame][mask] = keep_largest(self._cluster(points[frame][mask], pixel))
+            labels[frame][mask] = keep_largest(self._cluster(points[frame][mask], voxel))
         return Prediction(labels, background_slot=0)
 
-    def _cluster(self, points: Float[np.ndarray, "point 3"], pixel: float) -> Int64[np.ndarray, "point"]:
+    def _cluster(self, points: Float[np.ndarray, "point 3"], voxel: float) -> Int64[np.ndarray, "point"]:
         """Cluster of each point, counted from 1; 0 for all where there are too few for one cluster."""
         if len(points) == 0:
             return np.zeros(0, np.int64)
-        _, first, cell = np.unique(cell_ids(points, VOXELS_PER_PIXEL * pixel), return_index=True, return_inverse=True)
+        _, first, cell = np.unique(cell_ids(points, voxel), return_index=True, return_inverse=True)
         if len(first) < max(self.least_cells, LEAST_NEIGHBOURS):
             return np.zeros(len(points), np.int64)
         hdbscan = HDBSCAN(
             min_cluster_size=self.least_cells,
             min_samples=LEAST_NEIGHBOURS,
-            cluster_selection_epsilon=self.merge_pixels * pixel,
-            allow_single_cluster=True,
+            allow_single_cluster=self.one_object,
             copy=True,
         )
         return _adopt_lone(points[first], hdbscan.fit_predict(points[first]) + 1)[cell]
 
 
 def _adopt_lone(points: Float[np.ndarray, "point 3"], labels: Int64[np.ndarray, "point"]) -> Int64[np.ndarray, "point"]:
-    """Points that HDBSCAN takes for noise, label 0, join the nearest cluster: the plane is gone, so they are objects."""
+    """Points in no cluster, label 0, join the nearest one: the plane is gone, so that they are parts of objects."""
     lone = labels == 0
     if np.any(lone) and not np.all(lone):
         nearest = KDTree(points[~lone]).query(points[lone])[1]

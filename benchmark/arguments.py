@@ -1,0 +1,91 @@
+"""Flags of the command line, one class a command."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from benchmark.plan import DEFAULT_SECONDS
+
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+DEFAULT_OUT = Path("results")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Compare models; the same command again makes only the rows that are missing."""
+
+    model: tuple[str, ...] = ()
+    """Names of models and groups, such as training-free."""
+    track: tuple[str, ...] = ()
+    """Names of tracks; their datasets are made on first use."""
+    data: Path | None = None
+    """Folder of a dataset, in the place of tracks."""
+    predictions: tuple[Path, ...] = ()
+    """Folders of label maps to score in the place of models, one a seed; see docs/adding_a_model.md."""
+    name: str | None = None
+    """What the predictions are called in the tables; the first folder's name if left out."""
+    background_slot: int | None = None
+    """Background label of predictions that do not say; the most frequent label of each clip if left out."""
+    seeds: int = 3
+    """How many runs, with seeds 0, 1, ..."""
+    fit_track: str | None = None
+    """Fit, or tune, once on this track, for all tracks; each on itself if left out."""
+    out: Path = DEFAULT_OUT
+    """The run folder."""
+    list: Switch = False
+    """Show models and tracks, and leave."""
+    budget: float = DEFAULT_SECONDS
+    """Seconds that a model that learns may train for."""
+    steps: int | None = None
+    """Steps that it trains for, in the place of seconds."""
+    deterministic: Switch = False
+    """One thread, and budgets in steps: equal tables on every run, but for the columns measured_*."""
+    workers: int = 2
+    """Jobs side by side."""
+    time_limit: float = 60.0
+    """Minutes after which a row has failed."""
+    memory_limit: float | None = None
+    """MiB of memory at which a row has failed; if left out, an equal part of nine tenths of the machine's."""
+    overwrite: Switch = False
+    """Replace rows of the same model, track and seed that were made with other settings or versions."""
+    retry: Switch = False
+    """Run again what has failed before."""
+
+
+@dataclass(frozen=True)
+class Rescore:
+    """Compute all scores anew from stored label maps, and write tables and report; no model runs."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    data: tuple[Path, ...] = ()
+    """Folders of datasets that the runs were scored on, if they are not where they were."""
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Paired differences of two models, scene by scene."""
+
+    one: Annotated[str, tyro.conf.Positional]
+    """Name of a model."""
+    other: Annotated[str, tyro.conf.Positional]
+    """Name of another."""
+    run: Path = DEFAULT_OUT
+    """The run folder."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write tables and report of a run folder again."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """The run folder."""
+    data: tuple[Path, ...] = ()
+    """Folders of datasets that the runs were scored on, if they are not where they were."""
+
+
+@dataclass(frozen=True)
+class Selftest:
+    """Check the metrics against golden cases that reference implementations scored."""
