@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from benchmark.machine import ROOT, resident_mib
 from benchmark.runner import Job
 from datagen.errors import EXIT_INTERRUPTED
 
@@ -110,19 +111,6 @@ def _trespass(process: subprocess.Popen[bytes], limits: Limits, deadline: float,
     return f"out of memory: {used:.0f} MiB of {limits.memory_mib:.0f} MiB" if used > limits.memory_mib else ""
 
 
-def resident_mib(process: int) -> float:
-    """Memory that a process holds now, MiB; 0 where the system does not tell."""
-    with suppress(OSError, IndexError, ValueError):
-        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-    return 0.0
-
-
-def machine_mib() -> float:
-    """Memory of this machine, MiB."""
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
 def _ending(code: int) -> str:
     if code == 0:
         return ""
@@ -142,5 +130,5 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 def _environment(threads: int) -> dict[str, str]:
     """The same modules as here, and so many threads."""
-    paths = os.pathsep.join(dict.fromkeys([str(Path(__file__).parent.parent), *filter(None, sys.path)]))
+    paths = os.pathsep.join(dict.fromkeys([str(ROOT), *filter(None, sys.path)]))
     return {**os.environ, "PYTHONPATH": paths, **dict.fromkeys(_THREADS, str(threads))}

@@ -1,11 +1,13 @@
 """Which rows a request asks for, which of them are there, and the jobs that make the rest."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmark.adapters.predictions import PredictionFolder
 from benchmark.model_spec import ModelSpec
 from benchmark.registry import find_model
 from benchmark.results import RunKey, RunRow, digest
@@ -30,6 +32,8 @@ class Request:
     seconds: float = DEFAULT_SECONDS
     steps: int | None = None
     """Training steps in the place of seconds."""
+    predictions: tuple[PredictionFolder, ...] = ()
+    """Label maps in the place of models, one folder a seed; `models` then holds the one name that they go by."""
 
 
 @dataclass(frozen=True)
@@ -45,27 +49,44 @@ class Plan:
 
 def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
     """Compare a request with the rows that a run folder has."""
+    if request.predictions:
+        return _predictions_plan(request, rows, out)
     done = {row.key for row in rows}
     keys, jobs, splits = [], [], {}
-    for model in request.models:
+    for model, (fit, sources) in itertools.product(request.models, _fits(request)):
         spec = find_model(model)
-        for fit, sources in _fits(request):
-            for seed in range(request.seeds):
-                wanted = {source: run_key(request, model, spec, fit, source, seed) for source in sources}
-                keys += wanted.values()
-                missing = {source: _first(key, spec) for source, key in wanted.items()}
-                missing = {source: key for source, key in missing.items() if key not in done}
-                if not missing or (seed > 0 and not spec.random):
-                    continue
-                jobs.append(_job(request, model, fit, seed, missing, out))
-                fitted_on = ("train", "val") if spec.kind == "learned" else ("val",)
-                splits[fit] = tuple(sorted({*splits.get(fit, ()), *fitted_on}))
-                splits |= {source: tuple(sorted({*splits.get(source, ()), SPLIT})) for source in missing}
+        for seed in range(request.seeds):
+            wanted = {source: _key(request, model, spec, fit, source, seed) for source in sources}
+            keys += wanted.values()
+            missing = {source: key for source, key in wanted.items() if key not in done}
+            if not missing or (seed > 0 and not spec.random):
+                continue
+            jobs.append(_job(request, model, seed, fit, missing, out))
+            _add(splits, fit, ("train", "val") if spec.kind == "learned" else ("val",))
+            for source in missing:
+                _add(splits, source, (SPLIT,))
     return Plan(tuple(sorted(keys)), tuple(_by_track(jobs, request.sources)), splits)
 
 
-def run_key(request: Request, model: str, spec: ModelSpec, fit: Source, source: Source, seed: int) -> RunKey:
-    """The key of one row of a request."""
+def _predictions_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
+    done = {row.key for row in rows}
+    (name,), (source,) = request.models, request.sources
+    keys, jobs = [], []
+    for seed, folder in enumerate(request.predictions):
+        spec_hash = source.spec_hash
+        key = RunKey(source.name, name, source.name, seed, 1, folder.digest(), spec_hash, spec_hash)
+        keys.append(key)
+        if key not in done:
+            job = _job(request, name, seed, source, {source: key}, out)
+            jobs.append(dataclasses.replace(job, predictions=folder))
+    return Plan(tuple(keys), tuple(jobs), {source: (SPLIT,)} if jobs else {})
+
+
+def _add(splits: dict[Source, tuple[str, ...]], source: Source, names: tuple[str, ...]) -> None:
+    splits[source] = tuple(sorted({*splits.get(source, ()), *names}))
+
+
+def _key(request: Request, model: str, spec: ModelSpec, fit: Source, source: Source, seed: int) -> RunKey:
     return RunKey(
         track=source.name,
         model=model,
@@ -117,11 +138,7 @@ def _settings(request: Request, spec: ModelSpec) -> dict[str, object]:
     return settings
 
 
-def _first(key: RunKey, spec: ModelSpec) -> RunKey:
-    return key if spec.random else dataclasses.replace(key, seed=0)
-
-
-def _job(request: Request, model: str, fit: Source, seed: int, missing: dict[Source, RunKey], out: Path) -> Job:
+def _job(request: Request, model: str, seed: int, fit: Source, missing: dict[Source, RunKey], out: Path) -> Job:
     return Job(
         model=model,
         seed=seed,

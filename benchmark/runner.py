@@ -1,21 +1,20 @@
 """One job: fit a model once, then segment, store and score one or more tracks; all in the calling process."""
 
+import dataclasses
 import math
-import resource
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
+from benchmark.adapters.predictions import PredictionFolder
 from benchmark.clips import ClipSequence, TruthSequence
-from benchmark.interface import Clip, Segmenter
+from benchmark.interface import Segmenter
+from benchmark.machine import commit, peak_mib
 from benchmark.model_spec import ModelSpec, Options
 from benchmark.registry import find_model
 from benchmark.results import LABELS, Measured, RunKey, RunRow, save_row
-from benchmark.scoring import score_labels, segment_split
+from benchmark.scoring import Predict, score_labels, segment_split
 from benchmark.tuning import choose
 from datagen.errors import UsageError
 from datagen.storage import Dataset, Split
@@ -47,9 +46,11 @@ class Job:
     out: Path
     """The run folder."""
     seconds: float = math.inf
-    """That the model may train for."""
+    """That the model may train for, half of them for tuning where there is something to tune."""
     steps: int | None = None
     """That it trains for, where budgets are counted in steps."""
+    predictions: PredictionFolder | None = None
+    """Label maps to score in the place of a model."""
 
 
 def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> None:
@@ -60,18 +61,40 @@ def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> N
         BadPrediction: the model returned something else than labels for every pixel.
         CorruptFile: a dataset is damaged.
     """
-    spec = find_model(job.model)
-    fitted = _fit(spec, job)
+    fitted = None if job.predictions else _fit(find_model(job.model), job)
     announce("fitted")
     for target in job.targets:
-        _make_row(spec, job, fitted, target)
+        row = _predictions_row(job, target) if fitted is None else _model_row(job, fitted, target)
+        save_row(job.out, row)
         announce(target.key.name)
+
+
+def blank_row(key: RunKey, spec: ModelSpec | None, *, status: str, reason: str = "") -> RunRow:
+    """A row of what is known of a model before it runs; of label maps made elsewhere where there is no spec."""
+    nan = float("nan")
+    return RunRow(
+        key=key,
+        status="ok" if status == "ok" else "failed",
+        reason=reason,
+        config={},
+        tuned=False,
+        uses_labels=spec is not None and spec.uses_labels,
+        kind=spec.kind if spec else "predictions",
+        priors=spec.priors if spec else (),
+        random=spec is None or spec.random,
+        n_scenes=0,
+        parameters=0,
+        device="cpu",
+        commit=commit(),
+        measured=Measured(nan, nan, nan),
+    )
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """What fitting found out; models that learn nothing are built anew for the slots of every target."""
+    """What came of fitting."""
 
+    spec: ModelSpec
     segmenter: Segmenter
     options: Options
     tuned: bool
@@ -82,79 +105,67 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     started = time.perf_counter()
     dataset = Dataset(job.fit_data)
     # Only models that learn get training clips, so that the others do not wait for these to be made.
-    train: Sequence[Clip] = _clips(dataset.split("train"), spec) if spec.kind == "learned" else []
-    val = _clips(dataset.split("val"), spec)
-    options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
-    truths = TruthSequence(dataset.split("val"))
-    if len(spec.grid) > 1 and not len(val):
+    train = _clips(dataset.split("train"), spec) if spec.kind == "learned" else []
+    val, truths = _clips(dataset.split("val"), spec), TruthSequence(dataset.split("val"))
+    tuned = len(spec.grid) > 1
+    if tuned and not len(val):
         raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
-    choice = choose(spec, options, train, val, truths, seed=job.seed, budget=job.seconds)
-    left = job.seconds - (time.perf_counter() - started) if choice.scores else job.seconds
-    segmenter = spec.build(choice.options)
-    segmenter.fit(train, val, seed=job.seed, budget=max(left, 0.0))
-    return _Fitted(segmenter, choice.options, bool(choice.scores), time.perf_counter() - started)
+    options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
+    budget = job.seconds / 2 if tuned else job.seconds
+    chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
+    segmenter = spec.build(chosen)
+    segmenter.fit(train, val, seed=job.seed, budget=budget)
+    return _Fitted(spec, segmenter, chosen, tuned, time.perf_counter() - started)
+
+
+def _model_row(job: Job, fitted: _Fitted, target: Target) -> RunRow:
+    segmenter, options = _for_target(job, fitted, target)
+    scenes = _scenes(target)
+    clips = _clips(scenes, fitted.spec)
+    seconds_per_frame = _score(job, target, lambda _, clip: segmenter.segment(clip), scenes, clips)
+    return dataclasses.replace(
+        blank_row(target.key, fitted.spec, status="ok"),
+        config=dict(options),
+        tuned=fitted.tuned,
+        n_scenes=len(scenes),
+        parameters=int(getattr(segmenter, "parameters", 0)),
+        device=str(getattr(segmenter, "device", "cpu")),
+        measured=Measured(seconds_per_frame, fitted.seconds, peak_mib()),
+        learning_curve=getattr(segmenter, "learning_curve", None),
+    )
+
+
+def _for_target(job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:
+    """The fitted model; models that learn nothing are built anew where a track has other slots."""
+    if fitted.spec.kind == "learned" or target.slots == job.fit_slots:
+        return fitted.segmenter, fitted.options
+    options = {**fitted.options, "slots": target.slots}
+    segmenter = fitted.spec.build(options)
+    val = _clips(Dataset(job.fit_data).split("val"), fitted.spec)
+    segmenter.fit([], val, seed=job.seed, budget=job.seconds)
+    return segmenter, options
+
+
+def _predictions_row(job: Job, target: Target) -> RunRow:
+    assert job.predictions
+    scenes = _scenes(target)
+    _score(job, target, job.predictions.read, scenes, ClipSequence(scenes))
+    return dataclasses.replace(blank_row(target.key, None, status="ok"), n_scenes=len(scenes))
+
+
+def _scenes(target: Target) -> Split:
+    scenes = Dataset(target.data).split(SPLIT)
+    if len(scenes) == 0:
+        raise UsageError(f"Split {SPLIT!r} of {target.data} has no scenes; generate some.")
+    return scenes
+
+
+def _score(job: Job, target: Target, predict: Predict, scenes: Split, clips: ClipSequence) -> float:
+    """Write label maps and scene table; returns the seconds that the model took for a frame and view."""
+    labels = job.out / LABELS / f"{target.key.name}.h5"
+    seconds = segment_split(predict, clips, labels, target.data)
+    return seconds / score_labels(labels, scenes, job.out, target.key.name)
 
 
 def _clips(scenes: Split, spec: ModelSpec) -> ClipSequence:
     return ClipSequence(scenes, uses_labels=spec.uses_labels)
-
-
-def _make_row(spec: ModelSpec, job: Job, fitted: _Fitted, target: Target) -> None:
-    scenes = Dataset(target.data).split(SPLIT)
-    if len(scenes) == 0:
-        raise UsageError(f"Split {SPLIT!r} of {target.data} has no scenes; generate some.")
-    segmenter, options = _for_target(spec, job, fitted, target)
-    labels = job.out / LABELS / f"{target.key.name}.h5"
-    seconds = segment_split(lambda _, clip: segmenter.segment(clip), _clips(scenes, spec), labels, target.data)
-    frames = score_labels(labels, scenes, job.out, target.key.name)
-    row = RunRow(
-        key=target.key,
-        status="ok",
-        reason="",
-        config=dict(options),
-        tuned=fitted.tuned,
-        uses_labels=spec.uses_labels,
-        kind=spec.kind,
-        priors=spec.priors,
-        random=spec.random,
-        n_scenes=len(scenes),
-        parameters=int(getattr(segmenter, "parameters", 0)),
-        device=str(getattr(segmenter, "device", "cpu")),
-        commit=commit(),
-        measured=Measured(seconds / frames, fitted.seconds, peak_mib()),
-        learning_curve=getattr(segmenter, "learning_curve", None),
-    )
-    save_row(job.out, row)
-
-
-def _for_target(spec: ModelSpec, job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:
-    if spec.kind == "learned" or target.slots == job.fit_slots:
-        return fitted.segmenter, fitted.options
-    options = {**fitted.options, "slots": target.slots}
-    segmenter = spec.build(options)
-    segmenter.fit([], _clips(Dataset(job.fit_data).split("val"), spec), seed=job.seed, budget=job.seconds)
-    return segmenter, options
-
-
-def peak_mib() -> float:
-    """Largest resident memory that this process ever had, MiB."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
-
-
-@cache
-def commit() -> str:
-    """The commit of the code, with a plus sign where files were changed since; empty outside a git checkout."""
-    root = Path(__file__).parent.parent
-
-    def git(*arguments: str) -> str:
-        found = subprocess.run(["git", "-C", root, *arguments], capture_output=True, text=True, check=False)
-        return found.stdout.strip() if found.returncode == 0 else ""
-
-    if not (root / ".git").exists():
-        return ""
-    try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", "benchmark", "datagen", "obpose")
-        return git("rev-parse", "--short=12", "HEAD") + ("+" if changed else "")
-    except OSError:
-        return ""

@@ -7,12 +7,11 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from benchmark.files import write_whole
-from benchmark.isolation import LOGS, Limits, Outcome, run_isolated
-from benchmark.model_spec import ModelSpec
+from benchmark.isolation import LOGS, Limits, run_isolated
 from benchmark.plan import Plan, repeats
 from benchmark.registry import find_model
-from benchmark.results import SCENES, Measured, RunKey, RunRow, load_row, load_runs, row_path, save_row
-from benchmark.runner import Job, commit
+from benchmark.results import SCENES, RunKey, RunRow, load_row, load_runs, row_path, save_row
+from benchmark.runner import Job, blank_row
 
 Heard = Callable[[RunRow], None]
 """Is told of every row that a job made or failed to make."""
@@ -64,31 +63,13 @@ def _do(job: Job, limits: Limits, stop: threading.Event, heard: Heard) -> list[J
     left = [target for target in job.targets if target.key.name not in outcome.events]
     if not left or stop.is_set():
         return []
+    spec = None if job.predictions else find_model(job.model)
     # What goes wrong in fitting goes wrong for all tracks, what goes wrong in segmenting for this one.
     failed = left[:1] if "fitted" in outcome.events else left
     for target in failed:
-        row = _failed_row(find_model(job.model), target.key, outcome)
+        reason = outcome.reason or "its process ended before the row was written"
+        row = blank_row(target.key, spec, status="failed", reason=reason)
         save_row(job.out, row)
         heard(row)
     rest = tuple(left[len(failed) :])
     return [dataclasses.replace(job, targets=rest)] if rest else []
-
-
-def _failed_row(spec: ModelSpec, key: RunKey, outcome: Outcome) -> RunRow:
-    nan = float("nan")
-    return RunRow(
-        key=key,
-        status="failed",
-        reason=outcome.reason or "its process ended before the row was written",
-        config={},
-        tuned=len(spec.grid) > 1,
-        uses_labels=spec.uses_labels,
-        kind=spec.kind,
-        priors=spec.priors,
-        random=spec.random,
-        n_scenes=0,
-        parameters=0,
-        device="cpu",
-        commit=commit(),
-        measured=Measured(nan, nan, nan),
-    )

@@ -1,7 +1,7 @@
 """How models stand on each track: the rows of a run folder brought together over seeds, judged and ranked.
 
-Two models are compared only where they were scored on the same dataset and fitted the same way: each on the track itself,
-or all on one other track. Floors, oracles and models that saw labels are shown and never ranked.
+Two models are compared only where they were scored on the same dataset and fitted the same way: each on the track
+itself, or all on one other track. Floors, oracles and models that saw labels are shown and never ranked.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,6 +22,9 @@ from benchmark.statistics import Difference, Resamples, Summary
 ALL_METRICS = (*METRICS, *CLIP_METRICS)
 RANKED_METRICS = ("ari_fg", "msc_fg")
 """Models are ordered by the mean of their ranks in these."""
+
+USES_LABELS, TUNED = "†", "‡"
+"""Marks of models that see labels, and of those whose values were chosen by scores on the validation split."""
 
 BOOTSTRAP_SEED = 0
 
@@ -53,6 +56,11 @@ class Entry:
     def place(self) -> tuple[str, str, str]:
         """Track, track fitted on, model."""
         return self.row.key.track, self.row.key.fit_track, self.row.key.model
+
+    @property
+    def marks(self) -> str:
+        """`USES_LABELS` and `TUNED`, where they apply."""
+        return USES_LABELS * self.row.uses_labels + TUNED * self.row.tuned
 
     @property
     def is_ranked(self) -> bool:
@@ -118,7 +126,7 @@ def standings(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> li
     entries = [_entry(list(members)) for _, members in groupby(pairs, key=lambda pair: _group(pair[0]))]
     floors = _best_floors(entries)
     judged = [replace(entry, causes=_causes(entry, floors)) for entry in entries]
-    ranked = [entry for field in _fields(judged) for entry in _ranked(field)]
+    ranked = [entry for field in fields(judged) for entry in _ranked(field)]
     return sorted(ranked, key=lambda entry: _group(entry.row))
 
 
@@ -135,6 +143,16 @@ def best_first(entries: Iterable[Entry]) -> list[Entry]:
         return float(rank), float(score), entry.place
 
     return sorted(entries, key=order)
+
+
+def fields(entries: Iterable[Entry]) -> list[list[Entry]]:
+    """Entries that may be compared: the same dataset, fitted on it or all on the same other one."""
+
+    def field(entry: Entry) -> tuple[str, str, str]:
+        key = entry.row.key
+        return key.track, key.track_spec, "" if key.fit_track == key.track else key.fit_track
+
+    return [list(members) for _, members in groupby(sorted(entries, key=field), key=field)]
 
 
 @cache
@@ -181,16 +199,6 @@ def _cause(row: RunRow, miou_bg: float, msc_fg: float, best_floor: float) -> str
     if row.kind == "floor":
         return ""
     return cause_of_failure(miou_bg, msc_fg, best_floor, finite_loss=has_finite_loss(row))
-
-
-def _fields(entries: Iterable[Entry]) -> list[list[Entry]]:
-    """Entries that may be compared: the same dataset, fitted on it or all on the same other one."""
-
-    def field(entry: Entry) -> tuple[str, str, str]:
-        key = entry.row.key
-        return key.track, key.track_spec, "" if key.fit_track == key.track else key.fit_track
-
-    return [list(members) for _, members in groupby(sorted(entries, key=field), key=field)]
 
 
 def _ranked(field: Sequence[Entry]) -> list[Entry]:

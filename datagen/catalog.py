@@ -21,8 +21,8 @@ class Category:
     """Key of `datagen.shapes.FAMILIES`."""
     sample: Sampler
     """Draws a member's parameters, given the bounds of its longest side in metres."""
-    group: Literal["tabletop", "furniture"] = "tabletop"
-    """Furniture stands with +z up."""
+    group: Literal["tabletop", "furniture", "named"] = "tabletop"
+    """Furniture stands with +z up; what is `named` appears only where a recipe names it."""
 
 
 CATEGORIES: dict[str, Category] = {
@@ -30,6 +30,7 @@ CATEGORIES: dict[str, Category] = {
     "cube": Category("box", primitives.sample_cube),
     "sphere": Category("sphere", primitives.sample_sphere),
     "cylinder": Category("cylinder", primitives.sample_cylinder),
+    "can": Category("cylinder", primitives.sample_can, "named"),
     "cone": Category("frustum", primitives.sample_cone),
     "frustum": Category("frustum", primitives.sample_frustum),
     "capsule": Category("capsule", primitives.sample_capsule),

@@ -20,20 +20,16 @@ def _grid(**values: tuple[float, ...]) -> tuple[Options, ...]:
     return tuple(dict(zip(values, chosen, strict=True)) for chosen in product(*values.values()))
 
 
-# Low where the depth is exact, high where noise lets the table stand up.
-HEIGHTS = (0.001, 0.005)
-# Pixels apart that still touch: fewer keep neighbours apart, more hold surfaces together that are seen aslant.
-REACHES = (3.0, 1.5, 2.0, 2.5, 4.0)
-
-DBSCAN = _grid(reach_pixels=REACHES, least_height=HEIGHTS)
-# As much colour as tells two objects that touch apart, and no more than leaves shades of one object together.
-DBSCAN_COLOUR = _grid(colour=(0.05, 0.1, 0.2), reach_pixels=(3.0, 2.0, 4.0), least_height=(0.001,))
-# Small objects against noise; scenes with many objects against such with one.
-HDBSCAN = _grid(least_cells=(5, 3, 8, 12), one_object=(False, True))
+# Pixels apart that still touch: fewer keep neighbours apart, more bridge holes and surfaces that are seen aslant.
+DBSCAN = _grid(reach=(2.0, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0))
+# As much colour as tells two objects that touch apart, and no more than leaves the shades of one object together.
+DBSCAN_COLOUR = _grid(colour=(2.5, 1.25, 4.0), reach=(2.0, 2.5, 3.0, 4.0))
+# Small objects against specks of noise; scenes with many objects against scenes with one.
+HDBSCAN = _grid(least_cells=(5, 3, 4, 8), one_object=(False, True))
 # From the slope of one surface in neighbouring pixels up to the depth of an object.
-COMPONENTS = _grid(step=(0.03, 0.01, 0.015, 0.02, 0.05), least_height=HEIGHTS)
-# Against a table of about a metre: position alone, up to colour alone.
-KMEANS = _grid(colour=(0.2, 0.0, 0.1, 0.4, 0.8, 1.6))
+COMPONENTS = _grid(step=(2.0, 0.75, 1.0, 1.5, 3.0, 4.5))
+# Against a table of about a metre: from position alone to colour alone.
+KMEANS = _grid(colour=(3.2, 0.0, 0.4, 0.8, 1.6, 6.4, 12.8))
 
 PLANE = ("background slot", "camera pose", "plane")
 

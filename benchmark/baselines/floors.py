@@ -46,7 +46,8 @@ class ConstantGrid(Untrained):
 
     def segment(self, clip: Clip) -> Prediction:
         """The same grid in every image."""
-        grid = grid_cells(*clip.depth.shape[2:], self.slots)
+        *_, height, width = clip.depth.shape
+        grid = grid_cells(height, width, self.slots)
         return Prediction(np.broadcast_to(grid, clip.depth.shape).copy(), background_slot=None)
 
 

@@ -1,6 +1,7 @@
 """k-means on position and colour of all points, the table included: no plane, no background, only K slots."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int64
@@ -24,7 +25,7 @@ class KMeansXyzRgb(Untrained):
 
     slots: int
     """K."""
-    colour: float = 0.2
+    colour: float = 3.2
     """Metres that the step from black to full red, green or blue counts as."""
 
     def segment(self, clip: Clip) -> Prediction:
@@ -46,9 +47,10 @@ def _move(
 ) -> Centres:
     """Centres of this frame, from those of the frame before or from scratch."""
     sample = features if len(features) <= SAMPLE else features[rng.integers(len(features), size=SAMPLE)]
-    init, starts = ("k-means++", STARTS) if centres is None else (centres, 1)
-    model = KMeans(slots, init=init, n_init=starts, random_state=int(rng.integers(1 << 31)))
-    return model.fit(sample).cluster_centers_
+    start: dict[str, Any] = (
+        {"init": "k-means++", "n_init": STARTS} if centres is None else {"init": centres, "n_init": 1}
+    )
+    return KMeans(slots, **start, random_state=int(rng.integers(1 << 31))).fit(sample).cluster_centers_
 
 
 def _nearest(features: Float[np.ndarray, "point feature"], centres: Centres) -> Int64[np.ndarray, "point"]:

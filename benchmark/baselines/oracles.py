@@ -43,7 +43,8 @@ class OracleSplitBackground(Untrained):
     def segment(self, clip: Clip) -> Prediction:
         """Slots 0 to 3 are the quadrants, the first of them declared as background; objects follow."""
         truth = _truth(clip)
-        quadrants = grid_cells(*truth.shape[2:], PIECES)
+        *_, height, width = truth.shape
+        quadrants = grid_cells(height, width, PIECES)
         return Prediction(np.where(truth > 0, truth + PIECES - 1, quadrants), background_slot=0)
 
 

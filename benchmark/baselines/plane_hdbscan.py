@@ -7,23 +7,19 @@ from jaxtyping import Float, Int64
 from scipy.spatial import KDTree
 from sklearn.cluster import HDBSCAN
 
-from benchmark.baselines.points import cell_ids, pixel_width, scene_points
+from benchmark.baselines.points import VOXEL_PIXELS, pixel_width, scene_points, voxels
 from benchmark.baselines.standing import standing
 from benchmark.baselines.untrained import Untrained, keep_largest
 from benchmark.interface import Clip, Prediction
 
 LEAST_NEIGHBOURS = 3
 """HDBSCAN's min_samples, cells."""
-VOXELS_PER_PIXEL = 0.5
-"""Points in one cell of this many pixels' width are one: it only bites where views overlap."""
 
 
 @dataclass
 class PlaneHdbscan(Untrained):
     """RANSAC plane removal and HDBSCAN on the remaining points; implements `Segmenter`."""
 
-    least_height: float = 0.001
-    """Metres above the plane from which on a point belongs to an object."""
     least_cells: int = 5
     """HDBSCAN's min_cluster_size: groups of fewer points are no object."""
     one_object: bool = False
@@ -31,9 +27,9 @@ class PlaneHdbscan(Untrained):
 
     def segment(self, clip: Clip) -> Prediction:
         """Label 0 is the plane, what lies below it and holes; clusters count from 1 in every frame."""
-        points, voxel = scene_points(clip), VOXELS_PER_PIXEL * pixel_width(clip)
+        points, voxel = scene_points(clip), VOXEL_PIXELS * pixel_width(clip)
         labels = np.zeros(clip.depth.shape, np.int64)
-        for frame, mask in enumerate(standing(clip, points, least_height=self.least_height, seed=self.seed)):
+        for frame, mask in enumerate(standing(clip, points, seed=self.seed)):
             labels[frame][mask] = keep_largest(self._cluster(points[frame][mask], voxel))
         return Prediction(labels, background_slot=0)
 
@@ -41,14 +37,14 @@ class PlaneHdbscan(Untrained):
         """Cluster of each point, counted from 1; 0 for all where there are too few for one cluster."""
         if len(points) == 0:
             return np.zeros(0, np.int64)
-        _, first, cell = np.unique(cell_ids(points, voxel), return_index=True, return_inverse=True)
+        first, cell, _ = voxels(points, voxel)
         if len(first) < max(self.least_cells, LEAST_NEIGHBOURS):
             return np.zeros(len(points), np.int64)
         hdbscan = HDBSCAN(
             min_cluster_size=self.least_cells,
             min_samples=LEAST_NEIGHBOURS,
             allow_single_cluster=self.one_object,
-            copy=True,
+            copy=True,  # pyright: ignore[reportArgumentType]
         )
         return _adopt_lone(points[first], hdbscan.fit_predict(points[first]) + 1)[cell]
 

@@ -6,6 +6,9 @@ from jaxtyping import Float, Int64
 from benchmark.interface import Clip
 from datagen.geometry import invert_rigid, unproject
 
+VOXEL_PIXELS = 0.5
+"""Side of the cells in which points are one, in pixels' width: it bounds what views that overlap cost."""
+
 
 def scene_points(clip: Clip) -> Float[np.ndarray, "frame view height width 3"]:
     """Points of all pixels, metres, in the frame of the first camera; meaningless where `clip.valid` is False.
@@ -25,6 +28,16 @@ def viewpoints(clip: Clip) -> Float[np.ndarray, "view 3"]:
 def pixel_width(clip: Clip) -> float:
     """Metres that a pixel spans at the clip's median depth; 0 where nothing is valid."""
     return float(np.median(clip.depth[clip.valid]) / np.mean(clip.k[:, 0, 0])) if np.any(clip.valid) else 0.0
+
+
+def voxels(
+    points: Float[np.ndarray, "point 3"], size: float
+) -> tuple[Int64[np.ndarray, "voxel"], Int64[np.ndarray, "point"], Int64[np.ndarray, "voxel"]]:
+    """One point of every cubic cell of `size` metres that holds some, the cell of each point, and their numbers."""
+    _, first, cell, counts = np.unique(
+        cell_ids(points, size), return_index=True, return_inverse=True, return_counts=True
+    )
+    return first, cell, counts
 
 
 def cell_ids(points: Float[np.ndarray, "point 3"], size: float) -> Int64[np.ndarray, "point"]:

@@ -7,14 +7,16 @@ from benchmark.baselines.plane import fit_plane
 from benchmark.baselines.points import viewpoints
 from benchmark.interface import Clip
 
+LEAST_HEIGHT = 0.001
+"""Metres above the plane from which on a point belongs to an object; more cuts off the feet of objects."""
 NOISE_FACTOR = 3.0
 """Where the sensor is noisy, points must be higher than this many standard deviations of the plane's own points."""
 
 
 def standing(
-    clip: Clip, points: Float[np.ndarray, "frame view height width 3"], *, least_height: float, seed: int
+    clip: Clip, points: Float[np.ndarray, "frame view height width 3"], *, seed: int
 ) -> Bool[np.ndarray, "frame view height width"]:
-    """Whether a pixel's point lies more than `least_height` metres, and the noise, above the plane of all frames.
+    """Whether a pixel's point lies above the plane of all frames by more than the plane's noise.
 
     `points` are those of `scene_points`. Nothing stands where there is no plane, as on no valid pixel.
     """
@@ -22,4 +24,4 @@ def standing(
     if plane is None:
         return np.zeros_like(clip.valid)
     plane = plane.oriented_towards(viewpoints(clip))
-    return clip.valid & (plane.height(points) > max(least_height, NOISE_FACTOR * plane.spread))
+    return clip.valid & (plane.height(points) > max(LEAST_HEIGHT, NOISE_FACTOR * plane.spread))

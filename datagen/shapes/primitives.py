@@ -84,6 +84,11 @@ def sample_cylinder(rng: np.random.Generator, size: Size) -> dict[str, Any]:
     return rounded({"radius": 0.5, "height": aspect}, longest(rng, size) / max(1, aspect))
 
 
+def sample_can(rng: np.random.Generator, size: Size) -> dict[str, Any]:
+    """A cylinder as high as it is wide."""
+    return rounded({"radius": 0.5, "height": 1.0}, longest(rng, size))
+
+
 def sample_cone(rng: np.random.Generator, size: Size) -> dict[str, Any]:
     """A cone on its base, with a tip."""
     height = rng.uniform(0.7, 2)

@@ -92,7 +92,10 @@
 
   const show = () => {
     offer();
-    for (const part of all("[data-track]")) part.hidden = part !== panel();
+    for (const part of all("[data-track]")) {
+      part.hidden = part !== panel();
+      for (const heading of all("[data-id]", part)) heading.id = part.hidden ? "" : heading.dataset.id;
+    }
     mark();
     drawGallery();
     showComparison();
@@ -119,9 +122,6 @@
     select.addEventListener("change", () => { show(); remember(); });
   }
   window.addEventListener("hashchange", () => { recall(); show(); });
-  for (const swap of all("[data-go]")) {
-    swap.addEventListener("click", () => { controls.track.value = swap.dataset.go; show(); remember(); });
-  }
   recall();
   show();
 })();

@@ -1,0 +1,194 @@
+"""The leaderboard of one track as the report shows it: numbers become words and bars here, and nowhere else."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from benchmark.metrics import CLIP_METRICS, METRICS
+from benchmark.standings import TUNED, USES_LABELS, Entry, best_first
+from benchmark.statistics import Summary
+
+BLOCKS = {
+    "learned": "Learned",
+    "predictions": "Label maps from elsewhere",
+    "classical": "Classical geometry",
+    "floor": "Floors: what costs nothing",
+    "oracle": "Oracles: what the truth itself would reach",
+}
+"""Kinds of models in the order in which they are shown."""
+
+LABELLED = "With labels"
+"""Heading of models that are neither floors nor oracles and yet saw labels."""
+
+NAMES = {
+    "ari": "ARI",
+    "ari_fg": "ARI-FG",
+    "msc_fg": "MSC-FG",
+    "msc_fg_allslots": "MSC-FG, all slots (mBO)",
+    "miou_bg": "mIoU-BG",
+    "miou_bg_oracle": "mIoU-BG†",
+    "msc_fg_oracle_bg": "MSC-FG†",
+    "miou_fg_hungarian": "mIoU-FG (Hungarian)",
+    "ari_video": "ARI, clip",
+    "ari_fg_video": "ARI-FG, clip",
+    "msc_fg_video": "MSC-FG, clip",
+}
+"""Metrics as tables name them."""
+
+MARKS = {
+    USES_LABELS: "sees the truth, and is not ranked",
+    TUNED: "tuned by scores on the validation split, which uses its labels",
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A score with its interval, as text and as a bar of length 0 to 100."""
+
+    text: str
+    between: str
+    length: float
+    ends: tuple[float, float] | None
+    letters: str
+    known: bool
+
+
+@dataclass(frozen=True)
+class Row:
+    """One model."""
+
+    model: int
+    marks: str
+    rank: str
+    msc_fg: Cell
+    ari_fg: Cell
+    miou_bg: str
+    ari: str
+    time: str
+    seeds: str
+    failure: str
+
+
+@dataclass(frozen=True)
+class Block:
+    """Models of one kind, best first."""
+
+    title: str
+    rows: tuple[Row, ...]
+
+
+def blocks(entries: Iterable[Entry], numbers: Mapping[str, int]) -> list[Block]:
+    """The leaderboard; `numbers` are those of the models in the report."""
+    ordered = best_first(entries)
+    titles = [*list(BLOCKS.values())[:3], LABELLED, *list(BLOCKS.values())[3:]]
+    found = {title: [entry for entry in ordered if block_title(entry) == title] for title in titles}
+    return [Block(title, tuple(_row(e, numbers) for e in members)) for title, members in found.items() if members]
+
+
+def block_title(entry: Entry) -> str:
+    """Where a model stands."""
+    labelled = entry.row.uses_labels and entry.row.kind not in ("floor", "oracle")
+    return LABELLED if labelled else BLOCKS[entry.row.kind]
+
+
+def details(entries: Iterable[Entry], numbers: Mapping[str, int]) -> tuple[list[str], list[dict[str, Any]]]:
+    """Names of all metrics that are defined somewhere, and a row of them for each model, best first.
+
+    Models of which only some seeds failed have a second row without these.
+    """
+    ordered = best_first(entry for entry in entries if entry.n_scenes)
+    shown = [name for name in (*METRICS, *CLIP_METRICS) if any(_defined(entry, name) for entry in ordered)]
+    rows = []
+    for entry in ordered:
+        rows.append(_details(entry, numbers, shown, without_failed=False))
+        if 0 < entry.n_failed < len(entry.rows):
+            rows.append(_details(entry, numbers, shown, without_failed=True))
+    return [NAMES[name] for name in shown], rows
+
+
+def failures(entries: Iterable[Entry]) -> list[dict[str, str]]:
+    """Which runs failed, and why."""
+    return [
+        {"name": f"{row.key.model}, seed {row.key.seed}", "reason": cause}
+        for entry in best_first(entries)
+        for row, cause in zip(entry.rows, entry.causes, strict=True)
+        if cause
+    ]
+
+
+def marks(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    """The marks that occur, and what they mean."""
+    return [(mark, meaning) for mark, meaning in MARKS.items() if any(mark in entry.marks for entry in entries)]
+
+
+def number(value: float) -> str:
+    """A score with three decimals; a dash where it is undefined."""
+    return f"{value:.3f}".replace("-", "−") if math.isfinite(value) else "–"
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    for size, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return "–"
+
+
+def cell(summary: Summary, letters: str = "") -> Cell:
+    """A score with its interval; bars begin at 0."""
+    known = math.isfinite(summary.mean)
+    sure = math.isfinite(summary.low) and math.isfinite(summary.high)
+    between = f"[{number(summary.low)}, {number(summary.high)}]" if sure else ""
+    ends = (_percent(summary.low), _percent(summary.high)) if sure else None
+    return Cell(number(summary.mean), between, _percent(summary.mean) if known else 0.0, ends, letters, known)
+
+
+def _row(entry: Entry, numbers: Mapping[str, int]) -> Row:
+    ari_fg, msc_fg = entry.groups
+    rank = f"{entry.mean_rank:g}" if math.isfinite(entry.mean_rank) else ""
+    return Row(
+        numbers[entry.row.key.model],
+        entry.marks,
+        rank,
+        cell(entry.summary("msc_fg"), msc_fg),
+        cell(entry.summary("ari_fg"), ari_fg),
+        number(entry.summary("miou_bg").mean),
+        number(entry.summary("ari").mean),
+        duration(seconds_per_frame(entry)),
+        str(len(entry.rows)),
+        _failure(entry),
+    )
+
+
+def seconds_per_frame(entry: Entry) -> float:
+    """Mean over the seeds that finished; nan where none did."""
+    times = [row.measured.seconds_per_frame for row in entry.rows if row.status == "ok"]
+    return sum(times) / len(times) if times else math.nan
+
+
+def _failure(entry: Entry) -> str:
+    counts = Counter(cause if len(cause) < 12 else "error" for cause in entry.causes if cause)
+    return ", ".join(f"{count} failed: {cause}" for cause, count in counts.items())
+
+
+def _details(
+    entry: Entry, numbers: Mapping[str, int], shown: Sequence[str], *, without_failed: bool
+) -> dict[str, Any]:
+    summaries = [entry.summary(name, without_failed=without_failed) for name in shown]
+    extra = "without failed seeds" if without_failed else ""
+    return {"model": numbers[entry.row.key.model], "extra": extra, "cells": [_with_spread(s) for s in summaries]}
+
+
+def _with_spread(summary: Summary) -> str:
+    several = math.isfinite(summary.sample_std)
+    return f"{number(summary.mean)} ± {number(summary.std)}" if several else number(summary.mean)
+
+
+def _defined(entry: Entry, metric: str) -> bool:
+    return math.isfinite(entry.best_known(metric))
+
+
+def _percent(value: float) -> float:
+    return round(100 * min(max(value, 0.0), 1.0), 2)

@@ -1,0 +1,235 @@
+"""The leaderboard in the paper's layout, as Markdown and as LaTeX: mean±std over seeds, in blocks of kinds of models.
+
+Within a block the worse comes first, as floors come first; the best row without training is repeated on top of the
+learned ones. The paper's own figures stand in a grey column. Failed seeds count in a row; the row beneath leaves them out.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from benchmark import statistics
+from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells
+from benchmark.standings import RANKED_METRICS, TUNED, USES_LABELS, Entry, best_first, fields
+
+SHOWN = {"miou_bg": "mIoU-BG", "ari_fg": "ARI-FG", "msc_fg": "MSC-FG", "ari": "ARI"}
+"""Metrics in the tables; the CSV has them all."""
+
+BLOCKS = {
+    "floor": "Floors",
+    "classical": "Without training",
+    "predictions": "Given label maps",
+    "learned": "Learned",
+    "oracle": f"Oracles and models that use labels {USES_LABELS}: not ranked",
+}
+
+NOTES = (
+    "Mean±population standard deviation over seeds; intervals and more metrics are in leaderboard.csv.",
+    "Ranked by the mean of the ranks in ARI-FG and MSC-FG; bold is the best of the ranked rows.",
+    "Rows that share a letter cannot be told apart in that column (paired by scene, Holm-corrected, 5 %).",
+    f"{USES_LABELS} uses labels, and is not ranked. {TUNED} labels of the validation split were used for tuning.",
+    "A seed failed if its loss was nan, its mIoU-BG is under 0.5 (swap), or its MSC-FG is within 0.05 of the best floor "
+    "(collapse).",
+)
+GREY = "in the paper (other data: not comparable)"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One row of a table."""
+
+    label: str
+    rank: str
+    cells: tuple[str, ...]
+    """One for each of `SHOWN`."""
+    groups: tuple[str, ...]
+    """Letters for each cell."""
+    bold: tuple[bool, ...]
+    paper: str
+    """The paper's figures; empty where it has none."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows of one kind."""
+
+    title: str
+    lines: tuple[Line, ...]
+
+
+@dataclass(frozen=True)
+class Board:
+    """One table: a track, and what the models were fitted on."""
+
+    track: str
+    title: str
+    blocks: tuple[Block, ...]
+
+    @property
+    def has_paper(self) -> bool:
+        """Whether the paper has figures for this track."""
+        return self.track in PAPER_TRACKS
+
+
+def boards(entries: Iterable[Entry]) -> list[Board]:
+    """The tables of a run folder's entries."""
+    return [_board(field) for field in fields(entries)]
+
+
+def markdown(entries: Iterable[Entry]) -> str:
+    """All tables as one Markdown page."""
+    parts = ["# Leaderboard", "\n".join(f"- {note}" for note in NOTES)]
+    for board in boards(entries):
+        parts += [f"## {board.title}", "\n".join(_markdown_rows(board))]
+    return "\n\n".join(parts) + "\n"
+
+
+def latex(entries: Iterable[Entry]) -> str:
+    """All tables as LaTeX, for documents that load booktabs, adjustbox and xcolor."""
+    notes = [f"% {note}" for note in (*NOTES, "Needs booktabs, adjustbox and xcolor.")]
+    return "\n".join(notes) + "\n\n" + "\n".join(_latex_table(board) for board in boards(entries))
+
+
+def mean_and_std(mean: float, std: float) -> str:
+    """As the paper prints scores: two decimals."""
+    return "–" if math.isnan(mean) else f"{mean:.2f}±{std:.2f}"
+
+
+def _board(field: Sequence[Entry]) -> Board:
+    track, fit_track, _ = field[0].place
+    key = field[0].row.key
+    title = track if fit_track == track else f"{track}, models fitted on {fit_track}"
+    scenes = max(entry.n_scenes for entry in field)
+    skipped = max(entry.n_skipped for entry in field)
+    without = f", {skipped} without any object" if skipped else ""
+    blocks = tuple(block for block in _blocks(track, field) if block.lines)
+    return Board(track, f"{title} ({scenes} scenes{without}; dataset {key.track_spec[:8]})", blocks)
+
+
+def _blocks(track: str, field: Sequence[Entry]) -> Iterator[Block]:
+    best = _best_cells(field)
+    ranks = {entry.place: str(rank) for rank, entry in enumerate(_ranked(field), start=1)}
+    for kind, title in BLOCKS.items():
+        members = best_first(entry for entry in field if _block_of(entry) == kind)[::-1]
+        lines = [line for entry in members for line in _lines(entry, ranks.get(entry.place, ""), best)]
+        if kind == "learned" and lines:
+            lines = [*_best_without_training(field, ranks, best), *lines]
+        yield Block(title, tuple(lines))
+    run = {entry.row.key.model for entry in field}
+    yield Block("Not run here", tuple(_paper_line(track, model) for model in PAPER_MODELS if model not in run and paper_cells(track, model)))
+
+
+def _ranked(field: Iterable[Entry]) -> list[Entry]:
+    return best_first(entry for entry in field if entry.is_ranked)
+
+
+def _block_of(entry: Entry) -> str:
+    return "oracle" if entry.row.uses_labels else entry.row.kind
+
+
+def _best_without_training(
+    field: Iterable[Entry], ranks: Mapping[tuple[str, str, str], str], best: Mapping[str, str]
+) -> list[Line]:
+    classical = [entry for entry in _ranked(field) if entry.row.kind == "classical"]
+    return _lines(classical[0], ranks[classical[0].place], best, prefix="best without training: ") if classical else []
+
+
+def _best_cells(field: Iterable[Entry]) -> dict[str, str]:
+    """The best mean of each metric among ranked rows, as printed."""
+    ranked = [entry for entry in field if entry.is_ranked]
+    return {name: f"{max((entry.best_known(name) for entry in ranked), default=math.nan):.2f}" for name in SHOWN}
+
+
+def _lines(entry: Entry, rank: str, best: Mapping[str, str], prefix: str = "") -> list[Line]:
+    """The entry's row, and beneath it the one without failed seeds, if some failed."""
+    label = f"{prefix}{entry.row.key.model} {entry.marks}".strip()
+    cells = _cells(entry, without_failed=False)
+    groups = dict(zip(RANKED_METRICS, entry.groups, strict=True))
+    bold = tuple(entry.is_ranked and cell.startswith(best[name]) for name, cell in zip(SHOWN, cells, strict=True))
+    paper = paper_cells(entry.row.key.track, entry.row.key.model)
+    line = Line(label, rank, cells, tuple(groups.get(name, "") for name in SHOWN), bold, " ".join(paper.values()))
+    if not entry.n_failed:
+        return [line]
+    left = len(entry.rows) - entry.n_failed
+    reasons = ", ".join(dict.fromkeys(cause for cause in entry.causes if cause))
+    label = f"without the {entry.n_failed} failed of {len(entry.rows)} seeds ({reasons})"
+    cells = _cells(entry, without_failed=True) if left else ("–",) * len(SHOWN)
+    return [line, Line(f"– {label}", "", cells, ("",) * len(SHOWN), (False,) * len(SHOWN), "")]
+
+
+def _cells(entry: Entry, *, without_failed: bool) -> tuple[str, ...]:
+    kept = [not (without_failed and cause) for cause in entry.causes]
+    return tuple(mean_and_std(*statistics.spread(entry.seed_means(name)[kept])[:2]) for name in SHOWN)
+
+
+def _paper_line(track: str, model: str) -> Line:
+    empty = ("",) * len(SHOWN)
+    return Line(model, "", empty, empty, (False,) * len(SHOWN), " ".join(paper_cells(track, model).values()))
+
+
+def _markdown_rows(board: Board) -> Iterator[str]:
+    grey = [f"*{_paper_header(board)}*"] if board.has_paper else []
+    header = ["model", "rank", *SHOWN.values(), *grey]
+    yield _markdown_row(header)
+    yield _markdown_row(["---", "---:", *["---:"] * (len(header) - 2)])
+    for block in board.blocks:
+        yield _markdown_row([f"**{block.title}**", *[""] * (len(header) - 1)])
+        for line in block.lines:
+            paper = [f"*{line.paper}*" if line.paper else ""] if board.has_paper else []
+            yield _markdown_row([line.label, line.rank, *map(_markdown_cell, line.cells, line.groups, line.bold), *paper])
+
+
+def _markdown_row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
+
+def _markdown_cell(cell: str, groups: str, bold: bool) -> str:
+    text = f"**{cell}**" if bold else cell
+    return f"{text} <sup>{groups}</sup>" if groups else text
+
+
+def _paper_header(board: Board) -> str:
+    names = " ".join(SHOWN[name] for name in next(iter(filter(None, (paper_cells(board.track, model) for model in PAPER_MODELS)))))
+    return f"{PAPER_TRACKS[board.track]} {GREY}: {names}"
+
+
+def _latex_table(board: Board) -> str:
+    grey = [rf"\textcolor{{gray}}{{{_escaped(PAPER_TRACKS[board.track])} ({{\itshape other data: not comparable}})}}"] if board.has_paper else []
+    columns = "l r " + " ".join("c" * (len(SHOWN) + len(grey)))
+    header = ["", "", *(rf"{name}$\uparrow$" for name in SHOWN.values()), *grey]
+    lines = [
+        r"\begin{table*}",
+        r"    \centering",
+        r"    \begin{adjustbox}{max width=1.0\textwidth}",
+        rf"    \begin{{tabular}}{{{columns}}}",
+        r"        \toprule",
+        f"        {' & '.join(header)} \\\\",
+    ]
+    for block in board.blocks:
+        lines += [r"        \midrule", rf"        \multicolumn{{{len(header)}}}{{l}}{{\itshape {_escaped(block.title)}}} \\"]
+        lines += [f"        {_latex_row(line, board)}" for line in block.lines]
+    lines += [r"        \bottomrule", r"    \end{tabular}", r"    \end{adjustbox}"]
+    return "\n".join([*lines, rf"    \caption{{{_escaped(board.title)}.}}", r"\end{table*}", ""])
+
+
+def _latex_row(line: Line, board: Board) -> str:
+    cells = map(_latex_cell, line.cells, line.groups, line.bold)
+    paper = [rf"\textcolor{{gray}}{{{_escaped(line.paper)}}}" if line.paper else ""] if board.has_paper else []
+    return " & ".join([rf"\textsc{{{_escaped(line.label)}}}", line.rank, *cells, *paper]) + r" \\"
+
+
+def _latex_cell(cell: str, groups: str, bold: bool) -> str:
+    if cell in ("", "–"):
+        return "--" if cell else ""
+    number = cell.replace("±", r"\pm")
+    number = rf"\mathbf{{{number}}}" if bold else number
+    return f"${number}^{{{groups}}}$" if groups else f"${number}$"
+
+
+_LATEX = str.maketrans(
+    {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "–": "--"}
+)
+
+
+def _escaped(text: str) -> str:
+    return text.translate(_LATEX)
