@@ -10,12 +10,13 @@ export OPENBLAS_NUM_THREADS := 1
 demo: .venv/.core
 	$(BIN)/obpose-datagen --video --scenes 100 --out demo/moving
 	$(BIN)/obpose-datagen verify demo/moving
-	$(BIN)/obpose-bench --model plane-dbscan --data demo/moving --out demo/leaderboard.csv
+	$(BIN)/obpose-bench --model training-free --seeds 2 --data demo/moving --out demo/results
 	$(BIN)/obpose-datagen preview demo/moving --out demo/contact-sheet.png
 	@echo
 	@echo "The main job ran end to end:"
 	@echo "  dataset        $(CURDIR)/demo/moving  (what it holds: README.md in it)"
-	@echo "  leaderboard    $(CURDIR)/demo/leaderboard.csv"
+	@echo "  leaderboard    $(CURDIR)/demo/results/leaderboard.md"
+	@echo "  report         $(CURDIR)/demo/results/report.html  (open it in a browser)"
 	@echo "  contact sheet  $(CURDIR)/demo/contact-sheet.png"
 
 test: .venv/.dev

@@ -1,11 +1,15 @@
 """Files that are there whole or not at all."""
 
 import os
-import tempfile
-from contextlib import suppress
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from datagen.errors import DatagenError
+
+_PARTIAL = re.compile(r"\..+\.(?P<process>\d+)-\d+\.partial")
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -14,21 +18,43 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         DatagenError: it cannot be written, for example because the disk is full.
     """
-    temporary = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".partial", dir=path.parent)
-        with os.fdopen(descriptor, "wb") as file:
+        with replacing(path) as partial, partial.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
     except OSError as error:
         raise DatagenError(
             f"Cannot write {path}: {error.strerror}. Finished rows are intact; mend this and run the same command."
         ) from None
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Another path to write a file to, which takes the place of `path` if all went well."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield partial
+        os.replace(partial, path)
     finally:
-        if temporary:
-            with suppress(OSError):
-                os.unlink(temporary)
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Delete what processes that were killed left half-written in a folder and the folders in it."""
+    for path in folder.rglob(".*.partial"):
+        match = _PARTIAL.fullmatch(path.name)
+        if match and not _is_running(int(match["process"])):
+            path.unlink(missing_ok=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,9 +1,12 @@
 """What a model gets and what it gives back: NumPy in, NumPy out, and no label on the way in.
 
-A model is a class with `fit` and `segment`. The benchmark builds it from **options** given as keyword arguments: the
-values that are tuned for it, by name, and `slots` if its constructor has an argument of that name. `slots` is the
-number of slots that every model may use on a track: its largest object count, plus one for the background. Models
-that find the number of objects themselves do not take it, and may use more.
+A model is a class with `fit` and `segment`. The benchmark builds it from **options**, given as keyword arguments: the
+values that are tuned for it, by name, and those of the following for which its constructor has an argument:
+
+- `slots`: how many slots every model may use on the track, which is its largest object count, plus one for the
+  background. Models that find the number of objects themselves do not take it, and may use more.
+- `steps`: how many steps of training to make, whatever time they take. It is given only where results must not depend
+  on the speed of the machine, and so it needs a default.
 """
 
 from collections.abc import Sequence

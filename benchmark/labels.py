@@ -1,6 +1,5 @@
 """Label maps on disk: one HDF5 file a run, from which every score can be computed again without the model."""
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +8,7 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
+from benchmark.files import replacing
 from benchmark.interface import Prediction
 from datagen.errors import CorruptFile
 
@@ -43,15 +43,9 @@ class LabelWriter:
 @contextmanager
 def write_labels(path: Path, scenes: int, data: Path) -> Iterator[LabelWriter]:
     """Write the label maps of that many scenes of the dataset `data`; the file is there only if all went well."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with h5py.File(partial, "w", libver=("v110", "v110")) as file:
-            file.attrs["data"] = str(data.resolve())
-            yield LabelWriter(file, scenes)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
+        file.attrs["data"] = str(data.resolve())
+        yield LabelWriter(file, scenes)
 
 
 def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view height width"], int]]:

@@ -1,75 +1,203 @@
-"""The table of results: one CSV file, one row for each model, dataset, split and seed."""
+"""The tables of a run folder, made from its finished rows: the same rows give the same bytes.
+
+leaderboard.csv .... one line a track, track fitted on, and model: every metric over seeds, ranks, groups, costs
+per_seed.csv ....... one line a seed
+per_scene.csv ...... one line a seed and scene
+leaderboard.md, leaderboard.tex .... the same in the paper's layout
+Columns named measured_* are times and memory, which no two runs share.
+"""
 
 import csv
 import io
-import os
-import tempfile
-from collections.abc import Iterable
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from benchmark.metrics import METRICS
-from benchmark.runner import Result
-from datagen.errors import UsageError
+import numpy as np
 
-KEY = ("model", "version", "dataset", "spec_hash", "split", "seed")
-"""What a row is of; a new result with an equal key replaces the old one."""
+from benchmark import tables
+from benchmark.files import write_whole
+from benchmark.results import COUNTS, RunRow, SceneTable
+from benchmark.standings import ALL_METRICS, RANKED_METRICS, Entry, load_standings
+from benchmark.statistics import Summary
 
-COUNTS = ("n_frames", "n_undefined", "n_one_object", "n_ignored")
-COLUMNS = (*KEY, "scenes", *METRICS, *COUNTS, "measured_seconds_per_frame")
+Cell = str | int | float
+Line = Mapping[str, Cell]
 
-Row = dict[str, str]
-
-
-def to_row(result: Result) -> Row:
-    """A result as text, metrics with six decimals and `nan` where undefined."""
-    values = {name: str(getattr(result, name)) for name in (*KEY, "scenes")}
-    values |= {name: f"{result.scores[name]:.6f}" for name in METRICS}
-    values |= {name: str(result.scores[name]) for name in COUNTS}
-    return values | {"measured_seconds_per_frame": f"{result.seconds_per_frame:.6f}"}
+FILES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv", "leaderboard.md", "leaderboard.tex")
 
 
-def read_rows(path: Path) -> list[Row]:
-    """Rows of a leaderboard; none where there is no such file yet.
+def write(folder: Path) -> list[Entry]:
+    """Write all tables into a run folder, and give what stands in them.
 
     Raises:
-        UsageError: the file is something else, or can never be.
+        CorruptFile: a finished row is damaged.
+        DatagenError: a table cannot be written.
     """
-    if path.parent.exists() and not path.parent.is_dir():
-        raise UsageError(f"{path} cannot be made: {path.parent} is not a folder; give another file with --out.")
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        reader = csv.DictReader(file)
-        if tuple(reader.fieldnames or ()) != COLUMNS:
-            raise UsageError(f"{path} is not a leaderboard of this version; give another file with --out, or move it.")
-        return list(reader)
+    entries = load_standings(folder)
+    texts = (
+        to_csv(leaderboard_lines(entries)),
+        to_csv(seed_lines(entries)),
+        to_csv(scene_lines(entries)),
+        tables.markdown(entries),
+        tables.latex(entries),
+    )
+    for name, text in zip(FILES, texts, strict=True):
+        write_whole(folder / name, text.encode())
+    return entries
 
 
-def update(path: Path, results: Iterable[Result]) -> None:
-    """Add results to the file, each in place of an older one with the same key; readers see the old file or the new.
+def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
+    """One line an entry; numbers of scenes and frames are those of one seed."""
+    return [
+        {
+            **dict(zip(("track", "fit_track", "model"), entry.place, strict=True)),
+            "kind": entry.row.kind,
+            "marks": entry.marks,
+            "rank": entry.rank or "",
+            "mean_rank": entry.mean_rank,
+            **_metric_columns(entry),
+            **{f"{name}_group": letters for name, letters in zip(RANKED_METRICS, entry.groups, strict=True)},
+            **{name: _mean(values) for name, values in _counts(entry).items()},
+            "n_seeds": len(entry.rows),
+            "n_failed": entry.n_failed,
+            "failures": "; ".join(f"{row.key.seed}: {cause}" for row, cause in _by_seed(entry) if cause),
+            "n_scenes": entry.n_scenes,
+            "n_skipped": entry.n_skipped,
+            "priors": "; ".join(entry.row.priors),
+            "version": entry.row.key.version,
+            "track_spec": entry.row.key.track_spec,
+            "fit_spec": entry.row.key.fit_spec,
+            "parameters": max(row.parameters for row in entry.rows),
+            "device": _distinct(row.device for row in entry.rows),
+            "commit": _distinct(row.commit for row in entry.rows),
+            **_measured(entry.rows),
+        }
+        for entry in entries
+    ]
 
-    Raises:
-        UsageError: the file is there and is something else.
-    """
-    rows = {tuple(row[name] for name in KEY): row for row in read_rows(path)}
-    rows |= {tuple(row[name] for name in KEY): row for row in map(to_row, results)}
+
+def seed_lines(entries: Iterable[Entry]) -> list[Line]:
+    """One line a seed, with the values that were chosen for it."""
+    return [line for entry in entries for line in _seed_lines(entry)]
+
+
+def scene_lines(entries: Iterable[Entry]) -> list[Line]:
+    """One line a seed and scene."""
+    return [line for entry in entries for line in _scene_lines(entry)]
+
+
+def to_csv(lines: Sequence[Line]) -> str:
+    """Lines as CSV, with the columns of all of them; floats have six decimals, missing cells are empty."""
+    names = list(dict.fromkeys(name for line in lines for name in line))
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows([rows[key][name] for name in COLUMNS] for key in sorted(rows))
-    _replace(path, text.getvalue())
+    writer.writerow(names)
+    writer.writerows([_text(line.get(name, "")) for name in names] for line in lines)
+    return text.getvalue()
 
 
-def _replace(path: Path, text: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+def _metric_columns(entry: Entry) -> dict[str, float]:
+    columns: dict[str, float] = {}
+    for name in ALL_METRICS:
+        summary = entry.summary(name)
+        kept = entry.summary(name, without_failed=True) if entry.n_failed else summary
+        columns |= _summary_columns(name, summary)
+        columns |= {f"{name}_mean_without_failed": kept.mean, f"{name}_std_without_failed": kept.std}
+    return columns
+
+
+def _summary_columns(name: str, summary: Summary) -> dict[str, float]:
+    return {
+        f"{name}_mean": summary.mean,
+        f"{name}_std": summary.std,
+        f"{name}_sample_std": summary.sample_std,
+        f"{name}_ci_low": summary.low,
+        f"{name}_ci_high": summary.high,
+    }
+
+
+def _seed_lines(entry: Entry) -> Iterator[Line]:
+    means = {name: entry.seed_means(name) for name in ALL_METRICS}
+    counts = _counts(entry)
+    for index, (row, cause) in enumerate(_by_seed(entry)):
+        yield {
+            **_place(row),
+            "status": row.status,
+            "failure": cause,
+            **{name: float(values[index]) for name, values in means.items()},
+            **{name: _mean(values[[index]]) for name, values in counts.items()},
+            "n_scenes": row.n_scenes,
+            "version": row.key.version,
+            "config": json.dumps(row.config, sort_keys=True),
+            "parameters": row.parameters,
+            "device": row.device,
+            "commit": row.commit,
+            **_measured([row]),
+        }
+
+
+def _scene_lines(entry: Entry) -> Iterator[Line]:
+    for row, table in zip(entry.rows, entry.tables, strict=True):
+        if table is None:
+            continue
+        place, names = _place(row), list(table)
+        columns = [_whole(table[name]) if _counts_things(name) else table[name].tolist() for name in names]
+        for values in zip(*columns, strict=True):
+            yield {**place, **dict(zip(names, values, strict=True))}
+
+
+def _place(row: RunRow) -> dict[str, Cell]:
+    key = row.key
+    return {"track": key.track, "fit_track": key.fit_track, "model": key.model, "seed": key.seed}
+
+
+def _by_seed(entry: Entry) -> list[tuple[RunRow, str]]:
+    return list(zip(entry.rows, entry.causes, strict=True))
+
+
+def _counts(entry: Entry) -> dict[str, np.ndarray]:
+    """Sums over scenes, one for each seed: frames with one object, with undefined metrics, switches, ignored pixels."""
+    sums = [[_sum(table, name) for table in entry.tables] for name in COUNTS if name != "objects"]
+    names = [f"n_{name}" for name in COUNTS if name != "objects"]
+    return dict(zip(names, np.array(sums), strict=True)) | {
+        "n_frames": np.array([_sum(table, "n_frames") for table in entry.tables])
+    }
+
+
+def _sum(table: SceneTable | None, name: str) -> float:
+    return float(table[name].sum()) if table is not None and name in table else math.nan
+
+
+def _mean(values: np.ndarray) -> float | int:
+    """Of those that are defined; whole numbers as such."""
+    defined = values[~np.isnan(values)]
+    mean = float(defined.mean()) if len(defined) else math.nan
+    return int(mean) if mean.is_integer() else mean
+
+
+def _counts_things(name: str) -> bool:
+    return name in ("scene", "n_frames") or name.endswith("_n") or (name in COUNTS and name != "objects")
+
+
+def _whole(values: np.ndarray) -> list[int]:
+    return values.astype(np.int64).tolist()
+
+
+def _distinct(values: Iterable[str]) -> str:
+    return "; ".join(dict.fromkeys(values))
+
+
+def _measured(rows: Sequence[RunRow]) -> dict[str, float]:
+    """Means over seeds of the times, and the largest memory."""
+    costs = [row.measured for row in rows]
+    return {
+        "measured_seconds_per_frame": float(np.mean([cost.seconds_per_frame for cost in costs])),
+        "measured_fit_seconds": float(np.mean([cost.fit_seconds for cost in costs])),
+        "measured_peak_mib": float(np.max([cost.peak_mib for cost in costs])),
+    }
+
+
+def _text(value: Cell) -> str:
+    return f"{value:.6f}" if isinstance(value, float) else str(value)

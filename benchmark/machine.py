@@ -30,6 +30,11 @@ def machine_mib() -> float:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @cache
 def commit() -> str:
     """The commit of the code, with a plus sign where files were changed since; empty outside a git checkout."""

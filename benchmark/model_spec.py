@@ -22,7 +22,7 @@ class ModelSpec:
     """One model that can be named on the command line."""
 
     build: Callable[[Options], Segmenter]
-    """Makes a model from `slots` and one value of the grid; see `benchmark.interface`."""
+    """Makes a model from one value of its grid and the options on offer; see `benchmark.interface`."""
     version: int
     """Rises when the model's results change."""
     description: str

@@ -74,7 +74,7 @@ def _predictions_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Pl
     keys, jobs = [], []
     for seed, folder in enumerate(request.predictions):
         spec_hash = source.spec_hash
-        key = RunKey(source.name, name, source.name, seed, 1, folder.digest(), spec_hash, spec_hash)
+        key = RunKey(source.name, source.name, name, seed, 1, folder.digest(), spec_hash, spec_hash)
         keys.append(key)
         if key not in done:
             job = _job(request, name, seed, source, {source: key}, out)

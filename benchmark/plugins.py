@@ -14,15 +14,27 @@ Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`), and may 
 
 import inspect
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, cast
 
-from benchmark.model_spec import KINDS, PRIORS, ModelSpec, builder
+from benchmark.interface import Segmenter
+from benchmark.model_spec import KINDS, OFFERED, PRIORS, ModelSpec, builder
 from datagen.errors import UsageError
 
 GROUP = "obpose.models"
+
+UNSAID: dict[str, Any] = {
+    "version": 1,
+    "description": "",
+    "options": (),
+    "random": True,
+    "uses_labels": False,
+    "priors": (),
+    "kind": "learned",
+}
+"""What holds of a class that does not say it."""
 
 
 @dataclass(frozen=True)
@@ -49,28 +61,30 @@ def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Proble
     return models, problems
 
 
-def spec_of(model: Callable[..., Any]) -> ModelSpec:
+def spec_of(model: Any) -> ModelSpec:
     """What a class says of itself, completed and checked.
 
     Raises:
         UsageError: it is no model, or says something that cannot be.
     """
     for method in ("fit", "segment"):
-        if not callable(getattr(model, method, None)):
+        if not inspect.isclass(model) or not callable(getattr(model, method, None)):
             raise UsageError(f"{model!r} has no method {method!r}; a model is a class with fit and segment.")
-    description = inspect.getdoc(model) or model.__name__
-    spec = ModelSpec(
-        build=builder(model),
-        version=getattr(model, "version", 1),
-        description=getattr(model, "description", description.splitlines()[0]),
-        kind=getattr(model, "kind", "learned"),
-        grid=tuple(getattr(model, "options", ())),
-        random=getattr(model, "random", True),
-        uses_labels=getattr(model, "uses_labels", False),
-        priors=tuple(getattr(model, "priors", ())),
+    said = {name: getattr(model, name, default) for name, default in UNSAID.items()}
+    _check(said)
+    for options in said["options"] or ({},):
+        _check_options(options, inspect.signature(model))
+    summary = inspect.cleandoc(model.__doc__ or model.__name__).splitlines()[0]
+    return ModelSpec(
+        build=builder(cast(type[Segmenter], model)),
+        version=said["version"],
+        description=said["description"] or summary,
+        kind=said["kind"],
+        grid=tuple(said["options"]),
+        random=said["random"],
+        uses_labels=said["uses_labels"],
+        priors=tuple(said["priors"]),
     )
-    _check(spec, inspect.signature(model))
-    return spec
 
 
 def _check_name(entry: EntryPoint, taken: Collection[str], times: int) -> None:
@@ -92,21 +106,22 @@ def _origin(entry: EntryPoint) -> str:
     return f"{package}entry point {entry.value!r}"
 
 
-def _check(spec: ModelSpec, signature: inspect.Signature) -> None:
-    if type(spec.version) is not int or spec.version < 1:
-        raise UsageError(f"its version is {spec.version!r}; expected an integer from 1 on.")
-    if spec.kind not in KINDS:
-        raise UsageError(f"its kind is {spec.kind!r}; expected one of {', '.join(KINDS)}.")
-    if unknown := sorted(set(spec.priors) - set(PRIORS)):
+def _check(said: Mapping[str, Any]) -> None:
+    for name, default in UNSAID.items():
+        if type(said[name]) is not type(default):
+            raise UsageError(f"its {name} is {said[name]!r}; expected {type(default).__name__}, such as {default!r}.")
+    if said["version"] < 1:
+        raise UsageError(f"its version is {said['version']}; the first is 1.")
+    if said["kind"] not in KINDS:
+        raise UsageError(f"its kind is {said['kind']!r}; expected one of {', '.join(KINDS)}.")
+    if unknown := [prior for prior in said["priors"] if prior not in PRIORS]:
         raise UsageError(f"its priors name {', '.join(map(repr, unknown))}; expected some of {', '.join(PRIORS)}.")
-    for options in spec.grid or ({},):
-        _check_options(options, signature)
 
 
 def _check_options(options: Any, signature: inspect.Signature) -> None:
     if not isinstance(options, Mapping):
         raise UsageError(f"its options hold {options!r}; expected a dict of constructor arguments.")
-    told = {"slots": 1} if "slots" in signature.parameters else {}
+    told = {name: 1 for name in OFFERED if name in signature.parameters}
     try:
         signature.bind(**{**options, **told})
     except TypeError as error:

@@ -37,9 +37,9 @@ class RunKey:
     """What a row is of; a row with an equal key is never computed twice."""
 
     track: str
-    model: str
     fit_track: str
     """Equals `track` where the model was fitted, or tuned, on the track itself."""
+    model: str
     seed: int
     version: int
     """Of the model."""
@@ -104,13 +104,13 @@ class RunRow:
 
 
 def digest(values: Mapping[str, Any]) -> str:
-    """SHA-256 of plain values."""
-    return hashlib.sha256(json.dumps(values, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+    """SHA-256 of plain values; what JSON does not know counts as its text."""
+    return hashlib.sha256(json.dumps(values, sort_keys=True, separators=(",", ":"), default=str).encode()).hexdigest()
 
 
 def save_row(folder: Path, row: RunRow) -> None:
     """Write a row; from then on it counts."""
-    text = json.dumps(dataclasses.asdict(row), indent=1) + "\n"
+    text = json.dumps(dataclasses.asdict(row), indent=1, default=str) + "\n"
     write_whole(row_path(folder, row.key), text.encode())
 
 
@@ -161,10 +161,10 @@ def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
         (folder / LABELS / f"{row.key.name}.h5").unlink(missing_ok=True)
 
 
-def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float]:
+def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float | int]:
     """One line of a scene table from the scene's scores, as `benchmark.metrics.clip_scores` gives them."""
     metrics = {name: values for name, values in scores.items() if name not in COUNTS}
-    line: dict[str, float] = {"scene": scene, "n_frames": len(scores["objects"])}
+    line: dict[str, float | int] = {"scene": scene, "n_frames": len(scores["objects"])}
     for name, values in metrics.items():
         defined = values[~np.isnan(values)]
         line |= {name: float(np.mean(defined)) if len(defined) else np.nan, f"{name}_n": len(defined)}
@@ -177,7 +177,7 @@ def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float]
     }
 
 
-def save_scenes(folder: Path, name: str, lines: Sequence[Mapping[str, float]]) -> None:
+def save_scenes(folder: Path, name: str, lines: Sequence[Mapping[str, float | int]]) -> None:
     """Write a scene table; floats are written such that they are read back exactly."""
     rows = [",".join(lines[0]), *(",".join(repr(value) for value in line.values()) for line in lines)]
     write_whole(folder / SCENES / f"{name}.csv", ("\n".join(rows) + "\n").encode())

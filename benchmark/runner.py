@@ -131,8 +131,13 @@ def _model_row(job: Job, fitted: _Fitted, target: Target) -> RunRow:
         parameters=int(getattr(segmenter, "parameters", 0)),
         device=str(getattr(segmenter, "device", "cpu")),
         measured=Measured(seconds_per_frame, fitted.seconds, peak_mib()),
-        learning_curve=getattr(segmenter, "learning_curve", None),
+        learning_curve=_learning_curve(segmenter),
     )
+
+
+def _learning_curve(segmenter: Segmenter) -> list[dict[str, float]] | None:
+    curve = getattr(segmenter, "learning_curve", None)
+    return curve and [{name: float(value) for name, value in point.items()} for point in curve]
 
 
 def _for_target(job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:

@@ -17,7 +17,7 @@ Heard = Callable[[RunRow], None]
 """Is told of every row that a job made or failed to make."""
 
 
-def run_jobs(plan: Plan, out: Path, limits: Limits, workers: int, heard: Heard) -> None:
+def run_jobs(plan: Plan, limits: Limits, workers: int, heard: Heard) -> None:
     """Do all jobs of a plan. Kill it at any moment: the rows that were written count, the others are made next time."""
     stop = threading.Event()
     waiting = list(plan.jobs)

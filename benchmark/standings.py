@@ -44,6 +44,8 @@ class Entry:
     """Each seed's scores scene by scene; None where the run gave none."""
     mean_rank: float = np.nan
     """Mean of the ranks in `RANKED_METRICS`; nan where the model is not ranked."""
+    rank: int | None = None
+    """Place by mean rank, equal ones by MSC-FG; None where the model is not ranked."""
     groups: tuple[str, ...] = ("",) * len(RANKED_METRICS)
     """For each of `RANKED_METRICS` the letters of its groups: models that share one cannot be told apart."""
 
@@ -211,7 +213,8 @@ def _ranked(field: Sequence[Entry]) -> list[Entry]:
         replace(entry, mean_rank=float(rank), groups=groups)
         for entry, rank, groups in zip(ranked, mean_ranks, letters, strict=True)
     ]
-    return placed + [entry for entry in field if not entry.is_ranked]
+    ordered = [replace(entry, rank=rank) for rank, entry in enumerate(best_first(placed), start=1)]
+    return ordered + [entry for entry in field if not entry.is_ranked]
 
 
 def _letters(entries: Sequence[Entry], metric: str, values: Float64[np.ndarray, "model"]) -> list[str]:

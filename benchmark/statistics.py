@@ -27,6 +27,7 @@ RESOLVABLE = 1.96 + 0.84
 
 Scores = Float[np.ndarray, "seed scene"]
 """nan only where the weight is 0."""
+OtherScores = Float[np.ndarray, "other_seed scene"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,10 @@ class Difference:
     """Scenes in which both scores are defined."""
 
 
+NO_DIFFERENCE = Difference(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, 0)
+"""Of models that no scene can compare."""
+
+
 def pooled_means(scores: Scores, weights: Scores) -> Float64[np.ndarray, "seed"]:
     """Each seed's mean over all frames; nan where no frame defines the metric."""
     return _ratio(np.nansum(scores * weights, axis=1), weights.sum(axis=1))
@@ -109,7 +114,7 @@ def interval(values: Float[np.ndarray, "resample"]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def difference(one: tuple[Scores, Scores], two: tuple[Scores, Scores], resamples: Resamples) -> Difference:
+def difference(one: tuple[Scores, Scores], two: tuple[OtherScores, OtherScores], resamples: Resamples) -> Difference:
     """Paired difference of two models, each given as scores and weights over the same scenes.
 
     The p-value is that of the bootstrap centred on the difference found (Hall and Wilson, 1991); with N resamples it is
@@ -123,7 +128,7 @@ def difference(one: tuple[Scores, Scores], two: tuple[Scores, Scores], resamples
     first, second = mean_over_seeds(*one), mean_over_seeds(*two)
     both = (first[1] > 0) & (second[1] > 0)
     if not both.any():
-        return Difference(*[math.nan] * 6, 0)
+        return NO_DIFFERENCE
     (x, v), (y, w) = ([np.where(both, part, 0.0)[None] for part in model] for model in (first, second))
     found = float(pooled_means(x, v)[0] - pooled_means(y, w)[0])
     drawn = (_resampled_means(x, v, resamples.scenes) - _resampled_means(y, w, resamples.scenes))[:, 0]

@@ -1,15 +1,17 @@
 """The leaderboard in the paper's layout, as Markdown and as LaTeX: mean±std over seeds, in blocks of kinds of models.
 
 Within a block the worse comes first, as floors come first; the best row without training is repeated on top of the
-learned ones. The paper's own figures stand in a grey column. Failed seeds count in a row; the row beneath leaves them out.
+learned ones. The paper's own figures stand in a grey column. Failed seeds count in a row; the row beneath leaves them
+out.
 """
 
 import math
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from benchmark import statistics
-from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells
+from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
 from benchmark.standings import RANKED_METRICS, TUNED, USES_LABELS, Entry, best_first, fields
 
 SHOWN = {"miou_bg": "mIoU-BG", "ari_fg": "ARI-FG", "msc_fg": "MSC-FG", "ari": "ARI"}
@@ -24,12 +26,13 @@ BLOCKS = {
 }
 
 NOTES = (
-    "Mean±population standard deviation over seeds; intervals and more metrics are in leaderboard.csv.",
+    "Mean±population standard deviation over seeds; leaderboard.csv has all metrics, and 95 % bootstrap intervals over "
+    "seeds and scenes; with three seeds these under-cover.",
     "Ranked by the mean of the ranks in ARI-FG and MSC-FG; bold is the best of the ranked rows.",
     "Rows that share a letter cannot be told apart in that column (paired by scene, Holm-corrected, 5 %).",
     f"{USES_LABELS} uses labels, and is not ranked. {TUNED} labels of the validation split were used for tuning.",
-    "A seed failed if its loss was nan, its mIoU-BG is under 0.5 (swap), or its MSC-FG is within 0.05 of the best floor "
-    "(collapse).",
+    "A seed failed if its loss was nan, its mIoU-BG is under 0.5 (swap), or its MSC-FG is within 0.05 of the best "
+    "floor's (collapse).",
 )
 GREY = "in the paper (other data: not comparable)"
 
@@ -108,30 +111,24 @@ def _board(field: Sequence[Entry]) -> Board:
 
 def _blocks(track: str, field: Sequence[Entry]) -> Iterator[Block]:
     best = _best_cells(field)
-    ranks = {entry.place: str(rank) for rank, entry in enumerate(_ranked(field), start=1)}
     for kind, title in BLOCKS.items():
         members = best_first(entry for entry in field if _block_of(entry) == kind)[::-1]
-        lines = [line for entry in members for line in _lines(entry, ranks.get(entry.place, ""), best)]
+        lines = [line for entry in members for line in _lines(entry, best)]
         if kind == "learned" and lines:
-            lines = [*_best_without_training(field, ranks, best), *lines]
+            lines = [*_best_without_training(field, best), *lines]
         yield Block(title, tuple(lines))
-    run = {entry.row.key.model for entry in field}
-    yield Block("Not run here", tuple(_paper_line(track, model) for model in PAPER_MODELS if model not in run and paper_cells(track, model)))
-
-
-def _ranked(field: Iterable[Entry]) -> list[Entry]:
-    return best_first(entry for entry in field if entry.is_ranked)
+    missing = set(PAPER_MODELS) - {entry.row.key.model for entry in field}
+    others = [model for model in PAPER_MODELS if model in missing and paper_cells(track, model)]
+    yield Block("In the paper, not run here", tuple(_paper_line(track, model) for model in others))
 
 
 def _block_of(entry: Entry) -> str:
     return "oracle" if entry.row.uses_labels else entry.row.kind
 
 
-def _best_without_training(
-    field: Iterable[Entry], ranks: Mapping[tuple[str, str, str], str], best: Mapping[str, str]
-) -> list[Line]:
-    classical = [entry for entry in _ranked(field) if entry.row.kind == "classical"]
-    return _lines(classical[0], ranks[classical[0].place], best, prefix="best without training: ") if classical else []
+def _best_without_training(field: Iterable[Entry], best: Mapping[str, str]) -> list[Line]:
+    classical = best_first(entry for entry in field if entry.is_ranked and entry.row.kind == "classical")
+    return _lines(classical[0], best, prefix="best without training: ") if classical else []
 
 
 def _best_cells(field: Iterable[Entry]) -> dict[str, str]:
@@ -140,21 +137,26 @@ def _best_cells(field: Iterable[Entry]) -> dict[str, str]:
     return {name: f"{max((entry.best_known(name) for entry in ranked), default=math.nan):.2f}" for name in SHOWN}
 
 
-def _lines(entry: Entry, rank: str, best: Mapping[str, str], prefix: str = "") -> list[Line]:
+def _lines(entry: Entry, best: Mapping[str, str], prefix: str = "") -> list[Line]:
     """The entry's row, and beneath it the one without failed seeds, if some failed."""
     label = f"{prefix}{entry.row.key.model} {entry.marks}".strip()
     cells = _cells(entry, without_failed=False)
-    groups = dict(zip(RANKED_METRICS, entry.groups, strict=True))
+    groups: dict[str, str] = dict(zip(RANKED_METRICS, entry.groups, strict=True))
     bold = tuple(entry.is_ranked and cell.startswith(best[name]) for name, cell in zip(SHOWN, cells, strict=True))
     paper = paper_cells(entry.row.key.track, entry.row.key.model)
+    rank = str(entry.rank or "")
     line = Line(label, rank, cells, tuple(groups.get(name, "") for name in SHOWN), bold, " ".join(paper.values()))
     if not entry.n_failed:
         return [line]
     left = len(entry.rows) - entry.n_failed
-    reasons = ", ".join(dict.fromkeys(cause for cause in entry.causes if cause))
+    reasons = ", ".join(dict.fromkeys(_brief(cause) for cause in entry.causes if cause))
     label = f"without the {entry.n_failed} failed of {len(entry.rows)} seeds ({reasons})"
     cells = _cells(entry, without_failed=True) if left else ("–",) * len(SHOWN)
     return [line, Line(f"– {label}", "", cells, ("",) * len(SHOWN), (False,) * len(SHOWN), "")]
+
+
+def _brief(cause: str) -> str:
+    return textwrap.shorten(cause, 80, placeholder=" ...")
 
 
 def _cells(entry: Entry, *, without_failed: bool) -> tuple[str, ...]:
@@ -176,7 +178,9 @@ def _markdown_rows(board: Board) -> Iterator[str]:
         yield _markdown_row([f"**{block.title}**", *[""] * (len(header) - 1)])
         for line in block.lines:
             paper = [f"*{line.paper}*" if line.paper else ""] if board.has_paper else []
-            yield _markdown_row([line.label, line.rank, *map(_markdown_cell, line.cells, line.groups, line.bold), *paper])
+            yield _markdown_row(
+                [line.label, line.rank, *map(_markdown_cell, line.cells, line.groups, line.bold), *paper]
+            )
 
 
 def _markdown_row(cells: Iterable[str]) -> str:
@@ -189,14 +193,14 @@ def _markdown_cell(cell: str, groups: str, bold: bool) -> str:
 
 
 def _paper_header(board: Board) -> str:
-    names = " ".join(SHOWN[name] for name in next(iter(filter(None, (paper_cells(board.track, model) for model in PAPER_MODELS)))))
-    return f"{PAPER_TRACKS[board.track]} {GREY}: {names}"
+    names = " ".join(SHOWN[name] for name in paper_metrics(board.track))
+    return f"{names} of {PAPER_TRACKS[board.track]} {GREY}"
 
 
 def _latex_table(board: Board) -> str:
-    grey = [rf"\textcolor{{gray}}{{{_escaped(PAPER_TRACKS[board.track])} ({{\itshape other data: not comparable}})}}"] if board.has_paper else []
+    grey = [_grey(_paper_header(board))] if board.has_paper else []
     columns = "l r " + " ".join("c" * (len(SHOWN) + len(grey)))
-    header = ["", "", *(rf"{name}$\uparrow$" for name in SHOWN.values()), *grey]
+    header = ["", "rank", *(rf"{name}$\uparrow$" for name in SHOWN.values()), *grey]
     lines = [
         r"\begin{table*}",
         r"    \centering",
@@ -206,15 +210,19 @@ def _latex_table(board: Board) -> str:
         f"        {' & '.join(header)} \\\\",
     ]
     for block in board.blocks:
-        lines += [r"        \midrule", rf"        \multicolumn{{{len(header)}}}{{l}}{{\itshape {_escaped(block.title)}}} \\"]
+        lines += [
+            r"        \midrule",
+            rf"        \multicolumn{{{len(header)}}}{{l}}{{\itshape {_escaped(block.title)}}} \\",
+        ]
         lines += [f"        {_latex_row(line, board)}" for line in block.lines]
     lines += [r"        \bottomrule", r"    \end{tabular}", r"    \end{adjustbox}"]
-    return "\n".join([*lines, rf"    \caption{{{_escaped(board.title)}.}}", r"\end{table*}", ""])
+    caption = rf"    \caption{{Segmentation of {_escaped(board.title)}.}}"
+    return "\n".join([*lines, caption, r"\end{table*}", ""])
 
 
 def _latex_row(line: Line, board: Board) -> str:
     cells = map(_latex_cell, line.cells, line.groups, line.bold)
-    paper = [rf"\textcolor{{gray}}{{{_escaped(line.paper)}}}" if line.paper else ""] if board.has_paper else []
+    paper = [_grey(line.paper) if line.paper else ""] if board.has_paper else []
     return " & ".join([rf"\textsc{{{_escaped(line.label)}}}", line.rank, *cells, *paper]) + r" \\"
 
 
@@ -226,8 +234,14 @@ def _latex_cell(cell: str, groups: str, bold: bool) -> str:
     return f"${number}^{{{groups}}}$" if groups else f"${number}$"
 
 
+def _grey(text: str) -> str:
+    return rf"\textcolor{{gray}}{{{_escaped(text)}}}"
+
+
 _LATEX = str.maketrans(
-    {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "–": "--"}
+    {character: f"\\{character}" for character in "&%_#${}"}
+    | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}"}
+    | {"±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "–": "--"}
 )
 
 

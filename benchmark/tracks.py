@@ -59,6 +59,10 @@ class Track:
         width, height = self.resolution
         return cache_folder() / "tracks" / f"{self.name}-{width}x{height}-{self.spec_hash[:8]}"
 
+    def size(self, split: str) -> int:
+        """Scenes of a split, made or not."""
+        return SIZES[split]
+
     def missing(self, splits: Iterable[str]) -> int:
         """How many scenes of these splits are still to be made."""
         if not (self.folder / "dataset.json").exists():
@@ -111,6 +115,10 @@ class DataFolder:
     def spec_hash(self) -> str:
         """Its identity."""
         return Dataset(self.folder).spec["spec_hash"]
+
+    def size(self, split: str) -> int:
+        """Scenes of a split, made or not."""
+        return Dataset(self.folder).splits[split]
 
     def missing(self, splits: Iterable[str]) -> int:
         """How many scenes of these splits have not been made."""

@@ -15,6 +15,7 @@ FRAMES = 300
 """Frames that one value is scored on; the standard error of their MSC-FG is about 0.01, and shared by all values."""
 
 Labels = Integer[np.ndarray, "frame view height width"]
+Sample = tuple[Clip, Integer[np.ndarray, "kept_frame view height width"]]
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,13 @@ def choose(
     return Choice({**options, **spec.grid[best]}, tuple(scores))
 
 
-def subsample(clips: Sequence[Clip], truths: Sequence[Labels], limit: int) -> list[tuple[Clip, Labels]]:
+def subsample(clips: Sequence[Clip], truths: Sequence[Labels], limit: int) -> list[Sample]:
     """At most `limit` frames: of every clip as many, spread evenly, or one each of as many clips."""
     chosen = _spread(len(clips), limit)
     return [_thinned(clips[i], truths[i], limit // max(len(chosen), 1)) for i in chosen]
 
 
-def _thinned(clip: Clip, truth: Labels, count: int) -> tuple[Clip, Labels]:
+def _thinned(clip: Clip, truth: Labels, count: int) -> Sample:
     """A clip of `count` of its frames, or of all where it has fewer."""
     frames = _spread(len(clip.rgb), count)
     seen = None if clip.truth is None else clip.truth[frames]
@@ -75,7 +76,7 @@ def _spread(length: int, count: int) -> list[int]:
     return [(2 * i + 1) * length // (2 * count) for i in range(count)]
 
 
-def _criterion(model: Segmenter, sample: Sequence[tuple[Clip, Labels]]) -> float:
+def _criterion(model: Segmenter, sample: Sequence[Sample]) -> float:
     """Mean of the criterion over all frames in which it is defined; pixels without depth do not count."""
     values = []
     for clip, truth in sample:

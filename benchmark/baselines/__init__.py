@@ -23,13 +23,13 @@ def _grid(**values: tuple[float, ...]) -> tuple[Options, ...]:
 # Pixels apart that still touch: fewer keep neighbours apart, more bridge holes and surfaces that are seen aslant.
 DBSCAN = _grid(reach=(2.0, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0))
 # As much colour as tells two objects that touch apart, and no more than leaves the shades of one object together.
-DBSCAN_COLOUR = _grid(colour=(2.5, 1.25, 4.0), reach=(2.0, 2.5, 3.0, 4.0))
-# Small objects against specks of noise; scenes with many objects against scenes with one.
-HDBSCAN = _grid(least_cells=(5, 3, 4, 8), one_object=(False, True))
+DBSCAN_COLOUR = _grid(colour=(1.25, 2.5, 4.0), reach=(2.0, 2.5, 3.0, 4.0))
+# Small objects against specks of noise and parts of large objects.
+HDBSCAN = _grid(least_cells=(4, 3, 5, 6, 8, 12))
 # From the slope of one surface in neighbouring pixels up to the depth of an object.
 COMPONENTS = _grid(step=(2.0, 0.75, 1.0, 1.5, 3.0, 4.5))
 # Against a table of about a metre: from position alone to colour alone.
-KMEANS = _grid(colour=(3.2, 0.0, 0.4, 0.8, 1.6, 6.4, 12.8))
+KMEANS = _grid(colour=(12.8, 0.0, 0.8, 3.2, 6.4, 25.6, 51.2))
 
 PLANE = ("background slot", "camera pose", "plane")
 

@@ -25,7 +25,7 @@ class KMeansXyzRgb(Untrained):
 
     slots: int
     """K."""
-    colour: float = 3.2
+    colour: float = 12.8
     """Metres that the step from black to full red, green or blue counts as."""
 
     def segment(self, clip: Clip) -> Prediction:

@@ -23,7 +23,7 @@ class PlaneDbscan(Untrained):
     """RANSAC plane removal and DBSCAN on the remaining points; implements `Segmenter`."""
 
     reach: float = 2.0
-    """DBSCAN's eps in pixels' width on the table: closer points are neighbours; more merges objects, less breaks them up."""
+    """DBSCAN's eps: points so many pixels' width apart are neighbours; more merges objects, less splits them."""
     colour: float = 0.0
     """How many of these reaches the step from black to full red, green or blue counts as; 0 leaves colour out."""
 
@@ -38,7 +38,7 @@ class PlaneDbscan(Untrained):
     def _cluster(
         self, points: Float[np.ndarray, "point 3"], rgb: UInt8[np.ndarray, "point 3"], pixel: float
     ) -> Int64[np.ndarray, "point"]:
-        """Cluster of each point, counted from 1, and 0 for those that belong to none; pixels are that many metres wide."""
+        """Cluster of each point, counted from 1, and 0 for those that belong to none; `pixel` is in metres."""
         if len(points) == 0:
             return np.zeros(0, np.int64)
         reach = self.reach * pixel

@@ -23,8 +23,9 @@ class Untrained:
 
 def keep_largest(labels: Int64[np.ndarray, "*pixel"], count: int = LARGEST_LABEL) -> Int64[np.ndarray, "*pixel"]:
     """Labels 1 to `count` for the segments with most pixels, in their old order; the others join segment 0."""
-    sizes = np.bincount(labels.ravel())[1:]
-    largest = np.sort(np.argsort(-sizes, kind="stable")[:count])
-    new = np.zeros(len(sizes) + 1, np.int64)
-    new[1 + largest] = np.arange(1, len(largest) + 1)
+    sizes = np.bincount(labels.ravel(), minlength=1)
+    sizes[0] = 0
+    largest = np.argsort(-sizes, kind="stable")[: min(count, np.count_nonzero(sizes))]
+    new = np.zeros(len(sizes), np.int64)
+    new[np.sort(largest)] = np.arange(1, len(largest) + 1)
     return new[labels]

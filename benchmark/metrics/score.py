@@ -65,8 +65,8 @@ def clip_scores(
             f"Label maps have shapes {truth.shape} and {prediction.shape}; expected one (frame, view, height, width)."
         )
     frames, views, *image = truth.shape
-    maps = (labels.reshape(-1, *image) for labels in (truth, prediction))
-    tables, slot = contingency(*maps, background_slot, None if ignore is None else ignore.reshape(-1, *image))
+    one, two = (labels.reshape(-1, *image) for labels in (truth, prediction))
+    tables, slot = contingency(one, two, background_slot, None if ignore is None else ignore.reshape(-1, *image))
     scores = _frame_scores(tables, slot) | {"ignored": truth[0, 0].size - tables.sum(axis=(1, 2))}
     over_time = _clip_scores(tables.reshape(frames, views, *tables.shape[1:]))
     if frames == 1:

@@ -10,13 +10,12 @@ from jaxtyping import Float64, UInt8
 
 from benchmark.labels import read_labels
 from benchmark.report.gallery import Card, disagreements, telling_image, typical_scenes, worst_scenes
-from benchmark.report.observations import Objects, Outcome, outcome_of_scene, scene_tables
-from benchmark.results import LABELS, RunRow, load_scenes
+from benchmark.report.observations import Objects, Outcome, Truth, outcome_of_scene, read_truth, scene_tables
+from benchmark.rescore import labels_path
+from benchmark.results import RunRow, load_scenes
+from benchmark.runner import SPLIT
 from datagen.errors import UsageError
 from datagen.storage import Dataset, Split
-
-SPLIT = "test"
-"""The split that runs are scored on."""
 
 Maps = tuple[UInt8[np.ndarray, "frame view height width"], int]
 """Label maps of a scene and the background slot."""
@@ -38,16 +37,14 @@ class Analysis:
     """Of all seeds of each model together."""
 
 
-def open_split(folder: Path | None, rows: Iterable[RunRow]) -> Split:
+def open_split(folder: Path, spec_hash: str) -> Split:
     """The scored split of a dataset.
 
     Raises:
-        UsageError: there is no dataset at hand, or another one than the runs were scored on.
+        UsageError: there is no dataset, or another one than the runs were scored on.
     """
-    if folder is None or not folder.exists():
-        raise UsageError("The dataset is not on this machine.")
     dataset = Dataset(folder)
-    if any(row.key.track_spec != dataset.spec["spec_hash"] for row in rows):
+    if dataset.spec["spec_hash"] != spec_hash:
         raise UsageError("The dataset at hand is another one than the runs were scored on.")
     return dataset.split(SPLIT)
 
@@ -62,7 +59,7 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
     kept = {model: rows if rows[0].random else rows[:1] for model, rows in with_maps.items() if rows}
     if not kept:
         raise UsageError("The run folder holds no label maps of this track.")
-    truths = [scenes.read(index, ["segmentation"])["segmentation"] for index in range(len(scenes))]
+    truths = [read_truth(scenes, index) for index in range(len(scenes))]
     found = {model: [outcome(truths, read_labels(labels_path(folder, r))) for r in rows] for model, rows in kept.items()}
     first = {model: rows[0] for model, rows in kept.items()}
     return Analysis(
@@ -75,21 +72,16 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
     )
 
 
-def labels_path(folder: Path, row: RunRow) -> Path:
-    """Where a run's label maps are, if they were kept."""
-    return folder / LABELS / f"{row.key.name}.h5"
-
-
 def scene_scores(folder: Path, row: RunRow) -> Float64[np.ndarray, "scene"]:
     """MSC-FG of every scene; nan where there is no object."""
     table = load_scenes(folder, row)
     return np.where(table["msc_fg_n"] > 0, table["msc_fg"], np.nan)
 
 
-def outcome(truths: Sequence[np.ndarray], predictions: Iterable[Maps]) -> Outcome:
+def outcome(truths: Sequence[Truth], predictions: Iterable[Maps]) -> Outcome:
     """How one run dealt with all objects of a split."""
     parts = [
-        outcome_of_scene(scene_tables(truth, labels, slot), slot)
+        outcome_of_scene(scene_tables(*truth, labels, slot), slot)
         for truth, (labels, slot) in zip(truths, predictions, strict=True)
     ]
     return Outcome(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]).astype(np.float64))

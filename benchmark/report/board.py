@@ -147,11 +147,10 @@ def cell(summary: Summary, letters: str = "") -> Cell:
 
 def _row(entry: Entry, numbers: Mapping[str, int]) -> Row:
     ari_fg, msc_fg = entry.groups
-    rank = f"{entry.mean_rank:g}" if math.isfinite(entry.mean_rank) else ""
     return Row(
         numbers[entry.row.key.model],
         entry.marks,
-        rank,
+        str(entry.rank or ""),
         cell(entry.summary("msc_fg"), msc_fg),
         cell(entry.summary("ari_fg"), ari_fg),
         number(entry.summary("miou_bg").mean),
@@ -170,7 +169,7 @@ def seconds_per_frame(entry: Entry) -> float:
 
 def _failure(entry: Entry) -> str:
     counts = Counter(cause if len(cause) < 12 else "error" for cause in entry.causes if cause)
-    return ", ".join(f"{count} failed: {cause}" for cause, count in counts.items())
+    return ", ".join(f"{count} failed ({cause})" for cause, count in counts.items())
 
 
 def _details(

@@ -52,17 +52,18 @@ class LineChart:
 
 @dataclass(frozen=True)
 class Dot:
-    """A model in a scatter chart."""
+    """A model in a scatter chart, and where its name stands."""
 
     model: int
     x: float
     y: float
     kind: str
     text: str
-    labelled: bool
-    """Whether no other model is both cheaper and better."""
-    before: bool
-    """Whether its name stands left of it, for want of room."""
+    label_x: float
+    label_y: float
+    anchor: str
+    has_room: bool
+    """Whether its name covers no other one; if not, it is shown only when the model is chosen."""
 
 
 @dataclass(frozen=True)
@@ -108,26 +109,51 @@ def history_chart(title: str, lines: Sequence[tuple[int, Values, Values]]) -> Li
     return LineChart(title, "step", tuple(x_ticks), tuple(y_ticks), tuple(curves))
 
 
-def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int = 640, height: int = 320) -> Scatter:
-    """Model, kind, cost, quality from 0 to 1 and words, with the cost on a logarithmic axis."""
+def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int = 560, height: int = 300) -> Scatter:
+    """Model, kind, cost, quality from 0 to 1 and words, with the cost on a logarithmic axis; best models first."""
     costs = [cost for _, _, cost, _, _ in points]
     low, high = math.floor(math.log10(min(costs))), math.ceil(math.log10(max(costs)))
     high = max(high, low + 1)
-    place = lambda cost: LEFT + (width - LEFT - RIGHT) * (math.log10(cost) - low) / (high - low)  # noqa: E731
+    scale = (width - LEFT - 2 * RIGHT) / (high - low)
+    place = lambda cost: round(LEFT + scale * (math.log10(cost) - low), 1)  # noqa: E731
+    centers = [(place(cost), unit_y(quality, height)) for _, _, cost, quality, _ in points]
+    labels = _labels(centers, [words.split(":")[0] for *_, words in points], width)
     dots = [
-        Dot(
-            model,
-            round(place(cost), 1),
-            unit_y(quality, height),
-            kind,
-            words,
-            not any(c <= cost and q >= quality and (c, q) != (cost, quality) for _, _, c, q, _ in points),
-            place(cost) > 0.7 * width,
-        )
-        for model, kind, cost, quality, words in points
+        Dot(model, x, y, kind, words, *label)
+        for (model, kind, _, _, words), (x, y), label in zip(points, centers, labels, strict=True)
     ]
-    ticks = [Tick(round(place(10.0**power), 1), _seconds(power)) for power in range(low, high + 1)]
+    ticks = [Tick(place(10.0**power), _seconds(power)) for power in range(low, high + 1)]
     return Scatter(tuple(ticks), unit_ticks(height), tuple(dots), width, height)
+
+
+def _labels(
+    centers: Sequence[tuple[float, float]], names: Sequence[str], width: int
+) -> list[tuple[float, float, str, bool]]:
+    """Where names stand, x, y and anchor, and whether there is room: beside, over or under a dot, the first that fits."""
+    taken = [(x - 7, y - 7, x + 7, y + 7) for x, y in centers]
+    labels = []
+    for (x, y), name in zip(centers, names, strict=True):
+        length = 6.2 * len(name)
+        tries = [(x + 10, y + 4, "start"), (x - 10, y + 4, "end"), (x, y - 10, "middle"), (x, y + 18, "middle")]
+        boxes = [_box(*spot, length) for spot in tries]
+        free = [i for i, box in enumerate(boxes) if not any(_overlap(box, t) for t in taken)]
+        free = [i for i in free if boxes[i][0] > LEFT and boxes[i][2] < width]
+        inside = min(max(x, LEFT + length / 2), width - length / 2)
+        labels.append((*tries[free[0]], True) if free else (round(inside, 1), y - 10, "middle", False))
+        taken += [boxes[free[0]]] if free else []
+    return labels
+
+
+Box = tuple[float, float, float, float]
+
+
+def _box(x: float, y: float, anchor: str, length: float) -> Box:
+    left = x - {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * length
+    return left, y - 10, left + length, y + 3
+
+
+def _overlap(a: Box, b: Box) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def unit_y(value: float, height: int = HEIGHT) -> float:

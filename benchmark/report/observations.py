@@ -38,17 +38,31 @@ class Outcome:
     """Share of the seeds that make the error; types as in `ERROR_TYPES`."""
 
 
+Truth = tuple[Integer[np.ndarray, "frame view height width"], Bool[np.ndarray, "frame view height width"]]
+"""Object ids of a scene, and which pixels do not count because they have no depth."""
+
+
+def read_truth(scenes: Split, scene: int) -> Truth:
+    """What label maps of a scene are compared with."""
+    depth = "sensor_valid" if scenes.spec["recipe"]["sensor"]["enabled"] else "depth"
+    record = scenes.read(scene, ["segmentation", depth])
+    return record["segmentation"], record[depth] == 0
+
+
 def observe(scenes: Split) -> Objects:
     """Look at the truth of a whole split."""
-    wanted = ("segmentation", "visibility/visible_fraction", "contacts/gap")
+    wanted = ("visibility/visible_fraction", "contacts/gap")
     fields = [name for name in wanted if name in scenes.fields()]
-    parts = [_observe_scene(index, scenes.read(index, fields)) for index in range(len(scenes))]
+    parts = [
+        _observe_scene(index, read_truth(scenes, index), scenes.read(index, fields)) for index in range(len(scenes))
+    ]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Objects(**{"hidden": None, "gap": None} | joined)
 
 
-def _observe_scene(scene: int, record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    pixels = object_pixels(record["segmentation"])
+def _observe_scene(scene: int, truth: Truth, record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    segmentation, ignore = truth
+    pixels = object_pixels(np.where(ignore, 0, segmentation))
     frame, view, item = np.nonzero(pixels)
     found = {
         "scene": np.full(len(frame), scene),
@@ -81,13 +95,14 @@ def nearest_gap(gaps: Float64[np.ndarray, "frame body body"]) -> Float64[np.ndar
 
 def scene_tables(
     truth: Integer[np.ndarray, "frame view height width"],
+    ignore: Bool[np.ndarray, "frame view height width"],
     labels: Integer[np.ndarray, "frame view height width"],
     background_slot: int,
 ) -> Int64[np.ndarray, "frame view truth slot"]:
     """Contingency tables of all images of a scene; slots keep their numbers."""
     frames, views = truth.shape[:2]
-    images = [part.reshape(frames * views, *part.shape[2:]) for part in (truth, labels)]
-    tables, _ = contingency(images[0], images[1], background_slot)
+    true, dropped, found = (part.reshape(frames * views, *part.shape[2:]) for part in (truth, ignore, labels))
+    tables, _ = contingency(true, found, background_slot, dropped)
     return tables.reshape(frames, views, *tables.shape[1:])
 
 

@@ -1,9 +1,7 @@
 """One HTML page out of a run folder: gathers the parts, renders the template, and keeps the page small."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
-from itertools import combinations
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +10,18 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from benchmark.errors_by_type import MEANINGS
 from benchmark.files import write_whole
 from benchmark.report import board
-from benchmark.report.analysis import Analysis, analyse, observe_split, open_split
-from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
-from benchmark.report.panel import LIMITS, Album, Limits, Painter, error_rows, shades, slice_charts
-from benchmark.results import RunRow, check_runs
-from benchmark.standings import Entry, best_first, compare_entries, fields, load_standings
-from datagen.errors import DatagenError
+from benchmark.report.field import OWN, Field, Find, Truths, comparisons, facts, make_field
+from benchmark.report.panel import LIMITS, Album, Limits, Painter
+from benchmark.results import check_runs
+from benchmark.standings import Entry, fields, load_standings
 
 LARGEST = 14_000_000
 """Bytes that a page may have; reports with many models have fewer pictures."""
 
-OWN = "the track itself"
+TITLE = "Segmentation benchmark"
 
-Data = Callable[[str], Path | None] | Mapping[str, Path | None]
+Data = Find | Mapping[str, Path | None]
 """Folder of each track's dataset, or None where it is not at hand."""
-
-
-@dataclass(frozen=True, eq=False)
-class Field:
-    """Models that are compared with one another: one track, one way of fitting."""
-
-    track: str
-    fit: str
-    entries: tuple[Entry, ...]
-    """Best first."""
-    analysis: Analysis | None
-    missing: str
-    """Why there is no analysis."""
 
 
 def write(folder: Path, data: Data) -> Path:
@@ -46,31 +29,107 @@ def write(folder: Path, data: Data) -> Path:
 
     Args:
         folder: The run folder.
-        data: Where the datasets of the tracks are; without them, or without label maps, the sections that need pictures
-            say so.
+        data: Where the datasets of the tracks are. Without a dataset, or without label maps, the sections that need
+            them say so.
 
     Raises:
         UsageError: the folder holds no runs.
         CorruptFile: a run is damaged.
     """
     check_runs(folder)
-    find = data if callable(data) else data.get
-    found = [_field(folder, list(members), find) for members in fields(load_standings(folder))]
-    common = _common(found)
-    path = folder / "report.html"
+    entries = load_standings(folder)
+    names = model_names(entries)
+    numbers = {name: number for number, name in enumerate(names)}
+    truths = Truths(data if callable(data) else data.get)
+    found = [make_field(folder, members, numbers, truths) for members in fields(entries)]
+    common = _common(found, names, numbers)
+    page = b""
     for limits in LIMITS:
-        page = _render(common | _pictures(folder, found, limits, common["numbers"]))
+        page = _render(_with_pictures(common, folder, found, limits))
         if len(page) <= LARGEST:
             break
-    write_whole(path, page)
-    return path
+    write_whole(folder / "report.html", page)
+    return folder / "report.html"
 
 
-def _field(folder: Path, entries: Sequence[Entry], find: Callable[[str], Path | None]) -> Field:
-    key = entries[0].row.key
-    fit = OWN if key.fit_track == key.track else key.fit_track
-    ordered = tuple(best_first(entries))
-    ...
+def model_names(entries: Sequence[Entry]) -> list[str]:
+    """All models, kind by kind, by name."""
+    kinds = list(board.BLOCKS)
+    keys = {(kinds.index(entry.row.kind), entry.row.key.model) for entry in entries}
+    return list(dict.fromkeys(name for _, name in sorted(keys)))
 
 
-def _common(found: Sequence[Field]) -> dict[str, Any]: ...
+def _common(found: Sequence[Field], names: Sequence[str], numbers: Mapping[str, int]) -> dict[str, Any]:
+    panels = [facts(field, numbers) for field in found]
+    return {
+        "title": TITLE,
+        "models": names,
+        "tracks": list(dict.fromkeys(field.track for field in found)),
+        "fits": sorted({field.fit for field in found}, key=lambda fit: (fit != OWN, fit)),
+        "panels": panels,
+        "start": panels[0]["first"],
+        "overviews": _overviews(found, numbers),
+        "error_types": list(MEANINGS.items()),
+        "comparisons": {str(place): comparisons(field, numbers) for place, field in enumerate(found)},
+        "footer": _footer(found),
+    }
+
+
+def _with_pictures(
+    common: Mapping[str, Any], folder: Path, found: Sequence[Field], limits: Limits
+) -> dict[str, Any]:
+    album, galleries, panels = Album(), {}, []
+    for place, (panel, field) in enumerate(zip(common["panels"], found, strict=True)):
+        shown: dict[str, Any] = {"clips": [], "gallery": False}
+        if field.analysis:
+            ranked = [model for model in panel["first_to_last"] if model in field.analysis.rows]
+            painter = Painter(folder, field.analysis, album, ranked, limits)
+            galleries[str(place)] = painter.gallery()
+            shown = {"clips": painter.clips(common["models"], panel["crashed"]), "gallery": True}
+        panels.append({**panel, **shown})
+    script = {"models": common["models"], "galleries": galleries, "comparisons": common["comparisons"]}
+    return {**common, "panels": panels, "facts": script, "pictures": album.uris}
+
+
+def _overviews(found: Sequence[Field], numbers: Mapping[str, int]) -> list[dict[str, Any]]:
+    """For each way of fitting, MSC-FG of all models on all tracks."""
+    ordered = sorted(found, key=lambda field: (field.fit != OWN, field.fit, field.track))
+    return [_overview(fit, list(members), numbers) for fit, members in groupby(ordered, key=lambda field: field.fit)]
+
+
+def _overview(fit: str, found: Sequence[Field], numbers: Mapping[str, int]) -> dict[str, Any]:
+    scores = {(e.row.key.model, f.track): e.best_known("msc_fg") for f in found for e in f.entries}
+    best = {f.track: next((e.row.key.model for e in _by_score(f) if e.is_ranked), None) for f in found}
+    entries = {entry.row.key.model: entry for field in found for entry in field.entries}
+    rows = []
+    for model in sorted(entries, key=lambda name: numbers[name]):
+        values = [scores.get((model, field.track), float("nan")) for field in found]
+        cells = [
+            {
+                "text": board.number(value),
+                "shade": f"{0.55 * min(max(value, 0.0), 1.0):.3f}" if value == value else "0",
+                "best": best[field.track] == model,
+            }
+            for value, field in zip(values, found, strict=True)
+        ]
+        rows.append({"model": numbers[model], "marks": entries[model].marks, "cells": cells})
+    title = f"fitted on {fit}"
+    return {"title": title, "tracks": [field.track for field in found], "rows": rows}
+
+
+def _by_score(field: Field) -> list[Entry]:
+    return sorted(field.entries, key=lambda entry: -entry.best_known("msc_fg"))
+
+
+def _footer(found: Sequence[Field]) -> str:
+    commits = sorted({row.commit[:8] for field in found for entry in field.entries for row in entry.rows if row.commit})
+    return f"Made by obpose-bench from runs of commit {', '.join(commits)}." if commits else "Made by obpose-bench."
+
+
+def _render(context: Mapping[str, Any]) -> bytes:
+    loader = PackageLoader("benchmark.report")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("report.html.j2").render(context).encode()
+

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from benchmark.report.analysis import Analysis, Maps, choose_cards, choose_clips, read_maps
 from benchmark.report.charts import LineChart, class_chart
 from benchmark.report.gallery import Card, errors_in_words
-from benchmark.report.observations import scene_tables
+from benchmark.report.observations import read_truth, scene_tables
 from benchmark.report.pictures import depth_picture, label_picture, photograph, slot_colors
 from benchmark.report.slices import Missing, slicings
 from datagen.preview import label_colors
@@ -158,7 +158,7 @@ class Painter:
 
     def _slot_colors(self, model: int, scene: int, maps: Maps) -> UInt8[np.ndarray, "slot 3"]:
         if (model, scene) not in self._colors:
-            tables = scene_tables(self._record(scene)["segmentation"], *maps)
+            tables = scene_tables(*read_truth(self._analysis.scenes, scene), *maps)
             self._colors[model, scene] = slot_colors(tables.reshape(-1, *tables.shape[2:]), maps[1])
         return self._colors[model, scene]
 

@@ -1,14 +1,21 @@
 import csv
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import jaxtyping
+import foreign
 import pytest
 from fabricated import write_dataset
 
+from benchmark import plan
 from benchmark.cli import main
+from benchmark.isolation import Limits
+from benchmark.results import RunRow, load_runs
+from benchmark.schedule import run_jobs
+from benchmark.tracks import DataFolder
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -18,73 +25,227 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("bench") / "data", scenes=2, frames=2)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def plugins(tmp_path_factory: pytest.TempPathFactory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(foreign.install(tmp_path_factory.mktemp("site")))
+        yield
+
+
 def run_cli(*arguments: object) -> int:
     with pytest.raises(SystemExit) as exit_:
         main([str(argument) for argument in arguments])
     return int(exit_.value.code or 0)
 
 
-def test_scores_go_to_the_screen_and_into_the_table(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = tmp_path / "leaderboard.csv"
-    assert run_cli("--model", "plane-dbscan", "--data", data, "--out", out, "--seeds", 2) == 0
+def rows_of(folder: Path) -> dict[str, RunRow]:
+    return {row.key.model: row for row in load_runs(folder)}
+
+
+def test_a_run_leaves_rows_tables_and_a_short_table_on_the_screen(data: Path, tmp_path: Path, capsys):
+    out = tmp_path / "out"
+    assert run_cli("--model", "plane-dbscan", "good", "--data", data, "--out", out, "--seeds", 2) == EXIT_OK
+    shown = capsys.readouterr()
+    assert "data, plane-dbscan, seed 1: fit" in shown.err
+    assert "plane-dbscan  ‡" in shown.out
+    assert str(out) in shown.out
+    with (out / "leaderboard.csv").open(newline="") as file:
+        lines = {line["model"]: line for line in csv.DictReader(file)}
+    assert set(lines) == {"plane-dbscan", "good"}
+    assert float(lines["plane-dbscan"]["ari_fg_mean"]) > 0.99
+    assert lines["good"]["n_seeds"] == "2"
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["models"] == {"good": 3, "plane-dbscan": 1}
+    assert manifest["rows"] == {"ok": 4, "failed": 0}
+
+
+def test_a_second_run_makes_only_what_is_missing(data: Path, tmp_path: Path, capsys):
+    command = ("--data", data, "--out", tmp_path, "--model")
+    assert run_cli(*command, "chance", "--seeds", 1) == EXIT_OK
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").iterdir()}
+    assert run_cli(*command, "chance", "good", "--seeds", 2) == EXIT_OK
+    assert capsys.readouterr().err.count("chance, seed 0") == 1
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert [(row.key.model, row.key.seed) for row in load_runs(tmp_path)] == [
+        ("chance", 0),
+        ("chance", 1),
+        ("good", 0),
+        ("good", 1),
+    ]
+    assert run_cli(*command, "chance", "good", "--seeds", 2) == EXIT_OK
+    assert "seed" not in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_model_without_randomness_runs_once(data: Path, tmp_path: Path, capsys):
+    assert run_cli("--model", "good", "--data", data, "--out", tmp_path, "--seeds", 3) == EXIT_OK
+    assert capsys.readouterr().err.count("good, seed") == 1
+    assert len(list((tmp_path / "labels").iterdir())) == 1
+    tables = [path.read_bytes() for path in (tmp_path / "scenes").iterdir()]
+    assert len(tables) == 3
+    assert len(set(tables)) == 1
+
+
+def test_a_failure_is_a_row_with_its_reason(data: Path, tmp_path: Path, capsys):
+    assert run_cli("--model", "raises", "good", "--data", data, "--out", tmp_path, "--seeds", 1) == EXIT_INCOMPLETE
+    rows = rows_of(tmp_path)
+    assert (rows["raises"].status, rows["raises"].reason) == ("failed", "ValueError: no idea")
+    assert rows["good"].status == "ok"
+    assert "data, raises, seed 0: FAILED, ValueError: no idea" in capsys.readouterr().err
+    assert "Traceback" in next((tmp_path / "logs").glob("data--raises--*.log")).read_text()
+
+
+FAILURES = {
+    "raises": "ValueError: no idea",
+    "raises-in-fit": "OSError: no weights",
+    "crashes": "crashed with SIGSEGV",
+    "killed": "most likely because memory ran out",
+    "leaves": "ended before the row was written",
+    "out-of-memory": "out of memory: cannot allocate",
+    "wrong-shape": "expected integers of shape (2, 1, 48, 64)",
+    "nan": "with nan",
+    "too-many-slots": "slot 256; expected 0 to 255",
+}
+
+
+@pytest.mark.slow
+def test_every_failure_is_a_row_with_its_reason_and_the_rest_goes_on(data: Path, tmp_path: Path, capsys):
+    models = [*FAILURES, "good"]
+    command = ("--model", *models, "--data", data, "--out", tmp_path, "--seeds", 1)
+    assert run_cli(*command) == EXIT_INCOMPLETE
+    rows = rows_of(tmp_path)
+    assert {
+        name: row.reason for name, row in rows.items() if row.status == "failed" and FAILURES[name] in row.reason
+    }.keys() == FAILURES.keys()
+    assert rows["good"].status == "ok"
+    capsys.readouterr()
+    assert run_cli(*command) == EXIT_INCOMPLETE
+    assert "FAILED" not in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_failed_rows_are_tried_again_when_asked(data: Path, tmp_path: Path, capsys):
+    command = ("--model", "raises", "good", "--data", data, "--out", tmp_path, "--seeds", 1)
+    assert run_cli(*command) == EXIT_INCOMPLETE
+    capsys.readouterr()
+    assert run_cli(*command, "--retry") == EXIT_INCOMPLETE
+    shown = capsys.readouterr().err
+    assert "raises, seed 0: FAILED" in shown
+    assert "good" not in shown
+
+
+@pytest.mark.slow
+def test_a_model_that_hangs_is_stopped(data: Path, tmp_path: Path):
+    limit = ("--time-limit", 0.1)
+    assert run_cli("--model", "hangs", "--data", data, "--out", tmp_path, "--seeds", 1, *limit) == EXIT_INCOMPLETE
+    assert rows_of(tmp_path)["hangs"].reason == "took longer than the time limit of 0.1 minutes"
+
+
+@pytest.mark.slow
+def test_a_model_that_takes_too_much_memory_is_stopped(data: Path, tmp_path: Path):
+    limit = ("--memory-limit", 500)
+    assert run_cli("--model", "hoards", "--data", data, "--out", tmp_path, "--seeds", 1, *limit) == EXIT_INCOMPLETE
+    assert rows_of(tmp_path)["hoards"].reason.startswith("out of memory: ")
+
+
+@pytest.mark.slow
+def test_what_a_model_says_of_itself_is_in_its_row(data: Path, tmp_path: Path):
+    assert run_cli("--model", "chance", "--data", data, "--out", tmp_path, "--seeds", 1, "--steps", 5) == EXIT_OK
+    row = rows_of(tmp_path)["chance"]
+    assert row.config == {"slots": 5, "steps": 5}
+    assert row.learning_curve == [{"step": 1.0, "loss": 0.5}]
+    assert (row.parameters, row.random, row.kind, row.key.version) == (7, True, "learned", 3)
+
+
+@pytest.mark.slow
+def test_other_settings_do_not_replace_rows_unasked(data: Path, tmp_path: Path, capsys):
+    command = ("--model", "chance", "--data", data, "--out", tmp_path, "--seeds", 2)
+    assert run_cli(*command, "--steps", 5) == EXIT_OK
+    assert run_cli(*command, "--steps", 6) == EXIT_USAGE
+    assert "config_hash differs" in capsys.readouterr().err
+    assert run_cli(*command, "--steps", 6, "--overwrite") == EXIT_OK
+    assert [row.config["steps"] for row in load_runs(tmp_path)] == [6, 6]
+    assert len(list((tmp_path / "labels").iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_scores_are_computed_again_from_label_maps(data: Path, tmp_path: Path, capsys):
+    command = ("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 2)
+    assert run_cli(*command) == EXIT_OK
+    before = {path: path.read_bytes() for path in (tmp_path / "scenes").iterdir()}
+    for path in before:
+        path.unlink()
+    assert run_cli("report", tmp_path) == EXIT_INCOMPLETE
+    assert "obpose-bench rescore" in capsys.readouterr().err
+    assert run_cli("rescore", tmp_path) == EXIT_OK
+    assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.slow
+def test_two_models_are_compared(data: Path, tmp_path: Path, capsys):
+    assert run_cli("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 2) == EXIT_OK
+    assert run_cli("compare", "good", "chance", "--run", tmp_path) == EXIT_OK
+    assert "95 % interval" in capsys.readouterr().out
+    assert run_cli("compare", "good", "god", "--run", tmp_path) == EXIT_USAGE
+
+
+def test_the_metrics_are_checked(capsys):
+    assert run_cli("selftest") == EXIT_OK
+    assert "all hold" in capsys.readouterr().out
+
+
+def test_models_and_tracks_are_listed(capsys):
+    assert run_cli("--list") == EXIT_OK
     shown = capsys.readouterr().out
-    assert "plane-dbscan" in shown
-    assert "msc_fg" in shown
-    assert str(out) in shown
-    with out.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["seed"] for row in rows] == ["0", "1"]
-    assert float(rows[0]["ari_fg"]) > 0.99
-
-
-def test_models_are_listed(capsys: pytest.CaptureFixture[str]):
-    assert run_cli("--list") == 0
-    assert "plane-dbscan" in capsys.readouterr().out
+    assert {"plane-dbscan", "good", "training-free:", "multishape", "80x60"} <= set(shown.split())
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ([], "Name what to score and where"),
+        (["--model", "plane-dbscan"], "Name what to score and where"),
+        (["--model", "plane-dbscan", "--track", "moving", "--data", "{data}"], "Name what to score and where"),
         (["--model", "plane-dbscn", "--data", "{data}"], "did you mean 'plane-dbscan'"),
-        (["--model", "plane-dbscan"], "Name a model and a dataset"),
+        (["--model", "plane-dbscan", "--track", "movin"], "did you mean 'moving'"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--fit-track", "mixd"], "did you mean 'mixed'"),
         (["--model", "plane-dbscan", "--data", "{empty}"], "holds no dataset"),
         (["--model", "plane-dbscan", "--data", "{data}", "--seeds", "0"], "--seeds is 0"),
-        (["--model", "plane-dbscan", "--data", "{data}", "--out", "{foreign}"], "not a leaderboard"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--workers", "0"], "--workers is 0"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--time-limit", "0"], "--time-limit is 0"),
+        (["--model", "chance", "--data", "{data}", "--deterministic"], "--steps"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--out", "{file}"], "is a file"),
+        (["rescore", "{empty}"], "holds no finished runs"),
+        (["report", "{empty}"], "holds no finished runs"),
+        (["compare", "a", "b", "--run", "{empty}"], "holds no finished runs"),
     ],
 )
-def test_bad_requests_get_one_line(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-):
-    foreign = tmp_path / "foreign.csv"
-    foreign.write_text("a,b\n")
-    places = {"data": data, "empty": tmp_path, "foreign": foreign}
-    assert run_cli(*[argument.format(**places) for argument in arguments]) == 2
+def test_bad_requests_get_one_line(data: Path, tmp_path: Path, capsys, arguments: list[str], message: str):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "empty").mkdir()
+    places = {"data": data, "empty": tmp_path / "empty", "file": tmp_path / "file"}
+    assert run_cli(*[argument.format(**places) for argument in arguments]) == EXIT_USAGE
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1
     assert message in errors
 
 
-def test_a_damaged_shard_gets_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
-    # The type checker looks into sequences, and would meet the damage before the program does.
-    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+def test_a_dataset_that_is_incomplete_gets_one_line(tmp_path: Path, capsys):
     folder = write_dataset(tmp_path / "data", scenes=1)
-    shard = next(folder.glob("test-*.h5"))
-    shard.write_bytes(shard.read_bytes()[:2000])
-    assert run_cli("--model", "plane-dbscan", "--data", folder, "--out", tmp_path / "l.csv") == 3
-    assert "truncated" in capsys.readouterr().err
-    assert not (tmp_path / "l.csv").exists()
+    next(folder.glob("test-*.h5")).unlink()
+    assert run_cli("--model", "good", "--data", folder, "--out", tmp_path / "out") == EXIT_INCOMPLETE
+    assert "1 scenes are missing" in capsys.readouterr().err
 
 
-def test_a_table_that_cannot_be_written_gets_one_line(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    (tmp_path / "file").write_text("")
-    assert run_cli("--model", "plane-dbscan", "--data", data, "--out", tmp_path / "file" / "l.csv") == 2
-    assert "is not a folder" in capsys.readouterr().err
+def test_a_damaged_row_gets_one_line(data: Path, tmp_path: Path, capsys):
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "x.json").write_text("{")
+    assert run_cli("--model", "good", "--data", data, "--out", tmp_path) == EXIT_INCOMPLETE
+    assert "x.json is damaged" in capsys.readouterr().err
 
 
 def test_torch_is_not_imported(data: Path, tmp_path: Path):
-    arguments = ["--model", "plane-dbscan", "--data", str(data), "--out", str(tmp_path / "l.csv")]
+    arguments = ["--model", "plane-dbscan", "--seeds", "1", "--data", str(data), "--out", str(tmp_path)]
     code = (
         "import sys; from benchmark.cli import main\n"
         "try: main(sys.argv[1:])\n"
@@ -93,18 +254,24 @@ def test_torch_is_not_imported(data: Path, tmp_path: Path):
         "assert not heavy, heavy"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    result = subprocess.run(
-        [sys.executable, "-c", code, *arguments], env=environment, capture_output=True, text=True, check=False
-    )
+    result = subprocess.run([sys.executable, "-c", code, *arguments], env=environment, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
-    assert (tmp_path / "l.csv").exists()
 
 
-def test_generated_scenes_are_segmented(tiny_dataset: Path, tmp_path: Path):
-    out = tmp_path / "leaderboard.csv"
-    assert run_cli("--model", "plane-dbscan", "--data", tiny_dataset, "--out", out) == 0
-    row = next(csv.DictReader(out.read_text().splitlines()))
-    assert row["dataset"] == "moving"
-    assert row["n_frames"] == "20"
-    assert float(row["miou_bg"]) > 0.99
-    assert float(row["msc_fg"]) > 0.6
+@pytest.mark.slow
+def test_one_fit_serves_all_tracks_and_one_failure_costs_one_row(tmp_path: Path):
+    sizes = {"a": (64, 48), "b": (32, 24), "c": (64, 48)}
+    folders = [
+        DataFolder(write_dataset(tmp_path / name, scenes=1, frames=1, size=size)) for name, size in sizes.items()
+    ]
+    request = plan.Request(("fails-on-second-track",), tuple(folders), seeds=1, fit_source=folders[0])
+    made = plan.make_plan(request, [], tmp_path / "out")
+    assert len(made.jobs) == 1
+    heard: list[RunRow] = []
+    run_jobs(made, Limits(60.0, 2000.0), 2, heard.append)
+    assert [(row.key.track, row.key.fit_track, row.status) for row in heard] == [
+        ("a", "a", "ok"),
+        ("b", "a", "failed"),
+        ("c", "a", "ok"),
+    ]
+    assert [row.key for row in load_runs(tmp_path / "out")] == sorted(row.key for row in heard)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fabricated import write_dataset
 
-from benchmark.clips import ClipSequence, read_truth
+from benchmark.clips import ClipSequence, TruthSequence, read_truth
 from benchmark.interface import Clip
 from datagen import config, schema, spec, storage
 from datagen.errors import UsageError
@@ -18,13 +18,27 @@ def test_clips_hold_what_cameras_saw_and_no_labels(tmp_path: Path):
     clips = ClipSequence(scenes)
     assert len(clips) == len(clips[:]) == 3
     record, clip = scenes[1], clips[1]
-    assert {field.name for field in dataclasses.fields(Clip)} == {"rgb", "depth", "valid", "k", "world_from_camera"}
+    seen = {"rgb", "depth", "valid", "k", "world_from_camera"}
+    assert {field.name for field in dataclasses.fields(Clip)} == {*seen, "truth"}
+    assert clip.truth is None
     np.testing.assert_array_equal(clip.rgb, record["rgb"])
     np.testing.assert_array_equal(clip.depth, schema.decode_depth(record["depth"]))
     np.testing.assert_array_equal(clip.k, record["camera/K"])
     np.testing.assert_array_equal(clip.world_from_camera, record["camera/world_from_camera"])
     assert clip.valid.all()
     np.testing.assert_array_equal(read_truth(scenes, 1), record["segmentation"])
+
+
+def test_clips_carry_the_truth_only_when_asked(tmp_path: Path):
+    scenes = storage.Dataset(write_dataset(tmp_path / "data", views=2)).split("val")
+    np.testing.assert_array_equal(ClipSequence(scenes, uses_labels=True)[1].truth, scenes[1]["segmentation"])
+
+
+def test_truths_are_read_apart(tmp_path: Path):
+    scenes = storage.Dataset(write_dataset(tmp_path / "data", views=2)).split("val")
+    truths = TruthSequence(scenes)
+    assert len(truths) == len(truths[:]) == 3
+    np.testing.assert_array_equal(truths[1], scenes[1]["segmentation"])
 
 
 def test_a_sensors_depth_is_what_is_seen(tmp_path: Path):

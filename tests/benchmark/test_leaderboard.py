@@ -1,60 +1,103 @@
 import csv
-import dataclasses
+import io
 from pathlib import Path
 
+import numpy as np
 import pytest
+from chosen_scores import failed_row, run_row, save_run, scene_table
 
 from benchmark import leaderboard
-from benchmark.metrics import METRICS
-from benchmark.runner import Result
-from datagen.errors import UsageError
+from benchmark.metrics import CLIP_METRICS, METRICS
+from benchmark.results import RunRow, SceneTable
 
-SCORES = dict.fromkeys(METRICS, 0.5) | dict.fromkeys(leaderboard.COUNTS, 7)
-RESULT = Result("plane-dbscan", 1, "moving", "abc", "test", 0, 10, SCORES, 0.01)
+N = 20
 
 
-def test_rows_are_added_and_replaced(tmp_path: Path):
-    path = tmp_path / "new" / "leaderboard.csv"
-    other = dataclasses.replace(RESULT, seed=1)
-    leaderboard.update(path, [RESULT])
-    leaderboard.update(path, [other])
-    better = dataclasses.replace(RESULT, scores={**SCORES, "ari_fg": 0.75, "msc_fg": float("nan")})
-    leaderboard.update(path, [better])
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["seed"] for row in rows] == ["0", "1"]
-    assert [row["ari_fg"] for row in rows] == ["0.750000", "0.500000"]
-    assert rows[0]["msc_fg"] == "nan"
-    assert rows[0]["n_frames"] == "7"
+def runs() -> list[tuple[RunRow, SceneTable | None]]:
+    rng = np.random.default_rng(0)
+    found: list[tuple[RunRow, SceneTable | None]] = []
+    for model, kind, score in (("floor", "floor", 0.1), ("geometry", "classical", 0.7), ("net", "learned", 0.8)):
+        for seed in range(2):
+            values = score + 0.05 * rng.standard_normal(N)
+            table = scene_table({"ari_fg": values, "msc_fg": values - 0.01})
+            found.append((run_row(model, seed=seed, kind=kind, n_scenes=N), table))
+    found.append((failed_row("net", seed=2), None))
+    return found
 
 
-def test_the_order_of_updates_does_not_matter(tmp_path: Path):
-    results = [dataclasses.replace(RESULT, dataset=name) for name in ("static", "moving", "noisy")]
-    for name, order in (("a.csv", results), ("b.csv", results[::-1])):
-        for result in order:
-            leaderboard.update(tmp_path / name, [result])
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for row, table in runs():
+        save_run(tmp_path, row, table)
+    return tmp_path
 
 
-@pytest.mark.parametrize("content", [b"name,score\nx,1\n", b"", b"\xff\xfe\x00binary"])
-def test_a_foreign_file_is_left_alone(tmp_path: Path, content: bytes):
-    path = tmp_path / "mine.csv"
-    path.write_bytes(content)
-    with pytest.raises(UsageError, match="not a leaderboard"):
-        leaderboard.update(path, [RESULT])
-    assert path.read_bytes() == content
+def read(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(path.read_text())))
 
 
-def test_a_failed_write_leaves_the_old_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    path = tmp_path / "leaderboard.csv"
-    leaderboard.update(path, [RESULT])
-    before = path.read_bytes()
+def test_every_column_that_is_promised(folder: Path):
+    leaderboard.write(folder)
+    columns = set(read(folder / "leaderboard.csv")[0])
+    for metric in (*METRICS, *CLIP_METRICS):
+        assert {f"{metric}_{name}" for name in ("mean", "std", "sample_std", "ci_low", "ci_high")} <= columns
+    assert {"track", "fit_track", "model", "n_seeds", "n_failed", "n_scenes", "n_skipped", "priors"} <= columns
+    assert {"parameters", "device", "marks", "measured_seconds_per_frame", "measured_fit_seconds"} <= columns
 
-    def no_space(descriptor: int) -> None:
-        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", no_space)
-    with pytest.raises(OSError, match="No space"):
-        leaderboard.update(path, [dataclasses.replace(RESULT, seed=1)])
-    assert path.read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["leaderboard.csv"]
+def test_means_are_over_seeds_and_failures_are_told(folder: Path):
+    leaderboard.write(folder)
+    row = {row["model"]: row for row in read(folder / "leaderboard.csv")}["net"]
+    seeds = [float(seed["msc_fg"]) for seed in read(folder / "per_seed.csv") if seed["model"] == "net"][:2]
+    assert float(row["msc_fg_mean"]) == pytest.approx(np.mean(seeds), abs=1e-6)
+    assert float(row["msc_fg_std"]) == pytest.approx(np.std(seeds), abs=1e-6)
+    assert float(row["msc_fg_sample_std"]) == pytest.approx(np.std(seeds, ddof=1), abs=2e-6)
+    assert float(row["msc_fg_ci_low"]) < float(row["msc_fg_mean"]) < float(row["msc_fg_ci_high"])
+    assert (row["n_seeds"], row["n_failed"], row["failures"]) == ("3", "1", "2: out of memory")
+    assert (row["n_scenes"], row["n_frames"], row["n_identity_switches"]) == (str(N), str(2 * N), str(N))
+
+
+def test_seeds_and_scenes_have_lines_of_their_own(folder: Path):
+    leaderboard.write(folder)
+    seeds, scenes = read(folder / "per_seed.csv"), read(folder / "per_scene.csv")
+    assert [(row["model"], row["seed"], row["status"]) for row in seeds][-2:] == [
+        ("net", "1", "ok"),
+        ("net", "2", "failed"),
+    ]
+    assert len(seeds) == 7
+    assert len(scenes) == 6 * N
+    means = [float(row["ari_fg"]) for row in scenes if (row["model"], row["seed"]) == ("net", "1")]
+    assert np.mean(means) == pytest.approx(float(seeds[-2]["ari_fg"]), abs=1e-5)
+
+
+def test_the_same_rows_give_the_same_bytes(folder: Path, tmp_path_factory: pytest.TempPathFactory):
+    """Whatever the order in which they were finished, and what an earlier run wrote."""
+    other = tmp_path_factory.mktemp("other")
+    for row, table in runs()[:3]:
+        save_run(other, row, table)
+    leaderboard.write(other)
+    for row, table in runs()[::-1]:
+        save_run(other, row, table)
+    leaderboard.write(folder)
+    leaderboard.write(other)
+    for name in leaderboard.FILES:
+        assert (folder / name).read_bytes() == (other / name).read_bytes()
+
+
+def test_an_empty_folder_gives_empty_tables(tmp_path: Path):
+    assert leaderboard.write(tmp_path) == []
+    assert (tmp_path / "per_scene.csv").read_text() == "\n"
+
+
+def test_only_measured_columns_depend_on_the_clock(folder: Path, tmp_path: Path):
+    """Rows that differ in their costs differ in no other column."""
+    leaderboard.write(folder)
+    before = {name: read(folder / name) for name in leaderboard.FILES if name.endswith(".csv")}
+    for row, table in runs():
+        costs = type(row.measured)(7.0, 8.0, 9.0)
+        save_run(folder, type(row)(**{**vars(row), "measured": costs}), table)
+    leaderboard.write(folder)
+    for name, rows in before.items():
+        for one, two in zip(rows, read(folder / name), strict=True):
+            changed = {column for column in one if one[column] != two[column]}
+            assert all(column.startswith("measured_") for column in changed)

@@ -1,24 +1,78 @@
-import numpy as np
-import pytest
-from fabricated import write_dataset
+import subprocess
+import sys
+from pathlib import Path
 
-from benchmark.clips import ClipSequence
-from benchmark.registry import MODELS, find_model
-from datagen import storage
+import pytest
+
+from benchmark import plugins
+from benchmark.interface import Segmenter
+from benchmark.model_spec import KINDS, PRIORS, ModelSpec
+from benchmark.registry import GROUPS, MODELS, discover, expand, find_model
 from datagen.errors import UsageError
 
 
 def test_an_unknown_name_gets_the_nearest():
     with pytest.raises(UsageError, match="Unknown model 'plane_dbscan'; did you mean 'plane-dbscan'"):
         find_model("plane_dbscan")
+    with pytest.raises(UsageError, match="did you mean 'training-free'"):
+        expand(["plane-dbscan", "training_free"])
+
+
+def test_training_free_is_everything_that_learns_nothing():
+    assert expand(["training-free"]) == [*expand(["floors"]), *expand(["classical"]), *expand(["oracles"])]
+    assert {"one-cluster", "all-background", "random-slots", "constant-grid"} == set(expand(["floors"]))
+    assert len(expand(["oracles"])) == 3
+    assert not {MODELS[name].kind for name in expand(["training-free"])} - {"floor", "classical", "oracle"}
+
+
+def test_a_model_named_twice_runs_once():
+    names = expand(["plane-dbscan", "classical", "plane-dbscan"])
+    assert names[0] == "plane-dbscan"
+    assert len(names) == len(set(names)) == len(expand(["classical"]))
 
 
 @pytest.mark.parametrize("name", sorted(MODELS))
-def test_every_model_keeps_the_contract(name: str, tmp_path):
-    clips = ClipSequence(storage.Dataset(write_dataset(tmp_path / "data", scenes=1, views=2)).split("train"))
-    model = find_model(name).build()
-    model.fit(clips, clips, seed=0, budget=5.0)
-    prediction = model.segment(clips[0])
-    assert prediction.labels.shape == clips[0].depth.shape
-    assert np.issubdtype(prediction.labels.dtype, np.integer)
-    assert prediction.labels.min() >= 0
+def test_every_model_says_what_the_tables_need(name: str):
+    spec = MODELS[name]
+    assert name not in GROUPS
+    assert spec.version >= 1
+    assert spec.kind in KINDS
+    assert set(spec.priors) <= set(PRIORS)
+    assert spec.uses_labels == (spec.kind == "oracle")
+    assert len(spec.grid) <= 12
+    assert len({str(value) for value in spec.grid}) == len(spec.grid)
+    assert spec.default == (spec.grid[0] if spec.grid else {})
+    assert isinstance(spec.build({"slots": 5, **spec.default}), Segmenter)
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_defaults_are_the_first_values_of_the_grid(name: str):
+    if name != "plane-dbscan-colour":  # It is plane-dbscan with the colour that it else leaves out.
+        spec = MODELS[name]
+        assert spec.build({"slots": 5}) == spec.build({"slots": 5, **spec.default}) or not spec.grid
+
+
+def test_our_own_models_cost_no_search_for_plugins(monkeypatch: pytest.MonkeyPatch):
+    def never(taken: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(plugins, "load", never)
+    assert isinstance(find_model("plane-dbscan"), ModelSpec)
+    assert expand(["training-free"])
+
+
+def test_training_free_models_need_no_torch():
+    code = (
+        "import sys; from benchmark.registry import MODELS\n"
+        "heavy = {'torch', 'numba', 'pybullet', 'pyrender', 'trimesh'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    root = Path(__file__).parent.parent.parent
+    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_everything_is_discovered():
+    models, problems = discover()
+    assert set(MODELS) <= set(models)
+    assert problems == []

@@ -1,3 +1,4 @@
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -8,7 +9,11 @@ from fabricated import write_dataset
 
 from benchmark import registry
 from benchmark.interface import Clip, Prediction
-from benchmark.runner import BadPrediction, background_slot, run
+from benchmark.labels import read_labels
+from benchmark.model_spec import ModelSpec, Options
+from benchmark.results import LABELS, RunKey, load_runs, load_scenes, pooled
+from benchmark.runner import Job, Target, run_job
+from benchmark.scoring import BadPrediction
 from datagen import storage
 from datagen.errors import UsageError
 
@@ -18,13 +23,15 @@ Answer = Callable[[Clip], Prediction]
 class Scripted:
     """A model that answers as it is told, and remembers what it was given."""
 
+    fits: list[tuple[int, int, int, float]]
+
     def __init__(self, answer: Answer):
         self.answer = answer
-        self.seed = -1
-        self.clips = (0, 0)
+        self.options: list[Options] = []
+        self.fits = []
 
     def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
-        self.seed, self.clips = seed, (len(train), len(val))
+        self.fits.append((len(train), len(val), seed, budget))
 
     def segment(self, clip: Clip) -> Prediction:
         return self.answer(clip)
@@ -36,70 +43,156 @@ def data(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[Answer], Scripted]:
-    def add(answer: Answer) -> Scripted:
+def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Scripted]:
+    def add(answer: Answer, **facts: object) -> Scripted:
         model = Scripted(answer)
-        monkeypatch.setitem(registry.MODELS, "scripted", registry.ModelSpec(lambda: model, 3, ""))
+
+        def build(options: Options) -> Scripted:
+            model.options.append(dict(options))
+            return model
+
+        monkeypatch.setitem(registry.MODELS, "scripted", ModelSpec(build=build, version=3, description="", **facts))
         return model
 
     return add
 
 
-def test_a_model_that_knows_the_truth_scores_one(data: Path, register):
+def job(data: Path, out: Path, *more: Path, **changes: object) -> Job:
+    targets = [
+        Target(RunKey(folder.name, data.name, "scripted", 4, 3, "c", "f", str(folder)), folder, slots=5 + number)
+        for number, folder in enumerate((data, *more))
+    ]
+    made = Job("scripted", 4, fit_data=data, fit_slots=5, targets=tuple(targets), out=out, seconds=10.0)
+    return dataclasses.replace(made, **changes)
+
+
+def background(clip: Clip) -> Prediction:
+    return Prediction(np.zeros(clip.depth.shape, np.int64), 0)
+
+
+def test_a_model_that_knows_the_truth_scores_one(data: Path, tmp_path: Path, register):
     truths = iter([storage.Dataset(data).split("test")[i]["segmentation"] for i in range(2)])
     model = register(lambda clip: Prediction(next(truths).astype(np.int64), 0))
-    done = []
-    result = run("scripted", data, seed=4, progress=done.append)
-    assert model.seed == 4
-    assert model.clips == (2, 2)
-    assert done == [1, 2]
-    assert result.version == 3
-    assert result.dataset == "spheres"
-    assert result.spec_hash == storage.Dataset(data).spec["spec_hash"]
-    assert result.scenes == 2
-    assert result.scores["n_frames"] == 2 * 3 * 2
-    assert all(result.scores[name] == 1 for name in ("ari", "ari_fg", "msc_fg", "miou_bg"))
-    assert result.seconds_per_frame > 0
+    events = []
+    run_job(job(data, tmp_path / "out"), events.append)
+    (row,) = load_runs(tmp_path / "out")
+    assert events == ["fitted", row.key.name]
+    assert model.fits == [(2, 2, 4, 10.0)]
+    assert (row.status, row.reason, row.n_scenes, row.tuned) == ("ok", "", 2, False)
+    assert row.config == {"slots": 5}
+    assert row.measured.seconds_per_frame > 0
+    table = load_scenes(tmp_path / "out", row)
+    assert table["n_frames"].tolist() == [6, 6]
+    assert all(pooled(table, name) == 1 for name in ("ari", "ari_fg", "msc_fg", "miou_bg"))
 
 
-def test_pixels_without_depth_do_not_count(data: Path, register):
+def test_pixels_without_depth_do_not_count(data: Path, tmp_path: Path, register):
     scenes = storage.Dataset(data).split("test")
     truths = iter([scenes[i]["segmentation"] for i in range(2)])
     register(lambda clip: Prediction(np.where(clip.valid, next(truths), 9).astype(np.int64), 0))
-    result = run("scripted", data, seed=0)
-    assert result.scores["ari"] == result.scores["msc_fg"] == 1
-    assert result.scores["n_ignored"] == sum(int(np.sum(scenes[i]["sensor_valid"] == 0)) for i in range(2))
+    run_job(job(data, tmp_path / "out"))
+    table = load_scenes(tmp_path / "out", load_runs(tmp_path / "out")[0])
+    assert pooled(table, "ari") == pooled(table, "msc_fg") == 1
+    assert table["ignored"].tolist() == [np.sum(scenes[i]["sensor_valid"] == 0) for i in range(2)]
 
 
-def test_frames_are_pooled_over_scenes(data: Path, register):
-    answers = iter([0, 1])
-    truth = storage.Dataset(data).split("test")[0]["segmentation"].astype(np.int64)
-    register(lambda clip: Prediction(truth if next(answers) == 0 else np.zeros_like(truth), 0))
-    result = run("scripted", data, seed=0)
-    assert result.scores["msc_fg"] == 0.5
+def test_label_maps_are_kept(data: Path, tmp_path: Path, register):
+    register(lambda clip: Prediction(np.full(clip.depth.shape, 200), 200))
+    run_job(job(data, tmp_path / "out"))
+    (path,) = (tmp_path / "out" / LABELS).iterdir()
+    maps = list(read_labels(path))
+    assert len(maps) == 2
+    assert maps[0][0].dtype == np.uint8
+    assert (set(np.unique(maps[0][0])), maps[0][1]) == ({200}, 200)
 
 
-def test_the_largest_slot_stands_in_for_an_undeclared_background():
-    labels = np.array([[[[4, 4, 4, 0, 0, 2]]]])
-    assert background_slot(Prediction(labels, None)) == 4
-    assert background_slot(Prediction(labels, 2)) == 2
+def test_the_largest_slot_stands_in_for_an_undeclared_background(data: Path, tmp_path: Path, register):
+    register(
+        lambda clip: Prediction(np.where(np.arange(clip.depth.shape[-1]) < 8, 1, 6) + 0 * clip.depth.astype(int), None)
+    )
+    run_job(job(data, tmp_path / "out"))
+    (path,) = (tmp_path / "out" / LABELS).iterdir()
+    assert {slot for _, slot in read_labels(path)} == {6}
+
+
+@pytest.mark.parametrize(("uses_labels", "kind"), [(False, "learned"), (True, "oracle"), (True, "learned")])
+def test_clips_carry_labels_for_those_only_who_say_so(
+    data: Path, tmp_path: Path, register, uses_labels: bool, kind: str
+):
+    seen = []
+
+    def answer(clip: Clip) -> Prediction:
+        seen.append(clip.truth is not None)
+        return background(clip)
+
+    register(answer, uses_labels=uses_labels, kind=kind)
+    run_job(job(data, tmp_path / "out"))
+    assert seen == [uses_labels] * 2
+    assert load_runs(tmp_path / "out")[0].uses_labels is uses_labels
+
+
+def test_models_that_learn_nothing_get_no_training_clips(data: Path, tmp_path: Path, register):
+    for path in data.glob("train-*.h5"):
+        path.unlink()
+    model = register(background, kind="classical")
+    run_job(job(data, tmp_path / "out"))
+    assert model.fits == [(0, 2, 4, 10.0)]
+
+
+def test_tuning_takes_half_of_the_budget_and_is_recorded(data: Path, tmp_path: Path, register):
+    model = register(background, grid=({"reach": 1}, {"reach": 2}))
+    run_job(job(data, tmp_path / "out"))
+    (row,) = load_runs(tmp_path / "out")
+    assert row.tuned
+    assert row.config == {"slots": 5, "reach": 1}
+    assert [budget for *_, budget in model.fits] == [2.5, 2.5, 5.0]
+
+
+def test_one_fit_serves_all_targets(data: Path, tmp_path: Path, register):
+    other = write_dataset(tmp_path / "other", scenes=1, frames=1)
+    model = register(background, kind="learned")
+    run_job(job(data, tmp_path / "out", other))
+    assert len(model.fits) == 1
+    assert {row.key.track: row.n_scenes for row in load_runs(tmp_path / "out")} == {"data": 2, "other": 1}
+
+
+def test_models_that_learn_nothing_get_each_track_s_slots(data: Path, tmp_path: Path, register):
+    other = write_dataset(tmp_path / "other", scenes=1, frames=1)
+    model = register(background, kind="classical")
+    run_job(job(data, tmp_path / "out", other))
+    assert [options["slots"] for options in model.options] == [5, 6]
+
+
+def test_steps_are_offered_where_budgets_are_counted_in_them(data: Path, tmp_path: Path, register):
+    model = register(background)
+    run_job(job(data, tmp_path / "out", steps=12))
+    assert model.options == [{"slots": 5, "steps": 12}]
 
 
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
         (lambda clip: Prediction(np.zeros(clip.depth.shape[1:], int), 0), "of shape"),
-        (lambda clip: Prediction(np.full(clip.depth.shape, -1), 0), "label -1"),
-        (lambda clip: Prediction(np.zeros(clip.depth.shape, int), -1), "background slot -1"),
+        (lambda clip: Prediction(np.full(clip.depth.shape, np.nan), 0), "with nan"),
+        (lambda clip: Prediction(np.full(clip.depth.shape, -1), 0), "slot -1"),
+        (lambda clip: Prediction(np.full(clip.depth.shape, 256), 0), "slot 256"),
+        (lambda clip: Prediction(np.zeros(clip.depth.shape, int), -1), "slot -1"),
+        (lambda clip: None, "NoneType"),
     ],
 )
-def test_a_model_that_breaks_the_contract_is_named(data: Path, register, monkeypatch, answer: Answer, message: str):
+def test_a_model_that_breaks_the_contract_is_named(data: Path, tmp_path, register, monkeypatch, answer, message: str):
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
     register(answer)
     with pytest.raises(BadPrediction, match=message):
-        run("scripted", data, seed=0)
+        run_job(job(data, tmp_path / "out"))
+    assert [path for path in (tmp_path / "out").rglob("*") if path.is_file()] == []
 
 
-def test_an_empty_split_is_refused(tmp_path: Path):
+def test_an_empty_split_is_refused(tmp_path: Path, register):
+    register(background)
+    empty = write_dataset(tmp_path / "empty", scenes=0)
     with pytest.raises(UsageError, match="has no scenes"):
-        run("plane-dbscan", write_dataset(tmp_path / "data", scenes=0), seed=0)
+        run_job(job(empty, tmp_path / "out"))
+    register(background, grid=({"reach": 1}, {"reach": 2}))
+    with pytest.raises(UsageError, match="no validation scenes"):
+        run_job(job(empty, tmp_path / "out"))

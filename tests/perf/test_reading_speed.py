@@ -1,21 +1,17 @@
-"""What a training step waits for, and what scoring costs, in milliseconds of one core: times are CPU times."""
+"""What a training step waits for, in milliseconds of one core: times are CPU times."""
 
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
-from sklearn.metrics import adjusted_rand_score
 from torch import Tensor
 from torch.utils.data import default_collate
 
-from benchmark.metrics import score
 from datagen.config import load_recipe
 from datagen.generate import generate
-from datagen.storage import Dataset
 from obpose.data import SceneDataset
 
 CLIPS = 16
@@ -26,14 +22,6 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data") / "moving"
     generate(folder, load_recipe("moving"), splits={"train": CLIPS}, resolution=(128, 128))
     return folder
-
-
-@pytest.fixture(scope="module")
-def maps(moving: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Labels of all frames, and the same moved by two pixels in the place of a prediction."""
-    scenes = Dataset(moving).split("train")
-    truth = np.concatenate([scenes.read(i, ["segmentation"])["segmentation"][:, 0] for i in range(CLIPS)])
-    return truth, np.roll(truth, 2, axis=2).astype(np.int64)
 
 
 @pytest.fixture
@@ -57,14 +45,3 @@ def test_scene_dataset(benchmark: BenchmarkFixture, moving: Path):
 
     batch = benchmark.pedantic(read, setup=open_anew, rounds=30, warmup_rounds=2)
     assert batch["rgb"].shape == (CLIPS, 4, 1, 128, 128, 3)
-
-
-@pytest.mark.benchmark(group="metrics: 160 frames at 128x128", timer=time.process_time)
-def test_all_metrics(benchmark: BenchmarkFixture, maps: tuple[np.ndarray, np.ndarray]):
-    scores = benchmark(lambda: score(*maps))
-    benchmark.extra_info["frames"] = scores["n_frames"]
-
-
-@pytest.mark.benchmark(group="metrics: 160 frames at 128x128", timer=time.process_time)
-def test_scikit_learn_ari_alone(benchmark: BenchmarkFixture, maps: tuple[np.ndarray, np.ndarray]):
-    benchmark(lambda: [adjusted_rand_score(t.ravel(), p.ravel()) for t, p in zip(*maps, strict=True)])

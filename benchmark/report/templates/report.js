@@ -33,7 +33,7 @@
 
   const mark = () => {
     const rule = (model, letter) =>
-      `[data-m="${model}"]{--mark:var(--${letter});--stroke:2.5;--show:1;--weight:700;--label:inline}`;
+      `[data-m="${model}"]{--mark:var(--${letter});--stroke:2.5;--show:1;--weight:700;--label:inline;--shift:${letter === "b" ? 26 : 0}px}`;
     find("#marks").textContent = rule(controls.b.value, "b") + rule(controls.a.value, "a");
     for (const letter of ["b", "a"]) {
       for (const curve of all(`svg [data-m="${controls[letter].value}"]`, panel())) curve.parentNode.append(curve);
@@ -55,8 +55,9 @@
     const tiles = element("div", "tiles");
     tiles.append(tile("image", "", card.rgb, true), tile("truth", "", card.truth, false));
     const said = element("p", "said", `Scene ${card.scene}, ${card.where}`);
-    for (const [model, picture, score, words] of card.maps) {
-      const letter = String(model) === controls.a.value ? "a" : String(model) === controls.b.value ? "b" : "";
+    const isFirst = ([model]) => Number(String(model) !== controls.a.value);
+    for (const [model, picture, score, words] of [...card.maps].sort((x, y) => isFirst(x) - isFirst(y))) {
+      const letter = String(model) === controls.a.value ? "a" : "b";
       tiles.append(tile(models[model], letter, picture, false));
       said.append(element("br"), element("span", letter, models[model]), ` ${score}: ${words}`);
     }
@@ -77,13 +78,20 @@
     fill(find(".apart", panel()), gallery.pairs[`${Math.min(a, b)},${Math.max(a, b)}`], reason);
   };
 
-  const showComparison = () => {
-    const place = find(".versus", panel());
-    if (!place) return;
+  const signed = (value) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(3)}`;
+
+  const compare = () => {
     const [a, b] = [controls.a.value, controls.b.value];
-    const found = (facts.comparisons[panel().dataset.gallery] || {});
-    const line = found[`${a},${b}`], back = found[`${b},${a}`];
-    place.textContent = line || back || "";
+    const known = facts.comparisons[panel().dataset.gallery];
+    const [found, sign] = known[`${a},${b}`] ? [known[`${a},${b}`], 1] : [known[`${b},${a}`], -1];
+    if (!found) return "";
+    const [mean, low, high, wins, resolvable, scenes] = found;
+    const [from, to] = sign > 0 ? [low, high] : [-high, -low];
+    const share = sign > 0 ? wins : 1 - wins;
+    const better = from > 0 || to < 0 ? "" : " The interval holds 0.";
+    return `${models[a]} minus ${models[b]}, MSC-FG: ${signed(sign * mean)} [${signed(from)}, ${signed(to)}], paired ` +
+      `over ${scenes} scenes, of which it wins ${Math.round(100 * share)}%.${better} Differences under ` +
+      `${resolvable.toFixed(3)} would hardly show on so many scenes.`;
   };
 
   const drawStrips = () => {
@@ -98,7 +106,7 @@
     }
     mark();
     drawGallery();
-    showComparison();
+    find(".versus", panel()).textContent = compare();
     drawStrips();
   };
 

@@ -1,0 +1,116 @@
+"""`obpose-bench compare A B`: how two models of a run folder differ, paired by scene."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+
+from benchmark import statistics
+from benchmark.results import check_runs
+from benchmark.standings import ALL_METRICS, Entry, compare_entries, load_standings
+from benchmark.statistics import Difference
+from datagen.errors import UsageError
+
+COLUMNS = {"metric": 17, "A": 5, "B": 5, "A - B": 6, "95 % interval": 13, "wins": 5, "resolvable": 10, "p": 5}
+"""Of the printed table, and their widths: the same for all tracks."""
+
+LEGEND = (
+    "A - B is paired by scene. wins: share of scenes in which A scores more. resolvable: the smallest true difference "
+    "that these scenes would show (5 % significance, 80 % power). p: Holm-corrected over all lines; grey where 5 % or "
+    "more."
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How much more model A scores than model B in one metric on one track."""
+
+    track: str
+    fit_track: str
+    """What both were fitted on."""
+    metric: str
+    one: float
+    two: float
+    """Scores of A and B: means over their seeds."""
+    difference: Difference
+    p_corrected: float
+    """Holm-corrected for the metrics and tracks of the comparison."""
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether chance alone would rarely make such a difference (5 %, after correction)."""
+        return self.p_corrected < statistics.SIGNIFICANCE
+
+
+def compare(folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS) -> list[Comparison]:
+    """Every metric on every track on which both models have scores, fitted on the same track.
+
+    Raises:
+        UsageError: a model has no scores in this folder, or the two have no track in common.
+        CorruptFile: a finished row is damaged.
+    """
+    check_runs(folder)
+    entries = [entry for entry in load_standings(folder) if entry.n_scenes > 0]
+    first, second = (_of_model(entries, name, folder) for name in (one, two))
+    shared = [(first[field], second[field]) for field in first if field in second]
+    if not shared:
+        raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {_tracks(first)}.")
+    found = [(a, b, name, compare_entries(a, b, name)) for a, b in shared for name in metrics]
+    found = [line for line in found if line[3].n_scenes > 0]
+    corrected = statistics.holm(np.array([line[3].p_value for line in found]))
+    return [
+        Comparison(*a.place[:2], name, a.best_known(name), b.best_known(name), difference, float(p_value))
+        for (a, b, name, difference), p_value in zip(found, corrected, strict=True)
+    ]
+
+
+def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> Group:
+    """For the terminal, track by track; what is not significant is grey."""
+    places = groupby(comparisons, key=lambda line: (line.track, line.fit_track))
+    tables = [_track_table(*place, list(lines)) for place, lines in places]
+    return Group(f"A = {one}, B = {two}\n", *tables, LEGEND)
+
+
+def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Table:
+    fitted = "" if fit_track == track else f", fitted on {fit_track}"
+    scenes = max(line.difference.n_scenes for line in lines)
+    title = f"[bold]{track}{fitted}, {scenes} scenes"
+    table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
+    for name, width in COLUMNS.items():
+        table.add_column(name, justify="left" if name == "metric" else "right", no_wrap=True, min_width=width)
+    for line in lines:
+        table.add_row(*_cells(line), style=None if line.is_significant else "bright_black")
+    table.add_row()
+    return table
+
+
+def _cells(line: Comparison) -> list[str]:
+    found = line.difference
+    return [
+        line.metric,
+        f"{line.one:.3f}",
+        f"{line.two:.3f}",
+        f"{found.mean:+.3f}",
+        f"{found.low:+.3f} {found.high:+.3f}",
+        f"{100 * found.win_rate:.0f} %",
+        f"{found.resolvable:.3f}",
+        f"{line.p_corrected:.3f}" if line.p_corrected >= 0.001 else "<.001",
+    ]
+
+
+def _of_model(entries: Iterable[Entry], model: str, folder: Path) -> dict[tuple[str, ...], Entry]:
+    """The model's entries by what makes them comparable: track, dataset, and what it was fitted on."""
+    entries = list(entries)
+    found = {(*entry.place[:2], entry.row.key.track_spec): entry for entry in entries if entry.place[2] == model}
+    if not found:
+        there = ", ".join(sorted({entry.place[2] for entry in entries}))
+        raise UsageError(f"{folder} has no scores of {model!r}; it has those of: {there}.")
+    return found
+
+
+def _tracks(entries: Iterable[tuple[str, ...]]) -> str:
+    return ", ".join(sorted({track for track, *_ in entries}))

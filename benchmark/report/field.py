@@ -1,0 +1,147 @@
+"""Models that are compared with one another, one track and one way of fitting, and what the report says of them."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from benchmark.published import PAPER_MODELS, paper_cells
+from benchmark.report import board
+from benchmark.report.analysis import Analysis, analyse, open_split
+from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
+from benchmark.report.observations import Objects, observe
+from benchmark.report.panel import error_rows, slice_charts
+from benchmark.standings import Entry, best_first, compare_entries
+from datagen.errors import DatagenError, UsageError
+from datagen.storage import Split
+
+OWN = "the track itself"
+
+Find = Callable[[str], Path | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """One track and one way of fitting."""
+
+    track: str
+    fit: str
+    """The track fitted on, or `OWN`."""
+    entries: tuple[Entry, ...]
+    """Best first."""
+    analysis: Analysis | None
+    missing: str
+    """Why there is no analysis."""
+
+
+class Truths:
+    """Datasets of a report; each is looked at once, however many fields need it."""
+
+    def __init__(self, find: Find):
+        self._find = find
+        self._known: dict[tuple[Path, str], tuple[Split, Objects]] = {}
+
+    def of(self, track: str, spec_hash: str) -> tuple[Split, Objects]:
+        """The scored split of a track and its objects.
+
+        Raises:
+            UsageError: it is not at hand.
+            DatagenError: it cannot be read.
+        """
+        folder = self._find(track)
+        if folder is None:
+            raise UsageError("The dataset is not on this machine.")
+        if (folder, spec_hash) not in self._known:
+            scenes = open_split(folder, spec_hash)
+            self._known[folder, spec_hash] = scenes, observe(scenes)
+        return self._known[folder, spec_hash]
+
+
+def make_field(folder: Path, entries: Sequence[Entry], numbers: Mapping[str, int], truths: Truths) -> Field:
+    """Bring together what there is; where label maps or the dataset are missing, `missing` says which."""
+    key = entries[0].row.key
+    fit = OWN if key.fit_track == key.track else key.fit_track
+    ordered = tuple(best_first(entries))
+    finished = {numbers[e.row.key.model]: [row for row in e.rows if row.status == "ok"] for e in ordered}
+    try:
+        scenes, objects = truths.of(key.track, key.track_spec)
+        analysis = analyse(folder, scenes, objects, {model: rows for model, rows in finished.items() if rows})
+        return Field(key.track, fit, ordered, analysis, "")
+    except DatagenError as error:
+        return Field(key.track, fit, ordered, None, f"There are no slices, errors or pictures: {error}")
+
+
+def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
+    """What the template shows of a field, without pictures."""
+    entries = field.entries
+    there = [numbers[entry.row.key.model] for entry in entries]
+    metrics, details = board.details(entries, numbers)
+    return {
+        "track": field.track,
+        "fit": field.fit,
+        "subtitle": _subtitle(field),
+        "models": sorted(there),
+        "first": (there * 2)[:2],
+        "first_to_last": there,
+        "crashed": {numbers[e.row.key.model]: e.rows[0].reason for e in entries if not e.n_scenes},
+        "blocks": board.blocks(entries, numbers),
+        "paper": _paper(field.track),
+        "marks": board.marks(entries),
+        "metrics": metrics,
+        "details": details,
+        "failures": board.failures(entries),
+        "missing": field.missing,
+        "slices": slice_charts(field.analysis) if field.analysis else [],
+        "errors": error_rows(field.analysis) if field.analysis else [],
+        "scatter": _scatter(entries, numbers),
+        "histories": _histories(entries, numbers),
+    }
+
+
+def comparisons(field: Field, numbers: Mapping[str, int]) -> dict[str, list[float]]:
+    """Paired differences in MSC-FG of any two models: mean, interval, win rate, what can be resolved, scenes."""
+    scored = [entry for entry in field.entries if entry.n_scenes]
+    found = {
+        f"{numbers[a.row.key.model]},{numbers[b.row.key.model]}": compare_entries(a, b, "msc_fg")
+        for a, b in combinations(scored, 2)
+    }
+    return {
+        pair: [round(v, 4) for v in (d.mean, d.low, d.high, d.win_rate, d.resolvable)] + [d.n_scenes]
+        for pair, d in found.items()
+        if d.n_scenes > 1
+    }
+
+
+def _subtitle(field: Field) -> str:
+    scenes = max(entry.n_scenes for entry in field.entries)
+    skipped = max(entry.n_skipped for entry in field.entries)
+    fitted = "each model fitted on this track" if field.fit == OWN else f"all models fitted on {field.fit}"
+    without = f", {skipped} of them without any object" if skipped else ""
+    return f"{scenes} test scenes{without}; {fitted}; dataset {field.entries[0].row.key.track_spec[:8]}."
+
+
+def _paper(track: str) -> list[dict[str, Any]]:
+    return [{"name": name, "cells": cells} for model, name in PAPER_MODELS.items() if (cells := paper_cells(track, model))]
+
+
+def _scatter(entries: Sequence[Entry], numbers: Mapping[str, int]) -> Scatter | None:
+    points = [
+        (numbers[entry.row.key.model], entry.row.kind, seconds, score, f"{entry.row.key.model}: {board.number(score)}, {board.duration(seconds)}")
+        for entry in entries
+        if (seconds := board.seconds_per_frame(entry)) > 0 and math.isfinite(score := entry.best_known("msc_fg"))
+    ]
+    return scatter(points) if points else None
+
+
+def _histories(entries: Sequence[Entry], numbers: Mapping[str, int]) -> list[LineChart]:
+    """One chart for each quantity that some learning curve records, with a line for each seed."""
+    curves = [(numbers[e.row.key.model], row.learning_curve) for e in entries for row in e.rows if row.learning_curve]
+    names = dict.fromkeys(name for _, points in curves for point in points for name in point if name != "step")
+    return [history_chart(name, [_history(model, points, name) for model, points in curves]) for name in names]
+
+
+def _history(model: int, points: Sequence[Mapping[str, float]], name: str) -> tuple[int, list[float], list[float]]:
+    there = [(float(point.get("step", place)), float(point[name])) for place, point in enumerate(points) if name in point]
+    return model, [step for step, _ in there], [value for _, value in there]

@@ -1,0 +1,60 @@
+"""From the flags of `obpose-bench` to what is to be compared."""
+
+from benchmark import arguments
+from benchmark.adapters.predictions import PredictionFolder
+from benchmark.plan import Request
+from benchmark.registry import discover, expand, find_model
+from benchmark.tracks import DataFolder, Source, find_track
+from datagen.errors import UsageError
+
+
+def request_of(values: arguments.Run) -> Request:
+    """The comparison that the flags describe.
+
+    Raises:
+        UsageError: they contradict each other, or name what does not exist.
+    """
+    _check(values)
+    tracks = [find_track(name) for name in dict.fromkeys(values.track)]
+    sources: list[Source] = [DataFolder(values.data)] if values.data else [*tracks]
+    if values.predictions:
+        return _predictions_request(values, sources)
+    models = tuple(expand(values.model))
+    if values.deterministic and values.steps is None and any(find_model(name).kind == "learned" for name in models):
+        raise UsageError("--deterministic counts budgets in steps; say how many with --steps.")
+    return Request(
+        models=models,
+        sources=tuple(sources),
+        seeds=values.seeds,
+        fit_source=find_track(values.fit_track) if values.fit_track else None,
+        seconds=values.budget,
+        steps=values.steps,
+    )
+
+
+def _check(values: arguments.Run) -> None:
+    if bool(values.model) == bool(values.predictions) or bool(values.track) == (values.data is not None):
+        raise UsageError(
+            "Name what to score and where: --model NAME [NAME ...] or --predictions DIR, and --track NAME [NAME ...] "
+            "or --data DIR; --list shows models and tracks."
+        )
+    for flag, number in (("seeds", values.seeds), ("workers", values.workers), ("steps", values.steps or 1)):
+        if number < 1:
+            raise UsageError(f"--{flag} is {number}; expected 1 or more.")
+    for flag, number in (("time-limit", values.time_limit), ("budget", values.budget)):
+        if not number > 0:
+            raise UsageError(f"--{flag} is {number:g}; expected more than 0.")
+    if values.out.exists() and not values.out.is_dir():
+        raise UsageError(f"{values.out} is a file; give a folder with --out.")
+
+
+def _predictions_request(values: arguments.Run, sources: list[Source]) -> Request:
+    if len(sources) > 1:
+        raise UsageError("--predictions are of one track or dataset; name one.")
+    if missing := [folder for folder in values.predictions if not folder.is_dir()]:
+        raise UsageError(f"{missing[0]} is no folder; expected one with label maps.")
+    name = values.name or values.predictions[0].resolve().name
+    if name in discover()[0]:
+        raise UsageError(f"{name!r} is the name of a model; give the predictions another with --name.")
+    folders = tuple(PredictionFolder(folder, values.background_slot) for folder in values.predictions)
+    return Request(models=(name,), sources=tuple(sources), predictions=folders)

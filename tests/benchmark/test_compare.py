@@ -1,0 +1,98 @@
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chosen_scores import failed_row, run_row, save_run, scene_table
+from rich.console import Console
+
+from benchmark.compare import Comparison, compare, comparison_table
+from datagen.errors import UsageError
+
+N = 50
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Model `a` is 0.05 better than `b` on moving, and they are alike on static; `b` failed on noisy."""
+    rng = np.random.default_rng(0)
+    for track, gap in (("moving", 0.05), ("static", 0.0)):
+        hard = 0.6 + 0.1 * rng.standard_normal(N)
+        for model, score in (("a", hard + gap), ("b", hard)):
+            for seed in range(2):
+                noisy = score + 0.02 * rng.standard_normal(N)
+                table = scene_table({"ari_fg": noisy, "msc_fg": noisy, "ari_video": np.full(N, np.nan)})
+                save_run(tmp_path, run_row(model, track, seed, n_scenes=N), table)
+    save_run(tmp_path, run_row("a", "noisy", n_scenes=N), scene_table({"ari_fg": np.ones(N)}))
+    save_run(tmp_path, failed_row("b", "noisy"))
+    save_run(tmp_path, run_row("c", "textured", n_scenes=N), scene_table({"ari_fg": np.ones(N)}))
+    return tmp_path
+
+
+def by_place(found: list[Comparison]) -> dict[tuple[str, str], Comparison]:
+    return {(line.track, line.metric): line for line in found}
+
+
+def test_differences_are_paired_by_scene(folder: Path):
+    found = by_place(compare(folder, "a", "b"))
+    moving, static = found["moving", "msc_fg"], found["static", "msc_fg"]
+    assert moving.difference.mean == pytest.approx(0.05, abs=0.01)
+    assert moving.difference.low < 0.05 < moving.difference.high
+    assert moving.is_significant
+    assert moving.difference.resolvable == pytest.approx(2.8 * 0.02 / np.sqrt(N), rel=0.3)
+    assert moving.one - moving.two == pytest.approx(moving.difference.mean)
+    assert not static.is_significant
+    assert static.difference.low < 0 < static.difference.high
+
+
+def test_only_what_both_have_is_compared(folder: Path):
+    found = by_place(compare(folder, "a", "b"))
+    assert {track for track, _ in found} == {"moving", "static"}
+    assert ("moving", "ari_video") not in found
+    assert ("moving", "miou_bg") in found
+
+
+def test_several_tests_are_corrected_for(folder: Path):
+    found = compare(folder, "a", "b", metrics=("ari_fg", "msc_fg"))
+    assert all(line.p_corrected >= line.difference.p_value for line in found)
+    assert by_place(found)["moving", "ari_fg"].p_corrected == pytest.approx(4 / 10_001)
+
+
+def test_rows_fitted_elsewhere_are_compared_among_themselves(folder: Path):
+    for model in ("a", "b"):
+        row = run_row(model, "moving", n_scenes=N, fit_track="mixed", fit_spec="m")
+        save_run(folder, row, scene_table({"ari_fg": np.ones(N)}))
+    found = compare(folder, "a", "b", metrics=("ari_fg",))
+    assert [(line.track, line.fit_track) for line in found] == [
+        ("moving", "mixed"),
+        ("moving", "moving"),
+        ("static", "static"),
+    ]
+    assert found[0].difference.mean == 0
+
+
+def test_the_table_shows_every_line(folder: Path):
+    found = compare(folder, "a", "b", metrics=("msc_fg",))
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(comparison_table(found, "a", "b"))
+    text = console.export_text()
+    assert "A = a, B = b" in text
+    assert f"{found[0].difference.mean:+.3f}" in text
+    assert "resolvable" in text
+
+
+def test_a_model_that_is_not_there_is_named(folder: Path):
+    with pytest.raises(UsageError, match=r"no scores of 'd'; it has those of: a, b, c"):
+        compare(folder, "a", "d")
+
+
+def test_models_without_a_common_track(folder: Path):
+    with pytest.raises(
+        UsageError, match=r"a and c have no track in common .* run both on one of moving, noisy, static"
+    ):
+        compare(folder, "a", "c")
+
+
+def test_a_folder_without_runs(tmp_path: Path):
+    with pytest.raises(UsageError, match="holds no finished runs"):
+        compare(tmp_path, "a", "b")

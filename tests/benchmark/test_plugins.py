@@ -1,0 +1,128 @@
+"""Packages are written to disk as an installer leaves them, and found the way that installed ones are."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from sphere_clips import arbitrary
+
+from benchmark.model_spec import ModelSpec
+from benchmark.plugins import Problem
+from benchmark.registry import discover, expand, find_model
+from datagen.errors import UsageError
+
+SMALLEST = '''
+import numpy as np
+from benchmark.interface import Prediction
+
+class Nothing:
+    """Sees nothing.
+
+    And says so."""
+
+    def fit(self, train, val, *, seed, budget):
+        pass
+
+    def segment(self, clip):
+        return Prediction(np.zeros(clip.depth.shape, int), background_slot=0)
+'''
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Installs a package of one module."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def write(package: str, source: str, **entries: str) -> None:
+        monkeypatch.delitem(sys.modules, package, raising=False)
+        (tmp_path / f"{package}.py").write_text(source)
+        facts = tmp_path / f"{package}-1.0.dist-info"
+        facts.mkdir()
+        (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n")
+        lines = [f"{name.replace('_', '-')} = {value}" for name, value in entries.items()]
+        (facts / "entry_points.txt").write_text("[obpose.models]\n" + "\n".join(lines) + "\n")
+
+    return write
+
+
+def only_problem() -> Problem:
+    _, problems = discover()
+    assert len(problems) == 1
+    return problems[0]
+
+
+def test_a_class_with_fit_and_segment_is_a_model(install):
+    install("nothingnet", SMALLEST, nothing="nothingnet:Nothing")
+    spec = find_model("nothing")
+    assert (spec.version, spec.description, spec.kind, spec.grid) == (1, "Sees nothing.", "learned", ())
+    assert not spec.uses_labels
+    model = spec.build({"slots": 5, "steps": 10})
+    model.fit([], [], seed=0, budget=1.0)
+    assert not model.segment(arbitrary(0)).labels.any()
+    assert expand(["nothing", "one-cluster"]) == ["nothing", "one-cluster"]
+    assert "nothing" not in expand(["training-free"])
+
+
+def test_attributes_say_more(install):
+    said = """
+    version, description, kind, random, uses_labels = 3, "Sees much.", "classical", False, True
+    priors = ("slots", "plane")
+    options = ({"depth": 2}, {"depth": 3})
+
+    def __init__(self, slots, depth=1):
+        self.slots, self.depth = slots, depth
+"""
+    install("muchnet", SMALLEST + said, much="muchnet:Nothing")
+    spec = find_model("much")
+    expected = ModelSpec(
+        spec.build, 3, "Sees much.", "classical", ({"depth": 2}, {"depth": 3}), False, True, ("slots", "plane")
+    )
+    assert spec == expected
+    model = spec.build({"slots": 5, "steps": 10, **spec.grid[1]})
+    assert vars(model) == {"slots": 5, "depth": 3}
+
+
+@pytest.mark.parametrize(
+    ("addition", "entry", "reason"),
+    [
+        ("1 / 0", "Nothing", "does not import: ZeroDivisionError: division by zero"),
+        ("", "Missing", "does not import: AttributeError"),
+        ("class Half:\n    def fit(self): ...", "Half", "has no method 'segment'"),
+        ("Nothing.version = 'two'", "Nothing", "version is 'two'; expected int"),
+        ("Nothing.version = True", "Nothing", "version is True; expected int"),
+        ("Nothing.version = 0", "Nothing", "version is 0; the first is 1"),
+        ("Nothing.random = None", "Nothing", "random is None; expected bool"),
+        ("net = Nothing()", "net", "has no method 'fit'; a model is a class"),
+        ("Nothing.kind = 'magic'", "Nothing", "kind is 'magic'; expected one of floor"),
+        ("Nothing.priors = ('luck',)", "Nothing", "priors name 'luck'; expected some of slots"),
+        ("Nothing.options = ({'depth': 2},)", "Nothing", "does not take the options {'depth': 2}"),
+        ("Nothing.options = (2,)", "Nothing", "options hold 2; expected a dict"),
+        ("Nothing.options = 7", "Nothing", "options is 7; expected tuple, such as ()"),
+        ("class Greedy(Nothing):\n    def __init__(self, layers): ...", "Greedy", "does not take the options {}"),
+    ],
+)
+def test_a_broken_plugin_is_named_and_breaks_no_other(install, addition: str, entry: str, reason: str):
+    install("brokennet", f"{SMALLEST}\n{addition}\n", broken=f"brokennet:{entry}")
+    problem = only_problem()
+    assert problem.name == "broken"
+    assert "package brokennet" in problem.reason
+    assert reason in problem.reason
+    assert "plane-dbscan" in discover()[0]
+    with pytest.raises(UsageError, match="Model 'broken' cannot be used: package brokennet"):
+        find_model("broken")
+
+
+def test_our_names_are_not_to_be_taken(install):
+    install("bold", SMALLEST, plane_dbscan="bold:Nothing")
+    assert "'plane-dbscan' is one of obpose's own" in only_problem().reason
+    assert find_model("plane-dbscan").kind == "classical"
+
+
+def test_a_name_taken_twice_is_nobodys(install):
+    install("one", SMALLEST, net="one:Nothing")
+    install("two", SMALLEST, net="two:Nothing")
+    models, problems = discover()
+    assert "net" not in models
+    assert [problem.name for problem in problems] == ["net", "net"]
+    with pytest.raises(UsageError, match="2 entry points have the name 'net'"):
+        find_model("net")

@@ -1,0 +1,139 @@
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.metrics import METRICS, clip_scores
+from benchmark.results import (
+    COUNTS,
+    Measured,
+    RunKey,
+    RunRow,
+    check_runs,
+    delete_rows,
+    load_runs,
+    load_scenes,
+    metric_names,
+    pooled,
+    row_path,
+    save_row,
+    save_scenes,
+    scene_line,
+)
+from datagen.errors import CorruptFile, UsageError
+
+KEY = RunKey("moving", "moving", "model", 1, 2, "c" * 64, "f" * 64, "d" * 64)
+ROW = RunRow(
+    key=KEY,
+    status="ok",
+    reason="",
+    config={"reach": 0.02},
+    tuned=True,
+    uses_labels=False,
+    kind="learned",
+    priors=("slots",),
+    random=True,
+    n_scenes=2,
+    parameters=3,
+    device="cpu",
+    commit="abc",
+    measured=Measured(0.1, 2.0, 300.0),
+    learning_curve=[{"step": 1.0, "loss": 0.3}],
+)
+
+
+def lines(scenes: int = 2, frames: int = 3) -> list[dict[str, float | int]]:
+    rng = np.random.default_rng(0)
+    maps = rng.integers(0, 3, (scenes, 2, frames, 1, 6, 5))
+    return [scene_line(index, clip_scores(*pair)) for index, pair in enumerate(maps)]
+
+
+def test_a_row_is_read_as_it_was_written(tmp_path: Path):
+    save_row(tmp_path, ROW)
+    assert load_runs(tmp_path) == [ROW]
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [f"{KEY.name}.json"]
+
+
+def test_rows_come_in_the_order_of_their_keys(tmp_path: Path):
+    rows = [dataclasses.replace(ROW, key=dataclasses.replace(KEY, seed=seed)) for seed in (10, 2, 0)]
+    for row in rows:
+        save_row(tmp_path, row)
+    assert [row.key.seed for row in load_runs(tmp_path)] == [0, 2, 10]
+
+
+@pytest.mark.parametrize("change", [{"seed": 2}, {"version": 3}, {"config_hash": "e"}, {"track_spec": "e"}])
+def test_every_part_of_the_key_is_in_the_name(change: dict[str, object]):
+    assert dataclasses.replace(KEY, **change).name != KEY.name
+
+
+def test_no_rows_where_there_is_no_folder(tmp_path: Path):
+    assert load_runs(tmp_path / "nowhere") == []
+    with pytest.raises(UsageError, match="no finished runs"):
+        check_runs(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", "{", json.dumps({"key": {"track": 1}})])
+def test_a_damaged_row_is_named(tmp_path: Path, text: str):
+    save_row(tmp_path, ROW)
+    row_path(tmp_path, KEY).write_text(text)
+    with pytest.raises(CorruptFile, match="delete it and run the same command"):
+        load_runs(tmp_path)
+
+
+def test_scenes_are_read_exactly_as_they_were_written(tmp_path: Path):
+    written = lines()
+    save_scenes(tmp_path, KEY.name, written)
+    table = load_scenes(tmp_path, ROW)
+    assert set(COUNTS) < set(table)
+    for name, values in table.items():
+        np.testing.assert_array_equal(values, [line[name] for line in written])
+
+
+def test_a_table_with_scenes_missing_is_refused(tmp_path: Path):
+    save_scenes(tmp_path, KEY.name, lines(scenes=1))
+    with pytest.raises(CorruptFile, match="1 scenes where the row has 2"):
+        load_scenes(tmp_path, ROW)
+    (tmp_path / "scenes" / f"{KEY.name}.csv").unlink()
+    with pytest.raises(CorruptFile, match="rescore"):
+        load_scenes(tmp_path, ROW)
+
+
+def test_a_line_counts_the_values_behind_every_mean():
+    truth = np.zeros((3, 1, 4, 4), np.int64)
+    truth[0, 0, 0, :2] = [1, 2]
+    truth[1, 0, 0, 0] = 1
+    line = scene_line(5, clip_scores(truth, truth))
+    assert line["scene"] == 5
+    assert line["n_frames"] == 3
+    assert (line["ari_n"], line["msc_fg_n"], line["ari_fg_video_n"]) == (3, 2, 1)
+    assert (line["one_object"], line["undefined"], line["objects"]) == (1, 1, 1.0)
+    assert line["msc_fg"] == 1.0
+
+
+def test_an_image_has_no_video_scores_and_is_not_undefined_for_that():
+    truth = np.array([[[[0, 1, 2]]]])
+    line = scene_line(0, clip_scores(truth, truth))
+    assert math.isnan(line["ari_video"])
+    assert line["ari_video_n"] == line["undefined"] == 0
+
+
+def test_means_pool_frames_and_skip_scenes_without_values():
+    table = {"x": np.array([1.0, 0.0, np.nan]), "x_n": np.array([1.0, 3.0, 0.0])}
+    assert pooled(table, "x") == 0.25
+    assert math.isnan(pooled({"x": np.array([np.nan]), "x_n": np.zeros(1)}, "x"))
+
+
+def test_metrics_are_told_from_counts():
+    names = metric_names(lines(1)[0])
+    assert names[: len(METRICS)] == list(METRICS)
+    assert not {"scene", "n_frames", *COUNTS} & set(names)
+
+
+def test_deleted_rows_leave_nothing(tmp_path: Path):
+    save_row(tmp_path, ROW)
+    save_scenes(tmp_path, KEY.name, lines())
+    delete_rows(tmp_path, [ROW])
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []

@@ -1,0 +1,175 @@
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from chosen_scores import failed_row, run_row, save_run, scene_table
+
+from benchmark.results import RunRow, SceneTable
+from benchmark.standings import Entry, best_first, compare_entries, fields, load_standings, standings
+
+N = 40
+NOISE = np.random.default_rng(0).normal(0, 0.05, N)
+
+
+def scored(
+    model: str, score: float, seed: int = 0, noise: np.ndarray = NOISE, **changes: Any
+) -> tuple[RunRow, SceneTable]:
+    """A run whose ARI-FG and MSC-FG scatter about one score in the same way for every model."""
+    values = score + noise
+    return run_row(model, seed=seed, n_scenes=N, **changes), scene_table({"ari_fg": values, "msc_fg": values})
+
+
+def entries_of(*pairs: tuple[RunRow, SceneTable | None]) -> dict[str, Entry]:
+    rows, tables = zip(*pairs, strict=True)
+    return {entry.place[2]: entry for entry in standings(rows, tables)}
+
+
+def test_seeds_come_together():
+    entry = entries_of(*(scored("m", 0.5 + 0.1 * seed, seed) for seed in (2, 0, 1)))["m"]
+    assert [row.key.seed for row in entry.rows] == [0, 1, 2]
+    assert entry.seed_means("msc_fg") == pytest.approx(np.array([0.5, 0.6, 0.7]) + NOISE.mean())
+    summary = entry.summary("msc_fg")
+    assert summary.mean == pytest.approx(0.6 + NOISE.mean())
+    assert summary.std == pytest.approx(0.1 * np.sqrt(2 / 3))
+    assert summary.sample_std == pytest.approx(0.1)
+    assert summary.low < 0.55 < 0.65 < summary.high
+
+
+def test_a_method_without_randomness_has_no_spread():
+    """Its row is repeated for each seed, and only scenes are resampled."""
+    once = entries_of(scored("m", 0.5, random=False))["m"].summary("msc_fg")
+    thrice = entries_of(*(scored("m", 0.5, seed, random=False) for seed in range(3)))["m"].summary("msc_fg")
+    assert (thrice.mean, thrice.std, thrice.sample_std) == (once.mean, 0, 0)
+    assert (thrice.low, thrice.high) == (once.low, once.high)
+
+
+def test_models_are_ranked_by_both_metrics():
+    """A model that is best in one metric and worst in the other loses to one that is second in both."""
+    pairs = []
+    for name, ari_fg, msc_fg in (("leaky", 0.99, 0.3), ("good", 0.9, 0.9), ("fair", 0.8, 0.8)):
+        table = scene_table({"ari_fg": np.full(N, ari_fg), "msc_fg": np.full(N, msc_fg)})
+        pairs.append((run_row(name, n_scenes=N), table))
+    entries = entries_of(*pairs)
+    assert [(entries[name].rank, entries[name].mean_rank) for name in ("good", "leaky", "fair")] == [
+        (1, 1.5),
+        (2, 2.0),
+        (3, 2.5),
+    ]
+
+
+def test_floors_oracles_and_label_users_are_never_ranked():
+    kinds: Mapping[str, dict[str, Any]] = {
+        "floor": {"kind": "floor"},
+        "oracle": {"kind": "oracle", "uses_labels": True},
+        "supervised": {"uses_labels": True},
+        "given": {"kind": "predictions"},
+        "classical": {"kind": "classical", "tuned": True},
+    }
+    entries = entries_of(*(scored(name, 0.5, **changes) for name, changes in kinds.items()))
+    assert {name for name, entry in entries.items() if entry.rank} == {"given", "classical"}
+    assert {name: entry.marks for name, entry in entries.items()} == {
+        "floor": "",
+        "oracle": "†",
+        "supervised": "†",
+        "given": "",
+        "classical": "‡",
+    }
+
+
+def test_ties_are_found_by_pairing():
+    """Scores scatter by 0.05 over scenes; 0.01 of constant advantage is certain, 0.01 within the scatter is not."""
+    scatter = np.random.default_rng(1).normal(0, 0.1, N)
+    entries = entries_of(
+        scored("best", 0.90), scored("second", 0.89), scored("loose", 0.895, noise=NOISE + scatter - scatter.mean())
+    )
+    groups = {name: set(entry.groups[1]) for name, entry in entries.items()}
+    assert not groups["best"] & groups["second"]
+    assert groups["loose"] & groups["best"]
+    assert groups["loose"] & groups["second"]
+    assert "a" in groups["best"]
+
+
+def test_failed_seeds_are_named_and_can_be_left_out():
+    fine, floor = scored("m", 0.8, 0), scored("floor", 0.2, kind="floor")
+    swapped, table = scored("m", 0.8, 1)
+    collapsed = scored("m", 0.24, 2)
+    exploded = scored("m", 0.8, 3, learning_curve=[{"step": 1.0, "loss": float("nan")}])
+    pairs = (
+        fine,
+        (swapped, table | {"miou_bg": np.full(N, 0.1)}),
+        collapsed,
+        exploded,
+        (failed_row("m", seed=4), None),
+    )
+    entry = entries_of(*pairs, floor)["m"]
+    assert entry.causes == ("", "swap", "collapse", "nan", "out of memory")
+    assert entry.n_failed == 4
+    assert entry.summary("msc_fg").mean == pytest.approx((3 * 0.8 + 0.24) / 4 + NOISE.mean())
+    assert entry.summary("msc_fg", without_failed=True).mean == pytest.approx(0.8 + NOISE.mean())
+
+
+def test_the_rule_is_the_same_for_all_kinds_but_floors():
+    kinds = {"classical": "classical", "learned": "learned", "oracle": "oracle", "given": "predictions"}
+    floors = [scored(name, score, kind="floor") for name, score in (("low", 0.05), ("high", 0.2))]
+    entries = entries_of(*(scored(name, 0.22, kind=kind) for name, kind in kinds.items()), *floors)
+    assert {entries[name].causes for name in kinds} == {("collapse",)}
+    assert {entries[name].causes for name in ("low", "high")} == {("",)}
+
+
+def test_the_bar_is_that_of_the_same_dataset():
+    floor = scored("floor", 0.5, kind="floor", track_spec="other")
+    assert entries_of(scored("m", 0.3), floor)["m"].causes == ("",)
+
+
+def test_a_model_that_only_failed_has_no_scores():
+    entry = entries_of((failed_row("m"), None), scored("other", 0.5))["m"]
+    assert np.isnan(entry.summary("msc_fg").mean)
+    assert entry.rank is None
+    assert (entry.n_scenes, entry.n_skipped, entry.n_failed) == (0, 0, 1)
+
+
+def test_models_fitted_elsewhere_have_a_field_of_their_own():
+    pairs = [
+        scored("a", 0.5),
+        scored("b", 0.6),
+        scored("a", 0.7, fit_track="mixed", fit_spec="mm"),
+        scored("c", 0.7, track_spec="other data"),
+    ]
+    rows, tables = zip(*pairs, strict=True)
+    found = [[(entry.place, entry.rank) for entry in field] for field in fields(standings(rows, tables))]
+    assert found == [
+        [(("moving", "moving", "a"), 2), (("moving", "moving", "b"), 1)],
+        [(("moving", "mixed", "a"), 1)],
+        [(("moving", "moving", "c"), 1)],
+    ]
+
+
+def test_scenes_without_objects_are_counted_as_skipped():
+    scores = [0.5, np.nan, 0.7]
+    entry = entries_of((run_row("m"), scene_table({"ari_fg": scores, "msc_fg": scores})))["m"]
+    assert entry.n_skipped == 1
+    assert entry.summary("msc_fg").mean == pytest.approx(0.6)
+    assert entry.summary("ari").mean == pytest.approx(0.9)
+
+
+def test_entries_can_be_compared():
+    entries = entries_of(scored("a", 0.6), scored("b", 0.5))
+    found = compare_entries(entries["a"], entries["b"], "msc_fg")
+    assert found.mean == pytest.approx(0.1)
+    assert (found.win_rate, found.n_scenes) == (1.0, N)
+
+
+def test_the_order_of_rows_does_not_matter(tmp_path: Path):
+    pairs = [scored(model, score, seed) for model, score in (("a", 0.5), ("b", 0.7)) for seed in range(2)]
+    for name, order in (("one", pairs), ("two", pairs[::-1])):
+        for row, table in order:
+            save_run(tmp_path / name, row, table)
+    one, two = (load_standings(tmp_path / name) for name in ("one", "two"))
+    assert names(best_first(one)) == names(best_first(two[::-1])) == ["b", "a"]
+    assert [entry.summary("ari_fg") for entry in one] == [entry.summary("ari_fg") for entry in two]
+
+
+def names(entries: Sequence[Entry]) -> list[str]:
+    return [entry.place[2] for entry in entries]
