@@ -1,9 +1,11 @@
 """What each command of `obpose-bench` does, and what it prints."""
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from benchmark import arguments, outputs
@@ -37,8 +39,8 @@ def run(values: arguments.Run) -> int:
     plan = make_plan(request, rows, values.out)
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
-    _prepare(plan, values)
     _check_predictions(request)
+    _prepare(plan, values)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
     outputs.write(values.out, [source.folder for source in request.sources])
@@ -90,11 +92,24 @@ def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[Ru
 
 
 def _prepare(plan: Plan, values: arguments.Run) -> None:
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    console = _status()
     for source, splits in plan.splits.items():
         if missing := source.missing(splits):
             console.print(f"Making track {source.name}: {missing} scenes into {source.folder}")
-        source.prepare(splits, workers=values.workers, show=console.is_terminal)
+        source.prepare(splits, workers=values.workers, progress=lambda total: _bar(console, "scenes", total))
+
+
+def _status() -> Console:
+    return Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def _bar(console: Console, what: str, total: int) -> Iterator[Callable[[], None]]:
+    """A progress bar, where the console is a terminal; gives what is to be called at each step."""
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=total)
+        yield lambda: bar.advance(task)
 
 
 def _check_predictions(request: Request) -> None:
@@ -109,15 +124,13 @@ def _run_jobs(plan: Plan, values: arguments.Run) -> None:
         memory_mib=values.memory_limit or MEMORY_SHARE * machine_mib() / values.workers,
         threads=1 if values.deterministic else max(1, cores() // values.workers),
     )
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
-    columns = (TextColumn("rows"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     total = sum(len(job.targets) for job in plan.jobs)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=total)
+    console = _status()
+    with _bar(console, "rows", total) as advance:
 
         def hear(row: RunRow) -> None:
-            bar.advance(task)
             console.print(_line(row), markup=False)
+            advance()
 
         run_jobs(plan, limits, values.workers, hear)
 

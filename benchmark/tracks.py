@@ -5,7 +5,8 @@ path = find_track("moving").prepare(("val", "test"))    # makes what is missing 
 
 import difflib
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +23,15 @@ SIZES = {"train": 2000, "val": 100, "test": 300}
 SEED = 0
 SQUARE, WIDE = (64, 64), (80, 60)
 """Width and height of the images, in the profile `cpu`; wide for recipes that are wide themselves."""
+
+
+Progress = Callable[[int], AbstractContextManager[Callable[[], None]]]
+"""Starts showing the progress of so many scenes; gives what is to be called after each."""
+
+
+def no_progress(total: int) -> AbstractContextManager[Callable[[], None]]:
+    """Show nothing."""
+    return nullcontext(lambda: None)
 
 
 @dataclass(frozen=True)
@@ -70,7 +80,7 @@ class Track:
         dataset = Dataset(self.folder)
         return sum(len(dataset.split(name).missing()) for name in splits)
 
-    def prepare(self, splits: Iterable[str], *, workers: int = 1, show: bool = False) -> Path:
+    def prepare(self, splits: Iterable[str], *, workers: int = 1, progress: Progress = no_progress) -> Path:
         """Make the scenes of these splits that are missing, and give the folder.
 
         Raises:
@@ -79,9 +89,8 @@ class Track:
         names = tuple(splits)
         if self.missing(names):
             from datagen.generate import Run, generate
-            from datagen.progress import no_progress, progress_bar
 
-            run = Run(workers=workers, splits=names, progress=progress_bar if show else no_progress)
+            run = Run(workers=workers, splits=names, progress=progress)
             generate(self.folder, load_recipe(self.name), run=run, **self._sizes())
         return self.folder
 
@@ -125,7 +134,7 @@ class DataFolder:
         dataset = Dataset(self.folder)
         return sum(len(dataset.split(name).missing()) for name in splits)
 
-    def prepare(self, splits: Iterable[str], *, workers: int = 1, show: bool = False) -> Path:
+    def prepare(self, splits: Iterable[str], *, workers: int = 1, progress: Progress = no_progress) -> Path:
         """Give the folder.
 
         Raises:

@@ -164,7 +164,7 @@ def unit_y(value: float, height: int = HEIGHT) -> float:
 
 def unit_ticks(height: int = HEIGHT) -> tuple[Tick, ...]:
     """Marks of scores from 0 to 1."""
-    return tuple(Tick(unit_y(value, height), text) for value, text in ((0, "0"), (0.5, "0.5"), (1, "1")))
+    return tuple(Tick(unit_y(value, height), text) for value, text in ((0.0, "0"), (0.5, "0.5"), (1.0, "1")))
 
 
 def _curve(model: int, xs: Values, ys: Values, values: Values, words: Sequence[str]) -> Curve:

@@ -108,7 +108,7 @@ def comparisons(field: Field, numbers: Mapping[str, int]) -> dict[str, list[floa
         for a, b in combinations(scored, 2)
     }
     return {
-        pair: [round(v, 4) for v in (d.mean, d.low, d.high, d.win_rate, d.resolvable)] + [d.n_scenes]
+        pair: [round(v, 4) for v in (d.mean, d.low, d.high, d.win_rate, d.resolvable, float(d.n_scenes))]
         for pair, d in found.items()
         if d.n_scenes > 1
     }

@@ -55,7 +55,7 @@ def thin(image: np.ndarray) -> np.ndarray:
     return image[step // 2 :: step, step // 2 :: step]
 
 
-def _row(images: Sequence[Rgb]) -> UInt8[np.ndarray, "height width 4"]:
+def _row(images: Sequence[Rgb]) -> UInt8[np.ndarray, "height row 4"]:
     opaque = [np.dstack([image, np.full(image.shape[:2], 255, np.uint8)]) for image in images]
     gap = np.zeros((opaque[0].shape[0], GAP, 4), np.uint8)
     return np.concatenate([part for image in opaque for part in (gap, image)][1:], axis=1)

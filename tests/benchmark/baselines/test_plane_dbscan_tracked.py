@@ -52,6 +52,11 @@ def test_what_jumps_is_a_new_object():
     assert names({1: 0.0}, {1: 0.99 * LARGEST_MOVE}) == [[1], [1]]
 
 
+def test_what_jumps_takes_no_label_from_what_stays():
+    # The sum of all distances would be least if the first took the label of what is gone.
+    assert names({1: 0.0, 2: 0.1}, {1: 0.08, 2: 5.0}) == [[1, 2], [2, 3]]
+
+
 def test_what_hides_comes_back_under_its_label():
     assert names({1: 0.0, 2: 0.5}, {1: 0.5}, {}, {1: 0.02, 2: 0.5}) == [[1, 2], [2], [], [1, 2]]
 

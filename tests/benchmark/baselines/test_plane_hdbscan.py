@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 from sphere_clips import balls
 
@@ -23,3 +25,10 @@ def test_lone_points_join_the_nearest_cluster_within_the_distance():
     np.testing.assert_array_equal(adopt_lone(points, labels, 5.0), [1, 2, 1, 2, 1])
     np.testing.assert_array_equal(adopt_lone(points, np.zeros(5, int), 5.0), np.zeros(5))
     np.testing.assert_array_equal(adopt_lone(points, np.ones(5, int), 5.0), np.ones(5))
+
+
+def test_a_speck_far_from_all_objects_is_background():
+    clip, truth = balls(ONE_BALL)
+    depth = clip.depth.copy()
+    depth[..., 5, 5] -= 0.05
+    assert np.array_equal(PlaneHdbscan().segment(dataclasses.replace(clip, depth=depth)).labels, truth)

@@ -1,0 +1,48 @@
+"""Coordinates stay inside the drawing, in the order of the values."""
+
+import math
+
+import pytest
+
+from benchmark.report.charts import BOTTOM, HEIGHT, LEFT, TOP, WIDTH, class_chart, history_chart, scatter, unit_y
+
+
+@pytest.mark.parametrize(("value", "place"), [(0.0, HEIGHT - BOTTOM), (1.0, TOP), (-0.3, HEIGHT - BOTTOM), (1.2, TOP)])
+def test_scores_stand_between_bottom_and_top(value: float, place: float) -> None:
+    assert unit_y(value) == place
+
+
+def test_an_undefined_class_breaks_the_curve() -> None:
+    chart = class_chart("t", "a", ["x", "y", "z"], [1, 0, 3], {7: [0.2, math.nan, 0.4]})
+    (curve,) = chart.curves
+    assert curve.model == 7
+    assert curve.path.count("M") == 2
+    assert len(curve.points) == 2
+    assert [bar.height for bar in chart.bars] == pytest.approx([40 / 3, 0, 40], abs=0.1)
+
+
+def test_learning_curves_fit_their_axes() -> None:
+    chart = history_chart("loss", [(0, [0.0, 10.0], [4.0, 2.0]), (1, [0.0, 20.0], [3.0, math.nan])])
+    points = [(x, y) for curve in chart.curves for x, y, _ in curve.points]
+    assert min(x for x, _ in points) == LEFT
+    assert max(x for x, _ in points) <= WIDTH
+    assert [tick.text for tick in chart.x_ticks] == ["0", "10", "20"]
+    assert {y for _, y in points} >= {TOP, HEIGHT - BOTTOM}
+
+
+def test_a_flat_learning_curve_can_be_drawn() -> None:
+    assert history_chart("loss", [(0, [5.0], [1.0])]).curves[0].points
+
+
+def test_costs_are_on_a_logarithmic_axis() -> None:
+    chart = scatter([(i, "classical", 10.0**-i, 0.5, f"m{i}: words") for i in range(4)])
+    gaps = [a.x - b.x for a, b in zip(chart.dots, chart.dots[1:], strict=False)]
+    assert gaps == pytest.approx([gaps[0]] * 3, abs=0.2)
+    assert [tick.text for tick in chart.x_ticks] == ["1 ms", "10 ms", "0.1 s", "1 s"]
+
+
+def test_names_that_would_cover_one_another_are_held_back() -> None:
+    crowd = [(i, "classical", 0.01, 0.5 + 0.001 * i, f"a-rather-long-name-{i}: words") for i in range(8)]
+    rooms = [dot.has_room for dot in scatter(crowd).dots]
+    assert rooms[0]
+    assert not all(rooms)

@@ -1,0 +1,216 @@
+"""The report as a file: whole, self-contained, true to the leaderboard, and honest about what is missing."""
+
+import csv
+import dataclasses
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from fabricated_runs import MODELS, TRACKS, write_runs
+
+from benchmark import leaderboard, report
+from benchmark.report import page as page_module
+from benchmark.results import load_runs, save_row
+from datagen.errors import UsageError
+
+HOSTILE = "<script>alert(1)<&script>'\""
+VOID = {"meta", "link", "img", "br", "input"}
+EXPECTED_SIZE = 15_000_000
+
+
+class Page(HTMLParser):
+    """Reads a page, and complains about tags that do not match."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.rows: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self._open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag == "tr":
+            self.rows.append("")
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self._open and self._open[-1] in ("script", "style"):
+            return
+        self.text.append(data)
+        if "tr" in self._open:
+            self.rows[-1] += f"{data} "
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    models = {**MODELS, HOSTILE: dataclasses.replace(MODELS["merger"], kind="predictions")}
+    data = write_runs(folder, models=models, crash="splitter")
+    leaderboard.write(folder / "run")
+    report.write(folder / "run", data)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def text(folder: Path) -> str:
+    return (folder / "run/report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Page:
+    return Page(text)
+
+
+def test_the_page_is_whole_and_small(text: str, page: Page) -> None:
+    assert text.startswith("<!doctype html>")
+    assert len(text.encode()) < EXPECTED_SIZE
+    assert {"html", "head", "body", "main", "h1", "h2", "svg", "table", "select"} <= {tag for tag, _ in page.tags}
+
+
+def test_the_page_refers_to_nothing_outside(text: str, page: Page) -> None:
+    assert "://" not in text
+    assert not re.search(r"@import|url\(|fetch\(|XMLHttpRequest|WebSocket", text)
+    for _, attributes in page.tags:
+        for name in ("src", "href", "action", "data", "poster", "srcset"):
+            assert (attributes.get(name) or "#").startswith(("#", "data:"))
+
+
+def test_every_model_and_track_is_there(page: Page) -> None:
+    words = " ".join(page.text)
+    assert all(name in words for name in (*MODELS, *TRACKS))
+    options = {attributes.get("value") for attributes in page.all("option")}
+    assert set(TRACKS) <= options
+
+
+def test_names_of_models_cannot_become_code(text: str, page: Page) -> None:
+    assert len(page.all("script")) == 3
+    assert "<script>alert" not in text
+    assert HOSTILE in " ".join(page.text)
+
+
+def test_numbers_are_those_of_the_leaderboard(folder: Path, page: Page) -> None:
+    with (folder / "run/leaderboard.csv").open(encoding="utf-8", newline="") as file:
+        lines = [line for line in csv.DictReader(file) if line["model"] in MODELS]
+    assert len(lines) == len(MODELS) * len(TRACKS)
+    for line in lines:
+        rows = [row for row in page.rows if row.split()[:1] == [line["model"]] or row.split()[1:2] == [line["model"]]]
+        for metric in ("msc_fg", "ari_fg"):
+            if line[f"{metric}_mean"] in ("", "nan"):
+                continue
+            values = [float(line[f"{metric}_{part}"]) for part in ("mean", "ci_low", "ci_high")]
+            mean, low, high = (f"{value:.3f}".replace("-", "−") for value in values)
+            assert any(mean in row and f"[{low}, {high}]" in row for row in rows), (line["model"], metric)
+
+
+def test_failures_are_shown_with_their_reason(page: Page) -> None:
+    words = " ".join(page.text)
+    assert "splitter, seed 0" in words
+    assert words.count("out of memory") >= 2 * len(TRACKS)
+
+
+def test_the_papers_figures_stand_apart(page: Page) -> None:
+    words = " ".join(page.text)
+    assert "In the paper: other data, not comparable" in words
+    assert "ObPose loc. & rot." in words
+
+
+def test_everything_can_be_reached_by_keyboard(page: Page) -> None:
+    assert all(attributes.get("tabindex") in (None, "0") for _, attributes in page.tags)
+    assert not [name for _, attributes in page.tags for name in attributes if name in ("onclick", "onmouseover")]
+    regions = [attributes for _, attributes in page.tags if attributes.get("class") == "scroll"]
+    assert regions
+    assert all(region.get("tabindex") == "0" and region.get("aria-label") for region in regions)
+    assert {attributes.get("id") for attributes in page.all("select")} == {"track", "fit", "a", "b"}
+    assert all("alt" in attributes for attributes in page.all("img"))
+
+
+def test_links_within_the_page_lead_somewhere(page: Page) -> None:
+    places = {attributes.get(name) for _, attributes in page.tags for name in ("id", "data-id")}
+    assert {(attributes["href"] or "")[1:] for attributes in page.all("a")} <= places
+
+
+def test_the_same_folder_gives_the_same_bytes(folder: Path, text: str) -> None:
+    report.write(folder / "run", {track: folder / track for track in TRACKS})
+    assert (folder / "run/report.html").read_text(encoding="utf-8") == text
+
+
+@pytest.mark.slow
+def test_another_process_gives_the_same_bytes(folder: Path, text: str) -> None:
+    code = "import sys; from pathlib import Path; from benchmark import report; f = Path(sys.argv[1]); "
+    code += "report.write(f / 'run', lambda track: f / track)"
+    root = Path(report.__file__).parents[2]
+    environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)}
+    subprocess.run([sys.executable, "-c", code, str(folder)], check=True, env=environment, cwd=root)
+    assert (folder / "run/report.html").read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize("lost", ["labels", "data", "other data"])
+def test_what_is_missing_is_said(folder: Path, tmp_path: Path, lost: str) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(folder / "run", run, ignore=shutil.ignore_patterns("labels" if lost == "labels" else "none"))
+    other = {"moving": folder / "static", "static": folder / "moving"}
+    data = {"labels": {track: folder / track for track in TRACKS}, "data": {}, "other data": other}[lost]
+    report.write(run, data)
+    text = (run / "report.html").read_text(encoding="utf-8")
+    reason = {
+        "labels": "The run folder holds no label maps of this track.",
+        "data": "The dataset is not on this machine.",
+        "other data": "The dataset at hand is another one than the runs were scored on.",
+    }[lost]
+    assert text.count(reason) == 4 * len(TRACKS)
+    assert json.loads(script(text, "pictures")) == []
+    Page(text)
+
+
+def test_models_fitted_elsewhere_stand_in_a_table_of_their_own(tmp_path: Path) -> None:
+    data = write_runs(tmp_path, scenes=2, seeds=1, models={"merger": MODELS["merger"]})
+    for row in load_runs(tmp_path / "run"):
+        if row.key.track == "static":
+            moved = dataclasses.replace(row, key=dataclasses.replace(row.key, fit_track="moving"))
+            shutil.copy(tmp_path / f"run/scenes/{row.key.name}.csv", tmp_path / f"run/scenes/{moved.key.name}.csv")
+            save_row(tmp_path / "run", moved)
+    report.write(tmp_path / "run", data)
+    page = Page((tmp_path / "run/report.html").read_text(encoding="utf-8"))
+    fields = [(article.get("data-track"), article.get("data-fit")) for article in page.all("article")]
+    assert sorted(fields) == [("moving", "the track itself"), ("static", "moving"), ("static", "the track itself")]
+
+
+def test_a_page_that_grows_too_large_has_fewer_pictures(
+    folder: Path, tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(folder / "run", tmp_path / "run")
+    monkeypatch.setattr(page_module, "LARGEST", 1)
+    report.write(tmp_path / "run", {track: folder / track for track in TRACKS})
+    frugal = (tmp_path / "run/report.html").read_text(encoding="utf-8")
+    count = len(json.loads(script(frugal, "pictures")))
+    assert 0 < count < len(json.loads(script(text, "pictures")))
+
+
+def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="holds no finished runs"):
+        report.write(tmp_path, {})
+
+
+def script(text: str, name: str) -> str:
+    start = text.index(">", text.index(f'id="{name}"')) + 1
+    return text[start : text.index("</script>", start)]
