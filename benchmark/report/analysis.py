@@ -53,14 +53,18 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
     """Look at every label map of every model; `seeds` are a model's finished runs.
 
     Raises:
-        UsageError: no run has label maps.
+        UsageError: no run has label maps, or there is nothing to see.
     """
     with_maps = {model: [row for row in rows if labels_path(folder, row).exists()] for model, rows in seeds.items()}
     kept = {model: rows if rows[0].random else rows[:1] for model, rows in with_maps.items() if rows}
     if not kept:
         raise UsageError("The run folder holds no label maps of this track.")
+    if not len(objects.scene):
+        raise UsageError("No scene shows an object.")
     truths = [read_truth(scenes, index) for index in range(len(scenes))]
-    found = {model: [outcome(truths, read_labels(labels_path(folder, r))) for r in rows] for model, rows in kept.items()}
+    found = {
+        model: [outcome(truths, read_labels(labels_path(folder, r))) for r in rows] for model, rows in kept.items()
+    }
     first = {model: rows[0] for model, rows in kept.items()}
     return Analysis(
         scenes,

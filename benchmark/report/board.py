@@ -172,9 +172,7 @@ def _failure(entry: Entry) -> str:
     return ", ".join(f"{count} failed ({cause})" for cause, count in counts.items())
 
 
-def _details(
-    entry: Entry, numbers: Mapping[str, int], shown: Sequence[str], *, without_failed: bool
-) -> dict[str, Any]:
+def _details(entry: Entry, numbers: Mapping[str, int], shown: Sequence[str], *, without_failed: bool) -> dict[str, Any]:
     summaries = [entry.summary(name, without_failed=without_failed) for name in shown]
     extra = "without failed seeds" if without_failed else ""
     return {"model": numbers[entry.row.key.model], "extra": extra, "cells": [_with_spread(s) for s in summaries]}

@@ -8,6 +8,9 @@ WIDTH, HEIGHT = 320, 208
 LEFT, RIGHT, TOP, BOTTOM = 34, 12, 12, 40
 """Margins of the plotting area, in the units of the drawing."""
 
+TALLEST_BAR = 40
+"""Height of the bar of the class with most observations."""
+
 Values = Sequence[float]
 
 
@@ -84,7 +87,10 @@ def class_chart(
     step = (WIDTH - LEFT - RIGHT) / len(names)
     xs = [LEFT + step * (place + 0.5) for place in range(len(names))]
     most = max(max(counts, default=1), 1)
-    bars = [Bar(round(x - 0.35 * step, 1), round(0.7 * step, 1), round(40 * n / most, 1)) for x, n in zip(xs, counts)]
+    bars = [
+        Bar(round(x - 0.35 * step, 1), round(0.7 * step, 1), round(TALLEST_BAR * count / most, 1))
+        for x, count in zip(xs, counts, strict=True)
+    ]
     words = [f"{name}, {count} observations" for name, count in zip(names, counts, strict=True)]
     curves = [_curve(model, xs, [unit_y(v) for v in line], line, words) for model, line in values.items()]
     every = math.ceil(len(names) / 7)
@@ -129,7 +135,7 @@ def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int 
 def _labels(
     centers: Sequence[tuple[float, float]], names: Sequence[str], width: int
 ) -> list[tuple[float, float, str, bool]]:
-    """Where names stand, x, y and anchor, and whether there is room: beside, over or under a dot, the first that fits."""
+    """Where names stand (x, y, anchor) and whether there is room: beside, over or under a dot, whatever fits first."""
     taken = [(x - 7, y - 7, x + 7, y + 7) for x, y in centers]
     labels = []
     for (x, y), name in zip(centers, names, strict=True):

@@ -27,6 +27,7 @@ class Field:
     """One track and one way of fitting."""
 
     track: str
+    """Its name, and which dataset it is if there are several of that name."""
     fit: str
     """The track fitted on, or `OWN`."""
     entries: tuple[Entry, ...]
@@ -59,7 +60,7 @@ class Truths:
         return self._known[folder, spec_hash]
 
 
-def make_field(folder: Path, entries: Sequence[Entry], numbers: Mapping[str, int], truths: Truths) -> Field:
+def make_field(folder: Path, entries: Sequence[Entry], numbers: Mapping[str, int], truths: Truths, title: str) -> Field:
     """Bring together what there is; where label maps or the dataset are missing, `missing` says which."""
     key = entries[0].row.key
     fit = OWN if key.fit_track == key.track else key.fit_track
@@ -68,9 +69,9 @@ def make_field(folder: Path, entries: Sequence[Entry], numbers: Mapping[str, int
     try:
         scenes, objects = truths.of(key.track, key.track_spec)
         analysis = analyse(folder, scenes, objects, {model: rows for model, rows in finished.items() if rows})
-        return Field(key.track, fit, ordered, analysis, "")
+        return Field(title, fit, ordered, analysis, "")
     except DatagenError as error:
-        return Field(key.track, fit, ordered, None, f"There are no slices, errors or pictures: {error}")
+        return Field(title, fit, ordered, None, f"There are no slices, errors or pictures: {error}")
 
 
 def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
@@ -87,7 +88,7 @@ def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
         "first_to_last": there,
         "crashed": {numbers[e.row.key.model]: e.rows[0].reason for e in entries if not e.n_scenes},
         "blocks": board.blocks(entries, numbers),
-        "paper": _paper(field.track),
+        "paper": _paper(entries[0].row.key.track),
         "marks": board.marks(entries),
         "metrics": metrics,
         "details": details,
@@ -123,12 +124,20 @@ def _subtitle(field: Field) -> str:
 
 
 def _paper(track: str) -> list[dict[str, Any]]:
-    return [{"name": name, "cells": cells} for model, name in PAPER_MODELS.items() if (cells := paper_cells(track, model))]
+    return [
+        {"name": name, "cells": cells} for model, name in PAPER_MODELS.items() if (cells := paper_cells(track, model))
+    ]
 
 
 def _scatter(entries: Sequence[Entry], numbers: Mapping[str, int]) -> Scatter | None:
     points = [
-        (numbers[entry.row.key.model], entry.row.kind, seconds, score, f"{entry.row.key.model}: {board.number(score)}, {board.duration(seconds)}")
+        (
+            numbers[entry.row.key.model],
+            entry.row.kind,
+            seconds,
+            score,
+            f"{entry.row.key.model}: {board.number(score)}, {board.duration(seconds)}",
+        )
         for entry in entries
         if (seconds := board.seconds_per_frame(entry)) > 0 and math.isfinite(score := entry.best_known("msc_fg"))
     ]
@@ -143,5 +152,7 @@ def _histories(entries: Sequence[Entry], numbers: Mapping[str, int]) -> list[Lin
 
 
 def _history(model: int, points: Sequence[Mapping[str, float]], name: str) -> tuple[int, list[float], list[float]]:
-    there = [(float(point.get("step", place)), float(point[name])) for place, point in enumerate(points) if name in point]
+    there = [
+        (float(point.get("step", place)), float(point[name])) for place, point in enumerate(points) if name in point
+    ]
     return model, [step for step, _ in there], [value for _, value in there]

@@ -57,7 +57,8 @@ def observe(scenes: Split) -> Objects:
         _observe_scene(index, read_truth(scenes, index), scenes.read(index, fields)) for index in range(len(scenes))
     ]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return Objects(**{"hidden": None, "gap": None} | joined)
+    always = (joined[name] for name in ("scene", "frame", "view", "companions", "pixels"))
+    return Objects(*always, hidden=joined.get("hidden"), gap=joined.get("gap"))
 
 
 def _observe_scene(scene: int, truth: Truth, record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

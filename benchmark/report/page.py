@@ -41,7 +41,8 @@ def write(folder: Path, data: Data) -> Path:
     names = model_names(entries)
     numbers = {name: number for number, name in enumerate(names)}
     truths = Truths(data if callable(data) else data.get)
-    found = [make_field(folder, members, numbers, truths) for members in fields(entries)]
+    titles = _track_titles(entries)
+    found = [make_field(folder, members, numbers, truths, titles[_dataset(members[0])]) for members in fields(entries)]
     common = _common(found, names, numbers)
     page = b""
     for limits in LIMITS:
@@ -57,6 +58,17 @@ def model_names(entries: Sequence[Entry]) -> list[str]:
     kinds = list(board.BLOCKS)
     keys = {(kinds.index(entry.row.kind), entry.row.key.model) for entry in entries}
     return list(dict.fromkeys(name for _, name in sorted(keys)))
+
+
+def _track_titles(entries: Sequence[Entry]) -> dict[tuple[str, str], str]:
+    """What each dataset is called: its track, and a part of its hash where several datasets go by that name."""
+    datasets = {_dataset(entry) for entry in entries}
+    names = [track for track, _ in datasets]
+    return {(track, spec): track if names.count(track) == 1 else f"{track} {spec[:8]}" for track, spec in datasets}
+
+
+def _dataset(entry: Entry) -> tuple[str, str]:
+    return entry.row.key.track, entry.row.key.track_spec
 
 
 def _common(found: Sequence[Field], names: Sequence[str], numbers: Mapping[str, int]) -> dict[str, Any]:
@@ -75,9 +87,7 @@ def _common(found: Sequence[Field], names: Sequence[str], numbers: Mapping[str, 
     }
 
 
-def _with_pictures(
-    common: Mapping[str, Any], folder: Path, found: Sequence[Field], limits: Limits
-) -> dict[str, Any]:
+def _with_pictures(common: Mapping[str, Any], folder: Path, found: Sequence[Field], limits: Limits) -> dict[str, Any]:
     album, galleries, panels = Album(), {}, []
     for place, (panel, field) in enumerate(zip(common["panels"], found, strict=True)):
         shown: dict[str, Any] = {"clips": [], "gallery": False}
@@ -132,4 +142,3 @@ def _render(context: Mapping[str, Any]) -> bytes:
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     return environment.get_template("report.html.j2").render(context).encode()
-

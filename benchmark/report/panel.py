@@ -189,5 +189,3 @@ def _spread(length: int, count: int) -> list[int]:
     if length <= count:
         return list(range(length))
     return [round(place * (length - 1) / (count - 1)) for place in range(count)]
-
-

@@ -195,6 +195,20 @@ def test_models_fitted_elsewhere_stand_in_a_table_of_their_own(tmp_path: Path) -
     assert sorted(fields) == [("moving", "the track itself"), ("static", "moving"), ("static", "the track itself")]
 
 
+def test_datasets_that_share_a_name_are_kept_apart(tmp_path: Path) -> None:
+    data = write_runs(tmp_path, scenes=2, seeds=1, models={"merger": MODELS["merger"]})
+    for row in load_runs(tmp_path / "run"):
+        if row.key.track == "static":
+            renamed = dataclasses.replace(row, key=dataclasses.replace(row.key, track="moving", model="splitter"))
+            shutil.copy(tmp_path / f"run/scenes/{row.key.name}.csv", tmp_path / f"run/scenes/{renamed.key.name}.csv")
+            save_row(tmp_path / "run", renamed)
+    report.write(tmp_path / "run", data)
+    page = Page((tmp_path / "run/report.html").read_text(encoding="utf-8"))
+    tracks = [article.get("data-track") or "" for article in page.all("article")]
+    assert len(set(tracks)) == len(tracks) == 3
+    assert all(track.startswith(("moving", "static")) for track in tracks)
+
+
 def test_a_page_that_grows_too_large_has_fewer_pictures(
     folder: Path, tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,12 +12,21 @@ from fabricated_runs import MODELS, TRACKS, write_runs
 from benchmark import report
 
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
-FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync --hide-scrollbars --allow-file-access-from-files "
-    "--enable-logging=stderr --virtual-time-budget=20000"
-).split()
-WIDTHS = (1400, 820, 390)
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--allow-file-access-from-files",
+    "--enable-logging=stderr",
+    "--virtual-time-budget=20000",
+]
+WIDTHS = (1400, 1000, 820, 390)
 
 pytestmark = [
     pytest.mark.slow,
@@ -144,6 +153,4 @@ def dump(address: str, profile: Path, scheme: str) -> subprocess.CompletedProces
     """The page after its scripts ran."""
     setting = f"--blink-settings=preferredColorScheme={int(scheme == 'light')}"
     command = [BROWSER, *FLAGS, setting, f"--user-data-dir={profile / 'profile'}", "--window-size=1500,1000"]
-    return subprocess.run(
-        [*command, "--dump-dom", address], capture_output=True, text=True, check=True, timeout=120
-    )
+    return subprocess.run([*command, "--dump-dom", address], capture_output=True, text=True, check=True, timeout=120)

@@ -121,8 +121,8 @@ def test_an_image_has_no_video_scores_and_is_not_undefined_for_that():
 
 
 def test_means_pool_frames_and_skip_scenes_without_values():
-    table = {"x": np.array([1.0, 0.0, np.nan]), "x_n": np.array([1.0, 3.0, 0.0])}
-    assert pooled(table, "x") == 0.25
+    table = {"x": np.array([1.0, 0.5, np.nan]), "x_n": np.array([1.0, 3.0, 0.0])}
+    assert pooled(table, "x") == 0.625
     assert math.isnan(pooled({"x": np.array([np.nan]), "x_n": np.zeros(1)}, "x"))
 
 
