@@ -15,6 +15,9 @@ import assets
 from datagen.errors import UsageError
 from datagen.recipe_rules import problems
 
+OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
+"""What the parts of a recipe do not take over from it."""
+
 
 @dataclass(frozen=True)
 class Objects:
@@ -146,7 +149,7 @@ class Rig:
     elevation: float = 55.0
     """Degrees that the camera looks down."""
     field_of_view: float = 40.0
-    """Horizontal, degrees."""
+    """Horizontal, degrees, of a frame with the aspect of `visibility_resolution`; images of another aspect show more."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The point that the first camera looks at, metres; other views are this one, turned about the world's z axis."""
     azimuth: float = 0.0
@@ -191,6 +194,8 @@ class Physics:
     """Metres; the same against spinning about the contact's normal."""
     deepest_overlap: float = 0.001
     """Two bodies may overlap by so much at the start, metres."""
+    deepest_in_motion: float = 0.002
+    """Two bodies, or one and the table, may overlap by so much in any later frame, metres."""
     settle_seconds: float = 0.0
     """Simulated before frame 0 so that what is stacked or dropped comes to rest."""
 
@@ -232,11 +237,16 @@ class Recipe:
     least_visible_pixels: int = 20
     """Every object shows at least this many pixels in every view of frame 0."""
     visibility_resolution: tuple[int, int] = (128, 128)
-    """Width and height at which these pixels are counted, whatever the resolution of the dataset is."""
+    """Width and height at which these pixels are counted, whatever the resolution of the dataset is.
+
+    Cameras are aimed at a frame of this aspect, and every image shows all of that frame.
+    """
     attempts: int = 200
     """Samples drawn for one scene before the recipe counts as impossible."""
     parts: tuple[str, ...] = ()
     """Recipes that scenes are drawn from in turn: scene i from part i mod their number."""
+    overrides: tuple[str, ...] = ()
+    """Dotted names of constants that parts take over even if they are the defaults, `rig.distance` being one."""
     objects: Objects = Objects()
     layout: Layout = Layout()
     motion: MotionConfig = MotionConfig()
@@ -258,22 +268,27 @@ class Recipe:
     def for_scene(self, index: int) -> "Recipe":
         """The recipe that scene `index` of a split follows: itself, or one of its parts.
 
-        What this recipe sets itself, its part follows too.
+        What differs from the defaults in this recipe, and what its `overrides` name, holds for its parts too.
         """
         return _part(self, self.parts[index % len(self.parts)]) if self.parts else self
 
 
 @functools.lru_cache(maxsize=64)
 def _part(whole: Recipe, name: str) -> Recipe:
-    own = _difference(recipe_to_dict(whole), recipe_to_dict(Recipe()))
-    own = {key: value for key, value in own.items() if key not in ("name", "description", "parts")}
+    own = _difference(recipe_to_dict(whole), recipe_to_dict(Recipe()), set(whole.overrides))
+    own = {key: value for key, value in own.items() if key not in OF_THE_WHOLE}
     return recipe_from_dict(_merge(recipe_to_dict(load_recipe(name)), own))
 
 
-def _difference(values: dict[str, Any], defaults: dict[str, Any]) -> dict[str, Any]:
-    """What differs from the defaults, nested in the same way."""
-    changed = {key: value for key, value in values.items() if value != defaults[key]}
-    return {k: _difference(v, defaults[k]) if isinstance(v, dict) else v for k, v in changed.items()}
+def _difference(values: dict[str, Any], defaults: dict[str, Any], kept: set[str], prefix: str = "") -> dict[str, Any]:
+    """What differs from the defaults or is named in `kept`, nested in the same way."""
+    changed = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            changed[key] = _difference(value, defaults[key], kept, f"{prefix}{key}.")
+        elif value != defaults[key] or prefix + key in kept:
+            changed[key] = value
+    return changed
 
 
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

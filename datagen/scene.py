@@ -89,12 +89,18 @@ class Body:
 
 @dataclass(frozen=True)
 class Camera:
-    """An ideal camera; its image size is chosen when rendering."""
+    """An ideal camera; its image size is chosen when rendering.
+
+    It is aimed at a frame, `field_of_view` wide and `aspect` times as wide as high. An image of that aspect shows this
+    frame exactly, a wider one also what lies beside it, a higher one what lies above and below.
+    """
 
     position: Vector
     target: Vector
     field_of_view: float
-    """Horizontal, radians."""
+    """Horizontal angle of the frame, radians."""
+    aspect: float = 1.0
+    """Width over height of the frame."""
 
     @property
     def world_from_camera(self) -> Float[np.ndarray, "4 4"]:
@@ -103,7 +109,9 @@ class Camera:
 
     def k(self, width: int, height: int) -> Float[np.ndarray, "3 3"]:
         """Camera matrix in pixels for an image of the given size."""
-        return intrinsics(self.field_of_view, width, height)
+        k = intrinsics(self.field_of_view, width, height)
+        k[:2, :2] *= min(1.0, height * self.aspect / width)
+        return k
 
 
 @dataclass(frozen=True)
@@ -180,7 +188,9 @@ def scene_from_json(text: str) -> Scene:
     return Scene(
         bodies=tuple(_body(body) for body in data["bodies"]),
         table=Table(data["table"]["size"], _material(data["table"]["material"])),
-        cameras=tuple(Camera(tuple(c["position"]), tuple(c["target"]), c["field_of_view"]) for c in data["cameras"]),
+        cameras=tuple(
+            Camera(tuple(c["position"]), tuple(c["target"]), c["field_of_view"], c["aspect"]) for c in data["cameras"]
+        ),
         lights=tuple(
             Light(tuple(x["direction"]), tuple(x["radiance"]), x["angular_radius"], x["casts_shadow"])
             for x in data["lights"]

@@ -26,6 +26,7 @@ _REMEDIES = {
     "crowded": "no free place: lower --objects.maximum or enlarge --layout.half-extent",
     "unsteady": "a group without shapes that lie steadily: name other --objects.categories",
     "overlap": "objects overlap at the start: enlarge --layout.gap",
+    "sank": "bodies sink into each other in motion: lower --physics.step or --motion.speed",
     "left": "an object leaves the workspace: lower --motion.speed or enlarge --layout.workspace-half-extent",
     "apart": "objects that should touch come apart: lower --motion.speed",
     "unmet": "objects were not brought into contact: name other --objects.categories",
@@ -104,6 +105,8 @@ def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
     Raises:
         Rejected: one of them is broken.
     """
+    if np.min(trajectory.contact_gap) < -recipe.physics.deepest_in_motion:
+        raise Rejected("sank")
     _check_workspace(recipe, trajectory)
     if recipe.video and recipe.motion.moving:
         travel = np.sqrt(np.sum((trajectory.position[-1] - trajectory.position[0]) ** 2, axis=-1))

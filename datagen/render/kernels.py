@@ -562,7 +562,7 @@ def _reflect(row, count, s, materials):
         r = (2 * toward * n[0] - e[0], 2 * toward * n[1] - e[1], 2 * toward * n[2] - e[2])
         share = _ramp(0.5 * r[2] / (0.04 + 0.8 * roughness))
         rise = 1 - max(r[2], 0.0)
-        sky = share * above * (0.7 + 1.3 * rise * rise)
+        sky = share * above * (1.5 + 1.5 * rise * rise)
         # Straight down, a mirror sees the shade of the object itself.
         earth = (1 - share) * below * above * (0.8 - 0.5 * max(-r[2], 0.0))
         base_r = sky * ambient[0] + earth * ground[0]

@@ -65,7 +65,7 @@ def _color(appearance: Appearance, rng: np.random.Generator, hue: float | None =
     if appearance.palette:
         return hex_color(str(rng.choice(appearance.palette)))
     if hue is None:
-        return vector(colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.3, 0.95), rng.uniform(0.4, 0.95)))
+        return vector(colorsys.hsv_to_rgb(rng.uniform(), rng.uniform(0.3, 0.95), rng.uniform(0.5, 0.95)))
     near = (hue + appearance.hue_width * rng.uniform(-0.5, 0.5)) % 1
     return vector(colorsys.hsv_to_rgb(near, rng.uniform(0.6, 0.9), rng.uniform(0.5, 0.9)))
 
@@ -91,7 +91,7 @@ def sample_table(appearance: Appearance, rng: np.random.Generator) -> Material:
         return Material("paint", _table_color((0.0, 1.0), (0.0, 0.25), (0.45, 0.85), rng), roughness=0.6)
     if kind == "wood":
         color = _table_color((0.05, 0.1), (0.3, 0.6), (0.4, 0.75), rng)
-        return _table_pattern("wood", color, "wood", 0.88, rng.uniform(0.06, 0.15), rng)
+        return _table_pattern("wood", color, "wood", 0.93, rng.uniform(0.03, 0.08), rng)
     if kind == "cloth":
         color = _table_color((0.0, 1.0), (0.1, 0.5), (0.35, 0.8), rng)
         return _table_pattern("cloth", color, "noise", 0.88, rng.uniform(0.01, 0.03), rng)

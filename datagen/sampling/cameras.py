@@ -9,18 +9,22 @@ from datagen.scene import Camera, Light
 
 
 def sample_cameras(recipe: Recipe, rng: np.random.Generator) -> tuple[Camera, ...]:
-    """The rig's camera, and the same turned about the world's z axis for every further view."""
-    return tuple(_camera(recipe.rig, 2 * np.pi * view / recipe.views, rng) for view in range(recipe.views))
+    """The rig's camera, and the same turned about the world's z axis for every further view.
+
+    Their frame has the aspect in which the recipe judges visibility, whatever the images' aspect will be.
+    """
+    width, height = recipe.visibility_resolution
+    angles = [2 * np.pi * view / recipe.views for view in range(recipe.views)]
+    return tuple(_camera(recipe.rig, angle, width / height, rng) for angle in angles)
 
 
-def _camera(rig: Rig, angle: float, rng: np.random.Generator) -> Camera:
+def _camera(rig: Rig, angle: float, aspect: float, rng: np.random.Generator) -> Camera:
     turn = about_vertical(angle)
     target = np.array(rig.target)
     offset = rig.distance * direction(np.radians(rig.azimuth), np.radians(rig.elevation))
     jitter = rig.jitter * rng.normal(size=3) if rig.jitter else np.zeros(3)
-    return Camera(
-        vector(turn @ (target + offset) + jitter), vector(turn @ target), float(np.radians(rig.field_of_view))
-    )
+    position, field_of_view = vector(turn @ (target + offset) + jitter), float(np.radians(rig.field_of_view))
+    return Camera(position, vector(turn @ target), field_of_view, aspect)
 
 
 def direction(azimuth: float, elevation: float) -> np.ndarray:

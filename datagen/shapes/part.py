@@ -57,6 +57,8 @@ def assemble(parts: Sequence[Part], symmetry: str, *, overlap: Sequence[Mass] = 
     mass = masses.total([part.mass for part in parts] + [common.negative() for common in overlap])
     moved = parts if not np.any(mass.center) else [part.placed(-mass.center) for part in parts]
     mesh = meshes.merge([part.mesh for part in moved])
+    outline = Outline.union([part.outline for part in moved])
+    low, high = outline.span(np.eye(3))
     return Shape(
         vertices=mesh.vertices,
         faces=mesh.faces,
@@ -66,7 +68,8 @@ def assemble(parts: Sequence[Part], symmetry: str, *, overlap: Sequence[Mass] = 
         volume=mass.volume,
         inertia=mass.inertia,
         symmetry=symmetry,
-        minimum_box=minimum_box(Outline.union([part.outline for part in moved]), aligned=aligned),
+        minimum_box=minimum_box(outline, aligned=aligned),
+        size=high - low,
         primitive=moved[0].primitive if len(moved) == 1 else None,
     )
 

@@ -75,13 +75,10 @@ class Shape:
     """Exact group of rotations that leave the shape unchanged, see `datagen.shapes.symmetry`."""
     minimum_box: OrientedBox
     """The box of least volume that holds the shape."""
+    size: Float[np.ndarray, "3"]
+    """Extents of the true surface along the object frame's axes, metres."""
     primitive: Primitive | None = None
     """What the whole shape is exactly, if it is that simple."""
-
-    @property
-    def size(self) -> Float[np.ndarray, "3"]:
-        """Extents along the object frame's axes."""
-        return np.ptp(self.vertices, axis=0)
 
     @property
     def radius(self) -> float:

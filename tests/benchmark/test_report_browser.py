@@ -26,7 +26,7 @@ FLAGS = [
     "--enable-logging=stderr",
     "--virtual-time-budget=20000",
 ]
-WIDTHS = (1400, 1000, 820, 390)
+WIDTHS = (1400, 1100, 820, 390)
 
 pytestmark = [
     pytest.mark.slow,

@@ -84,9 +84,11 @@ def test_the_number_of_workers_changes_nothing(place: Path, whole, tmp_path: Pat
 def test_workers_do_not_outlive_a_killed_run(place: Path, tmp_path: Path):
     process = start(place, tmp_path, models=("hangs",))
     deadline = time.monotonic() + 60
-    while not (workers := list(children(process.pid))):
+    while not list(tmp_path.glob("labels/.*.partial")):
         assert time.monotonic() < deadline
         time.sleep(0.01)
+    workers = children(process.pid)
+    assert workers
     process.kill()
     process.communicate()
     while any(command_line(worker) for worker in workers):
