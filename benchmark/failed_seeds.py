@@ -1,9 +1,9 @@
 """Which seeds count as failed: a rule of scores, declared before any run and the same for all models.
 
 A seed failed if its loss became nan; or if its mIoU-BG is under 0.5 (background and objects changed places); or if its
-MSC-FG is no more than 0.05 above the best floor of the track (the model collapsed). Floors set that bar and are not
-measured by it. A run that ended without scores failed too, for the reason it gave. Failed seeds are never dropped
-silently: tables show every model with and without them.
+MSC-FG is no more than 0.05 above the best floor of the track (the model collapsed). Floors set that bar and oracles
+show what the truth would reach: neither competes, and neither is measured by it. A run that ended without scores failed
+too, for the reason it gave. Failed seeds are never dropped silently: tables show every model with and without them.
 """
 
 import math

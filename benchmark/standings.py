@@ -198,7 +198,7 @@ def _causes(entry: Entry, floors: dict[str, float]) -> tuple[str, ...]:
 def _cause(row: RunRow, miou_bg: float, msc_fg: float, best_floor: float) -> str:
     if row.status == "failed":
         return row.reason or "no result"
-    if row.kind == "floor":
+    if row.kind in ("floor", "oracle"):
         return ""
     return cause_of_failure(miou_bg, msc_fg, best_floor, finite_loss=has_finite_loss(row))
 

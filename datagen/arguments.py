@@ -21,6 +21,7 @@ class Constants(Recipe):
     description: tyro.conf.Suppress[str] = ""
     resolution: tyro.conf.Suppress[tuple[int, int]] = (128, 128)
     parts: tyro.conf.Suppress[tuple[str, ...]] = ()
+    overrides: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     @classmethod
     def of(cls, recipe: Recipe) -> "Constants":
@@ -107,12 +108,12 @@ class Preview:
     """Draw a contact sheet and an animation of a dataset."""
 
     folder: _FOLDER
-    split: Literal["train", "val", "test"] = "train"
-    """Split to show."""
-    scenes: tuple[int, ...] = (0, 1, 2, 3)
-    """Scenes to show."""
+    split: Literal["train", "val", "test"] | None = None
+    """Split to show; default the first that has scenes."""
+    scenes: tuple[int, ...] | None = None
+    """Scenes to show; default the first four."""
     out: Path | None = None
-    """The picture's file; default preview.png in the folder."""
+    """The picture's file, .png or .jpg; default preview.png in the folder."""
     animation: Path | None = None
     """The animation's file, .gif or .mp4; default preview.gif in the folder, for clips."""
 

@@ -16,9 +16,8 @@ import tyro
 
 from datagen import options
 from datagen.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
-from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, EXIT_VERIFICATION, DatagenError, UsageError
-from datagen.spec import read_spec
+from datagen.spec import read_spec, rendered_recipe_of
 from datagen.storage import Dataset
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ def _default_generate(arguments: list[str]) -> dict[str, Any]:
     parser.add_argument("--recipe")
     parser.add_argument("--video", action="store_true")
     known, _ = parser.parse_known_args(arguments)
-    recipe = options.choose_recipe(known.recipe, video=known.video)
+    recipe = options.with_overrides(options.choose_recipe(known.recipe, video=known.video), arguments)
     values = Generate(recipe=known.recipe, constants=Constants.of(recipe))
     return {"default": values, "description": __doc__}
 
@@ -89,14 +88,8 @@ def _default_render(arguments: list[str]) -> dict[str, Any]:
     known, _ = parser.parse_known_args(arguments)
     if not known.source:
         return {}
-    recipe = _recipe_of(Path(known.source))
+    recipe = rendered_recipe_of(read_spec(Path(known.source)))
     return {"default": Render(source=Path(known.source), rig=recipe.rig, views=recipe.views)}
-
-
-def _recipe_of(folder: Path) -> Recipe:
-    """The recipe of a dataset, with the cameras that it was rendered with."""
-    spec = read_spec(folder)
-    return recipe_from_dict({**spec["recipe"], **(spec["rig"] or {})})
 
 
 def _generate(values: Generate) -> int:
@@ -123,7 +116,8 @@ def _generate(values: Generate) -> int:
 
 
 def _render(values: Render) -> int:
-    spec, recipe = read_spec(values.source), _recipe_of(values.source)
+    spec = read_spec(values.source)
+    recipe = rendered_recipe_of(spec)
     wanted = dataclasses.replace(recipe, rig=values.rig, views=values.views)
     size = options.parse_resolution(values.resolution) if values.resolution else None
     folder = values.out or options.default_folder(

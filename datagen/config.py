@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import assets
 from datagen.errors import UsageError
-from datagen.recipe_rules import problems
+from datagen.recipe_rules import constants, problems
 
 OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
 """What the parts of a recipe do not take over from it."""
@@ -294,6 +294,11 @@ def _difference(values: dict[str, Any], defaults: dict[str, Any], kept: set[str]
 def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     merged = {k: _merge(values[k], v) if isinstance(v, dict) else v for k, v in changes.items()}
     return {**values, **merged}
+
+
+def constant_names(recipe: Recipe) -> list[str]:
+    """Dotted names of all constants that parts may take over."""
+    return [name for name, _ in constants(recipe_to_dict(recipe)) if name not in OF_THE_WHOLE]
 
 
 def recipe_names() -> list[str]:

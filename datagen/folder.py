@@ -4,11 +4,11 @@ import os
 import re
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 
-from datagen.config import recipe_from_dict, recipe_to_dict
+from datagen.config import recipe_to_dict
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.schema import SPLITS
 from datagen.shard import Shard
@@ -19,6 +19,8 @@ from datagen.spec import (
     Spec,
     differences,
     read_spec,
+    recipe_of,
+    settings_hash,
     shard_name,
     spec_text,
     with_splits,
@@ -31,10 +33,19 @@ _PARTIAL = re.compile(r".+\.partial-(?P<host>.+)-(?P<process>\d+)")
 _ABANDONED_SECONDS = 3600
 
 
-def begin(folder: Path, wanted: Spec, *, overwrite: bool = False) -> Spec:
+def begin(folder: Path, wanted: Spec, *, overwrite: bool = False, prove: Callable[[], object] = lambda: None) -> Spec:
     """Make a folder ready to be filled, and write its spec.
 
-    Returns the spec that holds from now on: as `wanted`, but with no fewer scenes than there are already.
+    A dataset of the same settings goes on, even where `overwrite` is set, so that the same command can be repeated.
+
+    Args:
+        folder: Where the dataset is or will be.
+        wanted: Its spec.
+        overwrite: Give up a dataset of other settings; scenes of the wanted ones stay.
+        prove: Called before a dataset is begun; where it raises, what the folder holds stays as it is.
+
+    Returns:
+        The spec that holds from now on: as `wanted`, but with no fewer scenes than were asked for before.
 
     Raises:
         UsageError: the folder holds something else, or a dataset of other settings that `overwrite` does not give up.
@@ -43,16 +54,34 @@ def begin(folder: Path, wanted: Spec, *, overwrite: bool = False) -> Spec:
     """
     _make(folder)
     _remove_abandoned(folder)
-    if overwrite:
-        for path in _own_files(folder):
-            if path.name != SPEC_FILE:
-                path.unlink()
-        spec = wanted
-    elif (folder / SPEC_FILE).exists():
-        spec = _continued(folder, wanted)
-    else:
-        spec = wanted
-    write_whole(folder / SPEC_FILE, spec_text(spec).encode())
+    if not _goes_on(folder, wanted, overwrite):
+        prove()
+    # Asked again, because another process may have begun the same dataset meanwhile.
+    if _goes_on(folder, wanted, overwrite):
+        return settle(folder, wanted)
+    _give_up(folder, settings_hash(wanted))
+    write_whole(folder / SPEC_FILE, spec_text(wanted).encode())
+    return wanted
+
+
+def settle(folder: Path, wanted: Spec) -> Spec:
+    """Let the folder's spec have as many scenes as it has, as are wanted and as are there, whichever is most.
+
+    Raises:
+        UsageError: the folder holds a dataset of other settings.
+        CorruptFile: a file that is there cannot be read.
+    """
+    old = read_spec(folder)
+    if changed := _changes(old, wanted):
+        raise UsageError(
+            f"{folder} holds a dataset of other settings ({'; '.join(changed)}). "
+            "Give another folder with --out, the same settings, or --overwrite to make it anew."
+        )
+    present = scenes_present(folder, old)
+    most = {split: max(old["splits"][split], wanted["splits"][split], present[split]) for split in SPLITS}
+    spec = with_splits(old, most)
+    if spec != old:
+        write_whole(folder / SPEC_FILE, spec_text(spec).encode())
     return spec
 
 
@@ -108,20 +137,62 @@ def _make(folder: Path) -> None:
         )
 
 
-def _continued(folder: Path, wanted: Spec) -> Spec:
-    old = read_spec(folder)
-    if changed := differences(_normal(old), _normal(wanted)):
-        raise UsageError(
-            f"{folder} holds a dataset of other settings ({'; '.join(changed)}). "
-            "Give another folder with --out, the same settings, or --overwrite to make it anew."
-        )
-    present = scenes_present(folder, old)
-    return with_splits(old, {split: max(wanted["splits"][split], present[split]) for split in SPLITS})
+def _goes_on(folder: Path, wanted: Spec, overwrite: bool) -> bool:
+    """Whether the folder's dataset is the wanted one, or one that stands in its way; else a new one is begun."""
+    if not (folder / SPEC_FILE).exists():
+        return False
+    try:
+        changed = bool(_changes(read_spec(folder), wanted))
+    except CorruptFile:
+        if not overwrite:
+            raise
+        _check_ours(folder)
+        changed = True
+    # A spec alone is what a run leaves behind that failed before its first shard.
+    return not changed or not (overwrite or _is_bare(folder))
+
+
+def _changes(old: Spec, wanted: Spec) -> list[str]:
+    return differences(_normal(old), _normal(wanted))
 
 
 def _normal(spec: Spec) -> Spec:
     """With every constant that came to recipes after this spec was written, at its default."""
-    return {**spec, "recipe": recipe_to_dict(recipe_from_dict(spec["recipe"]))}
+    return {**spec, "recipe": recipe_to_dict(recipe_of(spec))}
+
+
+def _is_bare(folder: Path) -> bool:
+    """Whether no scene is there, and nobody is about to write one."""
+    return not _shards(folder) and not any(_partials(folder))
+
+
+def _check_ours(folder: Path) -> None:
+    """Refuse to give up files that no shard proves to be ours."""
+    if not any(_shard_settings(path) for path in _shards(folder)):
+        raise UsageError(
+            f"{folder / SPEC_FILE} cannot be read, and there is no shard beside it that tells whose it is; "
+            "delete it yourself, or give an empty or new folder with --out."
+        )
+
+
+def _give_up(folder: Path, settings: str) -> None:
+    """Delete our files, except for shards of these settings."""
+    for path in _own_files(folder):
+        if path.name != SPEC_FILE and not (path in _shards(folder) and _shard_settings(path) == settings):
+            path.unlink(missing_ok=True)
+
+
+def _shard_settings(path: Path) -> str | None:
+    """The settings' hash of a shard, None where it cannot be read."""
+    try:
+        with closing(Shard(path)) as shard:
+            return shard.attributes["settings_hash"]
+    except DatagenError:
+        return None
+
+
+def _shards(folder: Path) -> list[Path]:
+    return [path for path in _own_files(folder) if path.suffix == ".h5"]
 
 
 def _own_files(folder: Path) -> list[Path]:

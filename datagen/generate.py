@@ -12,12 +12,12 @@ from typing import Any
 from datagen.card import write_card
 from datagen.config import Recipe, recipe_to_dict
 from datagen.errors import UsageError
-from datagen.folder import begin, write_whole
+from datagen.folder import begin, settle, write_whole
 from datagen.maker import SceneMaker, make_scene, renderer_identity
 from datagen.manifest import make_manifest
 from datagen.parallel import make_all
 from datagen.progress import Advance, Progress, no_progress
-from datagen.schema import FIELDS, SPLITS, array_hash
+from datagen.schema import DATA_VERSION, FIELDS, SPLITS, array_hash
 from datagen.shard import PackedScene, Shard, shard_image
 from datagen.spec import MANIFEST_FILE, Spec, make_spec, settings_hash, shard_name, shard_ranges
 from datagen.storage import Dataset
@@ -118,10 +118,18 @@ def render(
         run: How to go about it.
 
     Raises:
-        UsageError: the source is no dataset, or the request contradicts what is in the folder.
+        UsageError: the source is no dataset, of another data version or the folder itself, or the request contradicts
+            what is in the folder.
         DatagenError: the source is incomplete, or the run could not be completed.
     """
+    if folder.resolve() == source.resolve():
+        raise UsageError(f"{folder} is the dataset whose scenes are to be rendered; give another folder with --out.")
     dataset = Dataset(source)
+    if dataset.spec["data_version"] != DATA_VERSION:
+        raise UsageError(
+            f"{source} was made by data version {dataset.spec['data_version']}, this program makes version "
+            f"{DATA_VERSION}; render it with the program that made it, or make it anew."
+        )
     dataset.check_complete()
     return _fill(folder, render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig), source, run)
 
@@ -159,7 +167,7 @@ def regenerate(folder: Path, split: str, index: int) -> list[str]:
 
 def _fill(folder: Path, wanted: Spec, source: Path | None, run: Run) -> Report:
     started = time.monotonic()
-    spec = begin(folder, wanted, overwrite=run.overwrite)
+    spec = begin(folder, wanted, overwrite=run.overwrite, prove=lambda: _make_first(SceneMaker(wanted, source)))
     tasks = [task for task in _tasks(folder, spec) if _is_wanted(task, run)]
     scenes = [(task.split, index) for task in tasks for index in task.todo]
     maker = SceneMaker(spec, source)
@@ -168,11 +176,19 @@ def _fill(folder: Path, wanted: Spec, source: Path | None, run: Run) -> Report:
         for task in tasks:
             new = [_counted(scene, advance) for scene in itertools.islice(made, len(task.todo))]
             _write_shard(folder, spec, task, new)
+    # Runs that asked for other numbers of scenes may have been at work in the meantime.
+    spec = settle(folder, spec)
     complete = not any(task.todo for task in _tasks(folder, spec))
     seconds = time.monotonic() - started
     if complete:
         _finish(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
     return Report(spec, len(scenes), complete, seconds)
+
+
+def _make_first(maker: SceneMaker) -> None:
+    """Make a scene in vain, so that an impossible request fails before a folder is begun or given up."""
+    if split := next((name for name, scenes in maker.spec["splits"].items() if scenes), None):
+        maker(split, 0)
 
 
 def _is_wanted(task: "_Task", run: Run) -> bool:

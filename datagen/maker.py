@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.config import Recipe, recipe_from_dict
+from datagen.config import Recipe
 from datagen.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
@@ -16,7 +16,7 @@ from datagen.scene import Scene
 from datagen.schema import FIELDS, SPLITS, SceneRecord
 from datagen.shapes import build
 from datagen.shard import PackedScene, pack
-from datagen.spec import Spec
+from datagen.spec import Spec, recipe_of, rendered_recipe_of
 from datagen.storage import Dataset, Split
 
 _SENSOR_STREAM = 1
@@ -57,7 +57,7 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
         index: Counts from 0 within the split.
         source: The scene's simulation fields where they are known; else it is simulated.
     """
-    recipe = recipe_from_dict(spec["recipe"])
+    recipe = recipe_of(spec)
     record = source or _simulate(recipe, spec["seed"], split, index)
     scene, trajectory = scene_and_trajectory(record)
     if spec["rig"]:
@@ -100,8 +100,7 @@ def _simulate(recipe: Recipe, seed: int, split: str, index: int) -> SceneRecord:
 
 
 def _with_cameras(scene: Scene, spec: Spec, rng: np.random.Generator) -> Scene:
-    recipe = recipe_from_dict({**spec["recipe"], **spec["rig"]})
-    return dataclasses.replace(scene, cameras=sample_cameras(recipe, rng))
+    return dataclasses.replace(scene, cameras=sample_cameras(rendered_recipe_of(spec), rng))
 
 
 def _rng(spec: Spec, split: str, index: int, stream: int) -> np.random.Generator:

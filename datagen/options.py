@@ -1,10 +1,12 @@
 """What the command line's words mean: sizes, splits, shares of the work, and which recipe is asked for."""
 
+import dataclasses
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
-from datagen.config import Recipe, load_recipe
+from datagen.config import Recipe, constant_names, load_recipe
 from datagen.errors import UsageError
 from datagen.schema import SPLITS
 from datagen.spec import split_sizes
@@ -81,6 +83,15 @@ def choose_recipe(name: str | None, *, video: bool) -> Recipe:
     if video and not recipe.video:
         raise UsageError(f"--video contradicts --recipe {recipe.name}, which makes stills; leave one of them out.")
     return recipe
+
+
+def with_overrides(recipe: Recipe, arguments: Sequence[str]) -> Recipe:
+    """The recipe; where it has parts, with a note of the constants that the command line names, for these to follow."""
+    if not recipe.parts:
+        return recipe
+    flags = {argument.partition("=")[0].lstrip("-").replace("-", "_") for argument in arguments}
+    named = [name for name in constant_names(recipe) if {name, re.sub(r"(\w+)$", r"no_\1", name)} & flags]
+    return dataclasses.replace(recipe, overrides=tuple(named))
 
 
 def default_folder(recipe: str, resolution: tuple[int, int] | None, seed: int) -> Path:

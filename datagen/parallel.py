@@ -1,4 +1,4 @@
-"""Scenes made in several processes and handed out in their order."""
+"""Scenes made or checked in several processes and handed out in their order."""
 
 import functools
 import os
@@ -7,22 +7,21 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Generator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from datagen.errors import EXIT_INCOMPLETE, DatagenError
-from datagen.shard import PackedScene
 
 _PARENT_CHECK_SECONDS = 1.0
 
-MakeScene = Callable[[str, int], PackedScene]
-"""Makes a scene of a split; can be sent to another process."""
+Place = TypeVar("Place")
+Made = TypeVar("Made")
 
 
-def make_all(make: MakeScene, scenes: Sequence[tuple[str, int]], workers: int) -> Generator[PackedScene]:
-    """Make scenes, in their order."""
+def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Place]], workers: int) -> Generator[Made]:
+    """Call `make`, which can be sent to another process, on splits and indices; what it makes comes in their order."""
     if workers == 1 or len(scenes) < 3:
         yield from (make(*scene) for scene in scenes)
         return
@@ -42,20 +41,20 @@ def make_all(make: MakeScene, scenes: Sequence[tuple[str, int]], workers: int) -
     except TerminatedWorkerError:
         raise DatagenError(
             "A worker process died, perhaps for want of memory. Finished shards are intact; "
-            "run the same command again to complete the dataset, perhaps with fewer --workers."
+            "run the same command again, perhaps with fewer --workers."
         ) from None
     finally:
         _stop(made)
 
 
-def _stop(made: Generator[PackedScene]) -> None:
+def _stop(made: Generator[Any]) -> None:
     """End the workers, if they are not done; joblib would warn that their last scenes were made in vain."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         made.close()
 
 
-def _work(make: MakeScene, split: str, index: int, parent: int) -> PackedScene:
+def _work(make: Callable[[str, Place], Made], split: str, index: Place, parent: int) -> Made:
     _become_worker(parent)
     return make(split, index)
 

@@ -8,7 +8,6 @@ import contextlib
 import functools
 import math
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from types import ModuleType
 from typing import Any
@@ -19,7 +18,7 @@ from jaxtyping import Float
 from datagen.config import Physics
 from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
-from datagen.rigid_body import multiply, principal_axes, shrink, wavefront, xyzw
+from datagen.rigid_body import multiply, principal_axes, shrink, wavefront_file, xyzw
 from datagen.scene import Scene, Trajectory
 from datagen.shapes.shape import Shape
 
@@ -162,10 +161,8 @@ class World:
         rotation = rotation_from_quaternion(object_from_principal)
         parts = [shrink(part, _HULL_MARGIN) @ rotation for part in shape.convex_parts]
         # The only way to several hulls in one body leads through a file; one hull given as an array leaks memory.
-        with tempfile.NamedTemporaryFile("w", suffix=".obj") as file:
-            file.write(wavefront(parts))
-            file.flush()
-            return self._call("createCollisionShape", self._bullet.GEOM_MESH, fileName=file.name)
+        with wavefront_file(parts) as path:
+            return self._call("createCollisionShape", self._bullet.GEOM_MESH, fileName=path)
 
     def _primitive(self, kind: str, lengths: tuple[float, ...]) -> int:
         if kind == "box":

@@ -17,6 +17,12 @@ LEAST_TILE = 160
 WIDEST = 2000
 """Pixels after which the sheet starts a new line of scenes."""
 
+SHOWN = 4
+"""Scenes that are drawn if nobody says which."""
+
+SHEET_ENDINGS = (".png", ".jpg", ".jpeg")
+ANIMATION_ENDINGS = (".gif", ".mp4")
+
 GAP = 6
 HEADING = 18
 PAPER, INK = (255, 255, 255), (40, 40, 40)
@@ -33,8 +39,8 @@ Labels = Integer[np.ndarray, "_ _"]
 def run(
     folder: str | Path,
     *,
-    split: str = "train",
-    scenes: Sequence[int] = (0, 1, 2, 3),
+    split: str | None = None,
+    scenes: Sequence[int] | None = None,
     out: str | Path | None = None,
     video: str | Path | None = None,
 ) -> list[Path]:
@@ -42,24 +48,24 @@ def run(
 
     Args:
         folder: The dataset.
-        split: One of its splits.
-        scenes: Indices within the split.
-        out: Where the contact sheet goes (PNG); `preview.png` in the dataset's folder by default.
+        split: One of its splits; the first that has scenes if None.
+        scenes: Indices within the split; the first four, or as many as there are, if None.
+        out: Where the contact sheet goes (PNG or JPEG); `preview.png` in the dataset's folder by default.
         video: Where an animation goes (`.gif`, or `.mp4` with a codec); by default none for datasets of stills and
             `preview.gif` in the dataset's folder for clips.
 
     Raises:
-        UsageError: there are no images, no such scenes, or no codec.
+        UsageError: there are no images, no such scenes, no codec, or a file's name has another ending.
     """
     dataset = Dataset(folder)
     if dataset.spec["resolution"] is None:
         raise UsageError(f"{folder} holds no images; render it first with `obpose-datagen render --from {folder}`.")
-    chosen = _chosen(dataset.split(split), scenes)
-    sheet = Path(out or dataset.folder / "preview.png")
+    sheet = _named(out or dataset.folder / "preview.png", SHEET_ENDINGS)
+    animation = _named(video or dataset.folder / "preview.gif", ANIMATION_ENDINGS)
+    chosen = _chosen(_split(dataset, split), scenes)
     Image.fromarray(contact_sheet(chosen)).save(_ready(sheet))
     if video is None and dataset.spec["recipe"]["frames"] == 1:
         return [sheet]
-    animation = Path(video or dataset.folder / "preview.gif")
     save_animation(_ready(animation), list(animation_frames(chosen)), dataset.spec["recipe"]["fps"])
     return [sheet, animation]
 
@@ -77,18 +83,16 @@ def animation_frames(records: dict[str, SceneRecord]) -> Iterator[Rgb]:
 
 
 def save_animation(path: Path, frames: list[Rgb], fps: float) -> None:
-    """Write an endless GIF, or an MP4 where the name says so.
+    """Write an MP4 where the name says so, else an endless GIF.
 
     Raises:
-        UsageError: another ending, or no codec for MP4.
+        UsageError: there is no codec for MP4.
     """
-    if path.suffix.lower() == ".gif":
-        images = [Image.fromarray(frame) for frame in frames]
-        images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)
-    elif path.suffix.lower() == ".mp4":
+    if path.suffix.lower() == ".mp4":
         _save_mp4(path, frames, fps)
-    else:
-        raise UsageError(f"Cannot animate into {path.name}; end the name in .gif or .mp4.")
+        return
+    images = [Image.fromarray(frame) for frame in frames]
+    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)
 
 
 def colored_depth(depth: Labels, near: float, far: float) -> Rgb:
@@ -112,7 +116,24 @@ def label_colors(count: int) -> UInt8[np.ndarray, "label 3"]:
     return colors.astype(np.uint8)
 
 
-def _chosen(scenes: Split, indices: Sequence[int]) -> dict[str, SceneRecord]:
+def _named(path: str | Path, endings: tuple[str, ...]) -> Path:
+    if Path(path).suffix.lower() not in endings:
+        raise UsageError(f"Cannot draw into {path}; end the name in {' or '.join(endings)}.")
+    return Path(path)
+
+
+def _split(dataset: Dataset, name: str | None) -> Split:
+    filled = [split for split, size in dataset.splits.items() if size]
+    if name in filled or (name is None and filled):
+        return dataset.split(name or filled[0])
+    there = f"choose from {', '.join(filled)}" if filled else "there is nothing to draw"
+    raise UsageError(f"{dataset.folder} holds no scene{f' of split {name}' if name else ''}; {there}.")
+
+
+def _chosen(scenes: Split, wanted: Sequence[int] | None) -> dict[str, SceneRecord]:
+    indices = range(min(SHOWN, len(scenes))) if wanted is None else wanted
+    if not indices:
+        raise UsageError("No scene is named; give some, such as --scenes 0 1.")
     if wrong := [index for index in indices if not 0 <= index < len(scenes)]:
         raise UsageError(f"Split {scenes.name} has scenes 0 to {len(scenes) - 1}, but {wrong[0]} was asked for.")
     fields = [name for name in ("rgb", "depth", "segmentation", "sensor_depth") if name in scenes.fields(indices[0])]

@@ -1,10 +1,13 @@
 """A shape as a rigid body for an engine: principal axes of inertia, hulls, quaternions."""
 
-from collections.abc import Sequence
+import contextlib
+import tempfile
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
+from datagen.errors import DatagenError
 from datagen.geometry import quaternion_from_rotation
 
 
@@ -31,6 +34,25 @@ def wavefront(parts: Sequence[Float[np.ndarray, "_ 3"]]) -> str:
         lines += [f"f {a} {b} {c}" for a, b, c in zip(corners[::3], corners[1::3], corners[2::3], strict=True)]
         first += len(part)
     return "\n".join(lines) + "\n"
+
+
+@contextlib.contextmanager
+def wavefront_file(parts: Sequence[Float[np.ndarray, "_ 3"]]) -> Iterator[str]:
+    """Path of a temporary OBJ file with one object for each part.
+
+    Raises:
+        DatagenError: it cannot be written, for example because the disk is full.
+    """
+    try:
+        with tempfile.NamedTemporaryFile("w", suffix=".obj") as file:
+            file.write(wavefront(parts))
+            file.flush()
+            yield file.name
+    except OSError as error:
+        raise DatagenError(
+            f"Cannot write a temporary file in {tempfile.tempdir or 'any folder'}: {error.strerror}. "
+            "Make room there, or name another folder in TMPDIR, and run the same command."
+        ) from error
 
 
 def shrink(part: Float[np.ndarray, "corner 3"], margin: float) -> Float[np.ndarray, "corner 3"]:

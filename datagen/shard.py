@@ -162,6 +162,8 @@ class Shard:
         if version != FORMAT_VERSION:
             raise UsageError(f"{path} has format version {version}, this program reads {FORMAT_VERSION}; update it.")
         self.attributes = dict(self._file.attrs)
+        if "settings_hash" not in self.attributes or "fields" not in self._file["hash"].attrs:
+            raise _damaged(path, "settings_hash or the list of fields is missing")
         self.fields = str(self._file["hash"].attrs["fields"]).split()
         self._datasets: dict[str, h5py.Dataset] = {}
 
@@ -223,7 +225,7 @@ class Shard:
         return self._datasets[name]
 
 
-def _damaged(path: Path, error: OSError) -> CorruptFile:
+def _damaged(path: Path, error: OSError | str) -> CorruptFile:
     return CorruptFile(
         f"{path} is truncated, damaged or not an HDF5 file ({error}). Delete it and run the command that made it again."
     )

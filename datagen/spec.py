@@ -14,10 +14,11 @@ The spec is a plain dict:
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
 from datagen.schema import DATA_VERSION, FORMAT_VERSION, GENERATOR, SPLITS
 
@@ -127,7 +128,54 @@ def read_spec(folder: Path) -> Spec:
         raise UsageError(f"{path} has format version {found}, this program reads {FORMAT_VERSION}; update the program.")
     if spec.get("spec_hash") != _digest({key: value for key, value in spec.items() if key != "spec_hash"}):
         raise CorruptFile(f"{path} was changed after it was written: its spec_hash does not fit; restore the original.")
+    if wrong := [key for key, fits in _FITS.items() if not _holds(fits, spec.get(key))]:
+        raise CorruptFile(f"{path} is no spec: {', '.join(wrong)} missing or malformed; restore the original.")
     return spec
+
+
+def recipe_of(spec: Spec) -> Recipe:
+    """The recipe of a spec.
+
+    Raises:
+        UsageError: a constant is unknown to this program, or has an impossible value.
+        CorruptFile: a constant is of another kind than it should be.
+    """
+    try:
+        return recipe_from_dict(spec["recipe"])
+    except (TypeError, ValueError, AttributeError) as error:
+        raise CorruptFile(f"{SPEC_FILE} holds no recipe ({error}); restore the original.") from None
+
+
+def rendered_recipe_of(spec: Spec) -> Recipe:
+    """The recipe of a spec with the cameras that its images are made with; raises as `recipe_of`."""
+    return recipe_of({**spec, "recipe": {**spec["recipe"], **(spec["rig"] or {})}})
+
+
+def _holds(fits: Callable[[Any], bool], value: Any) -> bool:
+    try:
+        return fits(value)
+    except (TypeError, ValueError, KeyError):
+        return False
+
+
+def _is_number(value: Any, least: int = 0) -> bool:
+    return type(value) is int and value >= least
+
+
+def _has_views(values: Mapping[str, Any]) -> bool:
+    return _is_number(values["views"], 1)
+
+
+_FITS: dict[str, Callable[[Any], bool]] = {
+    "recipe": lambda recipe: _is_number(recipe["frames"], 1) and _has_views(recipe),
+    "seed": _is_number,
+    "resolution": lambda size: size is None or (len(size) == 2 and all(_is_number(side, 1) for side in size)),
+    "renderer": lambda renderer: renderer is None or type(renderer["name"]) is str,
+    "rig": lambda rig: rig is None or _has_views(rig),
+    "scenes_per_shard": lambda scenes: _is_number(scenes, 1),
+    "splits": lambda splits: all(_is_number(splits[name]) for name in SPLITS),
+}
+"""What reading a dataset relies on, key by key."""
 
 
 def differences(old: Spec, new: Spec) -> list[str]:

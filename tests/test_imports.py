@@ -44,7 +44,7 @@ LAYERS = (
 
 DATAGEN_FOR = {
     "obpose": {"schema", "storage", "errors"},
-    "benchmark": {"config", "generate", "schema", "storage", "geometry", "errors"},
+    "benchmark": {"config", "generate", "schema", "storage", "geometry", "preview", "errors"},
 }
 """What the other packages may use of `datagen`; of `obpose`, only `data.py` does."""
 

@@ -10,10 +10,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Integer
 
+from datagen.config import Physics
 from datagen.scene import Scene, scene_from_json
 from datagen.schema import DEPTH_SCALE
 from datagen.shapes import build
 from datagen.shapes.shape import Shape
+
+DEFAULT_PHYSICS = Physics()
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,8 @@ class Case:
     shapes: Sequence[Shape]
     world_from_object: Float[np.ndarray, "frame object 4 4"]
     """From the stored poses."""
+    physics: Physics
+    """What the recipe allows."""
 
     @property
     def count(self) -> int:
@@ -74,7 +79,7 @@ class Case:
         return homogeneous[:, :2] / np.where(np.abs(z) > 1e-9, z, 1e-9)[:, None], z
 
 
-def make_case(record: Mapping[str, np.ndarray]) -> Case:
+def make_case(record: Mapping[str, np.ndarray], physics: Physics = DEFAULT_PHYSICS) -> Case:
     """Build the geometry that a record describes.
 
     Raises:
@@ -83,7 +88,7 @@ def make_case(record: Mapping[str, np.ndarray]) -> Case:
     scene = scene_from_json(bytes(record["scene/description"].item()).decode())
     shapes = [build(body.shape) for body in scene.bodies]
     poses = rigid_poses(record["poses/position"], record["poses/quaternion_wxyz"])
-    return Case(record, scene, shapes, poses[:, : len(shapes)])
+    return Case(record, scene, shapes, poses[:, : len(shapes)], physics)
 
 
 def rigid_poses(

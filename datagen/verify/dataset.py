@@ -1,19 +1,22 @@
 """All scenes of a dataset, and the folder as a whole."""
 
 import dataclasses
+import functools
 import hashlib
+import re
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-import joblib
 from rich.console import Console
 from rich.progress import track
 
 from datagen import schema
+from datagen.config import recipe_from_dict
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError
 from datagen.manifest import make_manifest, read_manifest
+from datagen.parallel import make_all
 from datagen.shard import Shard
 from datagen.spec import MANIFEST_FILE, Spec, shard_name, shard_ranges
 from datagen.storage import Dataset
@@ -23,6 +26,11 @@ from datagen.verify.record import verify_record
 SCENES_PER_JOB = 8
 
 MOST_PRINTED = 200
+
+SHARD = re.compile(rf"({'|'.join(schema.SPLITS)})-\d{{5,}}\.h5")
+
+UNREADABLE = (DatagenError, OSError, RuntimeError, KeyError, TypeError, ValueError)
+"""What damaged files raise, h5py's errors among them."""
 
 
 @dataclass(frozen=True)
@@ -69,28 +77,27 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
         for split, size in dataset.splits.items()
         for start in range(0, size, SCENES_PER_JOB)
     ]
-    parallel = joblib.Parallel(n_jobs=workers, return_as="generator")
-    results = parallel(joblib.delayed(_check_scenes)(dataset, *job) for job in jobs)
-    shown = track(results, "Verifying", total=len(jobs), transient=True, disable=not Console().is_terminal)
-    checked = [part for part in shown if part is not None]
+    with closing(make_all(functools.partial(_check_scenes, dataset), jobs, workers)) as results:
+        shown = track(results, "Verifying", total=len(jobs), transient=True, disable=not Console().is_terminal)
+        checked = list(shown)
     scenes = [finding for part in checked for finding in part.findings]
-    whole = [] if scenes else [*_check_attributes(dataset), *_check_manifest(dataset)]
-    return [*scenes, *_duplicates(checked), *whole]
+    return [*scenes, *_duplicates(checked), *_check_files(dataset), *_check_manifest(dataset)]
 
 
 def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
     findings, contents = [], {}
+    recipe = recipe_from_dict(dataset.spec["recipe"])
     for scene in scenes:
         place = {"split": split, "scene": scene, "shard": shard_name(split, scene // dataset.spec["scenes_per_shard"])}
         try:
             record = dataset.split(split)[scene]
             stored = dataset.split(split).hash(scene)
-        except (DatagenError, OSError, RuntimeError, KeyError, ValueError) as error:
+        except UNREADABLE as error:
             findings.append(Finding("file", f"cannot be read: {error}", **place))
             continue
         if schema.scene_hash(record) != stored:
             findings.append(Finding("hash", f"the arrays' SHA-256 is not the stored {stored[:16]}...", **place))
-        found = verify_record(record, groups(dataset.spec))
+        found = verify_record(record, groups(dataset.spec), recipe.for_scene(scene).physics)
         findings.extend(dataclasses.replace(finding, **place) for finding in found)
         if "scene/description" in record:
             text = bytes(record["scene/description"].item())
@@ -105,32 +112,55 @@ def groups(spec: Spec) -> tuple[str, ...]:
     return ("simulation", "pixels", "sensor") if spec["recipe"]["sensor"]["enabled"] else ("simulation", "pixels")
 
 
-def _check_attributes(dataset: Dataset) -> Iterator[Finding]:
-    """What the shards, which can be read, say about themselves."""
+def _check_files(dataset: Dataset) -> Iterator[Finding]:
+    """What the shards say about themselves, and that there are no others."""
+    expected = set()
     for split, size in dataset.splits.items():
         for number, scenes in enumerate(shard_ranges(size, dataset.spec["scenes_per_shard"])):
-            with closing(Shard(dataset.split(split).path(number))) as shard:
-                stored = shard.attributes
-            expected = {"depth_scale": schema.DEPTH_SCALE, "split": split, "first_scene": scenes.start}
-            for name, value in {**expected, "data_version": dataset.spec["data_version"]}.items():
-                if stored.get(name) != value:
-                    message = f"attribute {name} is {stored.get(name)}, expected {value}"
-                    yield Finding("file", message, split=split, shard=shard_name(split, number))
+            name = shard_name(split, number)
+            expected.add(name)
+            for message in _wrong_about(dataset, split, number, scenes):
+                yield Finding("file", message, split=split, shard=name)
+    for name in sorted({path.name for path in dataset.folder.iterdir() if SHARD.fullmatch(path.name)} - expected):
+        split = name.partition("-")[0]
+        message = f"is there, but {split} has no more than {dataset.splits[split]} scenes"
+        yield Finding("file", message, split=split, shard=name)
+
+
+def _wrong_about(dataset: Dataset, split: str, number: int, scenes: range) -> Iterator[str]:
+    try:
+        with closing(Shard(dataset.split(split).path(number))) as shard:
+            stored, there = shard.attributes, len(shard)
+    except UNREADABLE:
+        return  # Its scenes have been reported.
+    expected = {"depth_scale": schema.DEPTH_SCALE, "split": split, "first_scene": scenes.start}
+    for name, value in {**expected, "data_version": dataset.spec["data_version"]}.items():
+        if stored.get(name) != value:
+            yield f"attribute {name} is {stored.get(name)}, expected {value}"
+    if there > len(scenes):
+        yield f"holds {there} scenes, expected {len(scenes)}"
 
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
-    """The record of the finished dataset is that of its files, which can be read."""
+    """The record of the finished dataset is that of its files."""
     try:
         manifest = read_manifest(dataset.folder)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         yield Finding("file", f"{MANIFEST_FILE} is damaged: {error}")
         return
     if manifest is None:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")
-    else:
+        return
+    if not isinstance(manifest, dict):
+        yield Finding("file", f"{MANIFEST_FILE} is damaged: it holds a {type(manifest).__name__}, expected an object")
+        return
+    try:
         fresh = make_manifest(dataset.folder, dataset.spec, seconds=0.0, workers=0, scenes_made=0)
-        if wrong := [key for key in ("spec_hash", "content_hash", "splits") if manifest.get(key) != fresh[key]]:
-            yield Finding("file", f"{MANIFEST_FILE} does not fit the files: {', '.join(wrong)}")
+    except UNREADABLE as error:
+        yield Finding("file", f"{MANIFEST_FILE} cannot be compared with the files: {error}")
+        return
+    if wrong := [key for key in ("spec_hash", "content_hash", "splits") if manifest.get(key) != fresh[key]]:
+        yield Finding("file", f"{MANIFEST_FILE} does not fit the files: {', '.join(wrong)}")
 
 
 def _duplicates(checked: list[Checked]) -> Iterator[Finding]:

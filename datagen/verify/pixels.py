@@ -21,7 +21,7 @@ SURFACE_TOLERANCE = MESH_TOLERANCE + 0.7 * DEPTH_SCALE
 """Metres that a single unprojected pixel may lie off the surface it is labelled with."""
 
 MEDIAN_TOLERANCE = 9e-5
-"""Metres that the median of an object's pixels in one image may lie off its surface: the mesh's tolerance and a little."""
+"""Metres that the median of an object's pixels in one image may lie off its surface: just above a mesh's tolerance."""
 
 MANY = 30
 """Pixels that make a median meaningful."""

@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+from datagen.config import Physics
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
-from datagen.verify.case import Case, make_case
+from datagen.verify.case import DEFAULT_PHYSICS, Case, make_case
 from datagen.verify.finding import Finding
 from datagen.verify.pixels import check_order, check_surfaces, check_table
 from datagen.verify.views import check_views
@@ -21,12 +22,20 @@ CHECKS: dict[str, tuple[Check, ...]] = {
 """What is checked, by the group of fields that it needs."""
 
 
-def verify_record(record: Mapping[str, np.ndarray], groups: tuple[str, ...]) -> list[Finding]:
-    """All contradictions within one scene's arrays; `groups` are those of `schema.Field.group` that must be there."""
+def verify_record(
+    record: Mapping[str, np.ndarray], groups: tuple[str, ...], physics: Physics = DEFAULT_PHYSICS
+) -> list[Finding]:
+    """All contradictions within one scene's arrays.
+
+    Args:
+        record: The arrays.
+        groups: Those of `schema.Field.group` that must be there.
+        physics: Of the scene's recipe; it says how deep contacts may be.
+    """
     if findings := list(check_schema(record, groups)):
         return findings
     try:
-        case = make_case(record)
+        case = make_case(record, physics)
     except (ValueError, KeyError, TypeError, IndexError) as error:
         return [Finding("description", f"cannot be built: {type(error).__name__} {error}")]
     if case.count != record["objects/count"]:

@@ -7,8 +7,8 @@ from jaxtyping import Float
 
 from datagen.shapes.shape import OrientedBox
 
-STEPS = 128
-"""Rays that are undecided after so many steps only graze the surface."""
+STEPS = 256
+"""Rays that are undecided after so many steps run along a surface; they may meet it or not."""
 
 LEAST_STEP = 5e-5
 """Metres; keeps a ray moving where the distance vanishes."""
@@ -26,7 +26,8 @@ def trace(
 ) -> tuple[Float[np.ndarray, "ray"], Float[np.ndarray, "ray"]]:
     """Where each ray first lies `depth_inside` metres below the surface, and its least signed distance until there.
 
-    The first is in units of the ray's direction, inf for rays that never do between `near` and `far` (same units).
+    The first is in units of the ray's direction, inf for rays that never do between `near` and `far` (same units); the
+    second is never positive for rays that stay undecided.
     """
     hit, closest = np.full(len(near), np.inf), np.full(len(near), np.inf)
     t, active = near.copy(), np.flatnonzero(near <= far)
@@ -38,8 +39,12 @@ def trace(
         closest[active] = np.minimum(closest[active], distance)
         inside = distance <= -depth_inside
         hit[active[inside]] = t[active[inside]]
-        t[active] += np.maximum(distance + depth_inside, LEAST_STEP) / speed[active]
-        active = active[~inside & (t[active] <= far[active])]
+        # The last step ends at `far`, since a surface just before it must not be stepped over.
+        ends = t[active] >= far[active]
+        step = np.maximum(distance + depth_inside, LEAST_STEP) / speed[active]
+        t[active] = np.minimum(t[active] + step, far[active])
+        active = active[~inside & ~ends]
+    closest[active] = np.minimum(closest[active], 0.0)
     return hit, closest
 
 

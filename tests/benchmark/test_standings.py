@@ -110,12 +110,13 @@ def test_failed_seeds_are_named_and_can_be_left_out():
     assert entry.summary("msc_fg", without_failed=True).mean == pytest.approx(0.8 + NOISE.mean())
 
 
-def test_the_rule_is_the_same_for_all_kinds_but_floors():
-    kinds = {"classical": "classical", "learned": "learned", "oracle": "oracle", "given": "predictions"}
+def test_the_rule_is_the_same_for_all_that_compete():
+    kinds = {"classical": "classical", "learned": "learned", "given": "predictions"}
     floors = [scored(name, score, kind="floor") for name, score in (("low", 0.05), ("high", 0.2))]
-    entries = entries_of(*(scored(name, 0.22, kind=kind) for name, kind in kinds.items()), *floors)
+    oracle = scored("oracle", 0.22, kind="oracle")
+    entries = entries_of(*(scored(name, 0.22, kind=kind) for name, kind in kinds.items()), oracle, *floors)
     assert {entries[name].causes for name in kinds} == {("collapse",)}
-    assert {entries[name].causes for name in ("low", "high")} == {("",)}
+    assert {entries[name].causes for name in ("low", "high", "oracle")} == {("",)}
 
 
 def test_the_bar_is_that_of_the_same_dataset():
