@@ -149,7 +149,7 @@ class Rig:
     elevation: float = 55.0
     """Degrees that the camera looks down."""
     field_of_view: float = 40.0
-    """Horizontal, degrees, of a frame with the aspect of `visibility_resolution`; images of another aspect show more."""
+    """Horizontal, degrees, of a frame with the aspect of `visibility_resolution`; other images show more than that."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The point that the first camera looks at, metres; other views are this one, turned about the world's z axis."""
     azimuth: float = 0.0

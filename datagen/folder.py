@@ -162,8 +162,8 @@ def _normal(spec: Spec) -> Spec:
 
 
 def _is_bare(folder: Path) -> bool:
-    """Whether no scene is there, and nobody is about to write one."""
-    return not _shards(folder) and not any(_partials(folder))
+    """Whether nothing of ours is there but the spec, and nobody is about to write anything."""
+    return [path.name for path in _own_files(folder)] == [SPEC_FILE]
 
 
 def _check_ours(folder: Path) -> None:
@@ -176,9 +176,10 @@ def _check_ours(folder: Path) -> None:
 
 
 def _give_up(folder: Path, settings: str) -> None:
-    """Delete our files, except for shards of these settings."""
+    """Delete our files, except for the spec, which someone may be writing right now, and shards of these settings."""
+    kept = {path for path in _shards(folder) if _shard_settings(path) == settings}
     for path in _own_files(folder):
-        if path.name != SPEC_FILE and not (path in _shards(folder) and _shard_settings(path) == settings):
+        if path not in kept and not path.name.startswith(SPEC_FILE):
             path.unlink(missing_ok=True)
 
 
@@ -186,7 +187,7 @@ def _shard_settings(path: Path) -> str | None:
     """The settings' hash of a shard, None where it cannot be read."""
     try:
         with closing(Shard(path)) as shard:
-            return shard.attributes["settings_hash"]
+            return str(shard.attributes["settings_hash"])
     except DatagenError:
         return None
 

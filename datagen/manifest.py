@@ -36,9 +36,18 @@ def make_manifest(folder: Path, spec: Spec, *, seconds: float, workers: int, sce
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """The manifest of a dataset, None where no run has finished."""
+    """The manifest of a dataset, None where no run has finished.
+
+    Raises:
+        ValueError: the file is damaged.
+    """
     path = folder / MANIFEST_FILE
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+    if not path.exists():
+        return None
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(manifest, dict):
+        raise ValueError(f"it holds {manifest!r:.20}, expected an object")
+    return manifest
 
 
 def _split_facts(folder: Path, spec: Spec, split: str) -> dict[str, Any]:

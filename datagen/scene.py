@@ -1,7 +1,7 @@
 """What a scene is: plain frozen values, free of any engine, that survive a round trip through JSON.
 
-A `Scene` says what is there before time starts; a `Trajectory` says where everything is in every frame. The two together
-are all that a renderer needs.
+A `Scene` says what is there before time starts; a `Trajectory` says where everything is in every frame. The two
+together are all that a renderer needs.
 """
 
 import dataclasses
@@ -163,7 +163,10 @@ class Trajectory:
     linear_velocity: Float[np.ndarray, "frame object 3"]
     angular_velocity: Float[np.ndarray, "frame object 3"]
     contact_gap: Float[np.ndarray, "frame object+1 object+1"]
-    """Distance of two surfaces in metres, negative where they overlap, inf beyond 2 cm; row and column 0 are the table."""
+    """Distance in metres of the convex hulls that physics uses, negative where they overlap, inf beyond 2 cm.
+
+    Within 3 mm of the distance of the true surfaces, exact for primitives; row and column 0 are the table.
+    """
     contact_impulse: Float[np.ndarray, "frame object+1 object+1"]
     """Normal impulse exchanged since the frame before, newton seconds."""
 

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -83,11 +84,16 @@ def record(
     return {**simulated, **pixels}
 
 
-def write_dataset(folder: Path, scenes: Sequence[SceneRecord], *, sensor: bool = False) -> Path:
-    """A dataset folder whose training split holds these scenes."""
+def write_dataset(folder: Path, scenes: Sequence[SceneRecord], *, sensor: bool = False, **settings: Any) -> Path:
+    """A dataset folder whose training split holds these scenes; `settings` are of its recipe."""
     frames, views, height, width = scenes[0]["segmentation"].shape
     recipe = config.Recipe(
-        name="staged", frames=frames, views=views, resolution=(width, height), sensor=config.Sensor(enabled=sensor)
+        name="staged",
+        frames=frames,
+        views=views,
+        resolution=(width, height),
+        sensor=config.Sensor(enabled=sensor),
+        **settings,
     )
     facts = spec.make_spec(
         config.recipe_to_dict(recipe),

@@ -14,7 +14,7 @@ from rich.progress import track
 
 from datagen import schema
 from datagen.config import recipe_from_dict
-from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError
+from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
 from datagen.manifest import make_manifest, read_manifest
 from datagen.parallel import make_all
 from datagen.shard import Shard
@@ -46,7 +46,7 @@ def run(folder: str | Path, *, workers: int = 1) -> int:
     """Check a dataset, print what is wrong with it, and give the exit code that says so.
 
     Raises:
-        UsageError: the folder holds no dataset of this format.
+        UsageError: the folder holds no dataset of this format and data version.
     """
     console = Console(soft_wrap=True, highlight=False)
     findings = find(folder, workers=workers)
@@ -66,12 +66,17 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
     """All findings of a dataset, in the order of its scenes.
 
     Raises:
-        UsageError: the folder holds no dataset of this format.
+        UsageError: the folder holds no dataset of this format and data version.
     """
     try:
         dataset = Dataset(folder)
     except CorruptFile as error:
         return [Finding("file", str(error))]
+    if dataset.spec["data_version"] != schema.DATA_VERSION:
+        raise UsageError(
+            f"{folder} has data version {dataset.spec['data_version']}, this program proves {schema.DATA_VERSION}; "
+            f"use the version of the program that made it, see {MANIFEST_FILE}."
+        )
     jobs = [
         (split, range(start, min(start + SCENES_PER_JOB, size)))
         for split, size in dataset.splits.items()
@@ -150,9 +155,6 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
         return
     if manifest is None:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")
-        return
-    if not isinstance(manifest, dict):
-        yield Finding("file", f"{MANIFEST_FILE} is damaged: it holds a {type(manifest).__name__}, expected an object")
         return
     try:
         fresh = make_manifest(dataset.folder, dataset.spec, seconds=0.0, workers=0, scenes_made=0)

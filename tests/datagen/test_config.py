@@ -80,3 +80,19 @@ def test_what_is_set_on_mixed_holds_for_its_parts():
         assert (part.frames, part.rig.distance) == (4, 1.5)
         original = load_recipe(part.name)
         assert dataclasses.replace(part, frames=10, rig=original.rig) == original
+
+
+def test_objects_that_are_set_on_mixed_hold_for_its_parts_and_leave_the_rest():
+    mixed = load_recipe("mixed")
+    changed = dataclasses.replace(mixed, objects=dataclasses.replace(mixed.objects, minimum=3, density=(500.0, 900.0)))
+    touching = changed.for_scene(1)
+    assert (touching.objects.minimum, touching.objects.density) == (3, (500.0, 900.0))
+    assert touching.objects.size == load_recipe("touching").objects.size
+
+
+def test_overrides_hold_for_parts_even_where_they_are_the_defaults():
+    mixed = load_recipe("mixed")
+    assert mixed.for_scene(1).appearance.one_hue_share == 0.5
+    changed = dataclasses.replace(mixed, overrides=("appearance.one_hue_share",))
+    assert changed.for_scene(1).appearance.one_hue_share == 0.0
+    assert changed.for_scene(1).physics == load_recipe("touching").physics

@@ -15,7 +15,7 @@ from datagen.generate import Run, generate, regenerate, render
 from datagen.maker import make_scene, object_rows
 from datagen.manifest import read_manifest
 from datagen.shard import pack, shard_image
-from datagen.spec import settings_hash
+from datagen.spec import SPEC_FILE, settings_hash, spec_text, with_splits
 from datagen.storage import Dataset
 from tests.small import ROOT, hashes, make, recipe
 
@@ -134,6 +134,45 @@ def test_overwriting_makes_other_settings_anew(tmp_path):
     assert Dataset(tmp_path).spec["seed"] == 2
 
 
+def impossible():
+    return dataclasses.replace(recipe(attempts=1), least_visible_pixels=10_000)
+
+
+def test_an_impossible_request_gives_nothing_up(tmp_path):
+    make(tmp_path, {"train": 1})
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(UsageError, match="1 attempts"):
+        generate(tmp_path, impossible(), splits={"val": 1}, run=Run(overwrite=True))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_impossible_request_does_not_stand_in_the_way_of_the_corrected_one(tmp_path):
+    with pytest.raises(UsageError, match="1 attempts"):
+        generate(tmp_path, impossible(), splits={"val": 1})
+    assert list(tmp_path.iterdir()) == []
+    assert make(tmp_path, {"val": 1}).complete
+
+
+def test_jobs_that_overwrite_share_the_work(whole, tmp_path):
+    make(tmp_path, {"train": 3}, seed=1)
+    for share in ((1, 2), (0, 2)):
+        report = make(tmp_path, SIZES, share=share, overwrite=True)
+    assert report.complete
+    assert shards(tmp_path) == shards(whole)
+
+
+def test_a_smaller_run_that_began_meanwhile_does_not_hide_scenes(whole, tmp_path):
+    @contextmanager
+    def progress(_total: int):
+        make(tmp_path, {"train": 1})
+        write_whole(tmp_path / SPEC_FILE, spec_text(with_splits(Dataset(whole).spec, {"train": 1})).encode())
+        yield lambda: None
+
+    assert make(tmp_path, SIZES, progress=progress).spec["splits"] == SIZES
+    assert Dataset(tmp_path).splits == SIZES
+    assert read_manifest(tmp_path)["splits"] == read_manifest(whole)["splits"]
+
+
 def test_progress_is_told_of_every_scene(tmp_path):
     told = []
 
@@ -192,6 +231,24 @@ def test_other_cameras_see_the_same_scenes(whole, tmp_path):
     assert regenerate(tmp_path, "train", 3) == []
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_dataset_is_not_rendered_into_itself(tmp_path, overwrite: bool):
+    make(tmp_path / "source", {"train": 1})
+    (tmp_path / "link").symlink_to("source")
+    before = shards(tmp_path / "source")
+    for folder in ("source", "link", "link/../source"):
+        with pytest.raises(UsageError, match="another folder with --out"):
+            render(tmp_path / "source", tmp_path / folder, resolution=(8, 8), run=Run(overwrite=overwrite))
+    assert shards(tmp_path / "source") == before
+
+
+def test_scenes_of_another_data_version_are_not_rendered(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr("datagen.generate.DATA_VERSION", schema.DATA_VERSION + 1)
+    with pytest.raises(UsageError, match=f"data version {schema.DATA_VERSION}, this program"):
+        render(whole, tmp_path / "images")
+    assert not (tmp_path / "images").exists()
+
+
 def test_an_incomplete_dataset_is_not_rendered(tmp_path):
     make(tmp_path / "source", {"train": 4}, share=(0, 2))
     with pytest.raises(DatagenError, match="2 of 4 train scenes are missing"):
@@ -247,7 +304,7 @@ def test_the_object_axis_holds_the_largest_scene_of_any_part():
     assert object_rows(recipe(name="mixed", parts=("moving", "cluttered"))) == 8
 
 
-def test_an_impossible_scene_found_by_a_worker_is_one_error(tmp_path):
+def test_an_impossible_scene_is_one_error(tmp_path):
     hopeless = dataclasses.replace(recipe(attempts=1), least_visible_pixels=10_000)
     with pytest.raises(UsageError, match="1 attempts"):
         generate(tmp_path, hopeless, splits={"train": 4}, run=Run(workers=2))

@@ -1,6 +1,7 @@
 import pytest
 
 from datagen import options
+from datagen.config import load_recipe
 from datagen.errors import UsageError
 
 
@@ -70,3 +71,14 @@ def test_the_recipe_follows_from_video_where_none_is_named():
 def test_stills_and_video_contradict_each_other():
     with pytest.raises(UsageError, match="--video contradicts --recipe static"):
         options.choose_recipe("static", video=True)
+
+
+def test_mixed_notes_what_the_command_line_names():
+    flags = ["--recipe", "mixed", "--appearance.one-hue-share=0.0", "--lighting.no-shadows", "--frames", "10"]
+    noted = options.with_overrides(load_recipe("mixed"), [*flags, "--resolution", "64x64", "--scenes", "3"])
+    assert set(noted.overrides) == {"frames", "appearance.one_hue_share", "lighting.shadows"}
+    assert noted.for_scene(1).appearance.one_hue_share == 0.0
+
+
+def test_recipes_without_parts_note_nothing():
+    assert options.with_overrides(load_recipe("moving"), ["--frames", "10"]) == load_recipe("moving")

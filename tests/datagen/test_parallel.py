@@ -1,4 +1,5 @@
 import os
+import signal
 import time
 from contextlib import closing
 from dataclasses import dataclass
@@ -35,6 +36,16 @@ def places(scenes) -> list[str]:
 @pytest.mark.parametrize("workers", [1, 2, 3])
 def test_scenes_come_in_their_order(workers: int):
     assert places(make_all(Maker(), SCENES, workers)) == [f"train {index}" for index in range(12)]
+
+
+def handler_of_interrupts(split: str, index: int) -> PackedScene:
+    return PackedScene({}, {}, f"{os.getpid()} {signal.getsignal(signal.SIGINT) == signal.SIG_IGN}")
+
+
+def test_workers_leave_interrupts_to_the_parent():
+    made = [scene.hash.split() for scene in make_all(handler_of_interrupts, SCENES, 2)]
+    assert {ignored == "True" for process, ignored in made if process != str(os.getpid())} == {True}
+    assert [process for process, ignored in made if ignored == "False"] == [str(os.getpid())]
 
 
 def test_two_workers_both_work():

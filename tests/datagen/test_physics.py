@@ -136,6 +136,12 @@ def test_a_resting_box_presses_on_the_table_with_its_weight():
     np.testing.assert_allclose(trajectory.contact_impulse[2:, 0, 1], weight / 12, rtol=0.01)
 
 
+def test_the_lightest_touch_is_recorded():
+    trajectory = run(body((0, 0, 0.02), density=0.01))
+    weight = 0.01 * 0.1 * 0.08 * 0.04 * 9.81
+    np.testing.assert_allclose(trajectory.contact_impulse[2:, 0, 1], weight / 12, rtol=0.02)
+
+
 def test_a_collision_exchanges_momentum_and_is_recorded():
     weightless = dataclasses.replace(PHYSICS, gravity=0.0)
     trajectory = run(

@@ -1,5 +1,6 @@
 import contextlib
 import importlib.util
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import staged
 from PIL import Image
 
-from datagen import preview
+from datagen import preview, spec
 from datagen.errors import UsageError
 
 
@@ -53,8 +54,31 @@ def test_colours_tell_near_from_far_and_ids_apart():
 def test_requests_that_cannot_be_met_say_why(tiny_dataset: Path, tmp_path: Path):
     with pytest.raises(UsageError, match="scenes 0 to 3"):
         preview.run(tiny_dataset, scenes=(4,), out=tmp_path / "sheet.png")
+
+
+def test_the_default_is_what_is_there(tiny_dataset: Path, tmp_path: Path):
+    record = staged.record(staged.scene(frames=1), resolution=(48, 48))
+    few = staged.write_dataset(tmp_path / "few", [record, record])
+    (sheet,) = preview.run(few)
+    assert np.array_equal(np.asarray(Image.open(sheet)), np.asarray(Image.open(preview.run(few, scenes=(0, 1))[0])))
+    copy = Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
+    only_val = spec.with_splits(spec.read_spec(copy), {"val": 2})
+    (copy / spec.SPEC_FILE).write_text(spec.spec_text(only_val))
+    sheets = [preview.run(copy, split=split, out=tmp_path / f"{split}.png")[0] for split in (None, "val")]
+    assert sheets[0].read_bytes() == sheets[1].read_bytes()
+    with pytest.raises(UsageError, match="no scene of split train; choose from val"):
+        preview.run(copy, split="train")
+
+
+def test_no_scenes_and_other_endings_are_refused_before_anything_is_drawn(tiny_dataset: Path, tmp_path: Path):
+    with pytest.raises(UsageError, match="No scene is named"):
+        preview.run(tiny_dataset, scenes=(), out=tmp_path / "sheet.png")
+    for name in ("sheet.xyz", "sheet", "sheet.gif"):
+        with pytest.raises(UsageError, match=r"\.png or \.jpg"):
+            preview.run(tiny_dataset, out=tmp_path / name)
     with pytest.raises(UsageError, match=r"\.gif or \.mp4"):
-        preview.run(tiny_dataset, scenes=(0,), out=tmp_path / "sheet.png", video=tmp_path / "clip.avi")
+        preview.run(tiny_dataset, out=tmp_path / "sheet.png", video=tmp_path / "clip.avi")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_mp4_is_written_or_refused_with_the_remedy(tiny_dataset: Path, tmp_path: Path):

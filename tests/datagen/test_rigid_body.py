@@ -1,7 +1,12 @@
-import numpy as np
+import os
+import tempfile
 
+import numpy as np
+import pytest
+
+from datagen.errors import DatagenError
 from datagen.geometry import rotation_from_quaternion
-from datagen.rigid_body import multiply, principal_axes, shrink, wavefront, xyzw
+from datagen.rigid_body import multiply, principal_axes, shrink, wavefront, wavefront_file, xyzw
 
 
 def test_principal_axes_take_the_inertia_apart():
@@ -51,6 +56,23 @@ def test_the_obj_text_names_every_corner_in_a_face_of_its_part():
     np.testing.assert_array_equal(corners, np.concatenate(parts))
     named = [sorted({int(i) for line in part for i in line}) for part in _faces(lines)]
     assert named == [[1, 2, 3, 4], [5, 6, 7, 8, 9], [10, 11, 12, 13, 14, 15]]
+
+
+def test_the_obj_file_is_there_as_long_as_it_is_needed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    parts = [np.eye(4)[:, :3]]
+    with wavefront_file(parts) as path, open(path) as file:
+        assert file.read() == wavefront(parts)
+    assert not os.listdir(tmp_path)
+
+
+def test_a_temporary_file_that_cannot_be_written_names_its_place(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    with (
+        pytest.raises(DatagenError, match=r"temporary file in .*missing: No such file.*TMPDIR"),
+        wavefront_file([np.eye(3)]),
+    ):
+        pass
 
 
 def _faces(lines: list[list[str]]) -> list[list[list[str]]]:

@@ -1,5 +1,6 @@
 import dataclasses
 
+import numpy as np
 import pytest
 
 from datagen.scene import (
@@ -31,7 +32,7 @@ BOX = Body(
 SCENE = Scene(
     bodies=(BOX, dataclasses.replace(BOX, push=None, touches=0)),
     table=Table(2.0, Material("wood", (0.6, 0.4, 0.2))),
-    cameras=(Camera((0.9, 0.0, 0.85), (0.28, 0.0, 0.0), 0.698132),),
+    cameras=(Camera((0.9, 0.0, 0.85), (0.28, 0.0, 0.0), 0.698132, 4 / 3),),
     lights=(Light((0.0, 0.0, 1.0), (1.0, 1.0, 0.9), 0.04), Light((1.0, 0.0, 0.0), (0.2, 0.2, 0.2), 0.0, False)),
     ambient=(0.3, 0.3, 0.3),
     backdrop=(0.5, 0.5, 0.5),
@@ -56,3 +57,21 @@ def test_equal_scenes_have_equal_text_and_others_do_not():
 def test_other_text_is_not_a_scene(text):
     with pytest.raises((ValueError, KeyError, TypeError)):
         scene_from_json(text)
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 4 / 3])
+@pytest.mark.parametrize(("width", "height"), [(128, 128), (320, 240), (192, 96), (96, 192), (500, 20)])
+def test_every_image_shows_all_of_the_frame_and_no_more_than_it_must(aspect: float, width: int, height: int):
+    camera = Camera((1.0, 0.0, 1.0), (0.0, 0.0, 0.0), np.radians(50), aspect)
+    half_width = np.tan(np.radians(25))
+    right, bottom, _ = camera.k(width, height) @ [half_width, half_width / aspect, 1.0]
+    assert right <= width + 1e-9
+    assert bottom <= height + 1e-9
+    assert right == pytest.approx(width) or bottom == pytest.approx(height)
+    left, top, _ = camera.k(width, height) @ [-half_width, -half_width / aspect, 1.0]
+    assert (left + right, top + bottom) == pytest.approx((width, height))
+
+
+def test_an_image_of_the_frames_aspect_is_as_wide_as_the_field_of_view():
+    camera = Camera((1.0, 0.0, 1.0), (0.0, 0.0, 0.0), np.radians(90), 4 / 3)
+    np.testing.assert_allclose(camera.k(320, 240), [[160, 0, 160], [0, 160, 120], [0, 0, 1]])

@@ -8,12 +8,13 @@ from datagen.shard import Shard, pack, shard_image
 from tests.small import random_record
 
 RECORDS = [random_record(seed) for seed in range(3)]
+ATTRIBUTES = {"split": "train", "settings_hash": "0" * 64}
 
 
 @pytest.fixture
 def path(tmp_path):
     path = tmp_path / "train-00000.h5"
-    path.write_bytes(shard_image([pack(record) for record in RECORDS], {"split": "train"}))
+    path.write_bytes(shard_image([pack(record) for record in RECORDS], ATTRIBUTES))
     return path
 
 
@@ -86,6 +87,14 @@ def test_a_damaged_frame_is_one_clear_error(path):
     with pytest.raises(CorruptFile, match="damaged"):
         Shard(path).read(0, "rgb")
     np.testing.assert_array_equal(Shard(path).read(1, "rgb"), RECORDS[1]["rgb"])
+
+
+@pytest.mark.parametrize(("place", "name"), [("/", "settings_hash"), ("hash", "fields")])
+def test_a_file_without_what_reading_needs_is_one_clear_error(path, place: str, name: str):
+    with h5py.File(path, "r+") as file:
+        del file[place].attrs[name]
+    with pytest.raises(CorruptFile, match=r"train-00000\.h5 .*damaged.*settings_hash or the list of fields is missing"):
+        Shard(path)
 
 
 def test_a_foreign_hdf5_file_is_refused(tmp_path):

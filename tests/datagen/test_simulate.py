@@ -40,7 +40,7 @@ def segmentations(made: Simulated, size: tuple[int, int], frame: int = 0) -> lis
     renderer.load(made.scene, made.shapes)
     poses = made.trajectory.world_from_object[frame]
     images = [renderer.render(poses, camera, *size) for camera in made.scene.cameras]
-    assert all(0 < np.min(image.depth) and np.max(image.depth) < MAX_DEPTH for image in images)
+    assert all(np.min(image.depth) > 0 and np.max(image.depth) < MAX_DEPTH for image in images)
     return [image.segmentation for image in images]
 
 
@@ -52,6 +52,7 @@ def check_promises(name: str, made: Simulated) -> None:
     assert trajectory.position.shape == (recipe.frames, count, 3)
     assert {array.dtype for array in vars(trajectory).values()} == {np.dtype(np.float32)}
     assert np.min(trajectory.contact_gap[0]) >= -1e-3
+    assert np.min(trajectory.contact_gap) >= -2e-3
     assert np.min(trajectory.position[..., 2]) > 0
     assert made.attempts == 1 + sum(made.rejections.values())
     for segmentation in segmentations(made, recipe.visibility_resolution):
@@ -199,3 +200,23 @@ def test_a_clip_in_which_nothing_travels_is_refused():
 def test_a_recipe_of_one_object_works():
     lone = Recipe(objects=Objects(minimum=1, maximum=1, categories=("box",)))
     assert len(simulate_scene(lone, 0, "train", 0).shapes) == 1
+
+
+@pytest.mark.parametrize("size", [(256, 128), (128, 256)])
+def test_objects_show_their_pixels_whatever_the_aspect_of_the_image(size: tuple[int, int]):
+    for made in scenes("moving", 3):
+        (segmentation,) = segmentations(made, size)
+        assert np.min(np.bincount(segmentation.ravel(), minlength=len(made.shapes) + 1)) >= 20
+
+
+def test_a_clip_in_which_something_sinks_into_the_table_is_refused():
+    from datagen.sampling import Rejected
+
+    recipe = load_recipe("moving")
+    made = simulate_scene(recipe, 0, "train", 0)
+    gap = made.trajectory.contact_gap.copy()
+    gap[5, 0, 1] = gap[5, 1, 0] = -0.0019
+    check_course(recipe, dataclasses.replace(made.trajectory, contact_gap=gap))
+    gap[5, 0, 1] = gap[5, 1, 0] = -0.0021
+    with pytest.raises(Rejected, match="sank"):
+        check_course(recipe, dataclasses.replace(made.trajectory, contact_gap=gap))

@@ -1,3 +1,5 @@
+import hashlib
+import json
 import pickle
 import shutil
 import subprocess
@@ -117,6 +119,32 @@ def test_a_folder_that_is_no_dataset_is_one_clear_error(tmp_path, text, error, m
     if text is not None:
         (tmp_path / SPEC_FILE).write_text(text)
     with pytest.raises(error, match=message):
+        Dataset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("splits", None),
+        ("splits", {"train": 1}),
+        ("splits", {"train": 1, "val": "two", "test": 0}),
+        ("scenes_per_shard", 0),
+        ("seed", "one"),
+        ("resolution", [64]),
+        ("resolution", 64),
+        ("renderer", "raster"),
+        ("rig", {}),
+        ("recipe", []),
+        ("recipe", {"frames": "ten", "views": 1}),
+    ],
+)
+def test_a_spec_that_says_nonsense_is_one_clear_error_though_its_hash_fits(tmp_path, key: str, value):
+    others = {name: content for name, content in SPEC.items() if name not in (key, "spec_hash")}
+    values = others if value is None else {**others, key: value}
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+    spec = {**values, "spec_hash": hashlib.sha256(text.encode()).hexdigest()}
+    (tmp_path / SPEC_FILE).write_text(spec_text(spec))
+    with pytest.raises(CorruptFile, match=rf"no spec: {key} missing or malformed"):
         Dataset(tmp_path)
 
 

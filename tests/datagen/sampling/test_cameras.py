@@ -58,3 +58,9 @@ def test_lights_come_from_above_and_only_the_key_casts_a_shadow():
 def test_shadows_can_be_switched_off():
     key, _ = sample_lights(Lighting(shadows=False), np.random.default_rng(0))
     assert not key.casts_shadow
+
+
+@pytest.mark.parametrize(("name", "aspect"), [("moving", 1.0), ("static", 1.0), ("clevr3d", 4 / 3)])
+def test_cameras_are_aimed_at_the_frame_in_which_the_recipe_judges_visibility(name: str, aspect: float):
+    recipe = dataclasses.replace(load_recipe(name), resolution=(640, 100))
+    assert {camera.aspect for camera in sample_cameras(recipe, np.random.default_rng(0))} == {aspect}

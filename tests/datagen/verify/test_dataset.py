@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,10 +11,11 @@ import h5py
 import numpy as np
 import pytest
 import staged
+from processes import command_line, descendants, wait_until_gone
 from staged import change_scene
 
-from datagen import records, shapes, spec, verify
-from datagen.config import load_recipe, recipe_names
+from datagen import records, schema, shapes, spec, verify
+from datagen.config import Physics, load_recipe, recipe_names
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.schema import SceneRecord
 from datagen.storage import Dataset
@@ -205,10 +208,70 @@ def test_a_manifest_of_other_files_is_found(plain: Path):
     facts = json.loads((plain / spec.MANIFEST_FILE).read_text())
     (plain / spec.MANIFEST_FILE).write_text(json.dumps({**facts, "content_hash": "0"}))
     assert [finding.check for finding in find(plain)] == ["file"]
-    (plain / spec.MANIFEST_FILE).write_text("{")
-    assert [finding.check for finding in find(plain)] == ["file"]
+    for text in ("{", "[]", "5", "null"):
+        (plain / spec.MANIFEST_FILE).write_text(text)
+        (finding,) = find(plain)
+        assert finding.check == "file"
+        assert "manifest.json" in finding.message
     (plain / spec.MANIFEST_FILE).unlink()
     assert [finding.check for finding in find(plain)] == ["file"]
+
+
+def test_files_are_checked_whatever_is_wrong_with_scenes(plain: Path):
+    shutil.copy(plain / "train-00000.h5", plain / "train-00001.h5")
+    shutil.copy(plain / "train-00000.h5", plain / "val-00000.h5")
+    change_scene(plain, "train", SCENE, lift_depth)
+    with h5py.File(plain / "train-00000.h5", "r+") as file:
+        file.attrs["depth_scale"] = 1e-3
+    found = find(plain)
+    assert {finding.scene for finding in found if finding.check != "file"} == {SCENE}
+    about = [(finding.split, finding.shard, finding.message) for finding in found if finding.check == "file"]
+    assert about == [
+        ("train", "train-00000.h5", "attribute depth_scale is 0.001, expected 0.0001"),
+        ("train", "train-00001.h5", "is there, but train has no more than 3 scenes"),
+        ("val", "val-00000.h5", "is there, but val has no more than 0 scenes"),
+        (None, None, "manifest.json does not fit the files: splits"),
+    ]
+
+
+def test_a_shard_with_more_scenes_than_the_dataset_is_found(plain: Path):
+    fewer = spec.with_splits(spec.read_spec(plain), {"train": 2})
+    (plain / spec.SPEC_FILE).write_text(spec.spec_text(fewer))
+    staged.write_manifest(plain)
+    (finding,) = find(plain)
+    assert finding.message == "holds 3 scenes, expected 2"
+
+
+def test_the_recipe_says_how_deep_contacts_may_be(tmp_path: Path):
+    record = staged.record(staged.scene([staged.STANDING[2]], frames=2), resolution=(48, 48))
+    record["contacts/gap"][1, 0, 1] = record["contacts/gap"][1, 1, 0] = -0.0025
+    staged.write_dataset(tmp_path / "deep", [record], physics=Physics(deepest_in_motion=0.003))
+    assert find(tmp_path / "deep") == []
+    staged.write_dataset(tmp_path / "default", [record])
+    assert [(finding.check, finding.frame) for finding in find(tmp_path / "default")] == [("overlap", 1)]
+
+
+def test_another_data_version_is_refused(plain: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(schema, "DATA_VERSION", schema.DATA_VERSION + 1)
+    with pytest.raises(UsageError, match="data version"):
+        find(plain)
+
+
+@pytest.mark.slow
+def test_workers_do_not_outlive_a_verification_that_is_killed(plain: Path):
+    program = (
+        "import sys, time; from datagen.verify import dataset\n"
+        "dataset.SCENES_PER_JOB = 1; dataset.find(sys.argv[1], workers=2); print('done', flush=True); time.sleep(60)"
+    )
+    command = [sys.executable, "-c", program, str(plain)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+    assert process.stdout
+    process.stdout.readline()
+    workers = {child: command_line(child) for child in descendants(process.pid)}
+    assert len(workers) >= 2
+    process.kill()
+    process.communicate()
+    wait_until_gone(workers)
 
 
 def test_a_folder_without_dataset_is_the_user_s_error(tmp_path: Path):
@@ -237,6 +300,15 @@ def test_every_recipe_is_verified(tmp_path: Path, name: str):
 
     generate(tmp_path / name, load_recipe(name), splits={"train": 10, "test": 2})
     assert find(tmp_path / name) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "scenes"), [("mixed", 300), ("moving", 100), ("touching", 100), ("cluttered", 100)])
+def test_of_hundreds_of_scenes_none_is_suspected(tmp_path: Path, name: str, scenes: int):
+    from datagen.generate import Run, generate
+
+    generate(tmp_path / name, load_recipe(name), splits={"train": scenes}, resolution=(64, 64), run=Run(workers=2))
+    assert find(tmp_path / name, workers=2) == []
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 import staged
 
 from datagen import geometry, records, schema, shapes
+from datagen.config import Physics
 from datagen.scene import ShapeSpec, scene_from_json
 from datagen.schema import SceneRecord
 from datagen.verify import verify_record
@@ -262,6 +263,20 @@ def test_deep_overlap_is_found_by_contacts_and_by_surfaces():
     assert checks(staged.record(world)) == {"overlap"}
     record = staged.record(staged.scene())
     record["contacts/gap"][0, 1, 2] = record["contacts/gap"][0, 2, 1] = -0.0011
+    assert checks(record) == {"overlap"}
+
+
+def test_contacts_of_later_frames_may_be_as_deep_as_the_recipe_says(video: SceneRecord):
+    def found(depth: float, physics: Physics) -> list[tuple[str, int | None]]:
+        record = copy(video)
+        record["contacts/gap"][2, 1, 2] = record["contacts/gap"][2, 2, 1] = -depth
+        return [(finding.check, finding.frame) for finding in verify_record(record, staged.GROUPS, physics)]
+
+    assert found(0.0019, Physics(deepest_in_motion=0.002)) == []
+    assert found(0.0021, Physics(deepest_in_motion=0.002)) == [("overlap", 2)]
+    assert found(0.0021, Physics(deepest_in_motion=0.003)) == []
+    record = copy(video)
+    record["contacts/gap"][1, 1, 2] = 0.01
     assert checks(record) == {"overlap"}
 
 

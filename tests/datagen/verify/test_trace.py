@@ -36,6 +36,24 @@ def test_nothing_is_hit_outside_the_stretch():
     assert np.all(np.isinf(trace(sphere, origins, directions, near, far, 1e-4)[0]))
 
 
+def test_a_surface_just_before_the_stretch_ends_is_not_stepped_over():
+    miss = 5e-5
+    near = np.linspace(0.3, 0.49, 200)
+    origins, directions = parallel_rays(np.full(200, RADIUS + miss))
+    _, closest = trace(sphere, origins, directions, near, np.full(200, 0.5), 1e-4)
+    assert np.max(closest) <= 2 * miss + 1e-4
+
+
+def test_rays_that_stay_undecided_may_touch():
+    def floor_and_wall(points: np.ndarray) -> np.ndarray:
+        return np.minimum(points[:, 0], 0.5 - points[:, 2])
+
+    origins, directions = parallel_rays(np.array([4e-4]))
+    hit, closest = trace(floor_and_wall, origins, directions, np.zeros(1), np.ones(1), 1e-4)
+    assert np.isinf(hit[0])
+    assert closest[0] <= 0
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.4])
 def test_rays_are_clipped_to_a_turned_box(angle: float):
     c, s = np.cos(angle), np.sin(angle)
