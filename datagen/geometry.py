@@ -34,7 +34,7 @@ def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) ->
 
 
 def intrinsics(field_of_view: float, width: int, height: int) -> Float[np.ndarray, "3 3"]:
-    """Camera matrix K in pixels of an ideal camera with square pixels and the given horizontal field of view (radians)."""
+    """Camera matrix K in pixels of an ideal camera with square pixels and this horizontal field of view (radians)."""
     focal = 0.5 * width / np.tan(0.5 * field_of_view)
     return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
 
@@ -121,7 +121,7 @@ def project(
 
 
 def pixel_rays(k: Float[np.ndarray, "3 3"], width: int, height: int) -> Float[np.ndarray, "height width 3"]:
-    """Directions through the pixel centres in the camera frame, scaled to z = 1, so that depth times ray is the point."""
+    """Directions through the pixel centres in the camera frame, scaled to z = 1: depth times ray is the point."""
     x = (np.arange(width) + 0.5 - k[0, 2]) / k[0, 0]
     y = (np.arange(height) + 0.5 - k[1, 2]) / k[1, 1]
     rays = np.ones((height, width, 3))

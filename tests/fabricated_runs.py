@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from fabricated import write_dataset
 
 from benchmark.interface import Prediction
 from benchmark.labels import write_labels
 from benchmark.results import Measured, RunKey, RunRow, save_row
 from benchmark.scoring import score_labels
 from datagen.storage import Dataset
+from tests.fabricated import write_dataset
 
 TRACKS = {"moving": {"frames": 5, "views": 1}, "static": {"frames": 1, "views": 3}}
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from tabletop import poses
 
 from datagen.geometry import invert_rigid, pixel_rays, transform, unproject
 from datagen.render import Image
 from datagen.scene import Camera, Scene
 from datagen.shapes import build
+from tests.tabletop import poses
 
 GRAZE = 3e-4
 """Metres within which a ray that passes a surface may or may not hit its mesh."""

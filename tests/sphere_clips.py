@@ -3,10 +3,10 @@
 import dataclasses
 
 import numpy as np
-from fabricated import scene_record, spheres_recipe, trace
 
 from benchmark.interface import Clip
 from datagen import geometry, schema
+from tests.fabricated import scene_record, spheres_recipe, trace
 
 
 def clip_of(record: schema.SceneRecord, *, uses_labels: bool = False) -> Clip:

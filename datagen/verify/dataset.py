@@ -13,12 +13,11 @@ from rich.console import Console
 from rich.progress import track
 
 from datagen import schema
-from datagen.config import recipe_from_dict
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
 from datagen.manifest import make_manifest, read_manifest
 from datagen.parallel import make_all
 from datagen.shard import Shard
-from datagen.spec import MANIFEST_FILE, Spec, shard_name, shard_ranges
+from datagen.spec import MANIFEST_FILE, Spec, recipe_of, shard_name, shard_ranges
 from datagen.storage import Dataset
 from datagen.verify.finding import Finding
 from datagen.verify.record import verify_record
@@ -91,7 +90,7 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
 
 def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
     findings, contents = [], {}
-    recipe = recipe_from_dict(dataset.spec["recipe"])
+    recipe = recipe_of(dataset.spec)
     for scene in scenes:
         place = {"split": split, "scene": scene, "shard": shard_name(split, scene // dataset.spec["scenes_per_shard"])}
         try:

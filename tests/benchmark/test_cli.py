@@ -7,7 +7,6 @@ from pathlib import Path
 
 import foreign
 import pytest
-from fabricated import write_dataset
 
 from benchmark import plan
 from benchmark.cli import main
@@ -16,6 +15,7 @@ from benchmark.results import RunRow, load_runs
 from benchmark.schedule import run_jobs
 from benchmark.tracks import DataFolder
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
+from tests.fabricated import write_dataset
 
 ROOT = Path(__file__).parent.parent.parent
 

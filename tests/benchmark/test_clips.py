@@ -5,12 +5,12 @@ from pathlib import Path
 import jaxtyping
 import numpy as np
 import pytest
-from fabricated import write_dataset
 
 from benchmark.clips import ClipSequence, TruthSequence, read_truth
 from benchmark.interface import Clip
 from datagen import config, schema, spec, storage
 from datagen.errors import UsageError
+from tests.fabricated import write_dataset
 
 
 def test_clips_hold_what_cameras_saw_and_no_labels(tmp_path: Path):

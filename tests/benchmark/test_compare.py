@@ -3,11 +3,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chosen_scores import failed_row, run_row, save_run, scene_table
 from rich.console import Console
 
 from benchmark.compare import Comparison, compare, comparison_table
 from datagen.errors import UsageError
+from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
 N = 50
 

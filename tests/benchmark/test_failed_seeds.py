@@ -1,9 +1,9 @@
 import math
 
 import pytest
-from chosen_scores import run_row
 
 from benchmark.failed_seeds import cause_of_failure, has_finite_loss
+from tests.chosen_scores import run_row
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chosen_scores import failed_row, run_row, save_run, scene_table
 
 from benchmark import leaderboard
 from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.results import RunRow, SceneTable
+from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
 N = 20
 

@@ -8,9 +8,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from fabricated import write_dataset
 
 from benchmark.results import load_runs, load_scenes, pooled
+from tests.fabricated import write_dataset
 
 ROOT = Path(__file__).parent.parent.parent
 PAGE = ROOT / "docs" / "adding_a_model.md"

@@ -4,12 +4,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from sphere_clips import arbitrary
 
 from benchmark.model_spec import ModelSpec
 from benchmark.plugins import Problem
 from benchmark.registry import discover, expand, find_model
 from datagen.errors import UsageError
+from tests.sphere_clips import arbitrary
 
 SMALLEST = '''
 import numpy as np

@@ -5,7 +5,6 @@ import h5py
 import jaxtyping
 import numpy as np
 import pytest
-from fabricated import write_dataset
 from PIL import Image
 
 from benchmark.adapters.predictions import PredictionFolder
@@ -15,6 +14,7 @@ from benchmark.interface import Clip
 from benchmark.results import load_runs, load_scenes, pooled
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.storage import Dataset, Split
+from tests.fabricated import write_dataset
 
 Writer = Callable[[Path, list[np.ndarray]], None]
 

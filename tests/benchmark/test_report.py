@@ -12,12 +12,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from fabricated_runs import MODELS, TRACKS, write_runs
 
 from benchmark import leaderboard, report
 from benchmark.report import page as page_module
 from benchmark.results import load_runs, save_row
 from datagen.errors import UsageError
+from tests.fabricated_runs import MODELS, TRACKS, write_runs
 
 HOSTILE = "<script>alert(1)<&script>'\""
 VOID = {"meta", "link", "img", "br", "input"}

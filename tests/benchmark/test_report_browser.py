@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fabricated_runs import MODELS, TRACKS, write_runs
 
 from benchmark import report
+from tests.fabricated_runs import MODELS, TRACKS, write_runs
 
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
 FLAGS = [

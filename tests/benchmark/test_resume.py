@@ -9,9 +9,9 @@ from pathlib import Path
 
 import foreign
 import pytest
-from fabricated import write_dataset
 
 from benchmark.results import load_runs
+from tests.fabricated import write_dataset
 
 ROOT = Path(__file__).parent.parent.parent
 MODELS = ("slow", "chance", "good", "raises", "plane-dbscan")

@@ -5,7 +5,6 @@ from pathlib import Path
 import jaxtyping
 import numpy as np
 import pytest
-from fabricated import write_dataset
 
 from benchmark import registry
 from benchmark.interface import Clip, Prediction
@@ -16,6 +15,7 @@ from benchmark.runner import Job, Target, run_job
 from benchmark.scoring import BadPrediction
 from datagen import storage
 from datagen.errors import UsageError
+from tests.fabricated import write_dataset
 
 Answer = Callable[[Clip], Prediction]
 

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chosen_scores import failed_row, run_row, save_run, scene_table
 
 from benchmark.results import RunRow, SceneTable
 from benchmark.standings import Entry, best_first, compare_entries, fields, load_standings, standings
+from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
 N = 40
 NOISE = np.random.default_rng(0).normal(0, 0.05, N)

@@ -2,10 +2,10 @@ import re
 
 import numpy as np
 import pytest
-from chosen_scores import failed_row, run_row, scene_table
 
 from benchmark.standings import Entry, standings
 from benchmark.tables import Board, Line, boards, latex, markdown, mean_and_std
+from tests.chosen_scores import failed_row, run_row, scene_table
 
 N = 30
 MODELS = {

@@ -1,13 +1,13 @@
 from pathlib import Path
 
 import pytest
-from fabricated import write_dataset
 
 from benchmark import tracks
 from benchmark.tracks import DataFolder, Track, all_tracks, find_dataset, find_track
 from datagen.config import load_recipe
 from datagen.errors import DatagenError, UsageError
 from datagen.storage import Dataset
+from tests.fabricated import write_dataset
 
 ISSUE = [
     "moving",

@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sphere_clips import clip_and_truth, with_holes
 
 from benchmark.interface import Clip, Prediction
 from benchmark.model_spec import ModelSpec, builder
 from benchmark.tuning import Choice, choose, subsample
+from tests.sphere_clips import clip_and_truth, with_holes
 
 CLIP, TRUTH = clip_and_truth(frames=4)
 LOG: list[tuple[Any, ...]] = []

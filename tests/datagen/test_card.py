@@ -1,10 +1,9 @@
 from pathlib import Path
 
-import staged
-
 from datagen import card, stats
 from datagen.schema import FIELDS
 from datagen.storage import Dataset
+from tests import staged
 
 ROOT = Path(__file__).parents[2]
 

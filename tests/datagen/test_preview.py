@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import staged
 from PIL import Image
 
 from datagen import preview, spec
 from datagen.errors import UsageError
+from tests import staged
 
 
 def test_the_sheet_shows_the_pixels_of_first_middle_and_last_frame(tiny_dataset: Path, tmp_path: Path):

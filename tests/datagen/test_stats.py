@@ -3,12 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import staged
 
 from datagen import stats
 from datagen.errors import UsageError
 from datagen.scene import Scene, Trajectory
 from datagen.storage import Dataset
+from tests import staged
 
 
 def test_figures_are_those_of_a_known_scene(tmp_path: Path):

@@ -3,12 +3,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from fabricated import write_dataset
 from torch.utils.data import DataLoader
 
 from datagen import schema, storage
 from datagen.errors import UsageError
 from obpose.data import SceneDataset
+from tests.fabricated import write_dataset
 
 DEFAULT_KEYS = {"rgb", "depth", "valid", "k", "world_from_camera"}
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tabletop import FRONT, poses, six_objects
 
 from datagen.errors import UsageError
 from datagen.render import make_renderer
 from datagen.scene import Material, Scene
 from datagen.shapes import build
 from datagen.shapes.shape import Shape
+from tests.tabletop import FRONT, poses, six_objects
 
 SIZE = 128
 RASTER = "raster, anti-aliased, soft shadow"

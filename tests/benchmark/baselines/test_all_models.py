@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sphere_clips import arbitrary, clip_and_truth, turned, with_holes, with_noise
 
 from benchmark.interface import LARGEST_LABEL, Clip, Segmenter
 from benchmark.metrics import clip_scores
 from benchmark.registry import MODELS, expand
+from tests.sphere_clips import arbitrary, clip_and_truth, turned, with_holes, with_noise
 
 SLOTS = 4
 EVERY = expand(["training-free"])

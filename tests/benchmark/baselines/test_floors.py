@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from sphere_clips import clip_and_truth
 
 from benchmark.baselines.floors import AllBackground, ConstantGrid, OneCluster, RandomSlots, grid_cells
 from benchmark.metrics import clip_scores
+from tests.sphere_clips import clip_and_truth
 
 
 def test_one_cluster_is_an_object_as_large_as_the_picture():

@@ -1,10 +1,10 @@
 import dataclasses
 
 import numpy as np
-from sphere_clips import arbitrary, balls, with_holes
 
 from benchmark.baselines.kmeans import KMeansXyzRgb
 from benchmark.metrics import clip_scores
+from tests.sphere_clips import arbitrary, balls, with_holes
 
 ROLL = np.stack([[[-0.2 + x, 0.15, 0.045], [0.2 - x, -0.15, 0.045]] for x in np.linspace(0, 0.4, 6)])
 

@@ -2,12 +2,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from sphere_clips import arbitrary, clip_and_truth
 
 from benchmark.baselines.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground, coarsen
 from benchmark.baselines.untrained import keep_largest
 from benchmark.interface import Prediction
 from benchmark.metrics import clip_scores
+from tests.sphere_clips import arbitrary, clip_and_truth
 
 
 def scores_of(prediction: Prediction, truth: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,9 +1,9 @@
 import numpy as np
-from sphere_clips import balls, clip_and_truth
 
 from benchmark.baselines.plane_dbscan import PlaneDbscan
 from benchmark.interface import Clip
 from benchmark.metrics import clip_scores
+from tests.sphere_clips import balls, clip_and_truth
 
 NEAR = np.array([[[-0.075, 0, 0.045], [0.075, 0, 0.045]]])
 """Two balls, their surfaces 5 cm apart; a pixel is 2 cm wide."""

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from sphere_clips import balls
 
 from benchmark.baselines.plane_dbscan import PlaneDbscan
 from benchmark.baselines.plane_dbscan_tracked import LARGEST_MOVE, PlaneDbscanTracked, follow
 from benchmark.metrics import clip_scores
+from tests.sphere_clips import balls
 
 STEPS = np.linspace(-0.3, 0.3, 9)
 

@@ -1,9 +1,9 @@
 import dataclasses
 
 import numpy as np
-from sphere_clips import balls
 
 from benchmark.baselines.plane_hdbscan import PlaneHdbscan, adopt_lone
+from tests.sphere_clips import balls
 
 ONE_BALL = np.array([[[0.0, 0.0, 0.045]]])
 

@@ -2,11 +2,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from sphere_clips import clip_and_truth, turned, with_noise
 
 from benchmark.baselines.points import cell_ids, pixel_width, scene_points, viewpoints, voxels
 from benchmark.baselines.standing import standing
 from datagen.geometry import transform
+from tests.sphere_clips import clip_and_truth, turned, with_noise
 
 
 def test_points_are_the_worlds_seen_from_the_first_camera():

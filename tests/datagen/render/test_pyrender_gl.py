@@ -4,14 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rays import surface_distance, table_depth
-from tabletop import ABOVE_LEFT, FRONT, body, render, scene, six_objects
 
 from datagen.errors import UsageError
 from datagen.geometry import pixel_rays
 from datagen.render import Renderer, make_renderer
 from datagen.render.raster import RasterRenderer
 from datagen.scene import Camera, Material, Table
+from tests.rays import surface_distance, table_depth
+from tests.tabletop import ABOVE_LEFT, FRONT, body, render, scene, six_objects
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rays import surface_distance, table_depth, trace
-from tabletop import ABOVE_LEFT, FILL, FRONT, body, poses, render, scene, six_objects
 
 from datagen.geometry import pixel_rays, rigid
 from datagen.render.kernels import NEAR as NEAREST
 from datagen.render.raster import RasterRenderer
 from datagen.scene import Camera, Material, Table
 from datagen.shapes import build
+from tests.rays import surface_distance, table_depth, trace
+from tests.tabletop import ABOVE_LEFT, FILL, FRONT, body, poses, render, scene, six_objects
 
 TENTH = 1e-4
 """Metres: the promised accuracy."""

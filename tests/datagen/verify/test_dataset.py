@@ -10,9 +10,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import staged
-from processes import command_line, descendants, wait_until_gone
-from staged import change_scene
 
 from datagen import records, schema, shapes, spec, verify
 from datagen.config import Physics, load_recipe, recipe_names
@@ -20,6 +17,9 @@ from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.schema import SceneRecord
 from datagen.storage import Dataset
 from datagen.verify.dataset import find
+from tests import staged
+from tests.processes import command_line, descendants, wait_until_gone
+from tests.staged import change_scene
 
 SCENE = 1
 """Of the training split."""

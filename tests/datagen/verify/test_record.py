@@ -4,13 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import staged
 
 from datagen import geometry, records, schema, shapes
 from datagen.config import Physics
 from datagen.scene import ShapeSpec, scene_from_json
 from datagen.schema import SceneRecord
 from datagen.verify import verify_record
+from tests import staged
 
 FAMILIES = [
     ShapeSpec("box", {"size": [0.05, 0.05, 0.05]}),

@@ -39,8 +39,8 @@ def test_nothing_is_hit_outside_the_stretch():
 def test_a_surface_just_before_the_stretch_ends_is_not_stepped_over():
     miss = 5e-5
     near = np.linspace(0.3, 0.49, 200)
-    origins, directions = parallel_rays(np.full(200, RADIUS + miss))
-    _, closest = trace(sphere, origins, directions, near, np.full(200, 0.5), 1e-4)
+    origins, directions = parallel_rays(np.full(200, miss))
+    _, closest = trace(lambda p: np.sqrt(np.sum(p**2, axis=1)), origins, directions, near, np.full(200, 0.5), 1e-4)
     assert np.max(closest) <= 2 * miss + 1e-4
 
 
