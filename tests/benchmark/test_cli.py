@@ -5,7 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import foreign
 import pytest
 
 from benchmark import plan
@@ -15,6 +14,7 @@ from benchmark.results import RunRow, load_runs
 from benchmark.schedule import run_jobs
 from benchmark.tracks import DataFolder
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
+from tests import foreign
 from tests.fabricated import write_dataset
 
 ROOT = Path(__file__).parent.parent.parent

@@ -7,10 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-import foreign
 import pytest
 
 from benchmark.results import load_runs
+from tests import foreign
 from tests.fabricated import write_dataset
 
 ROOT = Path(__file__).parent.parent.parent
