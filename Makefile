@@ -15,7 +15,7 @@ demo: .venv/.core
 	@echo
 	@echo "The main job ran end to end:"
 	@echo "  dataset        $(CURDIR)/demo/moving  (what it holds: README.md in it)"
-	@echo "  leaderboard    $(CURDIR)/demo/results/leaderboard.md"
+	@echo "  leaderboard    $(CURDIR)/demo/results/leaderboard.csv"
 	@echo "  report         $(CURDIR)/demo/results/report.html  (open it in a browser)"
 	@echo "  contact sheet  $(CURDIR)/demo/contact-sheet.png"
 
