@@ -1,5 +1,6 @@
 """Shared by all tests: shape checks on every module, and small datasets made once a session."""
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,9 @@ def _leaf_modules() -> list[str]:
 
 
 install_import_hook(_leaf_modules(), "beartype.beartype")
+
+# A shell starts what it puts in the background with Ctrl-C ignored, and programs under test would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
