@@ -1,11 +1,14 @@
 """From the flags of `obpose-bench` to what is to be compared."""
 
+from pathlib import Path
+
 from benchmark import arguments
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.plan import Request
 from benchmark.registry import discover, expand, find_model
 from benchmark.tracks import DataFolder, Source, find_track
 from datagen.errors import UsageError
+from datagen.storage import Dataset
 
 
 def request_of(values: arguments.Run) -> Request:
@@ -16,7 +19,7 @@ def request_of(values: arguments.Run) -> Request:
     """
     _check(values)
     tracks = [find_track(name) for name in dict.fromkeys(values.track)]
-    sources: list[Source] = [DataFolder(values.data)] if values.data else [*tracks]
+    sources: list[Source] = [_data_folder(values.data)] if values.data else [*tracks]
     if values.predictions:
         return _predictions_request(values, sources)
     models = tuple(expand(values.model))
@@ -46,6 +49,15 @@ def _check(values: arguments.Run) -> None:
             raise UsageError(f"--{flag} is {number:g}; expected more than 0.")
     if values.out.exists() and not values.out.is_dir():
         raise UsageError(f"{values.out} is a file; give a folder with --out.")
+
+
+def _data_folder(folder: Path) -> DataFolder:
+    dataset = Dataset(folder)
+    if dataset.spec["resolution"] is None:
+        raise UsageError(f"{folder} holds no images; make them with: obpose-datagen render --from {folder}.")
+    if not dataset.splits["test"]:
+        raise UsageError(f"{folder} has no test scenes to score on; generate some with --scenes or --split test=N.")
+    return DataFolder(folder)
 
 
 def _predictions_request(values: arguments.Run, sources: list[Source]) -> Request:

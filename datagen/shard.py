@@ -145,8 +145,7 @@ class Shard:
     def __init__(self, path: Path):
         self.path = path
         try:
-            # Shards are replaced and never changed, so that nobody needs HDF5's locks, which some file systems lack.
-            self._file = h5py.File(path, "r", locking=False)
+            self._file = h5py.File(path, "r")
         except FileNotFoundError:
             message = (
                 f"{path} is missing: the dataset is incomplete. Run the command that began it again to complete it."
