@@ -46,7 +46,9 @@ def test_the_wheel_generates_and_scores_outside_the_checkout(site, tmp_path):
     run(*datagen, "verify", "d", cwd=tmp_path, env=environment)
     bench = (sys.executable, site / "bin" / "obpose-bench")
     run(*bench, "--model", "plane-dbscan", "--data", "d", cwd=tmp_path, env=environment)
-    assert "plane-dbscan" in (tmp_path / "leaderboard.csv").read_text()
+    assert "plane-dbscan" in (tmp_path / "results" / "leaderboard.csv").read_text()
+    assert (tmp_path / "results" / "report.html").exists()
+    run(*bench, "selftest", cwd=tmp_path, env=environment)
 
 
 @pytest.mark.slow
