@@ -32,7 +32,8 @@ def _guarded(arguments: list[str]) -> int:
     kind, command = COMMANDS[name]
     program = PROGRAM if name == "run" else f"{PROGRAM} {name}"
     try:
-        description = __doc__ if name == "run" else None
+        # The help printer keeps empty lines only.
+        description = "\n\n".join(filter(None, __doc__.split("\n"))) if name == "run" and __doc__ else None
         return command(tyro.cli(kind, prog=program, args=arguments, description=description))
     except DatagenError as error:
         return _fail(str(error), error.exit_code)

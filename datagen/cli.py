@@ -16,6 +16,7 @@ import tyro
 
 from datagen import options
 from datagen.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
+from datagen.config import Recipe, recipe_names
 from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, EXIT_VERIFICATION, DatagenError, UsageError
 from datagen.spec import read_spec, rendered_recipe_of
 from datagen.storage import Dataset
@@ -79,7 +80,19 @@ def _default_generate(arguments: list[str]) -> dict[str, Any]:
     known, _ = parser.parse_known_args(arguments)
     recipe = options.with_overrides(options.choose_recipe(known.recipe, video=known.video), arguments)
     values = Generate(recipe=known.recipe, constants=Constants.of(recipe))
-    return {"default": values, "description": __doc__}
+    return {"default": values, "description": _description(recipe)}
+
+
+def _description(recipe: Recipe) -> str:
+    """What stands above the flags; the help printer keeps empty lines only."""
+    return "\n\n".join(
+        [
+            "Synthetic RGB-D scenes of objects on a table, with exact labels.",
+            "--scenes 1000 --video: 1000 clips of moving objects. --scenes 1000: 1000 still scenes from three views.",
+            f"Subcommands, each with a --help of its own: {', '.join(COMMANDS)}; without one, generate.",
+            f"Recipes: {', '.join(recipe_names())}. Defaults below are those of {recipe.name}.",
+        ]
+    )
 
 
 def _default_render(arguments: list[str]) -> dict[str, Any]:

@@ -91,7 +91,7 @@ def save_animation(path: Path, frames: list[Rgb], fps: float) -> None:
     if path.suffix.lower() == ".mp4":
         _save_mp4(path, frames, fps)
         return
-    # The palette that Pillow picks by itself spends its colours on the depth and gives objects those of their neighbours.
+    # Pillow's own choice of palette spends its colours on the depth and gives objects those of their neighbours.
     images = [Image.fromarray(frame).quantize(256, Image.Quantize.FASTOCTREE) for frame in frames]
     images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)
 
