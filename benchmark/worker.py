@@ -6,6 +6,7 @@ What it has to say goes to standard output as JSON, one event a line; what the m
 import json
 import os
 import pickle
+import signal
 import sys
 import threading
 import time
@@ -47,10 +48,11 @@ def main() -> int:
 
 
 def _end_with(parent: int) -> None:
-    """End when the parent is gone, even if it was killed."""
+    """End when the parent is gone, even if it was killed, and end what the model has started."""
     while os.getppid() == parent:
         time.sleep(_PARENT_CHECK_SECONDS)
-    os._exit(EXIT_INCOMPLETE)
+    # `benchmark.isolation` has made this process the leader of a group.
+    os.killpg(os.getpid(), signal.SIGKILL)
 
 
 def _be_killed_first() -> None:

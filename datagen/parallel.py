@@ -1,6 +1,5 @@
 """Scenes made or checked in several processes and handed out in their order."""
 
-import functools
 import os
 import signal
 import threading
@@ -14,7 +13,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from datagen.errors import EXIT_INCOMPLETE, DatagenError
 
-_PARENT_CHECK_SECONDS = 1.0
+_PARENT_CHECK_SECONDS = 0.2
 
 Place = TypeVar("Place")
 Made = TypeVar("Made")
@@ -27,14 +26,14 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
         return
     # The first one compiles the renderer and stores it, so that the workers need not do so all at once.
     yield make(*scenes[0])
-    with parallel_config(backend="loky", inner_max_num_threads=1):
+    with parallel_config(backend="loky", inner_max_num_threads=1, initializer=_become_worker, initargs=(os.getpid(),)):
         pool: Any = Parallel(
             n_jobs=min(workers, len(scenes) - 1),
             batch_size=1,  # pyright: ignore[reportArgumentType]  # joblib takes numbers too
             return_as="generator",
             max_nbytes=None,
         )
-    made = pool(delayed(_work)(make, *scene, os.getpid()) for scene in scenes[1:])
+    made = pool(delayed(make)(*scene) for scene in scenes[1:])
     try:
         for scene in made:  # noqa: UP028  # `yield from` would close it before the warnings are off
             yield scene
@@ -54,19 +53,18 @@ def _stop(made: Generator[Any]) -> None:
         made.close()
 
 
-def _work(make: Callable[[str, Place], Made], split: str, index: Place, parent: int) -> Made:
-    _become_worker(parent)
-    return make(split, index)
-
-
-@functools.cache
 def _become_worker(parent: int) -> None:
-    """Leave Ctrl-C to the parent, and end when it is gone, even if it was killed."""
+    """Leave Ctrl-C to the parent, and end when it is gone, even if it was killed.
+
+    Every worker does so before it waits for its first task: one whose parent was killed before it sent a task would
+    wait for minutes, or for ever if the parent died with a lock in hand, and hold the parent's output pipes open.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
 
 
 def _end_with(parent: int) -> None:
+    # Not "until it is 1": in a container or a session manager, orphans can be given to another process.
     while os.getppid() == parent:
         time.sleep(_PARENT_CHECK_SECONDS)
     os._exit(EXIT_INCOMPLETE)

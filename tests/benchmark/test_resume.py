@@ -12,12 +12,13 @@ import pytest
 from benchmark.results import load_runs
 from tests import foreign
 from tests.fabricated import write_dataset
+from tests.processes import command_line, descendants, errors_at_end, wait_until, wait_until_gone
 
 ROOT = Path(__file__).parent.parent.parent
 MODELS = ("slow", "chance", "good", "raises", "plane-dbscan")
 TABLES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv")
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +38,7 @@ def start(place: Path, out: Path, *flags: object, models: tuple[str, ...] = MODE
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=True,
     )
 
 
@@ -54,7 +56,7 @@ def contents(out: Path) -> dict[str, object]:
 def whole(place: Path) -> tuple[dict[str, object], float]:
     started = time.monotonic()
     process = start(place, place / "whole")
-    _, errors = process.communicate()
+    errors = errors_at_end(process)
     assert process.returncode == 3, errors
     return contents(place / "whole"), time.monotonic() - started
 
@@ -67,43 +69,35 @@ def test_a_run_that_is_killed_at_any_moment_and_resumed_gives_the_same_tables(pl
         try:
             process.communicate(timeout=chance.uniform(0.1, 0.6) * seconds)
         except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.communicate()
+            process.kill()
+            errors_at_end(process)
         load_runs(tmp_path)
     process = start(place, tmp_path)
-    process.communicate()
+    errors_at_end(process)
     assert contents(tmp_path) == expected
     assert not list(tmp_path.rglob("*.partial"))
 
 
 def test_the_number_of_workers_changes_nothing(place: Path, whole, tmp_path: Path):
-    start(place, tmp_path, "--workers", 1).communicate()
+    errors_at_end(start(place, tmp_path, "--workers", 1))
     assert contents(tmp_path) == whole[0]
 
 
-def test_workers_do_not_outlive_a_killed_run(place: Path, tmp_path: Path):
+def test_workers_and_what_models_start_do_not_outlive_a_killed_run(place: Path, tmp_path: Path):
     process = start(place, tmp_path, models=("hangs",))
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("labels/.*.partial")):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    workers = children(process.pid)
-    assert workers
+    wait_until(lambda: any(b"sleep" in line for line in lines_of(process.pid).values()), what="the model's own process")
+    workers = lines_of(process.pid)
+    assert any(b"benchmark.worker" in line for line in workers.values())
     process.kill()
-    process.communicate()
-    while any(command_line(worker) for worker in workers):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    errors_at_end(process)
+    wait_until_gone(workers)
 
 
 def test_ctrl_c_is_one_line_and_leaves_no_half_row(place: Path, tmp_path: Path):
     process = start(place, tmp_path)
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("runs/*.json")):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: list(tmp_path.glob("runs/*.json")), what="the first row")
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate()
+    errors = errors_at_end(process)
     assert process.returncode == 130
     assert (
         errors.splitlines()[-1] == "obpose-bench: Interrupted; finished rows are kept, the same command again goes on."
@@ -112,14 +106,5 @@ def test_ctrl_c_is_one_line_and_leaves_no_half_row(place: Path, tmp_path: Path):
     assert not any("interrupted" in row.reason for row in load_runs(tmp_path))
 
 
-def children(process: int) -> list[int]:
-    tasks = Path(f"/proc/{process}/task").glob("*/children")
-    found = [int(child) for task in tasks for child in task.read_text().split()]
-    return [child for child in found if b"benchmark.worker" in command_line(child)]
-
-
-def command_line(process: int) -> bytes:
-    try:
-        return Path(f"/proc/{process}/cmdline").read_bytes()
-    except OSError:
-        return b""
+def lines_of(process: int) -> dict[int, bytes]:
+    return {child: command_line(child) for child in descendants(process)}

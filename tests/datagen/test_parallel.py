@@ -1,15 +1,20 @@
 import os
 import signal
+import subprocess
+import sys
 import time
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
 from datagen.errors import DatagenError, UsageError
 from datagen.parallel import make_all
 from datagen.shard import PackedScene
+from tests.processes import command_line, descendants, errors_at_end, wait_until
 
+ROOT = Path(__file__).parent.parent.parent
 SCENES = [("train", index) for index in range(12)]
 
 
@@ -78,3 +83,42 @@ def test_a_worker_that_dies_is_one_clear_error_and_the_next_run_works():
 def test_whoever_needs_no_more_scenes_may_stop():
     with closing(make_all(Maker(), SCENES, 2)) as scenes:
         assert places([next(scenes), next(scenes)]) == ["train 0", "train 1"]
+
+
+PARENT = """
+import os, signal
+from datagen.parallel import make_all
+
+class Maker:
+    def __call__(self, split, index):
+        return index
+
+    def __reduce__(self):  # called when the first task is sent, and the workers have been started
+        {when_sent}
+
+list(make_all(Maker(), [("train", index) for index in range(4)], 2))
+"""
+
+
+def start_parent(when_sent: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", PARENT.format(when_sent=when_sent)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+
+
+def test_workers_whose_parent_was_killed_before_it_sent_a_task_do_not_outlive_it():
+    parent = start_parent("os.kill(os.getpid(), signal.SIGKILL)")
+    errors_at_end(parent)
+    assert parent.returncode == -signal.SIGKILL
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("milliseconds", [0, 2, 5, 10, 20, 40, 100, 200, 400])
+def test_workers_whose_parent_was_killed_while_it_started_them_do_not_outlive_it(milliseconds: int):
+    parent = start_parent("return Maker, ()")
+    wait_until(
+        lambda: any(b"LokyProcess" in command_line(child) for child in descendants(parent.pid)), what="the first worker"
+    )
+    time.sleep(milliseconds / 1000)
+    parent.kill()
+    errors_at_end(parent)

@@ -18,7 +18,7 @@ from datagen.schema import SceneRecord
 from datagen.storage import Dataset
 from datagen.verify.dataset import find
 from tests import staged
-from tests.processes import command_line, descendants, wait_until_gone
+from tests.processes import command_line, descendants, errors_at_end, wait_until_gone
 from tests.staged import change_scene
 
 SCENE = 1
@@ -270,7 +270,7 @@ def test_workers_do_not_outlive_a_verification_that_is_killed(plain: Path):
     workers = {child: command_line(child) for child in descendants(process.pid)}
     assert len(workers) >= 2
     process.kill()
-    process.communicate()
+    errors_at_end(process)
     wait_until_gone(workers)
 
 
