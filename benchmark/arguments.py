@@ -6,8 +6,6 @@ from typing import Annotated
 
 import tyro
 
-from benchmark.plan import DEFAULT_SECONDS
-
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 DEFAULT_OUT = Path("results")
 
@@ -19,7 +17,7 @@ class Run:
     model: tuple[str, ...] = ()
     """Names of models and groups, such as training-free."""
     track: tuple[str, ...] = ()
-    """Names of tracks; their datasets are made on first use."""
+    """Names of tracks, moving if left out; their datasets are made on first use."""
     data: Path | None = None
     """Folder of a dataset, in the place of tracks."""
     predictions: tuple[Path, ...] = ()
@@ -36,16 +34,18 @@ class Run:
     """The run folder."""
     list: Switch = False
     """Show models and tracks, and leave."""
-    budget: float = DEFAULT_SECONDS
-    """Seconds that a model that learns may train for."""
+    pretrained: Switch = False
+    """Models that learn use weights that ship with the package, in the place of training."""
+    budget: float | None = None
+    """Seconds of one core that a model that learns may train for; what each declares if left out."""
     steps: int | None = None
     """Steps that it trains for, in the place of seconds."""
     deterministic: Switch = False
     """One thread, and budgets in steps: equal tables on every run, but for the columns measured_*."""
     workers: int = 2
     """Jobs side by side."""
-    time_limit: float = 60.0
-    """Minutes after which a row has failed."""
+    time_limit: float | None = None
+    """Minutes after which a row has failed; if left out, an hour and twice the time that its model may train for."""
     memory_limit: float | None = None
     """MiB of memory at which a row has failed; if left out, an equal part of nine tenths of the machine's."""
     overwrite: Switch = False

@@ -12,6 +12,7 @@ from benchmark import arguments, outputs
 from benchmark import compare as paired
 from benchmark import rescore as rescoring
 from benchmark import selftest as golden_cases
+from benchmark.duration import estimate, in_words, time_limit
 from benchmark.files import remove_abandoned
 from benchmark.isolation import Limits
 from benchmark.machine import cores, machine_mib
@@ -19,7 +20,7 @@ from benchmark.plan import Plan, Request, check_places, make_plan
 from benchmark.registry import GROUPS, discover, expand
 from benchmark.request import request_of
 from benchmark.results import RunRow, check_runs, delete_rows, load_runs
-from benchmark.runner import SPLIT
+from benchmark.runner import SPLIT, Job
 from benchmark.schedule import repeat_rows, run_jobs
 from benchmark.tracks import SIZES, all_tracks
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION
@@ -40,6 +41,8 @@ def run(values: arguments.Run) -> int:
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
     _check_predictions(request)
+    if found := estimate(plan, values.workers):
+        _status().print(in_words(found))
     _prepare(plan, values)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
@@ -119,11 +122,14 @@ def _check_predictions(request: Request) -> None:
 
 def _run_jobs(plan: Plan, values: arguments.Run) -> None:
     """Run what is missing, with a line for every row."""
-    limits = Limits(
-        seconds=60 * values.time_limit,
-        memory_mib=values.memory_limit or MEMORY_SHARE * machine_mib() / values.workers,
-        threads=1 if values.deterministic else max(1, cores() // values.workers),
-    )
+
+    def limits_of(job: Job) -> Limits:
+        return Limits(
+            seconds=60 * values.time_limit if values.time_limit else time_limit(job),
+            memory_mib=values.memory_limit or MEMORY_SHARE * machine_mib() / values.workers,
+            threads=1 if values.deterministic else max(1, cores() // values.workers),
+        )
+
     total = sum(len(job.targets) for job in plan.jobs)
     console = _status()
     with _bar(console, "rows", total) as advance:
@@ -132,7 +138,7 @@ def _run_jobs(plan: Plan, values: arguments.Run) -> None:
             console.print(_line(row), markup=False)
             advance()
 
-        run_jobs(plan, limits, values.workers, hear)
+        run_jobs(plan, limits_of, values.workers, hear)
 
 
 def _line(row: RunRow) -> str:

@@ -7,10 +7,15 @@ values that are tuned for it, by name, and those of the following for which its 
   background. Models that find the number of objects themselves do not take it, and may use more.
 - `steps`: how many steps of training to make, whatever time they take. It is given only where results must not depend
   on the speed of the machine, and so it needs a default.
+- `folder`: where to keep files of this run, such as checkpoints. A run that was killed gets the same folder when it is
+  made again, and may go on from what it left there. It is given to models that learn, for the fit that counts and not
+  while values are tuned, and so it needs a default.
+- `checkpoint`: a folder with the weights of a model that was trained before, to be used in the place of training
+  (`--pretrained`); `fit` then gets no clips. It needs a default too.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -46,6 +51,9 @@ class Prediction:
     """Slot of every pixel, 0 to `LARGEST_LABEL`; which slot stands for which object is the model's affair."""
     background_slot: int | None
     """The slot that the model means as background; None if it means none."""
+    extra: Mapping[str, Integer[np.ndarray, "frame view height width"]] = field(default_factory=dict)
+    """Other segmentations of the clip that came of the same work, with the same background slot, by the names that the
+    model declares (`ModelSpec.extra`); each gets a row of its own, MODEL-NAME."""
 
     @property
     def background(self) -> int:
@@ -61,7 +69,7 @@ class Segmenter(Protocol):
     """A model under test."""
 
     def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
-        """Learn from unlabelled clips, for at most `budget` seconds; all randomness comes from `seed`."""
+        """Learn from unlabelled clips, for at most `budget` seconds of one core; all randomness comes from `seed`."""
         ...
 
     def segment(self, clip: Clip) -> Prediction:

@@ -66,6 +66,7 @@ def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
             "n_scenes": entry.n_scenes,
             "n_skipped": entry.n_skipped,
             "priors": "; ".join(entry.row.priors),
+            "pretrained": entry.row.pretrained,
             "version": entry.row.key.version,
             "track_spec": entry.row.key.track_spec,
             "fit_spec": entry.row.key.fit_spec,

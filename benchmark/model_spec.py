@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from benchmark.interface import Segmenter
@@ -15,6 +15,9 @@ KINDS: tuple[str, ...] = get_args(Kind)
 
 PRIORS = ("slots", "background slot", "camera pose", "plane")
 """Number of slots; which slot is the background; poses of the cameras; that the background is a plane."""
+
+DEFAULT_BUDGET = 600.0
+"""Seconds of one core that a model may train for, if it does not say otherwise."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,12 @@ class ModelSpec:
     """Whether its clips carry `truth`."""
     priors: tuple[str, ...] = ()
     """What it is told beyond the images, out of `PRIORS`."""
+    budget: float = DEFAULT_BUDGET
+    """Seconds of one core that it trains for unless the command says otherwise."""
+    extra: tuple[str, ...] = ()
+    """Names of the segmentations in `Prediction.extra`, which have rows of their own."""
+    settings: Options = field(default_factory=dict)
+    """Constants that its results depend on beside its version and options; rows are made anew when they change."""
 
     @property
     def default(self) -> Options:
@@ -42,9 +51,9 @@ class ModelSpec:
         return self.grid[0] if self.grid else {}
 
 
-OFFERED = ("slots", "steps")
-"""Options that every model is offered, and gets if its constructor has an argument of that name: the number of slots,
-and, where budgets are counted in steps (`--deterministic --steps N`), the number of training steps."""
+OFFERED = ("slots", "steps", "folder", "checkpoint")
+"""Options that every model is offered, and gets if its constructor has an argument of that name; see
+`benchmark.interface`."""
 
 
 def builder(model: Callable[..., Segmenter]) -> Callable[[Options], Segmenter]:

@@ -10,13 +10,14 @@ from pathlib import Path
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.model_spec import ModelSpec
 from benchmark.registry import find_model
-from benchmark.results import RunKey, RunRow, digest
+from benchmark.results import TRAINING, RunKey, RunRow, digest
 from benchmark.runner import SPLIT, Job, Target
 from benchmark.tracks import Source
 from datagen.errors import UsageError
+from obpose.shipped import content_hash, find_shipped
 
-DEFAULT_SECONDS = 600.0
-"""That a model may train for."""
+PRETRAINED = "-pretrained"
+"""Stands behind the names of models whose weights were not made by the run."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +30,12 @@ class Request:
     seeds: int = 3
     fit_source: Source | None = None
     """Where models are fitted, or tuned, once for all; None: on each track itself."""
-    seconds: float = DEFAULT_SECONDS
+    seconds: float | None = None
+    """Of one core, that models that learn may train for; None: what each declares."""
     steps: int | None = None
     """Training steps in the place of seconds."""
+    pretrained: bool = False
+    """Whether models that learn use the weights that ship with the package; these have one seed."""
     predictions: tuple[PredictionFolder, ...] = ()
     """Label maps in the place of models, one folder a seed; `models` then holds the one name that they go by."""
 
@@ -48,21 +52,25 @@ class Plan:
 
 
 def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
-    """Compare a request with the rows that a run folder has."""
+    """Compare a request with the rows that a run folder has.
+
+    Raises:
+        UsageError: there are no such weights as the request asks for.
+    """
     if request.predictions:
         return _predictions_plan(request, rows, out)
     done = {row.key for row in rows}
     keys, jobs, splits = [], [], {}
     for model, (fit, sources) in itertools.product(request.models, _fits(request)):
-        spec = find_model(model)
-        for seed in range(request.seeds):
-            wanted = {source: _key(request, model, spec, fit, source, seed) for source in sources}
-            keys += wanted.values()
-            missing = {source: key for source, key in wanted.items() if key not in done}
-            if not missing or (seed > 0 and not spec.random):
+        way = _way(request, model, fit)
+        for seed in range(way.seeds):
+            targets = {source: way.target(source, seed) for source in sources}
+            keys += [key for target in targets.values() for key in target.keys]
+            missing = {source: target for source, target in targets.items() if not done.issuperset(target.keys)}
+            if not missing or (seed > 0 and not way.spec.random):
                 continue
-            jobs.append(_job(request, model, seed, fit, missing, out))
-            _add(splits, fit, ("train", "val") if spec.kind == "learned" else ("val",))
+            jobs.append(way.job(seed, tuple(missing.values()), out))
+            _add(splits, fit, way.splits)
             for source in missing:
                 _add(splits, source, (SPLIT,))
     return Plan(tuple(sorted(keys)), tuple(_by_track(jobs, request.sources)), splits)
@@ -77,26 +85,13 @@ def _predictions_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Pl
         key = RunKey(source.name, source.name, name, seed, 1, folder.digest(), spec_hash, spec_hash)
         keys.append(key)
         if key not in done:
-            job = _job(request, name, seed, source, {source: key}, out)
-            jobs.append(dataclasses.replace(job, predictions=folder))
+            target = Target(key, source.folder, source.slots)
+            jobs.append(Job(name, seed, source.folder, source.slots, (target,), out, predictions=folder))
     return Plan(tuple(keys), tuple(jobs), {source: (SPLIT,)} if jobs else {})
 
 
 def _add(splits: dict[Source, tuple[str, ...]], source: Source, names: tuple[str, ...]) -> None:
     splits[source] = tuple(sorted({*splits.get(source, ()), *names}))
-
-
-def _key(request: Request, model: str, spec: ModelSpec, fit: Source, source: Source, seed: int) -> RunKey:
-    return RunKey(
-        track=source.name,
-        model=model,
-        fit_track=fit.name,
-        seed=seed,
-        version=spec.version,
-        config_hash=digest(_settings(request, spec)),
-        fit_spec=fit.spec_hash,
-        track_spec=source.spec_hash,
-    )
 
 
 def repeats(row: RunRow, keys: Iterable[RunKey]) -> list[RunRow]:
@@ -130,24 +125,83 @@ def _fits(request: Request) -> list[tuple[Source, tuple[Source, ...]]]:
     return [(source, (source,)) for source in request.sources]
 
 
-def _settings(request: Request, spec: ModelSpec) -> dict[str, object]:
-    """Settings that were known before the run and change its results."""
-    settings: dict[str, object] = {"grid": [dict(value) for value in spec.grid]}
-    if spec.kind == "learned":
-        settings["budget"] = [request.seconds, "seconds"] if request.steps is None else [request.steps, "steps"]
-    return settings
+@dataclass(frozen=True)
+class _Way:
+    """A model and how it comes by its weights, or values: by fitting on a track, or from a checkpoint."""
+
+    model: str
+    spec: ModelSpec
+    fit: Source
+    seeds: int
+    seconds: float
+    steps: int | None
+    checkpoint: Path | None
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """What it is fitted on."""
+        if self.checkpoint:
+            return ()
+        return ("train", "val") if self.spec.kind == "learned" else ("val",)
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """What was known before the run and changes its results."""
+        if self.checkpoint:
+            return {"checkpoint": content_hash(self.checkpoint)}
+        settings: dict[str, object] = {"grid": [dict(value) for value in self.spec.grid]}
+        if self.spec.kind == "learned":
+            settings["budget"] = [self.seconds, "seconds"] if self.steps is None else [self.steps, "steps"]
+        return settings | ({"settings": self.spec.settings} if self.spec.settings else {})
+
+    def target(self, source: Source, seed: int) -> Target:
+        """The rows of a seed on a track."""
+        name = self.model + (PRETRAINED if self.checkpoint else "")
+        key = RunKey(
+            track=source.name,
+            model=name,
+            fit_track=self.fit.name,
+            seed=seed,
+            version=self.spec.version,
+            config_hash=digest(self.settings),
+            fit_spec=self.fit.spec_hash,
+            track_spec=source.spec_hash,
+        )
+        extra = {other: dataclasses.replace(key, model=f"{name}-{other}") for other in self.spec.extra}
+        return Target(key, source.folder, source.slots, extra)
+
+    def job(self, seed: int, targets: tuple[Target, ...], out: Path) -> Job:
+        """The work of a seed."""
+        return Job(
+            model=self.model,
+            seed=seed,
+            fit_data=self.fit.folder,
+            fit_slots=self.fit.slots,
+            targets=targets,
+            out=out,
+            seconds=self.seconds if self.steps is None else math.inf,
+            steps=self.steps,
+            folder=out / TRAINING / self._folder_name(seed) if self.spec.kind == "learned" else None,
+            checkpoint=self.checkpoint,
+        )
+
+    def _folder_name(self, seed: int) -> str:
+        """The same for all tracks that are scored, so that none of them needs training anew."""
+        facts = [self.spec.version, self.settings, self.fit.spec_hash]
+        return f"{self.fit.name}--{self.model}--{seed}--{digest({'fit': facts})[:8]}"
 
 
-def _job(request: Request, model: str, seed: int, fit: Source, missing: dict[Source, RunKey], out: Path) -> Job:
-    return Job(
-        model=model,
-        seed=seed,
-        fit_data=fit.folder,
-        fit_slots=fit.slots,
-        targets=tuple(Target(key, source.folder, source.slots) for source, key in missing.items()),
-        out=out,
-        seconds=request.seconds if request.steps is None else math.inf,
+def _way(request: Request, model: str, fit: Source) -> _Way:
+    spec = find_model(model)
+    pretrained = request.pretrained and spec.kind == "learned"
+    return _Way(
+        model,
+        spec,
+        fit,
+        seeds=1 if pretrained else request.seeds,
+        seconds=request.seconds or spec.budget,
         steps=request.steps,
+        checkpoint=find_shipped(model, fit.name, fit.resolution) if pretrained else None,
     )
 
 

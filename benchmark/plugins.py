@@ -10,6 +10,8 @@ Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`), and may 
 - `uses_labels`: True if it must see `Clip.truth`; its rows are marked.
 - `priors`: what it is told beyond the images, out of `benchmark.model_spec.PRIORS`.
 - `kind`: one of `benchmark.model_spec.KINDS`; "learned" if left out.
+- `budget`: seconds that it trains for unless the command says otherwise; 600.0 if left out.
+- `extra`: names of further segmentations that its predictions hold; none if left out.
 """
 
 import inspect
@@ -20,7 +22,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, cast
 
 from benchmark.interface import Segmenter
-from benchmark.model_spec import KINDS, OFFERED, PRIORS, ModelSpec, builder
+from benchmark.model_spec import DEFAULT_BUDGET, KINDS, PRIORS, ModelSpec, builder
 from datagen.errors import UsageError
 
 GROUP = "obpose.models"
@@ -33,6 +35,8 @@ UNSAID: dict[str, Any] = {
     "uses_labels": False,
     "priors": (),
     "kind": "learned",
+    "budget": DEFAULT_BUDGET,
+    "extra": (),
 }
 """What holds of a class that does not say it."""
 
@@ -84,6 +88,8 @@ def spec_of(model: Any) -> ModelSpec:
         random=said["random"],
         uses_labels=said["uses_labels"],
         priors=tuple(said["priors"]),
+        budget=said["budget"],
+        extra=said["extra"],
     )
 
 
@@ -112,6 +118,8 @@ def _check(said: Mapping[str, Any]) -> None:
             raise UsageError(f"its {name} is {said[name]!r}; expected {type(default).__name__}, such as {default!r}.")
     if said["version"] < 1:
         raise UsageError(f"its version is {said['version']}; the first is 1.")
+    if not said["budget"] > 0:
+        raise UsageError(f"its budget is {said['budget']:g}; expected more than 0 seconds.")
     if said["kind"] not in KINDS:
         raise UsageError(f"its kind is {said['kind']!r}; expected one of {', '.join(KINDS)}.")
     if unknown := [prior for prior in said["priors"] if prior not in PRIORS]:
@@ -121,7 +129,7 @@ def _check(said: Mapping[str, Any]) -> None:
 def _check_options(options: Any, signature: inspect.Signature) -> None:
     if not isinstance(options, Mapping):
         raise UsageError(f"its options hold {options!r}; expected a dict of constructor arguments.")
-    told = {name: 1 for name in OFFERED if name in signature.parameters}
+    told = {"slots": 1} if "slots" in signature.parameters else {}
     try:
         signature.bind(**{**options, **told})
     except TypeError as error:

@@ -2,7 +2,8 @@
 
 `find_model(name)` gives the `ModelSpec` of one model, `expand(names)` replaces groups such as `training-free` by their
 members, `discover()` lists everything with what is wrong with broken plug-ins. A model is built from options, which
-are `slots` (see `benchmark.interface`) and one value of its grid, the default or what `benchmark.tuning.choose` picks:
+are those that `benchmark.interface` offers and one value of its grid, the default or what `benchmark.tuning.choose`
+picks:
 
     spec = find_model("plane-dbscan")
     segmenter = spec.build({"slots": 9, **spec.default})
@@ -14,6 +15,7 @@ import difflib
 from collections.abc import Iterable
 
 from benchmark import plugins
+from benchmark.adapters import LEARNED
 from benchmark.baselines import CLASSICAL, FLOORS, ORACLES
 from benchmark.model_spec import ModelSpec
 from benchmark.plugins import Problem
@@ -21,7 +23,7 @@ from datagen.errors import UsageError
 
 __all__ = ["GROUPS", "MODELS", "ModelSpec", "Problem", "discover", "expand", "find_model"]
 
-MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES}
+MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **LEARNED}
 """The models of this package; those of others come from `discover`."""
 
 GROUPS: dict[str, tuple[str, ...]] = {

@@ -6,7 +6,7 @@ from benchmark import arguments
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.plan import Request
 from benchmark.registry import discover, expand, find_model
-from benchmark.tracks import DataFolder, Source, find_track
+from benchmark.tracks import DEFAULT, DataFolder, Source, find_track
 from datagen.errors import UsageError
 from datagen.storage import Dataset
 
@@ -18,13 +18,16 @@ def request_of(values: arguments.Run) -> Request:
         UsageError: they contradict each other, or name what does not exist.
     """
     _check(values)
-    tracks = [find_track(name) for name in dict.fromkeys(values.track)]
-    sources: list[Source] = [_data_folder(values.data)] if values.data else [*tracks]
+    names = dict.fromkeys(values.track or (values.fit_track or DEFAULT,))
+    sources: list[Source] = [_data_folder(values.data)] if values.data else [find_track(name) for name in names]
     if values.predictions:
         return _predictions_request(values, sources)
     models = tuple(expand(values.model))
-    if values.deterministic and values.steps is None and any(find_model(name).kind == "learned" for name in models):
+    learns = any(find_model(name).kind == "learned" for name in models)
+    if values.deterministic and values.steps is None and learns and not values.pretrained:
         raise UsageError("--deterministic counts budgets in steps; say how many with --steps.")
+    if values.pretrained and not learns:
+        raise UsageError("--pretrained is for models that learn; name one, or leave it out.")
     return Request(
         models=models,
         sources=tuple(sources),
@@ -32,20 +35,22 @@ def request_of(values: arguments.Run) -> Request:
         fit_source=find_track(values.fit_track) if values.fit_track else None,
         seconds=values.budget,
         steps=values.steps,
+        pretrained=values.pretrained,
     )
 
 
 def _check(values: arguments.Run) -> None:
-    if bool(values.model) == bool(values.predictions) or bool(values.track) == (values.data is not None):
+    places = bool(values.track) + (values.data is not None)
+    if bool(values.model) == bool(values.predictions) or places > 1 or (values.predictions and not places):
         raise UsageError(
             "Name what to score and where: --model NAME [NAME ...] or --predictions DIR, and --track NAME [NAME ...] "
-            "or --data DIR; --list shows models and tracks."
+            f"or --data DIR (models are scored on the track {DEFAULT!r} if left out); --list shows models and tracks."
         )
     for flag, number in (("seeds", values.seeds), ("workers", values.workers), ("steps", values.steps or 1)):
         if number < 1:
             raise UsageError(f"--{flag} is {number}; expected 1 or more.")
     for flag, number in (("time-limit", values.time_limit), ("budget", values.budget)):
-        if not number > 0:
+        if number is not None and not number > 0:
             raise UsageError(f"--{flag} is {number:g}; expected more than 0.")
     if values.out.exists() and not values.out.is_dir():
         raise UsageError(f"{values.out} is a file; give a folder with --out.")

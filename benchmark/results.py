@@ -4,6 +4,8 @@ OUT/
     runs/NAME.json .... one `RunRow`; it is written last, and in one piece: it makes the row count
     scenes/NAME.csv ... one line a scene: every metric's mean over its frames, over how many, and counts
     labels/NAME.h5 .... the label maps, from which everything else can be computed again
+    curves/NAME.csv ... the learning curve, of models that keep one
+    training/ ......... models' own files: checkpoints, pictures
 with NAME = track--model--seed--8 hex digits of the key. What else lies in OUT is made from these.
 """
 
@@ -18,12 +20,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmark.curves import load_curve, save_curve
 from benchmark.files import write_whole
 from benchmark.metrics import METRICS
 from benchmark.model_spec import Kind
 from datagen.errors import CorruptFile, UsageError
 
-RUNS, SCENES, LABELS = "runs", "scenes", "labels"
+RUNS, SCENES, LABELS, CURVES, TRAINING = "runs", "scenes", "labels", "curves", "training"
 COUNTS = ("objects", "one_object", "undefined", "identity_switches", "ignored")
 """Columns of a scene's line behind its metrics: objects (mean over frames), frames with one object, frames in which a
 metric is undefined, identity switches, ignored pixels."""
@@ -100,7 +103,10 @@ class RunRow:
     commit: str
     """Of the code that ran; recorded, not part of the key."""
     measured: Measured
+    pretrained: str = ""
+    """Name of the weights that were used in the place of training; empty where the run trained."""
     learning_curve: list[dict[str, float]] | None = field(default=None)
+    """What a model recorded while it trained, a dict for each of some steps; kept in `curves/`."""
 
 
 def digest(values: Mapping[str, Any]) -> str:
@@ -109,8 +115,11 @@ def digest(values: Mapping[str, Any]) -> str:
 
 
 def save_row(folder: Path, row: RunRow) -> None:
-    """Write a row; from then on it counts."""
-    text = json.dumps(dataclasses.asdict(row), indent=1, default=str) + "\n"
+    """Write a row, and its learning curve before it; from then on it counts."""
+    values = dataclasses.asdict(row)
+    if curve := values.pop("learning_curve"):
+        save_curve(_curve_path(folder, row.key), curve)
+    text = json.dumps(values, indent=1, default=str) + "\n"
     write_whole(row_path(folder, row.key), text.encode())
 
 
@@ -148,17 +157,23 @@ def load_row(path: Path) -> RunRow:
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
         key, measured = RunKey(**values.pop("key")), Measured(**values.pop("measured"))
+        values["learning_curve"] = load_curve(_curve_path(path.parent.parent, key))
         return RunRow(key=key, measured=measured, priors=tuple(values.pop("priors")), **values)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
 
 
 def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
-    """Forget rows, with their scores and label maps."""
+    """Forget rows, with their scores, label maps and learning curves; what a model keeps for itself stays."""
     for row in rows:
         row_path(folder, row.key).unlink(missing_ok=True)
         (folder / SCENES / f"{row.key.name}.csv").unlink(missing_ok=True)
         (folder / LABELS / f"{row.key.name}.h5").unlink(missing_ok=True)
+        _curve_path(folder, row.key).unlink(missing_ok=True)
+
+
+def _curve_path(folder: Path, key: RunKey) -> Path:
+    return folder / CURVES / f"{key.name}.csv"
 
 
 def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float | int]:

@@ -3,8 +3,8 @@
 import dataclasses
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmark.adapters.predictions import PredictionFolder
@@ -25,13 +25,20 @@ SPLIT = "test"
 
 @dataclass(frozen=True)
 class Target:
-    """One row to be made."""
+    """A row to be made, with those that come of the same work."""
 
     key: RunKey
     data: Path
     """Dataset to score on."""
     slots: int
     """Slots that the model may use there."""
+    extra: Mapping[str, RunKey] = field(default_factory=dict)
+    """Rows of the segmentations in `Prediction.extra`, by their names."""
+
+    @property
+    def keys(self) -> tuple[RunKey, ...]:
+        """Of all its rows."""
+        return self.key, *self.extra.values()
 
 
 @dataclass(frozen=True)
@@ -49,12 +56,27 @@ class Job:
     """That the model may train for, half of them for tuning where there is something to tune."""
     steps: int | None = None
     """That it trains for, where budgets are counted in steps."""
+    folder: Path | None = None
+    """For files of the model's own; see `benchmark.interface`."""
+    checkpoint: Path | None = None
+    """Weights to be used in the place of training."""
+
+    @property
+    def learns(self) -> bool:
+        """Whether its model is one that learns, here or elsewhere."""
+        return self.folder is not None or self.checkpoint is not None
+
+    @property
+    def pretrained(self) -> str:
+        """Name of these weights; empty where there are none."""
+        return self.checkpoint.name if self.checkpoint else ""
+
     predictions: PredictionFolder | None = None
     """Label maps to score in the place of a model."""
 
 
 def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> None:
-    """Make all rows of a job; `announce` hears "fitted", and the name of every row when it is written.
+    """Make all rows of a job; `announce` hears "fitted", and the name of every target's row when all are written.
 
     Raises:
         UsageError: the model, a dataset or a split does not exist, or a split is empty.
@@ -64,8 +86,10 @@ def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> N
     fitted = None if job.predictions else _fit(find_model(job.model), job)
     announce("fitted")
     for target in job.targets:
-        row = _predictions_row(job, target) if fitted is None else _model_row(job, fitted, target)
-        save_row(job.out, row)
+        rows = [_predictions_row(job, target)] if fitted is None else _model_rows(job, fitted, target)
+        # The target's own comes last: where it is there, all are.
+        for row in rows[::-1]:
+            save_row(job.out, row)
         announce(target.key.name)
 
 
@@ -103,6 +127,8 @@ class _Fitted:
 
 def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     started = time.perf_counter()
+    if job.checkpoint:
+        return _pretrained(spec, job)
     dataset = Dataset(job.fit_data)
     # Only models that learn get training clips, so that the others do not wait for these to be made.
     train = _clips(dataset.split("train"), spec) if spec.kind == "learned" else []
@@ -113,26 +139,35 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
-    segmenter = spec.build(chosen)
+    segmenter = spec.build({**chosen, **({"folder": job.folder} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)
-    return _Fitted(spec, segmenter, chosen, tuned, time.perf_counter() - started)
+    seconds = float(getattr(segmenter, "fit_seconds", time.perf_counter() - started))
+    return _Fitted(spec, segmenter, chosen, tuned, seconds)
 
 
-def _model_row(job: Job, fitted: _Fitted, target: Target) -> RunRow:
+def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
+    segmenter = spec.build({"slots": job.fit_slots, "checkpoint": job.checkpoint})
+    segmenter.fit([], [], seed=job.seed, budget=0.0)
+    return _Fitted(spec, segmenter, {}, False, float("nan"))
+
+
+def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
     segmenter, options = _for_target(job, fitted, target)
     scenes = _scenes(target)
     clips = _clips(scenes, fitted.spec)
     seconds_per_frame = _score(job, target, lambda _, clip: segmenter.segment(clip), scenes, clips)
-    return dataclasses.replace(
+    row = dataclasses.replace(
         blank_row(target.key, fitted.spec, status="ok"),
-        config=dict(options),
+        config={**fitted.spec.settings, **options},
         tuned=fitted.tuned,
         n_scenes=len(scenes),
         parameters=int(getattr(segmenter, "parameters", 0)),
         device=str(getattr(segmenter, "device", "cpu")),
         measured=Measured(seconds_per_frame, fitted.seconds, peak_mib()),
-        learning_curve=_learning_curve(segmenter),
+        pretrained=job.pretrained,
     )
+    others = [dataclasses.replace(row, key=key) for key in target.extra.values()]
+    return [dataclasses.replace(row, learning_curve=_learning_curve(segmenter)), *others]
 
 
 def _learning_curve(segmenter: Segmenter) -> list[dict[str, float]] | None:
@@ -166,9 +201,12 @@ def _scenes(target: Target) -> Split:
 
 
 def _score(job: Job, target: Target, predict: Predict, scenes: Split, clips: ClipSequence) -> float:
-    """Write label maps and scene table; returns the seconds that the model took for a frame and view."""
+    """Write label maps and scene tables; returns the seconds that the model took for a frame and view."""
     labels = job.out / LABELS / f"{target.key.name}.h5"
-    seconds = segment_split(predict, clips, labels, target.data)
+    extra = {name: job.out / LABELS / f"{key.name}.h5" for name, key in target.extra.items()}
+    seconds = segment_split(predict, clips, labels, target.data, extra)
+    for name, path in extra.items():
+        score_labels(path, scenes, job.out, target.extra[name].name)
     return seconds / score_labels(labels, scenes, job.out, target.key.name)
 
 

@@ -8,16 +8,17 @@ from pathlib import Path
 
 from benchmark.files import write_whole
 from benchmark.isolation import LOGS, Limits, run_isolated
+from benchmark.model_spec import ModelSpec
 from benchmark.plan import Plan, repeats
 from benchmark.registry import find_model
 from benchmark.results import SCENES, RunKey, RunRow, load_row, load_runs, row_path, save_row
-from benchmark.runner import Job, blank_row
+from benchmark.runner import Job, Target, blank_row
 
 Heard = Callable[[RunRow], None]
-"""Is told of every row that a job made or failed to make."""
+"""Is told of every target's row that a job made or failed to make."""
 
 
-def run_jobs(plan: Plan, limits: Limits, workers: int, heard: Heard) -> None:
+def run_jobs(plan: Plan, limits_of: Callable[[Job], Limits], workers: int, heard: Heard) -> None:
     """Do all jobs of a plan. Kill it at any moment: the rows that were written count, the others are made next time."""
     stop = threading.Event()
     waiting = list(plan.jobs)
@@ -26,7 +27,7 @@ def run_jobs(plan: Plan, limits: Limits, workers: int, heard: Heard) -> None:
             running = set()
             while waiting or running:
                 while waiting and len(running) < workers:
-                    running.add(pool.submit(_do, waiting.pop(0), limits, stop, heard))
+                    running.add(pool.submit(_do, job := waiting.pop(0), limits_of(job), stop, heard))
                 finished, running = wait(running, return_when=FIRST_COMPLETED)
                 waiting[:0] = [rest for future in finished for rest in future.result()]
         except BaseException:
@@ -68,8 +69,15 @@ def _do(job: Job, limits: Limits, stop: threading.Event, heard: Heard) -> list[J
     failed = left[:1] if "fitted" in outcome.events else left
     for target in failed:
         reason = outcome.reason or "its process ended before the row was written"
-        row = blank_row(target.key, spec, status="failed", reason=reason)
-        save_row(job.out, row)
-        heard(row)
+        heard(_save_failure(job, target, spec, reason))
     rest = tuple(left[len(failed) :])
     return [dataclasses.replace(job, targets=rest)] if rest else []
+
+
+def _save_failure(job: Job, target: Target, spec: ModelSpec | None, reason: str) -> RunRow:
+    """Write a failed row for each of a target's; returns its own."""
+    rows = [blank_row(key, spec, status="failed", reason=reason) for key in target.keys]
+    rows = [dataclasses.replace(row, pretrained=job.pretrained) for row in rows]
+    for row in rows[::-1]:
+        save_row(job.out, row)
+    return rows[0]

@@ -1,7 +1,8 @@
 """From a model's answers to the scene table: segment and store, then score what is stored."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -22,20 +23,33 @@ class BadPrediction(DatagenError):
     """A model broke the contract of `benchmark.interface`."""
 
 
-def segment_split(predict: Predict, clips: ClipSequence, path: Path, data: Path) -> float:
+def segment_split(
+    predict: Predict, clips: ClipSequence, path: Path, data: Path, extra: Mapping[str, Path] | None = None
+) -> float:
     """Segment every clip of the dataset `data` and store the label maps; returns the seconds that `predict` took.
+
+    Args:
+        predict: Segments a clip.
+        clips: Of the split.
+        path: Where the label maps go.
+        data: Folder of the dataset.
+        extra: Where those in `Prediction.extra` go, by their names.
 
     Raises:
         BadPrediction: something else than a label for every pixel came back.
     """
-    seconds = 0.0
-    with write_labels(path, len(clips), data) as writer:
+    seconds, extra = 0.0, extra or {}
+    with ExitStack() as stack:
+        writer = stack.enter_context(write_labels(path, len(clips), data))
+        others = {name: stack.enter_context(write_labels(place, len(clips), data)) for name, place in extra.items()}
         for index, clip in enumerate(clips):
             started = time.perf_counter()
             prediction = predict(index, clip)
             seconds += time.perf_counter() - started
-            check_prediction(prediction, clip, f"scene {index}")
+            check_prediction(prediction, clip, f"scene {index}", extra)
             writer.put(index, prediction)
+            for name, other in others.items():
+                other.put(index, Prediction(prediction.extra[name], prediction.background_slot))
     return seconds
 
 
@@ -51,15 +65,21 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
     return int(sum(line["n_frames"] for line in lines))
 
 
-def check_prediction(prediction: Prediction, clip: Clip, where: str) -> None:
-    """Check that a model gave a label for every pixel.
+def check_prediction(prediction: Prediction, clip: Clip, where: str, extra: Collection[str] = ()) -> None:
+    """Check that a model gave a label for every pixel, and so in each of the `extra` segmentations.
 
     Raises:
         BadPrediction: says what it gave instead.
     """
     if not isinstance(prediction, Prediction):
         raise BadPrediction(f"In {where} the model gave a {type(prediction).__name__}; expected a Prediction.")
-    labels, slot = np.asarray(prediction.labels), prediction.background_slot
+    if missing := sorted(set(extra) - set(prediction.extra)):
+        raise BadPrediction(f"In {where} the model gave no {missing[0]!r} in `extra`, which it declares.")
+    for labels in (prediction.labels, *(prediction.extra[name] for name in extra)):
+        _check_labels(np.asarray(labels), prediction.background_slot, clip, where)
+
+
+def _check_labels(labels: np.ndarray, slot: int | None, clip: Clip, where: str) -> None:
     if labels.shape != clip.depth.shape or not np.issubdtype(labels.dtype, np.integer):
         nan = " with nan" if labels.dtype.kind == "f" and np.isnan(labels).any() else ""
         expected = f"integers of shape {clip.depth.shape}"

@@ -23,8 +23,9 @@ ALL_METRICS = (*METRICS, *CLIP_METRICS)
 RANKED_METRICS = ("ari_fg", "msc_fg")
 """Models are ordered by the mean of their ranks in these."""
 
-USES_LABELS, TUNED = "†", "‡"
-"""Marks of models that see labels, and of those whose values were chosen by scores on the validation split."""
+USES_LABELS, TUNED, PRETRAINED = "†", "‡", "§"
+"""Marks of models that see labels, of those whose values were chosen by scores on the validation split, and of those
+whose weights the run did not make."""
 
 BOOTSTRAP_SEED = 0
 
@@ -61,8 +62,9 @@ class Entry:
 
     @property
     def marks(self) -> str:
-        """`USES_LABELS` and `TUNED`, where they apply."""
-        return USES_LABELS * self.row.uses_labels + TUNED * self.row.tuned
+        """`USES_LABELS`, `TUNED` and `PRETRAINED`, where they apply."""
+        row = self.row
+        return USES_LABELS * row.uses_labels + TUNED * row.tuned + PRETRAINED * bool(row.pretrained)
 
     @property
     def is_ranked(self) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from benchmark import statistics
 from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
-from benchmark.standings import RANKED_METRICS, TUNED, USES_LABELS, Entry, best_first, fields
+from benchmark.standings import PRETRAINED, RANKED_METRICS, TUNED, USES_LABELS, Entry, best_first, fields
 
 SHOWN = {"miou_bg": "mIoU-BG", "ari_fg": "ARI-FG", "msc_fg": "MSC-FG", "ari": "ARI"}
 """Metrics in the tables; the CSV has them all."""
@@ -30,7 +30,8 @@ NOTES = (
     "seeds and scenes; with three seeds these under-cover.",
     "Ranked by the mean of the ranks in ARI-FG and MSC-FG; bold is the best of the ranked rows.",
     "Rows that share a letter cannot be told apart in that column (paired by scene, Holm-corrected, 5 %).",
-    f"{USES_LABELS} uses labels, and is not ranked. {TUNED} labels of the validation split were used for tuning.",
+    f"{USES_LABELS} uses labels, and is not ranked. {TUNED} labels of the validation split were used for tuning. "
+    f"{PRETRAINED} weights that ship with the package, of one seed.",
     "A seed failed if its loss was nan, its mIoU-BG is under 0.5 (swap), or its MSC-FG is within 0.05 of the best "
     "floor's (collapse).",
 )
@@ -241,7 +242,7 @@ def _grey(text: str) -> str:
 _LATEX = str.maketrans(
     {character: f"\\{character}" for character in "&%_#${}"}
     | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}"}
-    | {"±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "–": "--"}
+    | {"±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S{}", "–": "--"}
 )
 
 

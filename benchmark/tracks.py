@@ -21,6 +21,8 @@ CACHE = "OBPOSE_CACHE"
 SIZES = {"train": 2000, "val": 100, "test": 300}
 """Scenes of each split."""
 SEED = 0
+DEFAULT = "moving"
+"""The track that is meant where none is named."""
 SQUARE, WIDE = (64, 64), (80, 60)
 """Width and height of the images, in the profile `cpu`; wide for recipes that are wide themselves."""
 
@@ -113,6 +115,12 @@ class DataFolder:
     def name(self) -> str:
         """Name of the folder."""
         return self.folder.resolve().name
+
+    @property
+    def resolution(self) -> tuple[int, int]:
+        """Width and height of its images."""
+        width, height = Dataset(self.folder).spec["resolution"]
+        return width, height
 
     @property
     def slots(self) -> int:

@@ -79,6 +79,11 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         """Choose the random windows of an epoch; call it before iterating."""
         self._epoch.fill_(epoch)
 
+    @property
+    def frames_of_clip(self) -> int:
+        """Frames of a whole clip."""
+        return self._clip_frames
+
     def __len__(self) -> int:
         return len(self._scenes) * self._windows_per_clip
 
@@ -86,12 +91,15 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         if not 0 <= index < len(self):
             raise IndexError(f"Item {index} of a dataset with {len(self)} items, counted from 0.")
         scene, window = divmod(index, self._windows_per_clip)
-        start = self._start(index, window)
+        return self.window(scene, self._start(index, window), self._frames)
+
+    def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
+        """Some frames of a scene, wherever the dataset's own windows are: what `obpose.clips.ClipSource` asks for."""
         depth = "sensor_depth" if self._sensor else "depth"
         fields = {"rgb", depth, "camera/K", "camera/world_from_camera", *self._extra}
         if self._sensor:
             fields.add("sensor_valid")
-        record = self._scenes.read(scene, fields, slice(start, start + self._frames))
+        record = self._scenes.read(index, fields, slice(start, start + frames))
         record = {name: self._select_views(name, array) for name, array in record.items()}
         return {
             "rgb": _rgb(record["rgb"]),

@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from benchmark.baselines.plane import fit_plane
 from benchmark.baselines.points import viewpoints
 from benchmark.interface import Clip
+from obpose.plane import fit_plane
 
 LEAST_HEIGHT = 0.001
 """Metres above the plane from which on a point belongs to an object; more cuts off the feet of objects."""

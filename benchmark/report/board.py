@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmark.metrics import CLIP_METRICS, METRICS
-from benchmark.standings import TUNED, USES_LABELS, Entry, best_first
+from benchmark.standings import PRETRAINED, TUNED, USES_LABELS, Entry, best_first
 from benchmark.statistics import Summary
 
 BLOCKS = {
@@ -40,6 +40,7 @@ NAMES = {
 MARKS = {
     USES_LABELS: "sees the truth, and is not ranked",
     TUNED: "tuned by scores on the validation split, which uses its labels",
+    PRETRAINED: "not trained here: one set of weights that ships with the package",
 }
 
 

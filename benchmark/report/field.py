@@ -18,6 +18,8 @@ from datagen.errors import DatagenError, UsageError
 from datagen.storage import Split
 
 OWN = "the track itself"
+CLOCKS = ("step", "seconds")
+"""What learning curves count time in; the charts' axis is the step."""
 
 Find = Callable[[str], Path | None]
 
@@ -147,7 +149,7 @@ def _scatter(entries: Sequence[Entry], numbers: Mapping[str, int]) -> Scatter | 
 def _histories(entries: Sequence[Entry], numbers: Mapping[str, int]) -> list[LineChart]:
     """One chart for each quantity that some learning curve records, with a line for each seed."""
     curves = [(numbers[e.row.key.model], row.learning_curve) for e in entries for row in e.rows if row.learning_curve]
-    names = dict.fromkeys(name for _, points in curves for point in points for name in point if name != "step")
+    names = dict.fromkeys(name for _, points in curves for point in points for name in point if name not in CLOCKS)
     return [history_chart(name, [_history(model, points, name) for model, points in curves]) for name in names]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, Integer
+from jaxtyping import Bool, Float, Float64, Int64, Integer
 
 from benchmark.errors_by_type import errors_by_type
 from benchmark.metrics.contingency import contingency
@@ -88,7 +88,7 @@ def object_pixels(
     return counts.astype(np.int64)
 
 
-def nearest_gap(gaps: Float64[np.ndarray, "frame body body"]) -> Float64[np.ndarray, "frame object"]:
+def nearest_gap(gaps: Float[np.ndarray, "frame body body"]) -> Float64[np.ndarray, "frame object"]:
     """Distance of each object to the nearest other one; body 0 is the table and does not count."""
     between = gaps[:, 1:, 1:].astype(np.float64)
     return np.where(np.eye(between.shape[1], dtype=bool), np.inf, between).min(axis=2, initial=np.inf)

@@ -204,7 +204,13 @@ def test_models_and_tracks_are_listed(capsys):
     ("arguments", "message"),
     [
         ([], "Name what to score and where"),
-        (["--model", "plane-dbscan"], "Name what to score and where"),
+        (["--predictions", "{empty}"], "Name what to score and where"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--pretrained"], "--pretrained is for models that learn"),
+        (
+            ["--model", "obpose", "--data", "{data}", "--pretrained"],
+            "No weights of 'obpose' trained on 'data' at 64x48",
+        ),
+        (["--model", "plane-dbscan", "--data", "{data}", "--budget", "0"], "--budget is 0"),
         (["--model", "plane-dbscan", "--track", "moving", "--data", "{data}"], "Name what to score and where"),
         (["--model", "plane-dbscn", "--data", "{data}"], "did you mean 'plane-dbscan'"),
         (["--model", "plane-dbscan", "--track", "movin"], "did you mean 'moving'"),
@@ -268,7 +274,7 @@ def test_one_fit_serves_all_tracks_and_one_failure_costs_one_row(tmp_path: Path)
     made = plan.make_plan(request, [], tmp_path / "out")
     assert len(made.jobs) == 1
     heard: list[RunRow] = []
-    run_jobs(made, Limits(60.0, 2000.0), 2, heard.append)
+    run_jobs(made, lambda job: Limits(60.0, 2000.0), 2, heard.append)
     assert [(row.key.track, row.key.fit_track, row.status) for row in heard] == [
         ("a", "a", "ok"),
         ("b", "a", "failed"),

@@ -1,5 +1,6 @@
 """Packages are written to disk as an installer leaves them, and found the way that installed ones are."""
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -68,18 +69,20 @@ def test_attributes_say_more(install):
     version, description, kind, random, uses_labels = 3, "Sees much.", "classical", False, True
     priors = ("slots", "plane")
     options = ({"depth": 2}, {"depth": 3})
+    budget, extra = 60.0, ("fine", "coarse")
 
-    def __init__(self, slots, depth=1):
-        self.slots, self.depth = slots, depth
+    def __init__(self, slots, depth=1, folder=None):
+        self.slots, self.depth, self.folder = slots, depth, folder
 """
     install("muchnet", SMALLEST + said, much="muchnet:Nothing")
     spec = find_model("much")
     expected = ModelSpec(
         spec.build, 3, "Sees much.", "classical", ({"depth": 2}, {"depth": 3}), False, True, ("slots", "plane")
     )
+    expected = dataclasses.replace(expected, budget=60.0, extra=("fine", "coarse"))
     assert spec == expected
-    model = spec.build({"slots": 5, "steps": 10, **spec.grid[1]})
-    assert vars(model) == {"slots": 5, "depth": 3}
+    model = spec.build({"slots": 5, "steps": 10, "folder": Path("f"), **spec.grid[1]})
+    assert vars(model) == {"slots": 5, "depth": 3, "folder": Path("f")}
 
 
 @pytest.mark.parametrize(
@@ -98,6 +101,9 @@ def test_attributes_say_more(install):
         ("Nothing.options = ({'depth': 2},)", "Nothing", "does not take the options {'depth': 2}"),
         ("Nothing.options = (2,)", "Nothing", "options hold 2; expected a dict"),
         ("Nothing.options = 7", "Nothing", "options is 7; expected tuple, such as ()"),
+        ("Nothing.budget = -1.0", "Nothing", "budget is -1; expected more than 0"),
+        ("Nothing.extra = 'fine'", "Nothing", "extra is 'fine'; expected tuple"),
+        ("class Keen(Nothing):\n    def __init__(self, folder): ...", "Keen", "does not take the options {}"),
         ("class Greedy(Nothing):\n    def __init__(self, layers): ...", "Greedy", "does not take the options {}"),
     ],
 )

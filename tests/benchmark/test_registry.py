@@ -8,6 +8,7 @@ from benchmark import plugins
 from benchmark.interface import Segmenter
 from benchmark.model_spec import KINDS, PRIORS, ModelSpec
 from benchmark.registry import GROUPS, MODELS, discover, expand, find_model
+from benchmark.results import digest
 from datagen.errors import UsageError
 
 
@@ -31,6 +32,9 @@ def test_a_model_named_twice_runs_once():
     assert len(names) == len(set(names)) == len(expand(["classical"]))
 
 
+TRAINING_FREE = sorted(expand(["training-free"]))
+
+
 @pytest.mark.parametrize("name", sorted(MODELS))
 def test_every_model_says_what_the_tables_need(name: str):
     spec = MODELS[name]
@@ -45,7 +49,7 @@ def test_every_model_says_what_the_tables_need(name: str):
     assert isinstance(spec.build({"slots": 5, **spec.default}), Segmenter)
 
 
-@pytest.mark.parametrize("name", sorted(MODELS))
+@pytest.mark.parametrize("name", TRAINING_FREE)
 def test_defaults_are_the_first_values_of_the_grid(name: str):
     if name != "plane-dbscan-colour":  # It is plane-dbscan with the colour that it else leaves out.
         spec = MODELS[name]
@@ -59,6 +63,15 @@ def test_our_own_models_cost_no_search_for_plugins(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(plugins, "load", never)
     assert isinstance(find_model("plane-dbscan"), ModelSpec)
     assert expand(["training-free"])
+
+
+def test_every_variant_is_a_model_and_a_constant_of_it_that_changes_makes_new_rows():
+    names = ("obpose", "obpose-loc", "obpose-none", "obpose-as-published")
+    specs = [MODELS[name] for name in names]
+    assert {spec.kind for spec in specs} == {"learned"}
+    assert {spec.extra for spec in specs} == {("att",)}
+    assert {spec.budget for spec in specs} == {23 * 60.0}
+    assert len({digest(spec.settings) for spec in specs}) == len(names)
 
 
 def test_training_free_models_need_no_torch():

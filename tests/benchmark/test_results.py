@@ -57,6 +57,21 @@ def test_a_row_is_read_as_it_was_written(tmp_path: Path):
     assert [path.name for path in (tmp_path / "runs").iterdir()] == [f"{KEY.name}.json"]
 
 
+def test_a_learning_curve_is_a_file_of_its_own(tmp_path: Path):
+    save_row(tmp_path, ROW)
+    assert (tmp_path / "curves" / f"{KEY.name}.csv").read_text() == "step,loss\n1.0,0.3\n"
+    assert "learning_curve" not in json.loads(row_path(tmp_path, KEY).read_text())
+
+
+def test_rows_of_older_versions_are_read(tmp_path: Path):
+    row = dataclasses.replace(ROW, learning_curve=None)
+    save_row(tmp_path, row)
+    values = json.loads(row_path(tmp_path, KEY).read_text())
+    del values["pretrained"]
+    row_path(tmp_path, KEY).write_text(json.dumps({**values, "learning_curve": None}))
+    assert load_runs(tmp_path) == [row]
+
+
 def test_rows_come_in_the_order_of_their_keys(tmp_path: Path):
     rows = [dataclasses.replace(ROW, key=dataclasses.replace(KEY, seed=seed)) for seed in (10, 2, 0)]
     for row in rows:

@@ -196,3 +196,77 @@ def test_an_empty_split_is_refused(tmp_path: Path, register):
     register(background, grid=({"reach": 1}, {"reach": 2}))
     with pytest.raises(UsageError, match="no validation scenes"):
         run_job(job(empty, tmp_path / "out"))
+
+
+def both(clip: Clip) -> Prediction:
+    labels = np.zeros(clip.depth.shape, np.int64)
+    return Prediction(labels, 0, {"att": labels + 1})
+
+
+def with_extra(made: Job) -> Job:
+    targets = [
+        dataclasses.replace(target, extra={"att": dataclasses.replace(target.key, model="scripted-att")})
+        for target in made.targets
+    ]
+    return dataclasses.replace(made, targets=tuple(targets))
+
+
+def test_further_segmentations_have_rows_of_their_own(data: Path, tmp_path: Path, register):
+    model = register(both, extra=("att",))
+    model.learning_curve = [{"step": 1, "loss": 0.5}]
+    events = []
+    run_job(with_extra(job(data, tmp_path / "out")), events.append)
+    main, other = load_runs(tmp_path / "out")
+    assert (main.key.model, other.key.model) == ("scripted", "scripted-att")
+    assert events == ["fitted", main.key.name]
+    assert (main.learning_curve, other.learning_curve) == ([{"step": 1.0, "loss": 0.5}], None)
+    assert len(model.fits) == 1
+    maps = {path.name.split("--")[1]: path for path in (tmp_path / "out" / LABELS).iterdir()}
+    assert {name: {int(labels.max()) for labels, _ in read_labels(path)} for name, path in maps.items()} == {
+        "scripted": {0},
+        "scripted-att": {1},
+    }
+    tables = [load_scenes(tmp_path / "out", row) for row in (main, other)]
+    assert pooled(tables[0], "miou_bg") > pooled(tables[1], "miou_bg")
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"), [({}, "no 'att' in `extra`"), ({"att": np.full((3, 2, 4, 4), 0)}, "of shape")]
+)
+def test_a_further_segmentation_that_is_missing_or_wrong_is_named(
+    data: Path, tmp_path: Path, register, monkeypatch, extra, message: str
+):
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    register(lambda clip: Prediction(background(clip).labels, 0, extra), extra=("att",))
+    with pytest.raises(BadPrediction, match=message):
+        run_job(with_extra(job(data, tmp_path / "out")))
+
+
+def test_a_folder_is_offered_for_the_fit_that_counts_and_kept_out_of_the_row(data: Path, tmp_path: Path, register):
+    model = register(background, grid=({"reach": 1}, {"reach": 2}))
+    run_job(job(data, tmp_path / "out", folder=tmp_path / "own"))
+    assert ["folder" in options for options in model.options] == [False, False, True]
+    assert model.options[-1]["folder"] == tmp_path / "own"
+    assert "folder" not in load_runs(tmp_path / "out")[0].config
+
+
+def test_a_run_that_went_on_says_how_long_fitting_took_in_all(data: Path, tmp_path: Path, register):
+    register(background).fit_seconds = 1000.0
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].measured.fit_seconds == 1000.0
+
+
+def test_the_constants_of_a_model_are_in_its_row(data: Path, tmp_path: Path, register):
+    register(background, settings={"model": {"width": 64}})
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].config == {"model": {"width": 64}, "slots": 5}
+
+
+def test_weights_that_were_trained_before_need_no_clips(data: Path, tmp_path: Path, register):
+    for path in [*data.glob("train-*.h5"), *data.glob("val-*.h5")]:
+        path.unlink()
+    model = register(background)
+    run_job(job(data, tmp_path / "out", checkpoint=tmp_path / "scripted--data--64x48"))
+    assert model.options == [{"slots": 5, "checkpoint": tmp_path / "scripted--data--64x48"}]
+    assert model.fits == [(0, 0, 4, 0.0)]
+    assert load_runs(tmp_path / "out")[0].pretrained == "scripted--data--64x48"

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from benchmark.baselines.plane import FEWEST_POINTS, fit_plane
 from datagen.geometry import rotation_from_quaternion
+from obpose.plane import FEWEST_POINTS, fit_plane
 
 
 def table(rng: np.random.Generator, points: int = 4000, noise: float = 0.0) -> np.ndarray:

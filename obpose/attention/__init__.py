@@ -1,0 +1,1 @@
+"""From point embeddings to soft masks of the background and the objects."""

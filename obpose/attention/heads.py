@@ -1,0 +1,61 @@
+"""Point-wise heads on the backbone's embedding (paper, section Encoder; pre-scope in section IC-SBP)."""
+
+from typing import NamedTuple
+
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn.functional import log_softmax, pad
+
+from obpose.config import AttentionConfig, BackboneConfig
+from obpose.layers.mlp import mlp
+
+_HIDDEN = 32
+"""Width of the heads' hidden layer, as in the authors' code."""
+
+
+class HeadOutputs(NamedTuple):
+    """What the heads say of each point; 0 (the pre-scope: one half each) where it is not valid does not matter."""
+
+    colour: Float[Tensor, "batch frame point colour"]
+    """zeta_c, for the IC-SBP."""
+    features: Float[Tensor, "batch frame point feature"]
+    """zeta_f, for the other encoders."""
+    log_prescope: Float[Tensor, "batch frame point 2"]
+    """Log of s^p: the background's mask, then the scope s_0 that the objects share."""
+
+
+class Heads(nn.Module):
+    """Colour, feature and pre-scope head.
+
+    Deviations from the paper: the position enters the colour head through a linear layer, as in the authors' code,
+    and is added to the first three channels of its output, times a constant (semi-convolutional embedding, Novotny et
+    al. 2018), because without it nothing tells equal objects apart at the start. The pre-scope is read from the
+    embedding before that addition: whether a point is background should not change along the table, and its loss
+    should not move the seeds.
+    """
+
+    def __init__(self, backbone: BackboneConfig, attention: AttentionConfig):
+        super().__init__()
+        self.semi_convolution = attention.semi_convolution
+        self.position = nn.Linear(3, backbone.embedding, bias=False)
+        self.colour = mlp(backbone.embedding, _HIDDEN, backbone.colour)
+        self.features = mlp(backbone.embedding, _HIDDEN, backbone.feature)
+        self.prescope = mlp(backbone.colour, _HIDDEN, 2)
+
+    def forward(
+        self,
+        points: Float[Tensor, "batch frame point 3"],
+        valid: Bool[Tensor, "batch frame point"],
+        embedding: Float[Tensor, "batch frame point embedding"],
+        *,
+        center: Float[Tensor, "3"],
+    ) -> HeadOutputs:
+        """Apply the heads; `points` are in the world frame, metres, `center` is the middle of the workspace."""
+        position = (points - center) * valid[..., None]
+        colour = self.colour(embedding + self.position(position))
+        shift = pad(self.semi_convolution * position, (0, colour.shape[-1] - 3))
+        return HeadOutputs(
+            colour=colour + shift,
+            features=self.features(embedding),
+            log_prescope=log_softmax(self.prescope(colour), dim=-1),
+        )

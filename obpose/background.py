@@ -1,0 +1,11 @@
+"""The background's latent z_bg, from the scene codes of the frames (paper, section Training)."""
+
+from obpose.config import LatentConfig
+from obpose.layers.latent import RecurrentLatent
+
+
+class BackgroundLatent(RecurrentLatent):
+    """q(z_bg | x_<=t) and its prior; as in the authors' code both start at learned hidden states."""
+
+    def __init__(self, scene: int, latent: LatentConfig):
+        super().__init__(scene, latent.background, latent.hidden, start="learned")

@@ -1,0 +1,146 @@
+"""Models and unfinished trainings on disk: safetensors and JSON, nothing pickled.
+
+A folder holds `model.safetensors` and `config.json`, from which `load` builds the model, and `training.safetensors`:
+everything that a training needs to go on, weights included, in one file, so that it is always of one step.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from obpose.config import Config
+from obpose.config_text import differences, from_plain, to_plain
+from obpose.errors import CorruptFile, UsageError
+from obpose.files import write_whole
+from obpose.trainable import Trainable
+
+MODEL, CONFIG, TRAINING = "model.safetensors", "config.json", "training.safetensors"
+VERSION = 1
+"""Of the files; raised when older ones can no longer be read."""
+
+Build = Callable[[Config], Trainable]
+"""Makes a model with fresh weights."""
+
+Info = dict[str, Any]
+"""How a model came to be: steps, seconds and whatever else; what JSON can say."""
+
+State = dict[str, Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingState:
+    """A training between two steps."""
+
+    weights: State
+    optimizer: State
+    """By `number of the parameter.name`."""
+    info: Info
+
+
+def save_model(folder: Path, weights: State, config: Config, info: Info) -> None:
+    """Write what `load` reads; the configuration last, so that where it is, all is."""
+    _write_tensors(folder / MODEL, weights, info)
+    facts = {"version": VERSION, "config": to_plain(config)}
+    write_whole(folder / CONFIG, (json.dumps(facts, indent=1) + "\n").encode())
+
+
+def load(folder: Path, build: Build) -> tuple[Trainable, Config, Info]:
+    """The model of a folder, on the CPU and in evaluation mode.
+
+    Raises:
+        UsageError: there is none, or it is of another version or architecture.
+        CorruptFile: a file is damaged.
+    """
+    config = read_config(folder)
+    weights, info = _read_tensors(folder / MODEL)
+    with torch.random.fork_rng(devices=[]):
+        model = build(config)
+    put_weights(model, weights, str(folder))
+    return model.eval(), config, info
+
+
+def read_config(folder: Path) -> Config:
+    """The configuration of a folder's model.
+
+    Raises:
+        UsageError: there is none, or it is of another version.
+        CorruptFile: the file is damaged.
+    """
+    path = folder / CONFIG
+    if not path.exists():
+        raise UsageError(f"{folder} holds no model: there is no {CONFIG}. obpose-train makes one.")
+    try:
+        facts = json.loads(path.read_text())
+        version, plain = facts["version"], facts["config"]
+    except (ValueError, KeyError, TypeError):
+        raise CorruptFile(f"{path} is damaged.") from None
+    if version != VERSION:
+        raise UsageError(f"{path} is of version {version}, expected {VERSION}; train again, or use that version.")
+    return from_plain(plain)
+
+
+def put_weights(model: Trainable, weights: State, place: str) -> None:
+    """Load weights into a model.
+
+    Raises:
+        UsageError: they are another architecture's.
+    """
+    try:
+        model.load_state_dict(weights)
+    except RuntimeError as error:
+        raise UsageError(f"The weights in {place} do not fit the model of this version: {error}") from None
+
+
+def save_training(folder: Path, state: TrainingState) -> None:
+    """Write what `load_training` reads."""
+    weights = {f"model.{name}": tensor for name, tensor in state.weights.items()}
+    optimizer = {f"optimizer.{name}": tensor for name, tensor in state.optimizer.items()}
+    _write_tensors(folder / TRAINING, weights | optimizer, state.info)
+
+
+def load_training(folder: Path, config: Config) -> TrainingState | None:
+    """The unfinished or finished training of a folder; None if nothing was begun there.
+
+    Raises:
+        UsageError: it is one of another configuration; says what differs.
+        CorruptFile: a file is damaged.
+    """
+    if not (folder / CONFIG).exists():
+        return None
+    if different := differences(read_config(folder), config):
+        raise UsageError(
+            f"{folder} holds a run of another configuration. There and here differ: {'; '.join(different)}. "
+            "Give another --out, or the same values."
+        )
+    tensors, info = _read_tensors(folder / TRAINING)
+    parts: dict[str, State] = {"model": {}, "optimizer": {}}
+    for name, tensor in tensors.items():
+        part, _, rest = name.partition(".")
+        parts[part][rest] = tensor
+    return TrainingState(parts["model"], parts["optimizer"], info)
+
+
+def _write_tensors(path: Path, tensors: State, info: Info) -> None:
+    # Copies, because the format refuses tensors that share memory, as constants of several layers may.
+    copies = {
+        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
+    }
+    write_whole(path, save(copies, metadata={"info": json.dumps(info)}))
+
+
+def _read_tensors(path: Path) -> tuple[State, Info]:
+    if not path.exists():
+        raise CorruptFile(f"{path} is missing, though there is a {CONFIG}; delete the folder to begin anew.")
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            return tensors, json.loads((file.metadata() or {})["info"])
+    except (SafetensorError, KeyError, ValueError) as error:
+        raise CorruptFile(f"{path} is damaged ({error}); delete the folder to begin anew.") from None

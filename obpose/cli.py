@@ -1,0 +1,134 @@
+"""The command `obpose-train`: train a model on a track or on a dataset of your own.
+
+obpose-train --track moving                                    23 minutes of one CPU core
+obpose-train --data DIR --variant obpose-loc --minutes 6
+obpose-train --track moving --set model.pose.box_size=0.3
+torchrun --nproc-per-node 2 -m obpose.cli --track moving       two processes, each with a batch of its own
+"""
+
+import difflib
+import os
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from benchmark.tracks import DataFolder, Track, find_track
+from obpose.arguments import Train
+from obpose.config import PROFILES, VARIANTS, Config, make_config
+from obpose.config_text import parse_changes
+from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError
+from obpose.scene_bar import scene_bar
+
+PROGRAM = "obpose-train"
+RUNS = Path("runs")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Train and give the exit code; every failure that a user can mend ends in one line on stderr."""
+    try:
+        # The help printer keeps empty lines only.
+        description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
+        return run(tyro.cli(Train, prog=PROGRAM, args=arguments, description=description))
+    except DatagenError as error:
+        return _fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _fail("Interrupted; the same command goes on from the last checkpoint.", EXIT_INTERRUPTED)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
+
+
+def run(values: Train) -> int:
+    """Prepare the data, train, and say where everything is."""
+    _check(values)
+    changes = parse_changes(values.set)
+    data = _data(values)
+    out = values.out or RUNS / f"{values.variant}-{values.profile}-{data.name}-seed{values.seed}"
+    console = Console(stderr=True, soft_wrap=True, highlight=False, quiet=_process() > 0)
+    folder = _prepare(data, values, console)
+
+    # Late, because PyTorch takes seconds to import.
+    import torch
+
+    from obpose.data import SceneDataset
+    from obpose.measure import measure_scene
+    from obpose.progress import progress_bar
+    from obpose.train import train
+
+    torch.set_num_threads(values.threads)
+    source = SceneDataset(folder)
+    val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
+    measured = measure_scene(source).changes()
+    config = make_config(values.variant, values.profile, **(_chosen(values, data) | measured | changes))
+    console.print(f"Training {values.variant} on {data.name}, {_in_words(config)}, into {out}", markup=False)
+    with progress_bar(console) as report:
+        trained = train(
+            source, val_source, config, folder=out, report=report, device=values.device, tensorboard=values.tensorboard
+        )
+    if _process() == 0:
+        print(f"{out.resolve()}: {trained.steps} steps in {trained.seconds / 60:.1f} minutes.")
+    return EXIT_OK
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"{PROGRAM}: {message}", file=sys.stderr)
+    return code
+
+
+def _check(values: Train) -> None:
+    _one_of(values.variant, VARIANTS, "variant")
+    _one_of(values.profile, PROFILES, "profile")
+    if values.minutes is not None and values.steps is not None:
+        raise UsageError("--minutes and --steps contradict each other; leave one of them out.")
+    for name in ("minutes", "steps", "threads"):
+        value = getattr(values, name)
+        if value is not None and value <= 0:
+            raise UsageError(f"--{name} {value}: expected a positive number.")
+    if values.seed < 0:
+        raise UsageError(f"--seed {values.seed}: expected 0 or more.")
+
+
+def _one_of(name: str, names: Iterable[str], kind: str) -> None:
+    if name not in (known := list(names)):
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise UsageError(f"Unknown {kind} {name!r}; {hint}There are: {', '.join(known)}.")
+
+
+def _data(values: Train) -> Track | DataFolder:
+    if (values.track is None) == (values.data is None):
+        raise UsageError("Say what to train on: either --track NAME or --data DIR.")
+    return DataFolder(values.data) if values.data is not None else find_track(str(values.track))
+
+
+def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
+    """The dataset's folder, once all that is needed is in it; of several processes, the first makes it."""
+    splits = [split for split in ("train", "val") if data.size(split)]
+    while _process() > 0 and data.missing(splits):
+        time.sleep(1.0)
+    return data.prepare(splits, workers=values.workers, progress=lambda total: scene_bar(console, data.name, total))
+
+
+def _chosen(values: Train, data: Track | DataFolder) -> dict[str, Any]:
+    """What the flags say, as changes of a configuration. Slots do not count the background here."""
+    budget = {} if values.minutes is None else {"train.minutes": values.minutes}
+    return {"model.slots": data.slots - 1, "train.seed": values.seed, "train.steps": values.steps, **budget}
+
+
+def _in_words(config: Config) -> str:
+    settings = config.train
+    return f"{settings.steps} steps" if settings.steps is not None else f"{settings.minutes:g} minutes"
+
+
+def _process() -> int:
+    """Number of this process among those that `torchrun` started."""
+    return int(os.environ.get("RANK", 0))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

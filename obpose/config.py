@@ -1,0 +1,273 @@
+"""Every constant of the model, the losses and the training, with where it comes from.
+
+`[paper]`: stated there; `[code]`: the authors' published code; `[ours]`: our addition or choice, measured in
+docs/results.md. A variant is an entry in `VARIANTS`, a size an entry in `PROFILES`; nothing else differs.
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class BackboneConfig:
+    """U-Net of KPConv layers on the organised point cloud."""
+
+    input_stride: int = 1
+    """Take every n-th pixel of the image in both directions. [ours]"""
+    widths: tuple[int, ...] = (16, 32, 64, 64)
+    """Channels a level; each level has half the resolution of the one before. [code]"""
+    blocks: tuple[int, ...] = (1, 1, 1, 1)
+    """Residual blocks a level, beside the one that goes down to it. [code: 1, 2, 2, 2]"""
+    radius: float = 2.0
+    """Radius of a KPConv neighbourhood in units of the distance between neighbouring points of the level.
+    [code: 0.025 m at 12 mm, then doubled]"""
+    embedding: int = 16
+    """D. [code]"""
+    colour: int = 8
+    """D_c. [code]"""
+    feature: int = 16
+    """D_f. [code]"""
+
+
+@dataclass(frozen=True)
+class AttentionConfig:
+    """The IC-SBP."""
+
+    kernel: Literal["gaussian", "laplacian", "epanechnikov"] = "gaussian"
+    """psi. [code: gaussian]"""
+    semi_convolution: float = 8.0
+    """World position in metres, times this, is added to the first three channels of the colour embedding; 0 for none.
+    What matters most for learning in few steps. [ours; Novotny et al. 2018]"""
+    seeds: Literal["stochastic", "greedy"] = "stochastic"
+    """In training: seed at the argmax of u * scope with u uniform (GENESIS-V2), or of the scope. Evaluation is always
+    greedy. [ours: greedy at evaluation]"""
+    idle_in_training: Literal["never", "bernoulli"] = "never"
+    """Whether a slot is left out when a draw of the remaining scope finds no point. [code: bernoulli]"""
+    idle_points: int = 2
+    """At evaluation a slot is idle unless so many points of the first frame have a remaining scope over `idle_scope`; 0
+    for no idle slots. [ours]"""
+    idle_scope: float = 0.5
+
+
+@dataclass(frozen=True)
+class PoseConfig:
+    """Boxes of the objects and the `where` module."""
+
+    conditioning: Literal["none", "location", "full"] = "full"
+    """Objects are encoded in the workspace's frame, at their location, or at location and orientation. [paper]"""
+    box_size: float = 0.2
+    """s, metres. [code: 0.4]"""
+    max_translation: float = 0.05
+    """T_max, metres. [code: 0.1]"""
+    min_points: int = 10
+    """With fewer points whose argmax is the slot, its location is kept from the frame before, its orientation is that
+    of the frame before or the identity. [code]"""
+    grid_level: int = 2
+    """HEALPix level of the rotation grid before refinement: of 576 (1) or 4608 (2) rotations the 24 or 204 that differ
+    by more than a box's symmetry. [code: 3, unreduced]"""
+    refinements: int = 8
+    """Rounds of local refinement; the last one turns boxes by at most 0.3 degrees. [ours]"""
+    tolerance: float = 0.01
+    """beta: boxes up to 1 + beta times the smallest are candidates. [code]"""
+
+
+@dataclass(frozen=True)
+class LatentConfig:
+    """Object encoders, recurrent cells and latents."""
+
+    where: int = 32
+    """Dimensions of z_where. [code]"""
+    what: int = 32
+    """Dimensions of z_what. [code]"""
+    background: int = 32
+    """Dimensions of z_bg. [code]"""
+    hidden: int = 32
+    """Width of the recurrent cells. [code]"""
+    encoder: int = 64
+    """Width of the object encoders. [code]"""
+    samples: int = 160
+    """Points of the box given to an object encoder. [ours; code: all]"""
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """One NeRF."""
+
+    width: int = 64
+    """[code: 128]"""
+    depth: int = 4
+    """Hidden layers; the latent and the position enter again after the middle one. [code: 8]"""
+    position_frequencies: int = 6
+    """sin and cos of 2^i pi p for i below this. [code: 10]"""
+    direction_frequencies: int = 2
+    """The same for view directions. [code: 4]"""
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The architecture."""
+
+    slots: int = 4
+    """K, without the background. [code]"""
+    attention_type: Literal["ic-sbp"] = "ic-sbp"
+    backbone: BackboneConfig = field(default_factory=BackboneConfig)
+    attention: AttentionConfig = field(default_factory=AttentionConfig)
+    pose: PoseConfig = field(default_factory=PoseConfig)
+    latent: LatentConfig = field(default_factory=LatentConfig)
+    object_field: FieldConfig = field(default_factory=FieldConfig)
+    background_field: FieldConfig = field(default_factory=lambda: FieldConfig(width=48))
+    spacing: float = 0.012
+    """Distance in metres between the surface points of neighbouring pixels of the full image, median over training
+    images; measured before training (`obpose.measure.measure_scene`)."""
+    workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Middle of the observed points, world frame, metres; measured before training."""
+    workspace_size: float = 1.0
+    """Edge of the cube around it that holds the observed points, metres; measured before training."""
+    background_size: float = 2.0
+    """Edge of the cube around it that holds the cameras as well, metres; measured before training. The background's
+    positional encoding repeats itself outside."""
+    voxels: int = 12
+    """S: voxels along each edge of a box. [code: 24]"""
+    voxel_threshold: float = 0.5
+    """sigma_T. [code]"""
+    floor: float | None = -0.002
+    """Voxels below this height above the world's z = 0 are not the object's, metres; None for no floor. [code]"""
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Terms and their weights. Terms are means over rays, points or slots unless `reduction` says otherwise."""
+
+    sigma_max: float = 10.0
+    """Density of an opaque point. [code]"""
+    colour_std: float = 0.1
+    """sigma_std. [code]"""
+    colour_likelihood: Literal["channel", "joint"] = "channel"
+    """A mixture in each colour channel, or one over the three together. [code: channel]"""
+    attention: Literal["mixture", "l2"] = "mixture"
+    """[paper: both; code: mixture]"""
+    attention_floor: float = -18.0
+    """Log of the likelihood of an outlier in the mixture attention loss. [ours]"""
+    colour: float = 1.0
+    surface: float = 1.0
+    air: float = 1.0
+    mask: float = 1.0
+    """Weight of the attention loss; 5 suits `l2`."""
+    scope: float = 0.25
+    translation: float = 1.0
+    kl: float = 1 / 4096
+    """Of z_what and z_bg. [paper: 1, with sums over rays]"""
+    kl_where: float = 1e-3 / 4096
+    """[code: 1e-3 of the other]"""
+    jitter: float = 0.01
+    """Colour and density are fitted up to this far behind the surface, metres of planar depth. [code]"""
+    near_share: float = 0.98
+    """Half of the air points lie before this share of the depth, half behind. [code]"""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How it is trained."""
+
+    batch: int = 2
+    """Clips a step."""
+    frames: int = 5
+    """Frames of a training window; whole clips where they are shorter. [code]"""
+    rays: int = 512
+    """Pixels a frame at which the fields are evaluated, over all views; 0 for all. [ours]"""
+    learning_rate: float = 1e-3
+    """[paper: 4e-4]"""
+    decay: Literal["cosine", "none"] = "cosine"
+    """To zero at the end of the budget. [paper: none]"""
+    clip: float = 1.0
+    """Largest norm of the gradient; 0 for no clipping. [ours]"""
+    warmup: int = 150
+    """Steps that train the background alone, first. [ours]"""
+    minutes: float = 23.0
+    """Budget in minutes: of CPU time of the process on a CPU, of time of day on a GPU; only training steps count."""
+    steps: int | None = None
+    """Budget in steps, in the place of minutes."""
+    views: Literal["together", "apart"] = "together"
+    """The views of a frame are one point cloud, or scenes of their own. [code: apart]"""
+    precision: Literal["32-true", "bf16-mixed"] = "32-true"
+    """Of the arithmetic in training; segmentations are always computed with 32 bits. [ours]"""
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that a run depends on, beside its data."""
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "obpose": {},
+    "obpose-loc": {"model.pose.conditioning": "location"},
+    "obpose-none": {"model.pose.conditioning": "none"},
+    "obpose-as-published": {
+        "model.attention.semi_convolution": 0.0,
+        "model.attention.idle_in_training": "bernoulli",
+        "model.pose.box_size": 0.4,
+        "model.pose.max_translation": 0.1,
+        "loss.attention_floor": -18.42,
+        "train.learning_rate": 4e-4,
+        "train.decay": "none",
+        "train.clip": 0.0,
+        "train.warmup": 0,
+    },
+}
+"""What each variant changes, by dotted name. `obpose-as-published` leaves out what we added to help learning; the
+floor is log 1e-8, as in the authors' code."""
+
+PROFILES: dict[str, dict[str, Any]] = {
+    "cpu": {},
+    "gpu": {
+        "model.backbone.blocks": (1, 2, 2, 2),
+        "model.object_field.width": 128,
+        "model.background_field.width": 96,
+        "model.voxels": 16,
+        "train.batch": 16,
+        "train.rays": 1024,
+    },
+    "paper": {
+        "model.backbone.blocks": (1, 2, 2, 2),
+        "model.object_field": FieldConfig(128, 8, 10, 4),
+        "model.background_field": FieldConfig(128, 8, 10, 4),
+        "model.voxels": 24,
+        "model.latent.samples": 1024,
+        "train.rays": 0,
+    },
+}
+"""Sizes: minutes on a CPU core, 20 minutes on a large GPU, the authors'."""
+
+
+def make_config(variant: str = "obpose", profile: str = "cpu", **changes: Any) -> Config:
+    """The configuration of a variant in a profile; `changes` by dotted name come last.
+
+    Raises:
+        KeyError: an unknown variant, profile or name.
+    """
+    return override(Config(), {**PROFILES[profile], **VARIANTS[variant], **changes})
+
+
+def override(config: Any, changes: dict[str, Any]) -> Any:
+    """A configuration with some values replaced, named with dots.
+
+    Raises:
+        KeyError: no such name.
+    """
+    for name, value in changes.items():
+        config = _replace(config, name.split("."), value)
+    return config
+
+
+def _replace(config: Any, names: list[str], value: Any) -> Any:
+    first, *rest = names
+    if not dataclasses.is_dataclass(config) or first not in {field.name for field in dataclasses.fields(config)}:
+        raise KeyError(f"{type(config).__name__} has no {first!r}.")
+    inner = _replace(getattr(config, first), rest, value) if rest else value
+    return dataclasses.replace(config, **{first: inner})  # pyright: ignore[reportArgumentType]

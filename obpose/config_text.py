@@ -1,0 +1,130 @@
+"""Configurations as text: JSON beside a checkpoint, `name=value` on the command line, what two of them differ in."""
+
+import dataclasses
+import difflib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from obpose.config import Config
+from obpose.errors import UsageError
+
+Plain = dict[str, Any]
+"""What JSON can say."""
+
+
+def to_plain(config: Config) -> Plain:
+    """As nested dicts."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
+
+
+def from_plain(plain: Mapping[str, Any]) -> Config:
+    """The inverse of `to_plain`; a value that is not there, in an older file, has its default.
+
+    Raises:
+        UsageError: an unknown name, or a value of the wrong kind.
+    """
+    return _build(Config, plain, "")
+
+
+def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
+    """`model.pose.box_size=0.3` as a change for `obpose.config.make_config`. Tuples are written 16,32 or [16,32].
+
+    Raises:
+        UsageError: an unknown name, or a value of the wrong kind.
+    """
+    changes: dict[str, Any] = {}
+    kinds = dict(_kinds(Config, ""))
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError(f"--set {text}: expected NAME=VALUE, such as model.pose.box_size=0.3.")
+        if name not in kinds:
+            near = difflib.get_close_matches(name, kinds, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise UsageError(f"--set {text}: unknown value {name!r}; {hint}They are listed in obpose/config.py.")
+        changes[name] = _conform(_read(value, kinds[name]), kinds[name], f"--set {name}")
+    return changes
+
+
+def differences(one: Config, other: Config) -> list[str]:
+    """One line for each value that differs, such as `train.batch: 2, 4`."""
+    first, second = dict(_leaves(one, "")), dict(_leaves(other, ""))
+    return [f"{name}: {value}, {second[name]}" for name, value in first.items() if value != second[name]]
+
+
+def _build(kind: type, plain: Mapping[str, Any], place: str) -> Any:
+    kinds = get_type_hints(kind)
+    if unknown := sorted(set(plain) - set(kinds)):
+        names = ", ".join(place + name for name in unknown)
+        raise UsageError(f"The configuration has unknown values, {names}: it was written by another version.")
+    return kind(**{name: _conform(value, kinds[name], place + name) for name, value in plain.items()})
+
+
+def _conform(value: Any, kind: Any, name: str) -> Any:
+    """The value as `kind`, where it is one.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type) and isinstance(value, Mapping):
+        return _build(kind, value, f"{name}.")
+    for choice in get_args(kind) if get_origin(kind) in (UnionType, Union) else (kind,):
+        origin = get_origin(choice)
+        if origin is Literal and value in get_args(choice):
+            return value
+        if origin is tuple and isinstance(value, list | tuple):
+            return _conform_items(value, get_args(choice), name)
+        if choice is float and isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+        if isinstance(choice, type) and choice is not float and type(value) is choice:
+            return value
+    raise UsageError(f"{name}={value}: expected {_say(kind)}.")
+
+
+def _conform_items(values: list[Any] | tuple[Any, ...], kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
+    if kinds[-1] is ...:
+        kinds = kinds[:1] * len(values)
+    if len(values) != len(kinds):
+        raise UsageError(f"{name}: {len(values)} values, expected {len(kinds)}.")
+    return tuple(_conform(value, kind, name) for value, kind in zip(values, kinds, strict=True))
+
+
+def _read(text: str, kind: Any) -> Any:
+    """The value that a text stands for: JSON, a list without brackets, `none`, or the text itself."""
+    if get_origin(kind) is tuple and not text.startswith("["):
+        text = f"[{text}]"
+    if text.lower() in ("none", "null") and type(None) in get_args(kind):
+        return None
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def _say(kind: Any) -> str:
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(map(str, get_args(kind)))}"
+    if get_origin(kind) in (UnionType, Union):
+        return " or ".join(map(_say, get_args(kind)))
+    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "none"}
+    return names.get(kind, str(kind))
+
+
+def _kinds(kind: type, place: str) -> Iterator[tuple[str, Any]]:
+    """Dotted names of all values that are not configurations themselves, and their annotations."""
+    for name, inner in get_type_hints(kind).items():
+        if dataclasses.is_dataclass(inner) and isinstance(inner, type):
+            yield from _kinds(inner, f"{place}{name}.")
+        else:
+            yield place + name, inner
+
+
+def _leaves(config: Any, place: str) -> Iterator[tuple[str, Any]]:
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _leaves(value, f"{place}{field.name}.")
+        else:
+            yield place + field.name, value

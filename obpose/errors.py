@@ -1,0 +1,31 @@
+"""What can go wrong in a way the user can mend, and the exit codes that all our commands share."""
+
+from datagen.errors import (
+    EXIT_INCOMPLETE,
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    CorruptFile,
+    DatagenError,
+    UsageError,
+)
+
+__all__ = [
+    "EXIT_INCOMPLETE",
+    "EXIT_INTERRUPTED",
+    "EXIT_OK",
+    "CorruptFile",
+    "DatagenError",
+    "Diverged",
+    "Interrupted",
+    "UsageError",
+]
+
+
+class Diverged(DatagenError):
+    """Training produced numbers that are not finite."""
+
+
+class Interrupted(DatagenError):
+    """Somebody asked the training to stop; it can go on later."""
+
+    exit_code = EXIT_INTERRUPTED

@@ -1,0 +1,101 @@
+"""Pixels to points and points to the objects' boxes."""
+
+import torch
+from einops import rearrange, repeat
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.types import Observation, Rays
+
+_DEPTH_OF_NOTHING = 1.0
+"""Metres; stands for the depth of pixels without one, which no loss counts."""
+
+
+def unproject(observation: Observation) -> Float[Tensor, "batch frame view height width 3"]:
+    """Surface points of all pixels, world frame, metres; 0 where there is no depth (paper, section Encoder)."""
+    directions, origins = _camera_rays(observation)
+    points = origins[:, None, :, None, None] + directions[:, None] * observation.depth[..., None]
+    return points * observation.valid[..., None]
+
+
+def view_directions(observation: Observation) -> Float[Tensor, "batch view height width 3"]:
+    """From the camera to each pixel's surface, world frame, per metre of planar depth."""
+    return _camera_rays(observation)[0]
+
+
+def all_rays(observation: Observation) -> Rays:
+    """Every pixel of every view."""
+    batch, frame, view, height, width = observation.depth.shape
+    index = torch.arange(view * height * width, device=observation.depth.device)
+    return _rays(observation, repeat(index, "ray -> batch frame ray", batch=batch, frame=frame))
+
+
+def sample_rays(observation: Observation, count: int, generator: torch.Generator | None) -> Rays:
+    """`count` different pixels of each frame at random, over all its views; all of them for 0.
+
+    Pixels without depth are drawn only where a frame has too few with one.
+    """
+    pixels = observation.depth[0, 0].numel()
+    if count == 0 or count >= pixels:
+        return all_rays(observation)
+    lots = torch.rand((*observation.depth.shape[:2], pixels), generator=generator, device=observation.depth.device)
+    lots = lots + rearrange(observation.valid, "b f view height width -> b f (view height width)")
+    return _rays(observation, lots.topk(count, dim=-1, sorted=False).indices)
+
+
+def to_box(
+    points: Float[Tensor, "*#shape point 3"],
+    center: Float[Tensor, "*#shape 3"],
+    rotation: Float[Tensor, "*#shape 3 3"],
+    size: float,
+) -> Float[Tensor, "*#shape point 3"]:
+    """Object-frame coordinates, in -1..1 within the box (paper, eq. transform): 2/s R^-1 (p - T)."""
+    return (points - center[..., None, :]) @ rotation * (2 / size)
+
+
+def from_box(
+    points: Float[Tensor, "*#shape point 3"],
+    center: Float[Tensor, "*#shape 3"],
+    rotation: Float[Tensor, "*#shape 3 3"],
+    size: float,
+) -> Float[Tensor, "*#shape point 3"]:
+    """World coordinates of points given in the box, the inverse of `to_box`."""
+    return points @ rotation.mT * (size / 2) + center[..., None, :]
+
+
+def _camera_rays(
+    observation: Observation,
+) -> tuple[Float[Tensor, "batch view height width 3"], Float[Tensor, "batch view 3"]]:
+    height, width = observation.depth.shape[-2:]
+    k, pose = observation.k, observation.world_from_camera
+    u = torch.arange(width, dtype=k.dtype, device=k.device) + 0.5
+    v = torch.arange(height, dtype=k.dtype, device=k.device) + 0.5
+    focal, middle = k[:, :, (0, 1), (0, 1)], k[:, :, :2, 2]
+    x = ((u - middle[..., :1]) / focal[..., :1])[:, :, None, :].expand(-1, -1, height, -1)
+    y = ((v - middle[..., 1:]) / focal[..., 1:])[:, :, :, None].expand(-1, -1, -1, width)
+    in_camera = torch.stack([x, y, torch.ones_like(x)], dim=-1)
+    return torch.einsum("bvij,bvhwj->bvhwi", pose[..., :3, :3], in_camera), pose[..., :3, 3]
+
+
+def _rays(observation: Observation, index: Tensor) -> Rays:
+    directions, origins = _camera_rays(observation)
+    height, width = observation.depth.shape[-2:]
+    flat = "batch frame view height width -> batch frame (view height width)"
+    depth = rearrange(observation.depth, flat).gather(-1, index)
+    valid = rearrange(observation.valid, flat).gather(-1, index)
+    colour = rearrange(observation.rgb, "b f v h w c -> b f (v h w) c")
+    frames = index.shape[1]
+    every = repeat(directions, "b v h w c -> b frame (v h w) c", frame=frames)
+    origin = repeat(origins, "b v c -> b frame v c", frame=frames)
+    return Rays(
+        index=index,
+        valid=valid,
+        colour=_pick(colour, index),
+        origin=_pick(origin, index // (height * width)),
+        direction=_pick(every, index),
+        depth=torch.where(valid, depth, _DEPTH_OF_NOTHING),
+    )
+
+
+def _pick(values: Float[Tensor, "batch frame place 3"], index: Tensor) -> Float[Tensor, "batch frame ray 3"]:
+    return values.gather(-2, repeat(index, "b f ray -> b f ray 3"))

@@ -1,0 +1,30 @@
+"""Small functions that are exact where their textbook formulas overflow, vanish or lose all digits."""
+
+import math
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def log1mexp(x: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """log(1 - exp(x)) for x < 0: the log of what is left of a share whose log is x.
+
+    Exact to rounding from x = -1e-38 down to minus infinity, and so is its gradient, -1 / (exp(-x) - 1).
+    """
+    return _Log1mExp.apply(x)  # pyright: ignore[reportReturnType]
+
+
+class _Log1mExp(torch.autograd.Function):
+    """Own gradient, because that of either branch divides 0 by 0 where the other is meant."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.save_for_backward(x)
+        return torch.where(x > -math.log(2), torch.log(-torch.expm1(x)), torch.log1p(-torch.exp(x)))
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (x,) = ctx.saved_tensors
+        return -gradient / torch.expm1(-x)

@@ -1,0 +1,1 @@
+"""Loss terms, one function each, unweighted, and their sum."""

@@ -1,0 +1,52 @@
+"""Losses of the attention masks (paper, eq. attention_mask and the L2 loss below it).
+
+In both the decoder's part is a target: no gradient goes into it, as in the authors' code. `log_likelihood` is
+log N(x | c_k, sigma_std) as `obpose.losses.observation.log_likelihood` gives it, `log_share` log(sigma_hat_k /
+sigma_max). Deviation: means over the valid rays, not sums over all.
+"""
+
+import math
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from obpose.losses.observation import mean_over
+
+
+def attention_mixture(
+    log_masks: Float[Tensor, "batch frame component ray"],
+    log_likelihood: Float[Tensor, "batch frame component ray channel"],
+    log_share: Float[Tensor, "batch frame component ray"],
+    valid: Bool[Tensor, "batch frame ray"],
+    *,
+    floor: float,
+) -> Float[Tensor, ""]:
+    """Mixture loss (paper, eq. attention_mask): -log sum_k m_k N_k sigma_hat_k - log sum_k m_k sigma_hat_k.
+
+    Deviations: e^floor, the likelihood of an outlier, is added to both sums, so that a ray that no mask can explain
+    stops pulling (the authors' code adds 1e-8); of several channels each has a mixture of its own (the authors' code).
+    """
+    share = log_share.detach()[..., None]
+    targets = torch.cat([log_likelihood.detach() + share, share], dim=-1)
+    mixtures = torch.logsumexp(log_masks[..., None] + targets, dim=2)
+    return mean_over(-torch.logaddexp(mixtures, mixtures.new_tensor(floor)).sum(dim=-1), valid)
+
+
+def attention_l2(
+    log_masks: Float[Tensor, "batch frame component ray"],
+    log_likelihood: Float[Tensor, "batch frame component ray channel"],
+    log_share: Float[Tensor, "batch frame component ray"],
+    valid: Bool[Tensor, "batch frame ray"],
+    *,
+    std: float,
+) -> Float[Tensor, ""]:
+    """L2 loss (paper, below eq. attention_mask): sum_k (N_k / N(0|0) - m_k)^2 sigma_hat_k + (m_k - sigma_hat_k)^2.
+
+    `std` is sigma_std. N_k is the likelihood of the whole colour also where the channels come apart.
+    """
+    peak = -1.5 * math.log(2 * math.pi * std**2)
+    match = (log_likelihood.detach().sum(dim=-1) - peak).exp()
+    masks, share = log_masks.exp(), log_share.detach().exp()
+    errors = (match - masks).square() * share + (masks - share).square()
+    return mean_over(errors.sum(dim=2), valid)

@@ -1,0 +1,85 @@
+"""What a model has to know of its world before training: how far apart surface points are, and where they lie."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.clips import ClipSource, observation_of
+from obpose.errors import UsageError
+from obpose.geometry import unproject
+from obpose.types import Observation
+
+CLIPS = 32
+"""Clips that are looked at, evenly spread over the source; the first frame of each."""
+TAIL = 0.01
+"""Share of the points that may lie outside the workspace, at either end of each axis."""
+MARGIN = 1.05
+"""The workspace is larger than what holds the other points by this factor."""
+
+
+@dataclass(frozen=True)
+class SceneMeasures:
+    """Measures of the observed surfaces, without any label."""
+
+    spacing: float
+    """Median distance in metres between the surface points of neighbouring pixels."""
+    workspace_center: tuple[float, float, float]
+    """Middle of the cube that holds the points, world frame, metres."""
+    workspace_size: float
+    """Edge of that cube, metres."""
+    background_size: float
+    """Edge of the cube around the same middle that holds all points and the cameras, metres."""
+
+    def changes(self) -> dict[str, Any]:
+        """As changes of a configuration, for `obpose.config.make_config`."""
+        return {f"model.{name}": value for name, value in vars(self).items()}
+
+
+def measure_scene(source: ClipSource) -> SceneMeasures:
+    """Look at some clips of a source.
+
+    Raises:
+        UsageError: no pixel has a depth, or there are no clips.
+    """
+    images = list(_first_frames(source))
+    points = torch.cat([unproject(image)[image.valid] for image in images]) if images else torch.zeros(0, 3)
+    steps = torch.cat([neighbour_distances(image) for image in images]) if images else torch.zeros(0)
+    if not len(points) or not len(steps):
+        raise UsageError("The training clips show nothing: no neighbouring pixels with a depth in the first frames.")
+    low, high = _quantile(points, TAIL), _quantile(points, 1 - TAIL)
+    middle = (low + high) / 2
+    x, y, z = middle.tolist()
+    cameras = torch.cat([image.world_from_camera[..., :3, 3].flatten(0, 1) for image in images])
+    reach = (torch.cat([points, cameras]) - middle).abs().max()
+    return SceneMeasures(
+        spacing=float(steps.median()),
+        workspace_center=(x, y, z),
+        workspace_size=MARGIN * float((high - low).max()),
+        background_size=2 * float(reach),
+    )
+
+
+def _first_frames(source: ClipSource) -> Iterator[Observation]:
+    count = min(CLIPS, len(source))
+    for i in range(count):
+        yield observation_of([source.window(i * len(source) // count, 0, 1)])
+
+
+def neighbour_distances(image: Observation) -> Float[Tensor, " pair"]:
+    """Distances between horizontal and between vertical neighbours that both have a depth."""
+    points = rearrange(unproject(image), "b f v height width c -> (b f v) height width c")
+    valid = rearrange(image.valid, "b f v height width -> (b f v) height width")
+    across = (points[:, :, 1:] - points[:, :, :-1]).norm(dim=-1)[valid[:, :, 1:] & valid[:, :, :-1]]
+    down = (points[:, 1:] - points[:, :-1]).norm(dim=-1)[valid[:, 1:] & valid[:, :-1]]
+    return torch.cat([across, down])
+
+
+def _quantile(points: Float[Tensor, "point 3"], share: float) -> Float[Tensor, "3"]:
+    """`torch.quantile` refuses more than 16 million values."""
+    place = round(share * (len(points) - 1))
+    return points.sort(dim=0).values[place]

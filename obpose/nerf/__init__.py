@@ -1,0 +1,1 @@
+"""Fields of objects and background: evaluation, composition, shapes and pictures (paper, section Decoder)."""

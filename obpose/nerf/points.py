@@ -1,0 +1,37 @@
+"""Where along a ray the fields are evaluated: at the observed surface and in the air before it (paper, L_obs)."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.types import Rays
+
+
+def surface_points(rays: Rays, jitter: float, generator: torch.Generator | None) -> Float[Tensor, "batch frame ray 3"]:
+    """Points up to `jitter` metres of planar depth behind the observed surface, uniformly; on it for jitter 0."""
+    if jitter == 0:
+        return _at_depth(rays, rays.depth)
+    return _at_depth(rays, rays.depth + jitter * _uniform(rays, generator))
+
+
+def air_points(
+    rays: Rays, near_share: float, generator: torch.Generator | None
+) -> tuple[Float[Tensor, "batch frame ray 3"], Float[Tensor, "batch frame ray"]]:
+    """One point before the surface of each ray, and 1 / rho_air, in metres of planar depth.
+
+    A fair coin tells whether it lies uniformly in the first `near_share` of the depth or in the rest, next to the
+    surface. The mean of f / rho is the integral of f over the planar depth from the camera to the surface.
+    """
+    within = _uniform(rays, generator)
+    far = _uniform(rays, generator) < 0.5
+    share = torch.where(far, near_share * within, near_share + (1 - near_share) * within)
+    length = torch.where(far, near_share, 1 - near_share)
+    return _at_depth(rays, rays.depth * share), 2 * length * rays.depth
+
+
+def _at_depth(rays: Rays, depth: Tensor) -> Tensor:
+    return rays.origin + rays.direction * depth[..., None]
+
+
+def _uniform(rays: Rays, generator: torch.Generator | None) -> Tensor:
+    return torch.rand(rays.depth.shape, generator=generator, dtype=rays.depth.dtype, device=rays.depth.device)

@@ -1,0 +1,1 @@
+"""Where the objects are, how they are turned, and what is encoded of them."""

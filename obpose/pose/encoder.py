@@ -1,0 +1,140 @@
+"""Encodes the points of an object's box (paper, section Object Location and Orientation Conditioned Encoding).
+
+A point-wise network, a KPConv from the points onto anchors among them, and a KPConv of the anchors at the middle of the
+box. The authors use the four levels of their backbone with radii of 5 to 40 mm, less than the distance of the points:
+each point is its own only neighbour. Ours are in units of the box and hold neighbours wherever points are closer than a
+fifth of its edge to each other. Sines and cosines of the position and layer norms (where the authors have group norms)
+are there because codes start to depend on shapes several times sooner with them.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from einops import rearrange, reduce
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn.functional import elu
+
+from obpose.layers.kernel_points import kernel_points
+from obpose.layers.kpconv import KPConv, influence
+from obpose.layers.mlp import mlp
+from obpose.nerf.field import positional_encoding
+from obpose.pose.crop import BoxSamples
+
+SPREAD = 0.65
+"""Scale of the places near which anchors are looked for, laid out like kernel points; half the box's edge is 1."""
+NEIGHBOURS = 16
+"""The nearest so many samples are an anchor's neighbours, as far as they are in reach."""
+RADIUS = 0.5
+"""Of an anchor's neighbourhood; half the box's edge is 1."""
+REACH = 1.2
+"""Radius of the neighbourhood of the box's middle, in the same units."""
+_FREQUENCIES = 3
+"""Of the positions in the box, beside the positions themselves."""
+_POINT_WIDTH = 16
+_ANCHOR_WIDTH = 32
+_FAR = 1e4
+"""Distance squared of samples that there are not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbourhoods:
+    """How the samples of each box, the axis `box` being batch, frame and slot in one, lie to each other."""
+
+    index: Int[Tensor, "box anchor neighbour"]
+    """Which sample is the neighbour."""
+    influences: Float[Tensor, "box anchor neighbour kernel"]
+    """Of the neighbours' kernel points, over the number of neighbours in reach: denser clouds are not louder."""
+    central: Float[Tensor, "box anchor kernel"]
+    """The same of the anchors as neighbours of the box's middle. All are 0 in a box without points."""
+
+
+class ObjectEncoder(nn.Module):
+    """From the samples of a box to one code; the order of the samples does not matter."""
+
+    kernel: Float[Tensor, "kernel 3"]
+    places: Float[Tensor, "anchor 3"]
+
+    def __init__(self, features: int, width: int):
+        super().__init__()
+        self.register_buffer("kernel", kernel_points(), persistent=False)
+        self.register_buffer("places", SPREAD * kernel_points(), persistent=False)
+        pooled = width + _ANCHOR_WIDTH + _POINT_WIDTH
+        self._points = mlp(3 + 6 * _FREQUENCIES + features, _POINT_WIDTH, _POINT_WIDTH)
+        self._around = KPConv(_POINT_WIDTH, _ANCHOR_WIDTH)
+        self._around_norm = nn.LayerNorm(_ANCHOR_WIDTH)
+        self._anchors = mlp(_ANCHOR_WIDTH, _ANCHOR_WIDTH)
+        self._middle = KPConv(_ANCHOR_WIDTH, width)
+        self._middle_norm = nn.LayerNorm(width)
+        self._code = nn.Sequential(nn.LayerNorm(pooled), mlp(pooled, width, width))
+
+    def forward(self, samples: BoxSamples) -> Float[Tensor, "batch frame slot width"]:
+        """The codes of all boxes at once."""
+        points, features, valid = (
+            rearrange(part, "b f slot ... -> (b f slot) ...")
+            for part in (samples.points, samples.features, samples.valid)
+        )
+        near = neighbourhoods(points, valid, places=self.places, kernel=self.kernel)
+        encoded = positional_encoding(points, _FREQUENCIES)
+        pointwise = elu(self._points(torch.cat([points, encoded, features], dim=-1)))
+        around = self._around(_neighbours(pointwise, near.index), rearrange(near.influences, "b a n k -> (b a) n k"))
+        anchors = elu(self._anchors(elu(self._around_norm(around)))).unflatten(0, near.index.shape[:2])
+        pooled = [
+            elu(self._middle_norm(self._middle(anchors, near.central))),
+            anchors.amax(dim=1),
+            _mean(pointwise, valid),
+        ]
+        return self._code(torch.cat(pooled, dim=-1)).unflatten(0, samples.valid.shape[:3])
+
+
+@torch.no_grad()
+def neighbourhoods(
+    points: Float[Tensor, "box sample 3"],
+    valid: Bool[Tensor, "box sample"],
+    *,
+    places: Float[Tensor, "anchor 3"],
+    kernel: Float[Tensor, "kernel 3"],
+) -> Neighbourhoods:
+    """Anchors are the samples nearest to some places in the box, their neighbours the samples nearest to them.
+
+    One sample may be the anchor of several places.
+    """
+    missing = torch.where(valid, 0, _FAR)[:, None]
+    anchor = (_square_distances(places.expand(len(points), -1, -1), points) + missing).argmin(dim=-1)
+    at = points.gather(1, anchor[..., None].expand(-1, -1, 3))
+    count = min(NEIGHBOURS, points.shape[1])
+    near = (_square_distances(at, points) + missing).topk(count, dim=-1, largest=False, sorted=False)
+    offsets = _neighbours(points, near.indices).unflatten(0, anchor.shape) - at[:, :, None]
+    return Neighbourhoods(
+        index=near.indices,
+        influences=_averaging(influence(offsets / RADIUS, kernel), near.values < RADIUS**2),
+        central=_averaging(influence(at / REACH, kernel), valid.gather(1, anchor)),
+    )
+
+
+def _square_distances(
+    targets: Float[Tensor, "box target 3"], points: Float[Tensor, "box sample 3"]
+) -> Float[Tensor, "box target sample"]:
+    squares = targets.square().sum(-1)[..., None] + points.square().sum(-1)[:, None]
+    return torch.baddbmm(squares, targets, points.mT, alpha=-2)
+
+
+def _averaging(
+    influences: Float[Tensor, "*shape neighbour kernel"], there: Bool[Tensor, "*shape neighbour"]
+) -> Float[Tensor, "*shape neighbour kernel"]:
+    share = there / there.sum(dim=-1, keepdim=True).clamp(min=1)
+    return influences * share[..., None]
+
+
+def _mean(features: Float[Tensor, "box sample width"], valid: Bool[Tensor, "box sample"]) -> Float[Tensor, "box width"]:
+    total = reduce(features * valid[..., None], "box sample width -> box width", "sum")
+    return total / valid.sum(dim=-1, keepdim=True).clamp(min=1)
+
+
+def _neighbours(
+    table: Float[Tensor, "box sample width"], index: Int[Tensor, "box anchor neighbour"]
+) -> Float[Tensor, "points neighbour width"]:
+    """Rows of one flat table, which is what differentiates fast; `points` are box and anchor in one."""
+    first = torch.arange(table.shape[0], device=table.device) * table.shape[1]
+    rows = index + first[:, None, None]
+    return table.flatten(0, 1).index_select(0, rows.flatten()).view(-1, index.shape[2], table.shape[2])

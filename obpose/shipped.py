@@ -1,0 +1,52 @@
+"""Weights that ship with the package, in `assets/checkpoints/MODEL--TRACK--WIDTHxHEIGHT/`.
+
+They are as `obpose.checkpoint` saves them; the command that made them stands in a README beside each.
+"""
+
+import hashlib
+from pathlib import Path
+
+import assets
+from obpose.errors import UsageError
+
+
+def shipped_name(model: str, track: str, resolution: tuple[int, int]) -> str:
+    """Folder of the weights of a model that was trained on a track at a width and height."""
+    width, height = resolution
+    return f"{model}--{track}--{width}x{height}"
+
+
+def shipped_names() -> list[str]:
+    """What there is."""
+    return sorted(path.name for path in assets.CHECKPOINTS.glob("*--*--*x*") if path.is_dir())
+
+
+def list_shipped() -> str:
+    """What there is, as a sentence."""
+    names = shipped_names()
+    return f"There are: {', '.join(names)}." if names else "There are none at all."
+
+
+def find_shipped(model: str, track: str, resolution: tuple[int, int]) -> Path:
+    """Folder of such weights.
+
+    Raises:
+        UsageError: there are none; says which there are.
+    """
+    name = shipped_name(model, track, resolution)
+    if name in shipped_names():
+        return assets.CHECKPOINTS / name
+    width, height = resolution
+    raise UsageError(
+        f"No weights of {model!r} trained on {track!r} at {width}x{height} ship with this package. {list_shipped()} "
+        "Name the track that they were trained on with --fit-track, or train without --pretrained."
+    )
+
+
+def content_hash(folder: Path) -> str:
+    """SHA-256 of names and contents of the files in a folder that hold weights or their description."""
+    found = hashlib.sha256()
+    for path in sorted(folder.iterdir()):
+        if path.suffix in (".safetensors", ".json"):
+            found.update(f"{path.name}|{hashlib.sha256(path.read_bytes()).hexdigest()}|".encode())
+    return found.hexdigest()

@@ -1,0 +1,112 @@
+"""Which windows of which clips a step sees: a function of the seed and the step alone, however they are read."""
+
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import count
+
+import numpy as np
+import torch
+from jaxtyping import Int
+from torch import Tensor
+from torch.utils.data import DataLoader, Dataset
+
+from obpose.clips import ClipSource, stack
+
+READERS_FOR_A_GPU = 8
+"""Processes that read ahead where a GPU computes; on a CPU reading takes about 1 % of a step and needs none."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """Some frames of a clip."""
+
+    clip: int
+    start: int
+    frames: int
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How the windows of a step are chosen."""
+
+    clips: int
+    """How many there are."""
+    frames_of_clip: int
+    frames: int
+    """Of a window."""
+    batch: int
+    """Windows a step, over all processes."""
+    seed: int
+
+    def windows(self, step: int) -> list[Window]:
+        """Each clip once before any comes again, in an order that changes, and a random place in it."""
+        places = np.random.default_rng([self.seed, 1, step]).integers(
+            self.frames_of_clip - self.frames + 1, size=self.batch
+        )
+        numbers = range(step * self.batch, (step + 1) * self.batch)
+        return [
+            Window(self._clip(number), int(place), self.frames) for number, place in zip(numbers, places, strict=True)
+        ]
+
+    def _clip(self, number: int) -> int:
+        epoch, place = divmod(number, self.clips)
+        return int(_order(self.seed, epoch, self.clips)[place])
+
+
+@dataclass(frozen=True)
+class Share:
+    """The part of a batch that one of several processes computes."""
+
+    process: int = 0
+    processes: int = 1
+
+    def of(self, windows: Sequence[Window]) -> Sequence[Window]:
+        """This process's windows."""
+        each = len(windows) // self.processes
+        return windows[self.process * each : (self.process + 1) * each]
+
+
+def batches(
+    source: ClipSource, sampling: Sampling, share: Share, *, first_step: int, readers: int
+) -> Iterator[dict[str, Tensor]]:
+    """The batches of this process from a step on, without end; `readers` processes read ahead, 0 for none."""
+    loader = DataLoader(
+        _Steps(source, sampling, share),
+        batch_size=None,
+        sampler=count(first_step),  # pyright: ignore[reportArgumentType]
+        num_workers=readers,
+        worker_init_fn=_leave_signals_to_the_parent if readers else None,
+        multiprocessing_context="spawn" if readers else None,
+        pin_memory=readers > 0 and torch.cuda.is_available(),
+        # Without a generator of its own the loader would draw from the global one.
+        generator=torch.Generator(),
+    )
+    return iter(loader)
+
+
+def readers_for(device: torch.device) -> int:
+    """How many processes should read ahead."""
+    return 0 if device.type == "cpu" else min(READERS_FOR_A_GPU, max(1, (os.cpu_count() or 1) - 1))
+
+
+class _Steps(Dataset[dict[str, Tensor]]):
+    """Item `step` is the batch of that step."""
+
+    def __init__(self, source: ClipSource, sampling: Sampling, share: Share):
+        self._source, self._sampling, self._share = source, sampling, share
+
+    def __getitem__(self, step: int) -> dict[str, Tensor]:
+        windows = self._share.of(self._sampling.windows(step))
+        return stack([self._source.window(window.clip, window.start, window.frames) for window in windows])
+
+
+def _leave_signals_to_the_parent(_reader: int) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@lru_cache(maxsize=2)
+def _order(seed: int, epoch: int, clips: int) -> Int[np.ndarray, " clips"]:
+    return np.random.default_rng([seed, 0, epoch]).permutation(clips)

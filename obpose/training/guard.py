@@ -1,0 +1,42 @@
+"""Stops a training whose numbers are no longer finite, before they reach the weights, and says where it began."""
+
+import math
+from collections.abc import Iterable, Mapping
+
+from torch import Tensor, nn
+
+from obpose.errors import Diverged
+
+_NAMED = 3
+"""Parameters that a message names."""
+
+
+def check_finite(
+    losses: Mapping[str, float], gradient_norm: float, parameters: Iterable[tuple[str, nn.Parameter]], *, step: int
+) -> None:
+    """Let a step pass only with finite losses and gradients.
+
+    Raises:
+        Diverged: names the loss terms, or the parameters whose gradient it is, and what to try.
+    """
+    if math.isfinite(losses["total"]) and math.isfinite(gradient_norm):
+        return
+    terms = [f"{name} is {value}" for name, value in losses.items() if not math.isfinite(value) and name != "total"]
+    if not terms and not math.isfinite(losses["total"]):
+        terms = [f"the weighted sum is {losses['total']} though no term is"]
+    cause = f"among the losses {', '.join(terms)}" if terms else _gradients(parameters)
+    raise Diverged(
+        f"Training diverged in step {step}: {cause}. The weights before this step are sound, and so is the last "
+        "checkpoint. Try half the learning rate (--set train.learning_rate=...), --set train.clip=1, another --seed, "
+        "or look for clips with depths or poses that are not finite."
+    )
+
+
+def _gradients(parameters: Iterable[tuple[str, nn.Parameter]]) -> str:
+    wrong = [name for name, parameter in parameters if not _is_finite(parameter.grad)]
+    more = f" and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
+    return f"the losses are finite, but not the gradients of {', '.join(wrong[:_NAMED])}{more}"
+
+
+def _is_finite(gradient: Tensor | None) -> bool:
+    return gradient is None or bool(gradient.isfinite().all())

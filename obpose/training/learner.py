@@ -1,0 +1,109 @@
+"""One step of learning: losses, gradients, their norm, Adam."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from lightning_fabric import Fabric
+from torch import Tensor, nn
+
+from obpose.checkpoint import Build, State, TrainingState, put_weights
+from obpose.clips import views_apart
+from obpose.config import Config
+from obpose.trainable import Trainable
+from obpose.training.devices import mean_over_processes, noise_of
+from obpose.training.guard import check_finite
+from obpose.types import Observation
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What a step was like."""
+
+    losses: dict[str, float]
+    """Means over all processes."""
+    gradient_norm: float
+    """Before clipping."""
+
+
+class Learner:
+    """A model and its optimiser."""
+
+    def __init__(self, fabric: Fabric, config: Config, build: Build):
+        """Fresh weights follow from the seed."""
+        self._fabric, self._config = fabric, config.train
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.train.seed)
+            self.model: Trainable = build(config)
+        optimizer = torch.optim.Adam(self.model.parameters(), lr=config.train.learning_rate, fused=True)
+        self._module, self._optimizer = fabric.setup(_Losses(self.model, config), optimizer)
+
+    def learn(self, batch: Mapping[str, Tensor], *, step: int, learning_rate: float) -> Learned:
+        """Make one step.
+
+        Raises:
+            Diverged: losses or gradients are not finite; the weights are as before.
+        """
+        for group in self._optimizer.param_groups:
+            group["lr"] = learning_rate
+        self._optimizer.zero_grad()
+        device = self._fabric.device
+        tensors = {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
+        noise = noise_of(step, seed=self._config.seed, process=self._fabric.global_rank, device=device)
+        terms: dict[str, Tensor] = self._module(tensors, step=step, generator=noise)
+        self._fabric.backward(terms["total"])
+        norm = self._clip()
+        values = torch.stack([term.detach().float() for term in terms.values()])
+        *losses, gradient_norm = torch.cat([mean_over_processes(self._fabric, values), norm[None]]).tolist()
+        learned = Learned(dict(zip(terms, losses, strict=True)), gradient_norm)
+        check_finite(learned.losses, gradient_norm, self.model.named_parameters(), step=step + 1)
+        self._optimizer.step()
+        return learned
+
+    def weights(self) -> State:
+        """Of the model, for a checkpoint."""
+        return self.model.state_dict()
+
+    def optimizer_state(self) -> State:
+        """`parameter.value` to tensor; parameters that had no gradient yet have none."""
+        state = self._optimizer.state
+        return {
+            f"{name}.{value}": tensor
+            for name, parameter in self.model.named_parameters()
+            for value, tensor in state.get(parameter, {}).items()
+        }
+
+    def restore(self, state: TrainingState) -> None:
+        """Go on from a checkpoint."""
+        put_weights(self.model, state.weights, "the checkpoint")
+        numbers = {name: number for number, (name, _) in enumerate(self.model.named_parameters())}
+        values: dict[int, dict[str, Tensor]] = {}
+        for name, tensor in state.optimizer.items():
+            parameter, _, value = name.rpartition(".")
+            values.setdefault(numbers[parameter], {})[value] = tensor
+        groups = self._optimizer.state_dict()["param_groups"]
+        self._optimizer.load_state_dict({"state": values, "param_groups": groups})
+
+    def _clip(self) -> Tensor:
+        """Clip the gradient and give its norm; an infinite limit only measures."""
+        norm = self._fabric.clip_gradients(
+            self._module, self._optimizer, max_norm=self._config.clip or math.inf, error_if_nonfinite=False
+        )
+        assert norm is not None
+        return norm
+
+
+class _Losses(nn.Module):
+    """A model's losses as a forward pass, which is where data-parallel training hooks in."""
+
+    def __init__(self, model: Trainable, config: Config):
+        super().__init__()
+        self.model = model
+        self._views = config.train.views
+
+    def forward(self, tensors: Mapping[str, Tensor], *, step: int, generator: torch.Generator) -> dict[str, Tensor]:
+        observation = Observation(**tensors)
+        if self._views == "apart":
+            observation = views_apart(observation)
+        return self.model.losses(observation, step=step, generator=generator)

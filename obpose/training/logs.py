@@ -1,0 +1,80 @@
+"""Curves on disk: CSV tables and, where it is installed and asked for, TensorBoard."""
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from obpose.errors import UsageError
+from obpose.files import write_whole
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard.writer import SummaryWriter
+
+Row = Mapping[str, float | int | str]
+
+
+class CsvLog:
+    """A table with a column for each name that was ever written; the first is `step`. Every row is on disk at once."""
+
+    def __init__(self, path: Path, *, steps: int):
+        """Go on after so many steps: rows of later ones, which a run that was killed had not saved, are dropped."""
+        self._path = path
+        rows = _rows(path, steps)
+        self._columns = list(rows[0]) if rows else ["step"]
+        self._rewrite(rows)
+
+    def write(self, row: Row) -> None:
+        """Append a row."""
+        if new := [name for name in row if name not in self._columns]:
+            self._columns += new
+            self._rewrite(_rows(self._path, None))
+        with self._path.open("a", newline="") as file:
+            csv.DictWriter(file, self._columns, restval="").writerow(row)
+
+    def _rewrite(self, rows: list[Row]) -> None:
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, self._columns, restval="")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_whole(self._path, text.getvalue().encode())
+
+
+class TensorBoardLog:
+    """The same values as TensorBoard shows them.
+
+    Raises:
+        UsageError: TensorBoard is not installed.
+    """
+
+    def __init__(self, folder: Path, *, steps: int):
+        self._writer = _writer(folder, steps)
+
+    def write(self, group: str, row: Row) -> None:
+        """Add the values of a row under a group's name."""
+        step = int(row["step"])
+        for name, value in row.items():
+            if name != "step":
+                self._writer.add_scalar(f"{group}/{name}", float(value), step)
+
+    def close(self) -> None:
+        """Write what is waiting."""
+        self._writer.close()
+
+
+def _rows(path: Path, steps: int | None) -> list[Row]:
+    """Complete rows of a table, those of at most so many steps."""
+    if not path.exists():
+        return []
+    whole, _, _ = path.read_text().rpartition("\n")  # a line that a kill cut short has no end
+    found = csv.DictReader(io.StringIO(whole))
+    return [row for row in found if steps is None or int(row["step"]) <= steps]
+
+
+def _writer(folder: Path, steps: int) -> "SummaryWriter":
+    try:
+        from torch.utils.tensorboard.writer import SummaryWriter
+    except ImportError:
+        raise UsageError("TensorBoard is not installed; pip install 'obpose[tensorboard]', or leave it out.") from None
+    return SummaryWriter(str(folder), purge_step=steps + 1)

@@ -1,0 +1,80 @@
+"""What a training leaves in its folder: checkpoints, curves and pictures.
+
+RUN/config.json, model.safetensors     the model, for `obpose.checkpoint.load`
+RUN/training.safetensors               what the training needs to go on
+RUN/training.csv, validation.csv       curves
+RUN/pictures/                          what the model makes of some clips, as it learns
+RUN/tensorboard/                       the curves again, if asked for
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+from obpose.checkpoint import TrainingState, save_model, save_training
+from obpose.clips import ClipSource, observation_of
+from obpose.config import Config
+from obpose.pictures import write_picture
+from obpose.trainable import Trainable
+from obpose.training.learner import Learned, Learner
+from obpose.training.logs import CsvLog, TensorBoardLog
+from obpose.training.validation import CurvePoint
+
+SAVE_SECONDS = 180.0
+"""Between two checkpoints, time of day."""
+PICTURE_CLIPS = 3
+"""The first so many clips are drawn."""
+
+
+class Record:
+    """Writes one run's folder; the folder belongs to this process alone."""
+
+    def __init__(self, folder: Path, config: Config, *, steps: int, tensorboard: bool):
+        """Begin, or go on after so many steps."""
+        self._folder, self._config = folder, config
+        self._steps = CsvLog(folder / "training.csv", steps=steps)
+        self._validations = CsvLog(folder / "validation.csv", steps=steps)
+        self._board = TensorBoardLog(folder / "tensorboard", steps=steps) if tensorboard else None
+        self._saved = time.monotonic()
+
+    def log_step(self, step: int, seconds: float, learning_rate: float, learned: Learned) -> None:
+        """Add a row to the curves of the training."""
+        row = {
+            "step": step,
+            "seconds": round(seconds, 3),
+            "learning_rate": learning_rate,
+            "gradient_norm": learned.gradient_norm,
+            **learned.losses,
+        }
+        self._steps.write(row)
+        if self._board:
+            self._board.write("training", row)
+
+    def log_validation(self, point: CurvePoint) -> None:
+        """Add a row to the curves of the validation."""
+        self._validations.write(point.row())
+        if self._board:
+            self._board.write("validation", point.row())
+
+    def draw(self, model: Trainable, source: ClipSource, *, step: int, device: Any) -> None:
+        """Draw what the model makes of some clips."""
+        frames = min(self._config.train.frames, source.frames_of_clip)
+        windows = [source.window(index, 0, frames) for index in range(min(PICTURE_CLIPS, len(source)))]
+        path = self._folder / "pictures" / f"step-{step:07d}.png"
+        write_picture(path, model, observation_of(windows).to(device), self._config.train.views)
+
+    def save(self, learner: Learner, info: dict[str, Any]) -> None:
+        """Write a checkpoint."""
+        weights = learner.weights()
+        save_training(self._folder, TrainingState(weights, learner.optimizer_state(), info))
+        save_model(self._folder, weights, self._config, info)
+        self._saved = time.monotonic()
+
+    def save_is_due(self) -> bool:
+        """Whether the last checkpoint is minutes old."""
+        return time.monotonic() - self._saved > SAVE_SECONDS
+
+    def close(self) -> None:
+        """Write what is waiting."""
+        if self._board:
+            self._board.close()

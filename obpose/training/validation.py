@@ -1,0 +1,108 @@
+"""What a model does on clips that it was not trained on; looked at by people, never used to choose."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from obpose.clips import ClipSource, observation_of, views_apart
+from obpose.config import TrainConfig
+from obpose.labels import Labels, segment_clip
+from obpose.trainable import Trainable
+from obpose.types import Observation
+
+CLIPS = 16
+"""The first so many clips are looked at; the others are left to whoever compares models."""
+SEGMENTATION = "segmentation"
+"""Name of the labels in the windows of a source that has them."""
+
+_SEED = 0
+
+Score = Callable[[Labels, Labels], float]
+"""Of true and predicted labels of a clip; nan where it is not defined."""
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """What one validation saw."""
+
+    step: int
+    seconds: float
+    """Of the budget's clock."""
+    losses: dict[str, float]
+    """Means over the windows."""
+    ari_fg: float | None
+    """Mean over the clips; None where the source has no labels."""
+
+    def row(self) -> dict[str, float | int]:
+        """As a row of a table."""
+        score = {} if self.ari_fg is None else {"ari_fg": self.ari_fg}
+        return {"step": self.step, "seconds": round(self.seconds, 3), **score, **self.losses}
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON can say it; the constructor takes it back."""
+        return asdict(self)
+
+
+def validate(
+    model: Trainable,
+    source: ClipSource,
+    config: TrainConfig,
+    *,
+    step: int,
+    seconds: float,
+    device: torch.device,
+    score: Score,
+) -> CurvePoint:
+    """Losses as in training, and the segmentations' score in evaluation mode."""
+    losses = validation_losses(model, source, config, step=step, device=device)
+    model.eval()
+    try:
+        return CurvePoint(step, seconds, losses, validation_score(model, source, config, score, device=device))
+    finally:
+        model.train()
+
+
+def validation_losses(
+    model: Trainable, source: ClipSource, config: TrainConfig, *, step: int, device: torch.device
+) -> dict[str, float]:
+    """Means of the loss terms over the first frames of the clips, with the same noise every time."""
+    noise = torch.Generator(device).manual_seed(_SEED)
+    sums: dict[str, float] = {}
+    scenes = 0
+    for observation in _batches(source, config):
+        with torch.no_grad():
+            terms = model.losses(observation.to(device), step=step, generator=noise)
+        number = len(observation.depth)
+        scenes += number
+        sums = {name: sums.get(name, 0.0) + number * float(value) for name, value in terms.items()}
+    return {name: value / scenes for name, value in sums.items()}
+
+
+def validation_score(
+    model: Trainable, source: ClipSource, config: TrainConfig, score: Score, *, device: torch.device
+) -> float | None:
+    """Mean score of the segmentations of whole clips; None where the source has no labels."""
+    values = []
+    for index in range(_clips(source)):
+        window = source.window(index, 0, source.frames_of_clip)
+        if SEGMENTATION not in window:
+            return None
+        labels = segment_clip(model, observation_of([window]).to(device), config.views)
+        values.append(score(window[SEGMENTATION].numpy(), labels))
+    defined = [value for value in values if not np.isnan(value)]
+    return float(np.mean(defined)) if defined else None
+
+
+def _batches(source: ClipSource, config: TrainConfig) -> Iterator[Observation]:
+    frames = min(config.frames, source.frames_of_clip)
+    for first in range(0, _clips(source), config.batch):
+        indices = range(first, min(first + config.batch, _clips(source)))
+        observation = observation_of([source.window(index, 0, frames) for index in indices])
+        yield views_apart(observation) if config.views == "apart" else observation
+
+
+def _clips(source: ClipSource) -> int:
+    return min(CLIPS, len(source))

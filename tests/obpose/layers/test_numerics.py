@@ -1,0 +1,35 @@
+from decimal import Decimal, localcontext
+
+import pytest
+import torch
+
+from obpose.layers.numerics import log1mexp
+
+ARGUMENTS = (-1e-30, -1e-7, -1e-3, -0.5, -0.6931, -0.6932, -1.0, -10.0, -40.0, -80.0)
+
+
+def _exact(x: float) -> tuple[float, float]:
+    with localcontext() as context:
+        context.prec = 80
+        rest = 1 - Decimal(x).exp()
+        return float(rest.ln()), float(-Decimal(x).exp() / rest)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 3e-7), (torch.float64, 1e-15)])
+def test_value_and_gradient_have_all_digits_from_the_smallest_to_the_largest_share(
+    dtype: torch.dtype, tolerance: float
+):
+    x = torch.tensor(ARGUMENTS, dtype=dtype, requires_grad=True)
+    value = log1mexp(x)
+    (gradient,) = torch.autograd.grad(value.sum(), x)
+    expected = torch.tensor([_exact(argument) for argument in x.tolist()], dtype=torch.float64)
+    torch.testing.assert_close(value.double(), expected[:, 0], rtol=tolerance, atol=0)
+    torch.testing.assert_close(gradient.double(), expected[:, 1], rtol=tolerance, atol=0)
+
+
+def test_finite_far_beyond_the_range_of_the_exponential():
+    x = torch.tensor([-1e3, -1e30], requires_grad=True)
+    value = log1mexp(x)
+    (gradient,) = torch.autograd.grad(value.sum(), x)
+    assert value.eq(0).all()
+    assert gradient.eq(0).all()

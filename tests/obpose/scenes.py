@@ -1,0 +1,82 @@
+"""Small observations made from formulas, for tests of the model."""
+
+import math
+
+import torch
+
+from obpose.types import Observation
+
+
+def table_scene(
+    *,
+    batch: int = 1,
+    frames: int = 2,
+    views: int = 1,
+    height: int = 32,
+    width: int = 32,
+    spheres: int = 2,
+    holes: float = 0.0,
+    seed: int = 0,
+) -> Observation:
+    """Coloured spheres of 3 to 5 cm radius on the table z = 0, apart, seen as in the `moving` recipe."""
+    generator = torch.Generator().manual_seed(seed)
+    draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
+    centers = torch.stack([torch.linspace(-0.18, 0.18, spheres).expand(batch, -1), 0.1 * draw(batch, spheres)], -1)
+    radii = 0.03 + 0.02 * draw(batch, spheres)
+    colours, table = draw(batch, spheres, 3), draw(batch, 3)
+    k, poses = _cameras(batch, views, height, width)
+    rgb, depth = [], []
+    for frame in range(frames):
+        moved = centers + 0.01 * frame
+        rgb_frame, depth_frame = _trace(k, poses, moved, radii, colours, table, height, width)
+        rgb.append(rgb_frame)
+        depth.append(depth_frame)
+    valid = torch.rand((batch, frames, views, height, width), generator=generator) >= holes
+    return Observation(torch.stack(rgb, 1), torch.stack(depth, 1) * valid, valid, k, poses)
+
+
+def _cameras(batch: int, views: int, height: int, width: int) -> tuple[torch.Tensor, torch.Tensor]:
+    focal = height / 2 / math.tan(math.radians(20))
+    k = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]).expand(batch, views, 3, 3)
+    tilt = math.radians(55)
+    poses = torch.zeros(batch, views, 4, 4)
+    for view in range(views):
+        turn = 2 * math.pi * view / views
+        forward = torch.tensor([0.0, math.cos(tilt), -math.sin(tilt)])
+        right = torch.tensor([1.0, 0.0, 0.0])
+        rotation = torch.stack([right, torch.linalg.cross(forward, right), forward], dim=1)
+        spin = torch.tensor([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1.0]])
+        poses[:, view, :3, :3] = spin @ rotation
+        poses[:, view, :3, 3] = spin @ (-1.03 * forward)
+        poses[:, view, 3, 3] = 1
+    return k.clone(), poses
+
+
+def _trace(
+    k: torch.Tensor,
+    poses: torch.Tensor,
+    centers: torch.Tensor,
+    radii: torch.Tensor,
+    colours: torch.Tensor,
+    table: torch.Tensor,
+    height: int,
+    width: int,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    batch, views = k.shape[:2]
+    u, v = torch.meshgrid(torch.arange(width) + 0.5, torch.arange(height) + 0.5, indexing="xy")
+    in_camera = torch.stack([(u - width / 2) / k[0, 0, 0, 0], (v - height / 2) / k[0, 0, 1, 1], torch.ones_like(u)], -1)
+    direction = torch.einsum("bvij,hwj->bvhwi", poses[..., :3, :3], in_camera)
+    origin = poses[:, :, None, None, :3, 3]
+    depth = -origin[..., 2] / direction[..., 2]
+    rgb = table[:, None, None, None].expand(batch, views, height, width, 3)
+    for i in range(radii.shape[1]):
+        middle = torch.cat([centers[:, i], radii[:, i, None]], -1)[:, None, None, None]
+        to = origin - middle
+        a, b = (direction**2).sum(-1), (direction * to).sum(-1)
+        c = (to**2).sum(-1) - radii[:, i, None, None, None] ** 2
+        root = b**2 - a * c
+        hit_depth = (-b - root.clamp(min=0).sqrt()) / a
+        hit = (root > 0) & (hit_depth < depth)
+        depth = torch.where(hit, hit_depth, depth)
+        rgb = torch.where(hit[..., None], colours[:, i, None, None, None], rgb)
+    return rgb, depth
