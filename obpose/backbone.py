@@ -1,8 +1,9 @@
 """U-Net of KPConv layers on the organised point cloud (paper, section Encoder; Thomas et al. 2019).
 
 The neighbours of a point are those of its 3x3 window on the image grid, weighted by where they lie in space; the paper
-searches balls in space. The geometry of a level is computed once and shared by its layers. Within, the points of all
-images stand in one row, image by image and row by row.
+searches balls in space. The geometry of a level is computed once and shared by its layers. The input layer looks at
+single points, the authors' at neighbourhoods: at full resolution a KPConv costs most. Within, the points of all images
+stand in one row, image by image and row by row.
 """
 
 from dataclasses import dataclass
@@ -136,11 +137,10 @@ class Backbone(nn.Module):
 
 
 class SceneCode(nn.Module):
-    """One code of an image: a KPConv of the deepest level around the workspace's middle, and the means of all
-    levels and of the colours and points themselves.
+    """One code of an image: a KPConv of the deepest level around the workspace's middle, and means of all levels.
 
-    The authors only have the former, as a sum; the background's latent then hardly hears of what a scene has of its
-    own, the table's colour above all, and collapses to its prior.
+    The means are also of the input. The authors only have the KPConv, as a sum; the background's latent then hardly
+    hears of what a scene has of its own, the table's colour above all, and collapses to its prior.
     """
 
     def __init__(self, widths: tuple[int, ...]):
@@ -172,7 +172,11 @@ def masked_mean(
 
 
 class Block(nn.Module):
-    """Narrow KPConv with a skip; at some of the points where their places are given."""
+    """Narrow KPConv with a skip; at some of the points where their places are given.
+
+    As the authors' but for two things: features are normalised point by point, so that nothing depends on how many
+    points there are, and the skip of a thinned grid takes the kept point, where theirs takes the largest neighbour.
+    """
 
     def __init__(self, inputs: int, outputs: int):
         super().__init__()

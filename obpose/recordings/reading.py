@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -113,10 +114,10 @@ def _by_number(path: Path) -> list[tuple[int, str]]:
 
 
 def _read_rgb(path: Path) -> UInt8[np.ndarray, "height width 3"]:
-    with _opened(path) as image:
-        if image.mode.startswith(("I", "F")):
-            raise UsageError(f"{path} is no colour image (mode {image.mode}); are --rgb and --depth swapped?")
-        return np.asarray(image.convert("RGB"))
+    image = _open(path)
+    if image.mode.startswith(("I", "F")):
+        raise UsageError(f"{path} is no colour image (mode {image.mode}); are --rgb and --depth swapped?")
+    return np.asarray(image.convert("RGB"))
 
 
 def _read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
@@ -126,12 +127,12 @@ def _read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]
 
 
 def _read_image(path: Path) -> np.ndarray:
-    with _opened(path) as image:
-        if not image.mode.startswith(("I", "F")):
-            raise UsageError(
-                f"{path} holds no depth: it has mode {image.mode}; expected one channel of 16 bits or of floats."
-            )
-        return np.asarray(image)
+    image = _open(path)
+    if not image.mode.startswith(("I", "F")):
+        raise UsageError(
+            f"{path} holds no depth: it has mode {image.mode}; expected one channel of 16 bits or of floats."
+        )
+    return np.asarray(image)
 
 
 def _read_array(path: Path) -> np.ndarray:
@@ -146,10 +147,10 @@ def _read_array(path: Path) -> np.ndarray:
     return values
 
 
-def _opened(path: Path) -> Image.Image:
+def _open(path: Path) -> Image.Image:
     """An image whose pixels are loaded."""
     try:
-        image = Image.open(path)
+        image = Image.open(BytesIO(path.read_bytes()))
         image.load()
     except FileNotFoundError:
         raise UsageError(f"{path} does not exist.") from None

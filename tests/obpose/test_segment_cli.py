@@ -117,7 +117,7 @@ def test_weights_that_ship_go_by_their_name(scene: Path, tmp_path: Path, monkeyp
     [
         ({"checkpoint": "nowhere"}, (), EXIT_USAGE, "nowhere: no such folder"),
         ({"checkpoint": "{scene}/rgb"}, (), EXIT_USAGE, "rgb holds no model"),
-        ({"rgb": "{scene}/none.png"}, (), EXIT_USAGE, "none.png does not exist"),
+        ({"rgb": "{scene}/none.png", "depth": "{scene}/depth/0.png"}, (), EXIT_USAGE, "none.png does not exist"),
         ({"depth": "{scene}/rgb"}, (), EXIT_USAGE, "holds no depth"),
         ({"depth": "{scene}/depth/0.png"}, (), EXIT_USAGE, "names 2 images and --depth 1"),
         ({"rgb": "{scene}/pose.txt", "depth": "{scene}/depth/0.png"}, (), EXIT_INCOMPLETE, "damaged or no image"),

@@ -93,7 +93,8 @@ def cases(folder: Path) -> dict[str, tuple[list[Path], list[Path], str]]:
     (folder / "empty").mkdir()
     np.save(folder / "cube.npy", np.ones((4, 6, 3)))
     large = (folder / "large.png", folder / "large_depth.png")
-    write_rgb(large[0], size=(8, 4)), write_depth(large[1], size=(8, 4))
+    write_rgb(large[0], size=(8, 4))
+    write_depth(large[1], size=(8, 4))
     return {
         "no files": ([], [depth], "--rgb names no files"),
         "not there": ([folder / "x.png"], [depth], "x.png does not exist"),

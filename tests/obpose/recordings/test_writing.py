@@ -77,4 +77,4 @@ def test_all_files_of_all_frames(tmp_path: Path):
     ]
     for frame in facts["frames"]:
         np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "out" / frame["labels"])), labels())
-        assert Image.open(tmp_path / "out" / frame["overlay"]).size == (WIDTH, HEIGHT)
+        assert np.asarray(Image.open(tmp_path / "out" / frame["overlay"])).shape == (HEIGHT, WIDTH, 3)

@@ -1,3 +1,4 @@
+import itertools
 import time
 
 import pytest
@@ -27,7 +28,7 @@ def test_steps_take_the_place_of_minutes():
 def test_validations_are_spread_evenly_and_the_last_is_at_the_end(config: TrainConfig, count: int):
     budget = Budget.of(config)
     fractions = [i / 10_007 for i in range(10_008)]
-    due = [now for before, now in zip(fractions, fractions[1:], strict=False) if budget.validation_is_due(before, now)]
+    due = [now for before, now in itertools.pairwise(fractions) if budget.validation_is_due(before, now)]
     assert len(due) == count
     assert due[-1] == 1.0
     assert due[0] == pytest.approx(1 / count, abs=1e-3)

@@ -1,5 +1,3 @@
-from collections.abc import Iterator
-
 import pytest
 import torch
 from torch import Tensor
@@ -17,8 +15,8 @@ def learner(**changes: object) -> Learner:
 
 
 @pytest.fixture
-def batch() -> Iterator[dict[str, Tensor]]:
-    yield stack([ToyClips().window(index, 0, 2) for index in (0, 1)])
+def batch() -> dict[str, Tensor]:
+    return stack([ToyClips().window(index, 0, 2) for index in (0, 1)])
 
 
 def test_a_step_follows_the_gradient(batch: dict[str, Tensor]):

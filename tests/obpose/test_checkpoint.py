@@ -1,0 +1,101 @@
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from obpose.checkpoint import CONFIG, MODEL, TRAINING, TrainingState, load, load_training, save_model, save_training
+from obpose.errors import CorruptFile, UsageError
+from tests.obpose.toy import ToyModel, toy_config
+
+CONFIGURATION = toy_config(**{"model.floor": None, "model.backbone.widths": (8, 16), "train.learning_rate": 0.1})
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    model = ToyModel(CONFIGURATION)
+    optimizer = {"mean.step": torch.tensor(3.0), "layers.0.weight.exp_avg": torch.rand(8, 1)}
+    save_training(tmp_path, TrainingState(model.state_dict(), optimizer, {"step": 3}))
+    save_model(tmp_path, model.state_dict(), CONFIGURATION, {"step": 3})
+    return tmp_path
+
+
+def test_a_model_comes_back_as_it_was(tmp_path: Path):
+    model = ToyModel(CONFIGURATION)
+    save_model(tmp_path, model.state_dict(), CONFIGURATION, {"seconds": 0.1 + 0.2, "curve": []})
+    twin, config, info = load(tmp_path, ToyModel)
+    assert config == CONFIGURATION
+    assert info == {"seconds": 0.1 + 0.2, "curve": []}
+    assert not twin.training
+    for name, value in model.state_dict().items():
+        assert torch.equal(twin.state_dict()[name], value)
+
+
+def test_loading_leaves_the_global_generator_alone(run: Path):
+    torch.manual_seed(3)
+    expected = torch.rand(2)
+    torch.manual_seed(3)
+    load(run, ToyModel)
+    assert torch.equal(torch.rand(2), expected)
+
+
+def test_a_training_comes_back_as_it_was(run: Path):
+    state = load_training(run, CONFIGURATION)
+    assert state is not None
+    assert set(state.optimizer) == {"mean.step", "layers.0.weight.exp_avg"}
+    assert set(state.weights) == set(ToyModel(CONFIGURATION).state_dict())
+    assert state.info == {"step": 3}
+
+
+def test_where_nothing_was_begun_there_is_no_training(tmp_path: Path):
+    assert load_training(tmp_path, CONFIGURATION) is None
+
+
+def test_another_configuration_is_refused_with_what_differs(run: Path):
+    with pytest.raises(UsageError, match=r"differ: train.batch: 2, 7; train.seed: 0, 1\."):
+        load_training(run, toy_config(**{**SAME, "train.batch": 7, "train.seed": 1}))
+
+
+SAME = {"model.floor": None, "model.backbone.widths": (8, 16), "train.learning_rate": 0.1}
+
+
+def test_tensors_may_share_memory(tmp_path: Path):
+    shared = torch.rand(4)
+    save_model(tmp_path, {"mean": shared[:3], "again": shared}, CONFIGURATION, {})
+    assert (tmp_path / MODEL).exists()
+
+
+def test_a_folder_without_a_model_is_refused(tmp_path: Path):
+    with pytest.raises(UsageError, match="holds no model"):
+        load(tmp_path, ToyModel)
+
+
+def test_weights_of_another_architecture_are_refused(run: Path):
+    class Other(ToyModel):
+        def __init__(self, config):
+            super().__init__(config)
+            self.more = torch.nn.Linear(1, 1)
+
+    with pytest.raises(UsageError, match=r"do not fit.*more"):
+        load(run, Other)
+
+
+def test_another_version_is_refused(run: Path):
+    facts = json.loads((run / CONFIG).read_text())
+    (run / CONFIG).write_text(json.dumps({**facts, "version": 99}))
+    with pytest.raises(UsageError, match="version 99, expected 1"):
+        load(run, ToyModel)
+
+
+@pytest.mark.parametrize("name", [CONFIG, MODEL, TRAINING])
+def test_a_file_cut_short_is_reported(run: Path, name: str):
+    whole = (run / name).read_bytes()
+    (run / name).write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CorruptFile, match=f"{name} is damaged"):
+        load_training(run, CONFIGURATION) if name == TRAINING else load(run, ToyModel)
+
+
+def test_a_training_that_lacks_a_file_is_reported(run: Path):
+    (run / TRAINING).unlink()
+    with pytest.raises(CorruptFile, match="missing"):
+        load_training(run, CONFIGURATION)

@@ -1,0 +1,50 @@
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from obpose.clips import ArrayClips, ClipSource, observation_of, views_apart
+from obpose.data import SceneDataset
+from tests.fabricated import write_dataset
+from tests.obpose.toy import ToyClips
+from tests.sphere_clips import clip_and_truth
+
+
+def test_arrays_become_what_a_model_sees():
+    clip, _ = clip_and_truth(views=2)
+    source = ArrayClips([clip])
+    assert (len(source), source.frames_of_clip) == (1, 4)
+    window = source.window(0, 1, 2)
+    np.testing.assert_allclose(window["rgb"].numpy() * 255, clip.rgb[1:3], atol=1e-4)
+    np.testing.assert_array_equal(window["depth"].numpy(), clip.depth[1:3])
+    np.testing.assert_array_equal(window["valid"].numpy(), clip.valid[1:3])
+    np.testing.assert_allclose(window["world_from_camera"].numpy(), clip.world_from_camera, rtol=1e-6)
+    assert window["k"].dtype == window["depth"].dtype == torch.float32
+
+
+def test_a_dataset_and_its_arrays_are_the_same_source(tmp_path: Path):
+    dataset = SceneDataset(write_dataset(tmp_path / "data", scenes=1, frames=4, size=(12, 8)))
+    whole = dataset.window(0, 0, 4)
+    window = dataset.window(0, 2, 2)
+    assert isinstance(dataset, ClipSource)
+    assert dataset.frames_of_clip == 4
+    for name in ("rgb", "depth", "valid"):
+        assert torch.equal(window[name], whole[name][2:])
+
+
+def test_labels_stay_behind():
+    observation = observation_of([ToyClips(labels=True).window(index, 0, 2) for index in (0, 1)])
+    assert observation.rgb.shape == (2, 2, 1, 8, 8, 3)
+    assert not hasattr(observation, "segmentation")
+
+
+def test_views_apart_are_scenes_in_the_order_of_clips_and_views():
+    source = ArrayClips([clip_and_truth(seed, views=3)[0] for seed in (0, 1)])
+    together = observation_of([source.window(index, 0, 2) for index in (0, 1)])
+    apart = views_apart(together)
+    assert apart.depth.shape == (6, 2, 1, 48, 64)
+    for clip in (0, 1):
+        for view in (0, 1, 2):
+            place = 3 * clip + view
+            assert torch.equal(apart.rgb[place, :, 0], together.rgb[clip, :, view])
+            assert torch.equal(apart.world_from_camera[place, 0], together.world_from_camera[clip, view])

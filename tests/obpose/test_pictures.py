@@ -1,0 +1,90 @@
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from obpose.clips import observation_of
+from obpose.pictures import COLUMNS, HEADER, PALETTE, box_edges, draw, reconstruct, tint, write_picture
+from obpose.types import Boxes, Decoded
+from tests.obpose.toy import SIZE, SLOTS, ToyClips, ToyModel, toy_config
+
+FACTOR = 24
+
+
+class Painted(ToyModel):
+    """Reconstructs a red background."""
+
+    def decode(self, inference, points, directions, colours):
+        logits = torch.full((*points.shape[:2], 1 + SLOTS, points.shape[2]), -1e4)
+        logits[:, :, 0] = 20.0
+        shades = torch.zeros(*logits.shape, 3)
+        shades[:, :, 0, :, 0] = 1.0
+        return Decoded(logits, shades)
+
+
+def clips(views: int = 1):
+    return observation_of([ToyClips(views=views).window(index, 0, 3) for index in (0, 1)])
+
+
+def tile(picture: np.ndarray, row: int, column: int) -> np.ndarray:
+    side = SIZE * FACTOR
+    return picture[HEADER + row * side : HEADER + (row + 1) * side, column * side : (column + 1) * side]
+
+
+def test_there_is_a_row_for_first_and_last_frame_and_a_column_for_each_kind():
+    picture = draw(Painted(toy_config()), clips())
+    assert picture.shape == (HEADER + 4 * SIZE * FACTOR, len(COLUMNS) * SIZE * FACTOR, 3)
+    expected = (clips().rgb[1, 2, 0].numpy() * 255 + 0.5).astype(np.uint8)
+    np.testing.assert_array_equal(tile(picture, 3, 0)[::FACTOR, ::FACTOR], expected)
+    np.testing.assert_array_equal(tile(picture, 3, 1), tile(picture, 3, 0))  # its attention sees nothing
+    assert (tile(picture, 0, 3) == (255, 0, 0)).all()
+
+
+def test_a_model_without_colours_is_drawn_without_a_reconstruction():
+    picture = draw(ToyModel(toy_config()), clips())
+    assert picture.shape[1] == (len(COLUMNS) - 1) * SIZE * FACTOR
+
+
+def test_nothing_is_reconstructed_where_nothing_was_seen():
+    seen = clips()
+    valid = seen.valid.clone()
+    valid[..., :4, :] = False
+    seen = dataclasses.replace(seen, valid=valid)
+    model = Painted(toy_config())
+    colours = reconstruct(model, seen, model.segment(seen).inference)
+    assert (colours[..., :4, :, :] == 0).all()
+    torch.testing.assert_close(colours[..., 4:, :, 0], torch.ones(2, 3, 1, 4, SIZE))
+
+
+def test_labels_tint_objects_and_leave_the_background():
+    image = np.full((2, 3, 3), 100, np.uint8)
+    labels = np.array([[0, 1, 2], [0, len(PALETTE), 0]])
+    tinted = tint(image, labels)
+    assert (tinted[labels == 0] == 100).all()
+    assert len({tuple(tinted[0, 1]), tuple(tinted[0, 2]), (100, 100, 100)}) == 3
+    assert tuple(tinted[1, 1]) == tuple(tinted[0, 1])  # colours begin again
+
+
+def test_boxes_have_twelve_edges_of_their_size():
+    angle = torch.tensor(0.3)
+    turn = torch.eye(3)
+    turn[:2, :2] = torch.tensor([[angle.cos(), -angle.sin()], [angle.sin(), angle.cos()]])
+    center = torch.tensor([0.1, 0.2, 0.3]).expand(1, 1, 2, 3)
+    edges = box_edges(Boxes(center, turn.expand(1, 1, 2, 3, 3), 0.4), 0, 0)
+    assert edges.shape == (2, 12, 2, 3)
+    torch.testing.assert_close((edges[..., 0, :] - edges[..., 1, :]).norm(dim=-1), torch.full((2, 12), 0.4))
+    torch.testing.assert_close(edges.mean(dim=(1, 2)), center[0, 0])
+
+
+@pytest.mark.parametrize("views", ["together", "apart"])
+def test_a_picture_is_written_and_the_model_trains_on(tmp_path: Path, views):
+    model = Painted(toy_config()).train()
+    write_picture(tmp_path / "new" / "a.png", model, clips(views=2), views)
+    picture = Image.open(io.BytesIO((tmp_path / "new" / "a.png").read_bytes()))
+    rows = 4 if views == "together" else 8
+    assert picture.size == (len(COLUMNS) * SIZE * FACTOR, HEADER + rows * SIZE * FACTOR)
+    assert model.training
