@@ -21,6 +21,8 @@ from datagen.errors import EXIT_INTERRUPTED
 
 LOGS = "logs"
 _POLL_SECONDS = 0.05
+_SAVING_SECONDS = 5.0
+"""Between asking a process to end and ending it."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -122,7 +124,11 @@ def _ending(code: int) -> str:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End the process and all that it started."""
+    """End the process and all that it started, after a moment in which a model may save how far it is."""
+    if process.poll() is None:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_SAVING_SECONDS)
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
