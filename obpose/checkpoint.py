@@ -95,7 +95,7 @@ def put_weights(model: Trainable, weights: State, place: str) -> None:
     try:
         model.load_state_dict(weights)
     except RuntimeError as error:
-        raise UsageError(f"The weights in {place} do not fit the model of this version: {error}") from None
+        raise UsageError(f"The weights in {place} do not fit the model of this version: {_line(error)}") from None
 
 
 def save_training(folder: Path, state: TrainingState) -> None:
@@ -144,3 +144,7 @@ def _read_tensors(path: Path) -> tuple[State, Info]:
             return tensors, json.loads((file.metadata() or {})["info"])
     except (SafetensorError, KeyError, ValueError) as error:
         raise CorruptFile(f"{path} is damaged ({error}); delete the folder to begin anew.") from None
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -63,11 +63,11 @@ class PoseConfig:
     min_points: int = 10
     """With fewer points whose argmax is the slot, its location is kept from the frame before, its orientation is that
     of the frame before or the identity. [code]"""
-    grid_level: int = 2
-    """HEALPix level of the rotation grid before refinement: of 576 (1) or 4608 (2) rotations the 24 or 204 that differ
-    by more than a box's symmetry. [code: 3, unreduced]"""
+    grid_level: int = 1
+    """HEALPix level of the rotation grid before refinement; of its 576 (1) or 4608 (2) rotations are used the 24 or 204
+    that a box's symmetry does not turn into each other. [code: 3, all 36,864]"""
     refinements: int = 8
-    """Rounds of local refinement; the last one turns boxes by at most 0.3 degrees. [ours]"""
+    """Rounds of local refinement; the last one turns boxes by at most 0.6 degrees. [ours]"""
     tolerance: float = 0.01
     """beta: boxes up to 1 + beta times the smallest are candidates. [code]"""
 

@@ -1,5 +1,7 @@
 """Diagonal Gaussians: from the numbers of a network, and drawn from."""
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -10,17 +12,18 @@ from obpose.types import Draw
 SMALLEST_STD = 1e-4
 """Keeps the divergence of two Gaussians finite."""
 
-_SHIFT = 2.25
-"""Standard deviations start near 0.1 in place of the authors' 0.7: with that much noise a decoder learns to do without
-the latent, and the background's collapsed to its prior for good."""
-
 
 def mean_and_std(
-    parameters: Float[Tensor, "*shape twice"],
+    parameters: Float[Tensor, "*shape twice"], *, typical_std: float
 ) -> tuple[Float[Tensor, "*shape latent"], Float[Tensor, "*shape latent"]]:
-    """Mean and standard deviation; the first half of the numbers is the mean, the other goes through a softplus."""
+    """Mean and standard deviation from the output of a network, which for an output of 0 are 0 and `typical_std`.
+
+    The first half of the numbers is the mean, the other half goes through a softplus; the authors' is not shifted, and
+    typical of it is 0.7.
+    """
     mean, spread = parameters.chunk(2, dim=-1)
-    return mean, softplus(spread - _SHIFT) + SMALLEST_STD
+    shift = math.log(math.expm1(typical_std))
+    return mean, softplus(spread + shift) + SMALLEST_STD
 
 
 def draw_gaussian(

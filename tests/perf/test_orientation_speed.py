@@ -53,15 +53,11 @@ def test_trimesh(benchmark: BenchmarkFixture, shapes: Tensor):
 
 
 @pytest.mark.benchmark(group=STEP, timer=time.process_time)
-def test_training_step(benchmark: BenchmarkFixture):
+def test_training_step(benchmark: Any):
     clips = random_shapes(OBJECTS, 160).unflatten(0, (4, 5, 4))
     valid = torch.ones(clips.shape[:-1], dtype=torch.bool)
-    rotation = benchmark(lambda: orient(clips, valid, **SEARCH, tolerance=POSE.tolerance, min_points=POSE.min_points))
-    assert rotation.shape == (4, 5, 4, 3, 3)
-    assert (
-        1000 * cpu_seconds(lambda: orient(clips, valid, **SEARCH, tolerance=POSE.tolerance, min_points=POSE.min_points))
-        <= MOST_MILLISECONDS_A_STEP
-    )
+    benchmark(lambda: orient(clips, valid, **SEARCH, tolerance=POSE.tolerance, min_points=POSE.min_points))
+    assert 1000 * benchmark.stats.stats.median <= MOST_MILLISECONDS_A_STEP
 
 
 def test_goals(shapes: Tensor):

@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from obpose.layers.gaussian import draw_gaussian, mean_and_std
@@ -33,12 +34,13 @@ def test_samples_are_differentiable_in_mean_and_standard_deviation():
 
 
 def test_standard_deviations_are_positive_however_negative_the_numbers():
-    mean, std = mean_and_std(torch.tensor([1.0, 2.0, -1e4, 1e4]))
+    mean, std = mean_and_std(torch.tensor([1.0, 2.0, -1e4, 1e4]), typical_std=0.1)
     assert torch.equal(mean, torch.tensor([1.0, 2.0]))
     assert 0 < std[0] < 1e-3
     torch.testing.assert_close(std[1], torch.tensor(1e4), rtol=1e-3, atol=0)
 
 
-def test_standard_deviations_start_near_a_tenth():
-    _, std = mean_and_std(torch.zeros(8))
-    torch.testing.assert_close(std, torch.full((4,), 0.1), atol=0.01, rtol=0)
+@pytest.mark.parametrize("typical", [0.01, 0.7, 3.0])
+def test_zeros_stand_for_the_typical_standard_deviation(typical: float):
+    _, std = mean_and_std(torch.zeros(8), typical_std=typical)
+    torch.testing.assert_close(std, torch.full((4,), typical), atol=1e-4 + 1e-6, rtol=0)

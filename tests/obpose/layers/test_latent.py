@@ -1,14 +1,16 @@
 import dataclasses
+import math
 
 import pytest
 import torch
 from torch.nn import GRUCell
-from torch.nn.functional import softplus
+from torch.nn.functional import layer_norm, softplus
 
-from obpose.layers.latent import RecurrentLatent, Start
+from obpose.layers.latent import POSTERIOR_STD, PRIOR_STD, RecurrentLatent, Start
 from obpose.types import Latent
 
 ENCODING, LATENT, HIDDEN = 6, 4, 5
+WEIGHTS = ("weight", "bias")
 FIELDS = [field.name for field in dataclasses.fields(Latent)]
 
 
@@ -35,18 +37,20 @@ def unrolled(latent: RecurrentLatent, sequence: torch.Tensor) -> dict[str, torch
     steps = []
     for time, encoding in enumerate(sequence):
         hidden["posterior"] = cells["posterior"](encoding[None], hidden["posterior"])
-        mean, std = numbers(latent._posterior_head(hidden["posterior"]))
+        state = layer_norm(hidden["posterior"], (HIDDEN,), *(weights[f"_posterior_norm.{name}"] for name in WEIGHTS))
+        mean, std = numbers(latent._posterior_head(torch.cat([state, encoding[None]], dim=-1)), POSTERIOR_STD)
         if time > 0:
             hidden["prior"] = cells["prior"](steps[-1]["z"], hidden["prior"])
         standard = time == 0 and "_starts" not in weights
         prior = (torch.zeros(1, LATENT), torch.ones(1, LATENT))
-        prior_mean, prior_std = prior if standard else numbers(latent._prior_head(hidden["prior"]))
+        prior_mean, prior_std = prior if standard else numbers(latent._prior_head(hidden["prior"]), PRIOR_STD)
         steps.append({"z": mean, "mean": mean, "std": std, "prior_mean": prior_mean, "prior_std": prior_std})
     return {name: torch.cat([step[name] for step in steps]) for name in FIELDS}
 
 
-def numbers(parameters: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    return parameters[:, :LATENT], softplus(parameters[:, LATENT:] - 2.25) + 1e-4
+def numbers(parameters: torch.Tensor, typical_std: float) -> tuple[torch.Tensor, torch.Tensor]:
+    shift = math.log(math.exp(typical_std) - 1)
+    return parameters[:, :LATENT], softplus(parameters[:, LATENT:] + shift) + 1e-4
 
 
 @pytest.mark.parametrize("start", ["zero", "learned"])

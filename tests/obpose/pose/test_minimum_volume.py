@@ -9,7 +9,7 @@ from obpose.pose.minimum_volume import Clouds, find_candidates, follow, gather_c
 from obpose.pose.rotations import equivalents, geodesic_distance, random_rotations, rotation_from_vector
 from tests.obpose.clouds import as_tensor, box_surface, random_boxes, random_shapes, trimesh_volumes
 
-SEARCH = {"grid_level": 2, "refinements": 8}
+SEARCH = {"grid_level": 1, "refinements": 8}
 FOLLOW = {**SEARCH, "tolerance": 0.01, "min_points": 10}
 THICKENED = 5e-3
 """Boxes are compared with edges a little longer, which may change the order of volumes this close."""
@@ -80,7 +80,7 @@ def test_a_flat_cloud_gets_the_smallest_rectangle():
     flat = as_tensor(np.random.default_rng(0).uniform(-0.5, 0.5, (1, 200, 3)) * [0.1, 0.06, 0.0])
     flat[0, :4] = torch.tensor([[x, y, 0] for x in (-0.05, 0.05) for y in (-0.03, 0.03)])
     turn = random_rotations(1, torch.Generator().manual_seed(1))
-    assert error_modulo_symmetry(tightest(flat @ turn.mT), turn) < 0.5
+    assert error_modulo_symmetry(tightest(flat @ turn.mT), turn) < 1
 
 
 def test_points_that_are_not_valid_have_no_say(shapes):
@@ -106,10 +106,11 @@ def test_a_box_does_not_depend_on_the_others(shapes):
     torch.testing.assert_close(tightest(shapes[5:12].flip(0)), together[5:12].flip(0), atol=1e-6, rtol=0)
 
 
-def test_mixed_precision_is_not_used(shapes):
+def test_the_search_is_in_single_precision(shapes):
+    expected = tightest(shapes)
     with torch.autocast("cpu", torch.bfloat16):
-        mixed = tightest(shapes)
-    torch.testing.assert_close(mixed, tightest(shapes))
+        torch.testing.assert_close(tightest(shapes), expected)
+    torch.testing.assert_close(tightest(shapes.double()), expected)
 
 
 def test_no_gradient_passes():

@@ -56,6 +56,11 @@ def test_grids_leave_no_gaps(level, spacing, gap):
     assert angles_between(random_rotations(300, torch.Generator().manual_seed(0)), grid).amin(dim=1).max() < gap
 
 
+def test_each_rotation_of_the_grid_takes_the_z_axis_to_its_direction():
+    expected = healpix_directions(1).repeat_interleave(12, dim=0)
+    torch.testing.assert_close(rotation_grid(1)[:, :, 2], expected, atol=1e-6, rtol=0)
+
+
 @pytest.mark.parametrize(("level", "members", "gap"), [(1, 24, 30), (2, 204, 14)])
 def test_reduced_grids_reach_every_box(level, members, gap):
     grid = box_grid(level)

@@ -1,0 +1,148 @@
+"""`obpose-bench` with models that really learn, for a few steps on the smallest real dataset."""
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import assets
+from benchmark.cli import main
+from benchmark.results import load_runs
+from benchmark.tracks import DataFolder
+from datagen.errors import EXIT_INTERRUPTED, EXIT_OK
+from tests.processes import errors_at_end, wait_until
+
+ROOT = Path(__file__).parent.parent.parent
+STEPS = 30
+
+pytestmark = pytest.mark.slow
+
+
+def run_cli(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as exit_:
+        main([str(argument) for argument in arguments])
+    return int(exit_.value.code or 0)
+
+
+def start(data: Path, out: Path, *, steps: int = STEPS) -> subprocess.Popen[str]:
+    command = ["--model", "obpose", "--seeds", 1, "--data", data, "--out", out, "--deterministic", "--steps", steps]
+    return subprocess.Popen(
+        [sys.executable, "-m", "benchmark.cli", *map(str, command)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def steps_in(out: Path) -> list[str]:
+    """Steps in the training's own log; the last line may still be on its way."""
+    logs = list(out.glob("training/*/training.csv"))
+    return [line.partition(",")[0] for line in logs[0].read_text().splitlines()[1:]] if logs else []
+
+
+def labels_in(out: Path) -> dict[str, np.ndarray]:
+    found = {}
+    for path in (out / "labels").iterdir():
+        with h5py.File(path) as file:
+            found[path.name.split("--")[1]] = file["labels"][:]
+    return found
+
+
+@pytest.fixture(scope="module")
+def whole(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole")
+    process = start(tiny_dataset, out)
+    errors = errors_at_end(process, seconds=280)
+    assert process.returncode == EXIT_OK, errors
+    return out
+
+
+def test_one_training_makes_two_rows_a_curve_and_a_checkpoint(whole: Path):
+    rows = {row.key.model: row for row in load_runs(whole)}
+    assert set(rows) == {"obpose", "obpose-att"}
+    row = rows["obpose"]
+    assert (row.status, row.n_scenes, row.kind) == ("ok", 2, "learned")
+    assert row.config["model"]["pose"]["conditioning"] == "full"
+    assert row.config["steps"] == STEPS
+    assert row.learning_curve
+    assert row.learning_curve[-1]["step"] == STEPS
+    assert [path.stem for path in (whole / "curves").iterdir()] == [row.key.name]
+    (folder,) = (whole / "training").iterdir()
+    assert {"config.json", "model.safetensors"} <= {path.name for path in folder.iterdir()}
+    assert steps_in(whole) == [str(step) for step in range(1, STEPS + 1)]
+    page = (whole / "report.html").read_text()
+    assert "None of these models keeps a learning curve" not in page
+    with (whole / "leaderboard.csv").open(newline="") as file:
+        assert {line["model"]: line["pretrained"] for line in csv.DictReader(file)} == {"obpose": "", "obpose-att": ""}
+
+
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
+def test_a_run_that_was_ended_goes_on_and_gives_the_same_labels(
+    tiny_dataset: Path, whole: Path, tmp_path: Path, ending: signal.Signals
+):
+    process = start(tiny_dataset, tmp_path)
+    wait_until(lambda: len(steps_in(tmp_path)) > 5, seconds=200, what="the first steps")
+    process.send_signal(ending)
+    errors = errors_at_end(process, seconds=60)
+    assert process.returncode in (-signal.SIGKILL, EXIT_INTERRUPTED), errors
+    assert load_runs(tmp_path) == []
+    before = len(steps_in(tmp_path))
+    assert before < STEPS
+    errors_at_end(start(tiny_dataset, tmp_path), seconds=280)
+    assert steps_in(tmp_path) == [str(step) for step in range(1, STEPS + 1)]
+    for model, labels in labels_in(whole).items():
+        np.testing.assert_array_equal(labels_in(tmp_path)[model], labels)
+
+
+def test_another_track_is_scored_without_training_anew(tiny_dataset: Path, tmp_path: Path, capsys):
+    command = ("--model", "obpose-none", "--seeds", 1, "--data", tiny_dataset, "--out", tmp_path, "--steps", 2)
+    assert run_cli(*command) == EXIT_OK
+    (log,) = tmp_path.glob("training/*/training.csv")
+    before = log.read_bytes()
+    for path in (tmp_path / "runs").iterdir():
+        path.unlink()
+    assert run_cli(*command) == EXIT_OK
+    assert log.read_bytes() == before
+    assert len(load_runs(tmp_path)) == 2
+
+
+def test_a_budget_in_seconds_is_kept_and_the_time_is_told_beforehand(tiny_dataset: Path, tmp_path: Path, capsys):
+    command = ("--model", "obpose-loc", "--seeds", 2, "--data", tiny_dataset, "--out", tmp_path, "--budget", 3)
+    assert run_cli(*command) == EXIT_OK
+    assert "This takes about 3 minutes" in capsys.readouterr().err
+    for row in load_runs(tmp_path):
+        assert 3 <= row.measured.fit_seconds < 6
+
+
+def test_weights_that_ship_need_no_training(
+    tiny_dataset: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    (trained,) = (whole / "training").iterdir()
+    data = DataFolder(tiny_dataset)
+    monkeypatch.setattr(assets, "CHECKPOINTS", tmp_path / "checkpoints")
+    name = "obpose--{}--{}x{}".format(data.name, *data.resolution)
+    (tmp_path / "checkpoints" / name).mkdir(parents=True)
+    for file in ("model.safetensors", "config.json"):
+        shutil.copy(trained / file, tmp_path / "checkpoints" / name / file)
+    out = tmp_path / "out"
+    assert run_cli("--model", "obpose", "plane-dbscan", "--data", tiny_dataset, "--pretrained", "--out", out) == EXIT_OK
+    rows = {row.key.model: row for row in load_runs(out) if row.kind == "learned"}
+    assert set(rows) == {"obpose-pretrained", "obpose-pretrained-att"}
+    assert {row.pretrained for row in rows.values()} == {name}
+    assert not (out / "training").exists()
+    with (out / "leaderboard.csv").open(newline="") as file:
+        lines = {line["model"]: line for line in csv.DictReader(file)}
+    assert (lines["obpose-pretrained"]["n_seeds"], lines["obpose-pretrained"]["marks"]) == ("1", "§")
+    assert lines["plane-dbscan"]["n_seeds"] == "3"
+    assert "§ weights that ship" in (out / "leaderboard.md").read_text()
+    for model, labels in labels_in(whole).items():
+        np.testing.assert_array_equal(labels_in(out)[model.replace("obpose", "obpose-pretrained")], labels)

@@ -1,0 +1,104 @@
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from obpose.checkpoint import load, read_config
+from obpose.cli import main
+from obpose.model import ObPose
+from tests.fabricated import write_dataset
+from tests.processes import errors_at_end, wait_until
+
+ROOT = Path(__file__).parent.parent.parent
+SMALL = ("train.batch=1", "train.frames=2", "train.rays=32", "train.warmup=1", "model.voxels=4")
+SETTINGS = [part for change in SMALL for part in ("--set", change)]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data") / "spheres", scenes=2, frames=3, size=(24, 16))
+
+
+def test_a_dataset_becomes_a_run(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    run = tmp_path / "run"
+    code = main(
+        ["--data", str(data), "--variant", "obpose-loc", "--steps", "2", "--seed", "5", "--out", str(run), *SETTINGS]
+    )
+    out, errors = capsys.readouterr()
+    assert code == 0
+    assert f"{run}: 2 steps" in out
+    assert "Training obpose-loc on spheres, 2 steps" in errors
+    assert "step 2, 0.0 minutes: validation loss" in errors
+    assert "ARI-FG" in errors
+    config = read_config(run)
+    assert (config.train.seed, config.train.steps, config.model.voxels) == (5, 2, 4)
+    assert config.model.pose.conditioning == "location"
+    assert config.model.slots == 4  # the recipe's largest number of objects
+    assert 0.01 < config.model.spacing < 0.1  # measured
+
+
+def test_the_last_word_is_that_of_set(data: Path, tmp_path: Path):
+    changes = ["--set", "model.spacing=0.5", "--set", "model.slots=2", "--set", "train.steps=1"]
+    assert main(["--data", str(data), "--steps", "7", "--out", str(tmp_path), *SETTINGS, *changes]) == 0
+    config = read_config(tmp_path)
+    assert (config.model.spacing, config.model.slots, config.train.steps) == (0.5, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "either --track NAME or --data DIR"),
+        (("--track", "moving", "--data", "x"), "either --track NAME or --data DIR"),
+        (("--track", "mooving"), "did you mean 'moving'"),
+        (("--track", "moving", "--variant", "obpos"), "did you mean 'obpose'"),
+        (("--track", "moving", "--profile", "tpu"), "There are: cpu, gpu, paper"),
+        (("--track", "moving", "--minutes", "1", "--steps", "2"), "contradict"),
+        (("--track", "moving", "--minutes", "0"), "--minutes 0.0: expected a positive number"),
+        (("--track", "moving", "--seed", "-1"), "expected 0 or more"),
+        (("--track", "moving", "--set", "train.bach=2"), "did you mean 'train.batch'"),
+        (("--data", "/nowhere"), "holds no dataset"),
+    ],
+)
+def test_impossible_requests_end_in_one_line(
+    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+):
+    assert main(list(arguments)) == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+def test_a_run_of_another_configuration_is_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    command = ["--data", str(data), "--steps", "1", "--out", str(tmp_path), *SETTINGS]
+    assert main(command) == 0
+    assert main([*command, "--seed", "1"]) == 2
+    assert "train.seed: 0, 1" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_run_that_is_ended_goes_on_exactly(data: Path, tmp_path: Path):
+    def command(name: str) -> subprocess.Popen[str]:
+        flags = ["--data", str(data), "--steps", "60", "--out", str(tmp_path / name), *SETTINGS]
+        return subprocess.Popen(
+            [sys.executable, "-m", "obpose.cli", *flags],
+            cwd=ROOT,
+            env={"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"},
+            text=True,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
+
+    assert "validation" in errors_at_end(command("whole"))
+    table = tmp_path / "parts" / "training.csv"
+    process = command("parts")
+    wait_until(lambda: table.exists() and table.read_text().count("\n") > 4, seconds=240, what="three steps")
+    process.send_signal(signal.SIGTERM)
+    assert "Stopped by SIGTERM after step" in errors_at_end(process)
+    assert process.returncode == 130
+    assert "validation" in errors_at_end(command("parts"))
+    one, other = (load(tmp_path / name, ObPose)[0].state_dict() for name in ("whole", "parts"))
+    assert all(torch.equal(value, other[name]) for name, value in one.items())
