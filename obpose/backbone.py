@@ -29,10 +29,17 @@ class BackboneOutput:
     points: Float[Tensor, "image height width 3"]
     """World frame, metres; 0 where not valid."""
     valid: Bool[Tensor, "image height width"]
+    rgb: Float[Tensor, "image height width 3"]
+    """Their colours, standardised (`standard_colours`)."""
     embedding: Float[Tensor, "image height width embedding"]
     """zeta."""
     scene: Float[Tensor, "image scene"]
     """One code of the whole image."""
+
+
+def standard_colours(rgb: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
+    """Colours in 0..1 to about mean 0 and deviation 1."""
+    return (rgb - 0.5) * 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +96,17 @@ class Backbone(nn.Module):
         `workspace_radius` the radius of the scene's code, all in metres.
         """
         grid, kept = thin(Grid(points, valid), self.config.input_stride)
-        features = torch.cat([rgb.reshape(-1, 3)[kept], grid.points.view(-1, 3) - center], dim=-1)
-        features = features.masked_fill(~grid.valid.view(-1, 1), 0)
+        rgb = standard_colours(rgb).reshape(-1, 3)[kept].masked_fill(~grid.valid.view(-1, 1), 0)
+        position = (grid.points.view(-1, 3) - center) / workspace_radius
+        features = torch.cat([rgb, position], dim=-1).masked_fill(~grid.valid.view(-1, 1), 0)
         levels = self._levels(grid, spacing)
         skips = self._encode(levels, features)
-        grids = [grid, *(level.grid for level in levels)]
-        images = [on_grid(values, at) for values, at in zip([features, *skips], grids, strict=True)]
-        scene = self.scene(grids, images, self.kernel, center=center, radius=workspace_radius)
+        grids = [level.grid for level in levels]
+        images = [on_grid(values, at) for values, at in zip(skips, grids, strict=True)]
+        scene = self.scene(grids, images, on_grid(rgb, grid), self.kernel, center=center, radius=workspace_radius)
         embedding = self.head(self._decode(levels, skips))
-        return BackboneOutput(levels[1].grid.points, levels[1].grid.valid, embedding, scene)
+        at = levels[1].grid
+        return BackboneOutput(at.points, at.valid, on_grid(rgb[levels[0].kept], at), embedding, scene)
 
     def grid_size(self, height: int, width: int) -> tuple[int, int]:
         """Rows and columns of the embeddings of an image of that size."""
@@ -137,21 +146,23 @@ class Backbone(nn.Module):
 
 
 class SceneCode(nn.Module):
-    """One code of an image: a KPConv of the deepest level around the workspace's middle, and means of all levels.
+    """One code of an image: a KPConv of the deepest level around the workspace's middle, means of all levels, and the
+    mean colour as it is.
 
-    The means are also of the input. The authors only have the KPConv, as a sum; the background's latent then hardly
-    hears of what a scene has of its own, the table's colour above all, and collapses to its prior.
+    The authors only have the KPConv, as a sum; the background's latent then hardly hears of what a scene has of its
+    own, the table's colour above all, and collapses to its prior.
     """
 
     def __init__(self, widths: tuple[int, ...]):
         super().__init__()
         self.around = KPConv(widths[-1], widths[-1])
-        self.out = nn.Sequential(nn.Linear(widths[-1] + 6 + sum(widths), widths[-1]), nn.LayerNorm(widths[-1]))
+        self.out = nn.Sequential(nn.Linear(widths[-1] + sum(widths), widths[-1]), nn.LayerNorm(widths[-1]))
+        self.size = widths[-1] + 3
 
     def forward(
-        self, grids: list[Grid], features: list[Tensor], kernel: Tensor, *, center: Tensor, radius: float
+        self, grids: list[Grid], features: list[Tensor], rgb: Tensor, kernel: Tensor, *, center: Tensor, radius: float
     ) -> Float[Tensor, "image scene"]:
-        """From the input and the features of all levels; `center` and `radius` in metres."""
+        """From the features of all levels and the colours of the first; `center` and `radius` in metres."""
         deepest = grids[-1]
         weights = influence((deepest.points - center) / radius, kernel) * deepest.valid[..., None]
         shares = weights / weights.sum(dim=(1, 2), keepdim=True).clamp(min=1e-3)
@@ -160,7 +171,8 @@ class SceneCode(nn.Module):
             rearrange(shares, "image y x kernel -> image (y x) kernel"),
         )
         means = [masked_mean(level, grid.valid) for level, grid in zip(features, grids, strict=True)]
-        return self.out(torch.cat([around, *means], dim=-1))
+        code = self.out(torch.cat([around, *means], dim=-1))
+        return torch.cat([code, masked_mean(rgb, grids[0].valid)], dim=-1)
 
 
 def masked_mean(

@@ -149,6 +149,8 @@ class LossConfig:
     """[paper: both; code: mixture]"""
     attention_floor: float = -18.0
     """Log of the likelihood of an outlier in the mixture attention loss. [ours]"""
+    unknown: float = 0.0
+    """Log of the likelihood, in each colour channel, of what is not background, in the warm-up. [ours]"""
     colour: float = 1.0
     surface: float = 1.0
     air: float = 1.0

@@ -1,5 +1,7 @@
 """ObPose: from RGB-D clips to posed object fields and a background field (paper, sections Encoder and Decoder)."""
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from einops import rearrange, repeat
@@ -45,15 +47,15 @@ class ObPose(Trainable):
         self.backbone = Backbone(model.backbone)
         self.heads = Heads(model.backbone, model.attention)
         self.attention = ICSBP(model.attention, slots=model.slots)
-        feature = model.backbone.feature
+        feature = model.backbone.feature + 3
         if model.pose.conditioning != "none":
             self.where_encoder = ObjectEncoder(feature, latent.encoder)
-            self.where = Where(latent, model.pose)
+            self.where = Where(self.where_encoder.size, latent, model.pose)
         else:
             self.where = None
         self.what_encoder = ObjectEncoder(feature, latent.encoder)
-        self.what = What(latent)
-        self.background = BackgroundLatent(model.backbone.widths[-1], latent)
+        self.what = What(self.what_encoder.size, latent)
+        self.background = BackgroundLatent(self.backbone.scene.size, latent)
         self.object_field = Field(model.object_field, latent.what)
         self.background_field = Field(model.background_field, latent.background)
         self.register_buffer("center", torch.tensor(model.workspace_center), persistent=False)
@@ -87,7 +89,17 @@ class ObPose(Trainable):
     ) -> Inference:
         """Masks, poses and latents of a clip. Seeds and idle slots follow the rules for training in training mode."""
         points = unproject(observation)
-        embeddings, log_prescope = self.embed(observation, points)
+        return self._infer(observation, points, *self.embed(observation, points), draw, generator)
+
+    def _infer(
+        self,
+        observation: Observation,
+        points: Float[Tensor, "batch frame view height width 3"],
+        embeddings: Embeddings,
+        log_prescope: Float[Tensor, "batch frame point 2"],
+        draw: Draw,
+        generator: torch.Generator | None,
+    ) -> Inference:
         masks = self._attend(embeddings, log_prescope, generator)
         center = self._observed_center(embeddings, masks)
         boxes, where = self._locate(observation, points, embeddings, masks, center, draw, generator)
@@ -118,6 +130,8 @@ class ObPose(Trainable):
         valid = rearrange(out.valid, "(b f v) h w -> b f (v h w)", **cells)
         embedding = rearrange(out.embedding, "(b f v) h w c -> b f (v h w) c", **cells)
         colour, features, log_prescope = self.heads(grid, valid, embedding, center=self.center)
+        # The observed colours stand beside zeta_f, so that the latents need not wait for the backbone.
+        features = torch.cat([features, rearrange(out.rgb, "(b f v) h w c -> b f (v h w) c", **cells)], dim=-1)
         scene = rearrange(out.scene, "(b f v) c -> b f v c", **cells).mean(dim=2)
         return Embeddings(grid, valid, colour, features, scene), log_prescope
 
@@ -217,7 +231,9 @@ class ObPose(Trainable):
 
     def _observe(self, observation: Observation, rays: Rays, generator: torch.Generator | None) -> Evidence:
         """Everything that the losses compare, along some rays."""
-        inference = self.infer(observation, draw="sample", generator=generator)
+        points = unproject(observation)
+        embeddings, log_prescope = self.embed(observation, points)
+        inference = self._infer(observation, points, embeddings, log_prescope, "sample", generator)
         loss = self.config.loss
         surface = surface_points(rays, loss.jitter, generator)
         air, inverse_rho = air_points(rays, loss.near_share, generator)
@@ -230,15 +246,16 @@ class ObPose(Trainable):
             air=self.decode(inference, air, rays.direction),
             inverse_rho=inverse_rho,
             background=inference.background,
+            embeddings=embeddings,
+            log_prescope=log_prescope,
+            **self._sizes(observation),
             inference=inference,
-            grid=(observation.depth.shape[2], *self.backbone.grid_size(*observation.depth.shape[3:])),
-            size=(observation.depth.shape[3], observation.depth.shape[4]),
             shape=shape,
         )
 
     def _observe_background(self, observation: Observation, rays: Rays, generator: torch.Generator | None) -> Evidence:
         """The same where the background has to explain everything."""
-        embeddings, _ = self.embed(observation, unproject(observation))
+        embeddings, log_prescope = self.embed(observation, unproject(observation))
         background = self.background(embeddings.scene, "sample", generator)
         loss = self.config.loss
         surface = surface_points(rays, loss.jitter, generator)
@@ -249,7 +266,15 @@ class ObPose(Trainable):
             air=self._decode_background(background, air, rays.direction, "without"),
             inverse_rho=inverse_rho,
             background=background,
+            embeddings=embeddings,
+            log_prescope=log_prescope,
+            **self._sizes(observation),
         )
+
+    def _sizes(self, observation: Observation) -> dict[str, Any]:
+        """Of the embedding grid and of the images."""
+        views, height, width = observation.depth.shape[2:]
+        return {"grid": (views, *self.backbone.grid_size(height, width)), "size": (height, width)}
 
     def _decode_background(self, background: Latent, points: Points, directions: Points, colours: Colours) -> Decoded:
         return decode_background(

@@ -47,7 +47,7 @@ class Embeddings:
     colour: Float[Tensor, "batch frame point colour"]
     """zeta_c, for the IC-SBP."""
     features: Float[Tensor, "batch frame point feature"]
-    """zeta_f, for the other encoders."""
+    """zeta_f and the observed colours, for the other encoders."""
     scene: Float[Tensor, "batch frame scene"]
     """One code of the whole frame, for the background."""
 

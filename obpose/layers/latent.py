@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from obpose.layers.gaussian import draw_gaussian, mean_and_std
-from obpose.layers.mlp import mlp
+from obpose.layers.mlp import mlp, pass_on
 from obpose.types import Draw, Latent
 
 Start = Literal["zero", "learned"]
@@ -21,10 +21,11 @@ the first prior too is read."""
 
 
 POSTERIOR_STD = 0.01
-"""Typical of a fresh posterior. A fresh encoder tells scenes apart by a few hundredths; with the authors' 0.7 that is lost
-in the noise, and decoders learn to do without the latent."""
+"""Typical of a fresh posterior; with the authors' 0.7 what a fresh encoder tells of a scene is lost in the noise."""
 PRIOR_STD = 0.7
 """Typical of a fresh prior, the authors'."""
+_MEAN_GAIN = 3.0
+"""Of the layer that gives the posterior's mean: the latents of scenes are at first about as far apart as the prior's."""
 
 
 class RecurrentLatent(nn.Module):
@@ -40,7 +41,10 @@ class RecurrentLatent(nn.Module):
         super().__init__()
         self._posterior = nn.GRU(encoding, hidden)
         self._posterior_norm = nn.LayerNorm(hidden)
-        self._posterior_head = mlp(hidden + encoding, hidden, 2 * latent)
+        first, last = nn.Linear(hidden + encoding, hidden), nn.Linear(hidden, 2 * latent)
+        pass_on(first)
+        pass_on(last, gain=_MEAN_GAIN, outputs=latent)
+        self._posterior_head = nn.Sequential(first, nn.ELU(), last)
         self._prior = nn.GRU(latent, hidden)
         self._prior_head = mlp(hidden, hidden, 2 * latent)
         self._starts = nn.Parameter(torch.zeros(2, hidden)) if start == "learned" else None

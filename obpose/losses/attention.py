@@ -33,6 +33,23 @@ def attention_mixture(
     return mean_over(-torch.logaddexp(mixtures, mixtures.new_tensor(floor)).sum(dim=-1), valid)
 
 
+def attention_warmup(
+    log_prescope: Float[Tensor, "batch frame 2 ray"],
+    log_likelihood: Float[Tensor, "batch frame background ray channel"],
+    valid: Bool[Tensor, "batch frame ray"],
+    *,
+    unknown: float,
+) -> Float[Tensor, ""]:
+    """The mixture loss while there are no objects yet: -log (s_bg N_bg + s_0 e^unknown), summed over channels.
+
+    An addition: the pre-scope learns which points the background does not explain, so that the first seeds are on
+    objects. Without it they are on the table, no box is around an object, and the pre-scope gives up: everything is
+    background for the first thousand steps.
+    """
+    known = log_prescope[:, :, 0, :, None] + log_likelihood[:, :, 0].detach()
+    return mean_over(-torch.logaddexp(known, log_prescope[:, :, 1, :, None] + unknown).sum(dim=-1), valid)
+
+
 def attention_l2(
     log_masks: Float[Tensor, "batch frame component ray"],
     log_likelihood: Float[Tensor, "batch frame component ray channel"],

@@ -8,15 +8,15 @@ from torch import Tensor
 from obpose.attention.upsample import masks_at
 from obpose.config import LossConfig
 from obpose.losses import observation
-from obpose.losses.attention import attention_l2, attention_mixture
+from obpose.losses.attention import attention_l2, attention_mixture, attention_warmup
 from obpose.losses.regularisers import kl, remaining_scope, translation
 from obpose.nerf.compose import log_share
-from obpose.types import Decoded, Inference, Latent, Rays, Shape
+from obpose.types import Decoded, Embeddings, Inference, Latent, Rays, Shape
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the losses compare; without `inference` only the background was trained."""
+    """What the losses compare; without `inference` only the background and the pre-scope are trained."""
 
     rays: Rays
     surface: Decoded
@@ -26,11 +26,13 @@ class Evidence:
     inverse_rho: Float[Tensor, "batch frame ray"]
     """Of the points in the air, metres."""
     background: Latent
-    inference: Inference | None = None
-    grid: tuple[int, int, int] = (0, 0, 0)
+    embeddings: Embeddings
+    log_prescope: Float[Tensor, "batch frame point 2"]
+    grid: tuple[int, int, int]
     """Views, rows and columns of the embedding grid."""
-    size: tuple[int, int] = (0, 0)
+    size: tuple[int, int]
     """Height and width of the images."""
+    inference: Inference | None = None
     shape: Shape | None = None
     """T_shape; None without pose conditioning."""
 
@@ -49,7 +51,9 @@ def loss_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
         "kl_where": config.kl_where,
     }
     terms = _observation_terms(evidence, config)
-    if evidence.inference is not None:
+    if evidence.inference is None:
+        terms["attention"] = _warmup_attention(evidence, config)
+    else:
         terms |= _object_terms(evidence, evidence.inference, config)
     total = sum((weights[name] * term for name, term in terms.items()), start=terms["surface"].new_zeros(()))
     return {"total": total, **{name: term.detach() for name, term in terms.items()}}
@@ -69,7 +73,7 @@ def _object_terms(evidence: Evidence, inference: Inference, config: LossConfig) 
     masks, active = inference.masks, inference.masks.active
     terms = {
         "attention": _attention(evidence, inference, config),
-        "scope": remaining_scope(masks.log_scope, inference.embeddings.valid),
+        "scope": remaining_scope(masks.log_scope, evidence.embeddings.valid),
         "kl_what": kl(inference.what, active[:, None]),
     }
     if inference.where is not None and evidence.shape is not None:
@@ -79,14 +83,17 @@ def _object_terms(evidence: Evidence, inference: Inference, config: LossConfig) 
     return terms
 
 
+def _warmup_attention(evidence: Evidence, config: LossConfig) -> Tensor:
+    log_prescope = _at_rays(evidence, evidence.log_prescope.mT)
+    return attention_warmup(log_prescope, _likelihood(evidence, config), evidence.rays.valid, unknown=config.unknown)
+
+
+def _at_rays(evidence: Evidence, log_masks: Tensor) -> Tensor:
+    return masks_at(log_masks, evidence.embeddings.valid, evidence.rays.index, grid=evidence.grid, size=evidence.size)
+
+
 def _attention(evidence: Evidence, inference: Inference, config: LossConfig) -> Tensor:
-    log_masks = masks_at(
-        inference.masks.log_masks,
-        inference.embeddings.valid,
-        evidence.rays.index,
-        grid=evidence.grid,
-        size=evidence.size,
-    )
+    log_masks = _at_rays(evidence, inference.masks.log_masks)
     likelihood, share = _likelihood(evidence, config), log_share(evidence.surface.logits)
     if config.attention == "l2":
         return attention_l2(log_masks, likelihood, share, evidence.rays.valid, std=config.colour_std)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from obpose.config import FieldConfig
+from obpose.layers.mlp import pass_on
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,7 @@ class Field(nn.Module):
         self.colour_direction = nn.Linear(6 * config.direction_frequencies, width, bias=False)
         self.colour_out = nn.Linear(width, 3)
         self.codes = nn.Linear(latent, 3 * width, bias=False)
+        pass_on(self.codes)
 
     def condition(self, codes: Float[Tensor, "*code latent"]) -> Conditioning:
         """What latents add to the layers."""

@@ -19,6 +19,8 @@ class BoxSamples:
     """Object frame, in -1..1; 0 where not valid."""
     features: Float[Tensor, "batch frame slot sample feature"]
     """Features times the slot's mask; 0 where not valid."""
+    mask: Float[Tensor, "batch frame slot sample"]
+    """The slot's mask; 0 where not valid."""
     valid: Bool[Tensor, "batch frame slot sample"]
     """Whether there is a point at all."""
 
@@ -44,7 +46,7 @@ def gather_box(
         index, chosen = _largest(log_masks, inside, samples)
         mask = log_masks.gather(-1, index).exp().masked_fill(~chosen, 0)
         near = in_box.gather(-2, repeat(index, "b f s n -> b f s n 3")) * chosen[..., None]
-    return BoxSamples(near, _pick(features, index) * mask[..., None], chosen)
+    return BoxSamples(near, _pick(features, index) * mask[..., None], mask, chosen)
 
 
 def _to_boxes(points: Tensor, boxes: Boxes) -> Float[Tensor, "batch frame slot point 3"]:

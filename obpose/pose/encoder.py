@@ -4,7 +4,8 @@ A point-wise network, a KPConv from the points onto anchors among them, and a KP
 box. The authors use the four levels of their backbone with radii of 5 to 40 mm, less than the distance of the points:
 each point is its own only neighbour. Ours are in units of the box and hold neighbours wherever points are closer than a
 fifth of its edge to each other. Sines and cosines of the position and layer norms (where the authors have group norms)
-are there because codes start to depend on shapes several times sooner with them.
+are there because codes start to depend on shapes several times sooner with them. For the same reason the mean of the
+features over the slot's mask, colours among them, ends the code as it is.
 """
 
 from dataclasses import dataclass
@@ -33,6 +34,8 @@ _FREQUENCIES = 3
 """Of the positions in the box, beside the positions themselves."""
 _POINT_WIDTH = 16
 _ANCHOR_WIDTH = 32
+_LITTLE = 1e-3
+"""Masks that sum to less than this count as this."""
 _FAR = 1e4
 """Distance squared of samples that there are not."""
 
@@ -67,12 +70,13 @@ class ObjectEncoder(nn.Module):
         self._middle = KPConv(_ANCHOR_WIDTH, width)
         self._middle_norm = nn.LayerNorm(width)
         self._code = nn.Sequential(nn.LayerNorm(pooled), mlp(pooled, width, width))
+        self.size = width + features
 
     def forward(self, samples: BoxSamples) -> Float[Tensor, "batch frame slot width"]:
         """The codes of all boxes at once."""
-        points, features, valid = (
+        points, features, mask, valid = (
             rearrange(part, "b f slot ... -> (b f slot) ...")
-            for part in (samples.points, samples.features, samples.valid)
+            for part in (samples.points, samples.features, samples.mask, samples.valid)
         )
         near = neighbourhoods(points, valid, places=self.places, kernel=self.kernel)
         encoded = positional_encoding(points, _FREQUENCIES)
@@ -84,7 +88,9 @@ class ObjectEncoder(nn.Module):
             anchors.amax(dim=1),
             _mean(pointwise, valid),
         ]
-        return self._code(torch.cat(pooled, dim=-1)).unflatten(0, samples.valid.shape[:3])
+        seen = (features * valid[..., None]).sum(dim=1) / mask.sum(dim=1).clamp(min=_LITTLE)[:, None]
+        code = torch.cat([self._code(torch.cat(pooled, dim=-1)), seen], dim=-1)
+        return code.unflatten(0, samples.valid.shape[:3])
 
 
 @torch.no_grad()

@@ -11,5 +11,5 @@ from obpose.layers.latent import RecurrentLatent
 class What(RecurrentLatent):
     """q(z_what | x_<=t) and its prior, from the object encoder's codes."""
 
-    def __init__(self, latent: LatentConfig):
-        super().__init__(latent.encoder, latent.what, latent.hidden)
+    def __init__(self, encoding: int, latent: LatentConfig):
+        super().__init__(encoding, latent.what, latent.hidden)

@@ -20,9 +20,9 @@ _TRANSLATION_WIDTH = 256
 class Where(nn.Module):
     """q(z_where | x_<=t), its prior, and what z_where means."""
 
-    def __init__(self, latent: LatentConfig, pose: PoseConfig):
+    def __init__(self, encoding: int, latent: LatentConfig, pose: PoseConfig):
         super().__init__()
-        self._latent = RecurrentLatent(latent.encoder, latent.where, latent.hidden)
+        self._latent = RecurrentLatent(encoding, latent.where, latent.hidden)
         self._translation = mlp(latent.where, _TRANSLATION_WIDTH, 3)
         self._max_translation = pose.max_translation
 

@@ -47,7 +47,7 @@ def test_any_size_of_image(size: tuple[int, int], stride: int, grid: tuple[int, 
     assert backbone.grid_size(*size) == grid
     assert out.points.shape == (1, *grid, 3)
     assert out.embedding.shape == (1, *grid, config.embedding)
-    assert out.scene.shape == (1, config.widths[-1])
+    assert out.scene.shape == (1, backbone.scene.size)
 
 
 def test_the_points_of_the_grid_are_of_those_observed(backbone: Backbone):

@@ -38,13 +38,13 @@ def joined(*samples: BoxSamples, along: Literal["batch", "sample"] = "batch") ->
 
 def padded(samples: BoxSamples, count: int, value: float) -> BoxSamples:
     """With `count` samples more that are not there, whatever is written in their place."""
-    more = [(0, 0, 0, count), (0, 0, 0, count), (0, count)]
-    parts = [samples.points, samples.features, samples.valid]
-    points, features, valid = (
+    more = [(0, 0, 0, count), (0, 0, 0, count), (0, count), (0, count)]
+    parts = [samples.points, samples.features, samples.mask, samples.valid]
+    points, features, mask, valid = (
         torch.nn.functional.pad(part, width, value=0 if part.dtype == torch.bool else value)
         for part, width in zip(parts, more, strict=True)
     )
-    return BoxSamples(points, features, valid)
+    return BoxSamples(points, features, mask * valid, valid)
 
 
 def weighted(influences: torch.Tensor) -> torch.Tensor:
@@ -134,7 +134,7 @@ def test_every_weight_and_feature_is_used():
 
 def test_a_box_without_points_has_a_finite_code_and_finite_gradients():
     net, samples = encoder(), crop(half_a_cube(SPARSE), NOTHING)
-    empty = BoxSamples(0 * samples.points, 0 * samples.features, torch.zeros_like(samples.valid))
+    empty = BoxSamples(0 * samples.points, 0 * samples.features, 0 * samples.mask, torch.zeros_like(samples.valid))
     empty.features.requires_grad_()
     code = net(empty)
     code.square().sum().backward()

@@ -6,7 +6,7 @@ from obpose.pose.what import What
 
 def test_one_latent_a_slot_and_frame_whose_first_prior_is_standard_normal():
     torch.manual_seed(0)
-    what = What(LatentConfig(what=6, hidden=8, encoder=10))
+    what = What(10, LatentConfig(what=6, hidden=8))
     latent = what(torch.randn(2, 3, 4, 10, generator=torch.Generator().manual_seed(0)), "mean")
     assert latent.z.shape == (2, 3, 4, 6)
     assert torch.equal(latent.z, latent.mean)

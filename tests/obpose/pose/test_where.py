@@ -6,11 +6,12 @@ from obpose.pose.where import Where
 from tests.obpose.pose.clouds import crop, half_a_cube, table
 
 LATENT = LatentConfig(where=6, hidden=8, encoder=10)
+CODE = ObjectEncoder(4, LATENT.encoder).size
 
 
 def where(max_translation: float = 0.05) -> Where:
     torch.manual_seed(0)
-    return Where(LATENT, PoseConfig(max_translation=max_translation))
+    return Where(CODE, LATENT, PoseConfig(max_translation=max_translation))
 
 
 def test_translations_stay_within_their_maximum_and_reach_it():
@@ -37,6 +38,6 @@ def test_the_translation_trains_the_encoder():
 
 
 def test_the_first_prior_is_standard_normal():
-    latent = where()(torch.ones(1, 2, 3, LATENT.encoder), "mean")
+    latent = where()(torch.ones(1, 2, 3, CODE), "mean")
     assert (latent.prior_mean[:, 0] == 0).all()
     assert (latent.prior_std[:, 0] == 1).all()
