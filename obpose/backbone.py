@@ -146,10 +146,9 @@ class Backbone(nn.Module):
 
 
 class SceneCode(nn.Module):
-    """One code of an image: a KPConv of the deepest level around the workspace's middle, means of all levels, and the
-    mean colour as it is.
+    """One code of an image: a KPConv of the deepest level around the workspace's middle, means of levels, mean colour.
 
-    The authors only have the KPConv, as a sum; the background's latent then hardly hears of what a scene has of its
+    The mean colour stands there as it is. The authors only have the KPConv, as a sum; the background's latent then hardly hears of what a scene has of its
     own, the table's colour above all, and collapses to its prior.
     """
 

@@ -42,6 +42,8 @@ class AttentionConfig:
     seeds: Literal["stochastic", "greedy"] = "stochastic"
     """In training: seed at the argmax of u * scope with u uniform (GENESIS-V2), or of the scope. Evaluation is always
     greedy. [ours: greedy at evaluation]"""
+    moving_seeds: bool = True
+    """Seeds follow their objects from frame to frame. [ours]"""
     idle_in_training: Literal["never", "bernoulli"] = "never"
     """Whether a slot is left out when a draw of the remaining scope finds no point. [code: bernoulli]"""
     idle_points: int = 2
@@ -212,6 +214,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "obpose-none": {"model.pose.conditioning": "none"},
     "obpose-as-published": {
         "model.attention.semi_convolution": 0.0,
+        "model.attention.moving_seeds": False,
         "model.attention.idle_in_training": "bernoulli",
         "model.pose.box_size": 0.4,
         "model.pose.max_translation": 0.1,

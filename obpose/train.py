@@ -27,7 +27,7 @@ from obpose.model import ObPose
 from obpose.trainable import Trainable
 from obpose.training.batches import Sampling, Share, batches, readers_for
 from obpose.training.budget import Budget, Stopwatch, learning_rate
-from obpose.training.devices import make_fabric, mean_over_processes
+from obpose.training.devices import keep_memory, make_fabric, mean_over_processes
 from obpose.training.learner import Learner
 from obpose.training.record import Record
 from obpose.training.signals import StopRequest, stop_on_signals

@@ -1,7 +1,11 @@
 """Instance colouring stick-breaking process for video (paper, section IC-SBP; Engelcke et al. 2021, GENESIS-V2).
 
 Everything is kept as logarithms. Which points are seeds is decided on the first frame, slot by slot and without
-gradients; then all slots of all frames are computed at once, with gradients also into the embeddings of the seeds.
+gradients, and how far seeds move in later frames frame by frame; then all slots of all frames are computed at once, with
+gradients also into the embeddings of the seeds.
+
+The paper's seeds stay where they were in the first frame. With embeddings that hold the position an object then slides
+out of its own mask: of an object that has moved, ours are moved by as much as the mean embedding under its mask has.
 """
 
 import math
@@ -22,6 +26,9 @@ Idle = Literal["never", "bernoulli", "threshold"]
 
 EXCLUDED = -1e4
 """Log mask of an idle slot, and of all slots at an invalid point: lower than any other, finite in half precision."""
+
+_SEEN = 0.5
+"""A mask that sums to less, in points, covers nothing of which the middle could be told."""
 
 
 class ICSBP(nn.Module):
@@ -64,8 +71,36 @@ class ICSBP(nn.Module):
             idle=idle,
             generator=generator,
         )
-        alpha = self._log_alpha(colour, _pick(colour[:, 0], places))
+        first = _pick(colour[:, 0], places)[:, None]
+        moved = self._follow(colour, valid, log_prescope, first, active) if self.config.moving_seeds else 0.0
+        alpha = self._log_alpha(colour, (first + moved).expand(-1, colour.shape[1], -1, -1))
         return _break_sticks(alpha, log_prescope, valid, active)
+
+    @torch.no_grad()
+    def _follow(
+        self,
+        colour: Float[Tensor, "batch frame point colour"],
+        valid: Bool[Tensor, "batch frame point"],
+        log_prescope: Float[Tensor, "batch frame point 2"],
+        first: Float[Tensor, "batch 1 slot colour"],
+        active: Bool[Tensor, "batch slot"],
+    ) -> Float[Tensor, "batch frame slot colour"]:
+        """How far the mean embedding under each mask has moved when each frame begins, since it was first seen.
+
+        While a mask covers next to nothing, as of an object out of sight, the seed waits.
+        """
+        moved, start, shift = [], torch.full_like(first, math.nan), torch.zeros_like(first)
+        for frame in range(colour.shape[1]):
+            moved.append(shift)
+            here = slice(frame, frame + 1)
+            alpha = self._log_alpha(colour[:, here], first + shift)
+            masks = _break_sticks(alpha, log_prescope[:, here], valid[:, here], active).log_masks[:, :, 1:].exp()
+            total = masks.sum(dim=-1, keepdim=True)
+            mean = masks @ colour[:, here] / total.clamp(min=_SEEN)
+            seen = total >= _SEEN
+            start = torch.where(seen & start.isnan(), mean, start)
+            shift = torch.where(seen, mean - start, shift)
+        return torch.cat(moved, dim=1)
 
     @torch.no_grad()
     def _choose_seeds(
@@ -85,7 +120,7 @@ class ICSBP(nn.Module):
         for _ in range(slots):
             active.append(self._find_points(log_scope, idle, generator) & valid.any(dim=-1))
             places.append(_choose_seed(log_scope, seeds, generator))
-            alpha = self._log_alpha(colour[:, None], _pick(colour, places[-1][:, None]))[:, 0, 0]
+            alpha = self._log_alpha(colour[:, None], _pick(colour, places[-1][:, None])[:, None])[:, 0, 0]
             log_scope = log_scope + log1mexp(alpha) * active[-1][:, None]
         return torch.stack(places, dim=-1), torch.stack(active, dim=-1)
 
@@ -99,10 +134,10 @@ class ICSBP(nn.Module):
         return (log_scope > math.log(self.config.idle_scope)).sum(dim=-1) >= self.config.idle_points
 
     def _log_alpha(
-        self, colour: Float[Tensor, "batch frame point colour"], seeds: Float[Tensor, "batch slot colour"]
+        self, colour: Float[Tensor, "batch frame point colour"], seeds: Float[Tensor, "batch frame slot colour"]
     ) -> Float[Tensor, "batch frame slot point"]:
         # Differences, not the matrix product, which has no digits left where embeddings are large and near each other.
-        distance = torch.cdist(seeds[:, None], colour, compute_mode="donot_use_mm_for_euclid_dist")
+        distance = torch.cdist(seeds, colour, compute_mode="donot_use_mm_for_euclid_dist")
         return log_alpha(distance, self.log_sigma.to(colour.dtype), self.config.kernel)
 
 

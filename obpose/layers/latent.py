@@ -25,7 +25,7 @@ POSTERIOR_STD = 0.01
 PRIOR_STD = 0.7
 """Typical of a fresh prior, the authors'."""
 _MEAN_GAIN = 3.0
-"""Of the layer that gives the posterior's mean: the latents of scenes are at first about as far apart as the prior's."""
+"""Of the layer that gives the posterior's mean: latents of scenes are at first about as far apart as the prior's."""
 
 
 class RecurrentLatent(nn.Module):

@@ -1,4 +1,4 @@
-"""The points that an object encoder sees: those in the object's box, in its frame, with masked features."""
+"""The points that an object encoder sees: the slot's own in its box, in its frame, with masked features."""
 
 from dataclasses import dataclass
 
@@ -34,15 +34,17 @@ def gather_box(
     *,
     samples: int,
 ) -> BoxSamples:
-    """The points in each box; where there are more than `samples`, those with the largest masks.
+    """The points in each box that are the slot's; where there are more than `samples`, those with the largest masks.
 
-    Features are zeta_f * no_grad(m) (paper, section Object Location and Orientation Conditioned Encoding). The paper
-    gives the encoders the points whose largest mask is the slot's; like the authors' code we give all those in the box,
-    so that the encoders see what the object stands on. There is no gradient into the boxes and the positions.
+    Features are zeta_f * no_grad(m) (paper, section Object Location and Orientation Conditioned Encoding). The slot's
+    are the points at which no other slot has a larger mask. The paper also leaves out those at which the background's
+    is larger, ours are the support of the object as well; the authors' code takes all points in the box, and fields
+    then claim the neighbours. There is no gradient into the boxes and the positions.
     """
     with torch.no_grad():
         in_box = _to_boxes(points, boxes)
         inside = (in_box.abs().amax(dim=-1) <= 1) & valid[:, :, None]
+        inside &= log_masks >= log_masks.amax(dim=2, keepdim=True)
         index, chosen = _largest(log_masks, inside, samples)
         mask = log_masks.gather(-1, index).exp().masked_fill(~chosen, 0)
         near = in_box.gather(-2, repeat(index, "b f s n -> b f s n 3")) * chosen[..., None]

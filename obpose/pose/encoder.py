@@ -11,7 +11,7 @@ features over the slot's mask, colours among them, ends the code as it is.
 from dataclasses import dataclass
 
 import torch
-from einops import rearrange, reduce
+from einops import rearrange
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import elu
@@ -63,7 +63,7 @@ class ObjectEncoder(nn.Module):
         self.register_buffer("kernel", kernel_points(), persistent=False)
         self.register_buffer("places", SPREAD * kernel_points(), persistent=False)
         pooled = width + _ANCHOR_WIDTH + _POINT_WIDTH
-        self._points = mlp(3 + 6 * _FREQUENCIES + features, _POINT_WIDTH, _POINT_WIDTH)
+        self._points = mlp(3 + 6 * _FREQUENCIES + features + 1, _POINT_WIDTH, _POINT_WIDTH)
         self._around = KPConv(_POINT_WIDTH, _ANCHOR_WIDTH)
         self._around_norm = nn.LayerNorm(_ANCHOR_WIDTH)
         self._anchors = mlp(_ANCHOR_WIDTH, _ANCHOR_WIDTH)
@@ -80,15 +80,15 @@ class ObjectEncoder(nn.Module):
         )
         near = neighbourhoods(points, valid, places=self.places, kernel=self.kernel)
         encoded = positional_encoding(points, _FREQUENCIES)
-        pointwise = elu(self._points(torch.cat([points, encoded, features], dim=-1)))
+        pointwise = elu(self._points(torch.cat([points, encoded, features, mask[..., None]], dim=-1)))
         around = self._around(_neighbours(pointwise, near.index), rearrange(near.influences, "b a n k -> (b a) n k"))
         anchors = elu(self._anchors(elu(self._around_norm(around)))).unflatten(0, near.index.shape[:2])
         pooled = [
             elu(self._middle_norm(self._middle(anchors, near.central))),
             anchors.amax(dim=1),
-            _mean(pointwise, valid),
+            _mean(pointwise * mask[..., None], mask),
         ]
-        seen = (features * valid[..., None]).sum(dim=1) / mask.sum(dim=1).clamp(min=_LITTLE)[:, None]
+        seen = _mean(features, mask)
         code = torch.cat([self._code(torch.cat(pooled, dim=-1)), seen], dim=-1)
         return code.unflatten(0, samples.valid.shape[:3])
 
@@ -132,9 +132,9 @@ def _averaging(
     return influences * share[..., None]
 
 
-def _mean(features: Float[Tensor, "box sample width"], valid: Bool[Tensor, "box sample"]) -> Float[Tensor, "box width"]:
-    total = reduce(features * valid[..., None], "box sample width -> box width", "sum")
-    return total / valid.sum(dim=-1, keepdim=True).clamp(min=1)
+def _mean(weighted: Float[Tensor, "box sample width"], mask: Float[Tensor, "box sample"]) -> Float[Tensor, "box width"]:
+    """Of features that were multiplied by the mask; 0 where it is."""
+    return weighted.sum(dim=1) / mask.sum(dim=1, keepdim=True).clamp(min=_LITTLE)
 
 
 def _neighbours(

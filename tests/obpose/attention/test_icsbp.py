@@ -107,7 +107,7 @@ def _reference(
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_agrees_with_loops_over_clips_frames_slots_and_points(kernel: Kernel):
     colour, valid, log_prescope = _scene(batch=2, frames=3, points=25)
-    masks = _attend(colour, valid, log_prescope, config=AttentionConfig(kernel=kernel))
+    masks = _attend(colour, valid, log_prescope, config=AttentionConfig(kernel=kernel, moving_seeds=False))
     for clip in range(2):
         expected = _reference(colour[clip].double(), valid[clip], log_prescope[clip].double().exp(), kernel)
         torch.testing.assert_close(masks.log_masks[clip].exp(), expected[0], rtol=5e-3, atol=2e-4)
@@ -199,6 +199,37 @@ def test_seeds_of_the_first_frame_are_kept_in_later_ones():
     masks = _attend(colour, valid, log_prescope).log_masks[0, :, 1:]
     torch.testing.assert_close(masks[1], masks[0].roll(2, dims=-1))
     torch.testing.assert_close(masks[2], masks[0].roll(5, dims=-1))
+
+
+def _sliding(step: float, *, gone: tuple[int, ...] = ()) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Background and two objects, the first of which slides by `step` a frame, for eight frames; some without it."""
+    colour, valid, log_prescope = (part.clone() for part in _clusters((6, 5, 5), frames=8))
+    colour[0, :, 6:11, 7] += step * torch.arange(8.0)[:, None]
+    valid[0, list(gone), 6:11] = False
+    return colour, valid, log_prescope
+
+
+def _of_sliding_object(masks: Masks) -> torch.Tensor:
+    """How much of the sliding object its own slot has in each frame."""
+    of_object = masks.log_masks[0, :, :, 6:11].exp().mean(dim=-1)
+    return of_object[:, of_object[0].argmax()]
+
+
+def test_a_seed_follows_an_object_that_slides_out_of_the_mask_of_the_first_frame():
+    still = _of_sliding_object(_attend(*_sliding(0.2), config=AttentionConfig(moving_seeds=False)))
+    assert still[-1] < 0.1
+    assert (_of_sliding_object(_attend(*_sliding(0.2))) > 0.85).all()
+
+
+def test_a_seed_waits_while_its_object_is_out_of_sight():
+    masks = _attend(*_sliding(0.2, gone=(3, 4)))
+    assert (_of_sliding_object(masks)[[0, 1, 2, 5]] > 0.3).all()
+
+
+def test_seeds_that_do_not_move_give_the_same_as_objects_that_do_not():
+    moving = _attend(*_sliding(0.0))
+    still = _attend(*_sliding(0.0), config=AttentionConfig(moving_seeds=False))
+    torch.testing.assert_close(moving.log_masks, still.log_masks)
 
 
 def test_later_frames_have_no_influence_on_earlier_ones():

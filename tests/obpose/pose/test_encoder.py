@@ -37,14 +37,14 @@ def joined(*samples: BoxSamples, along: Literal["batch", "sample"] = "batch") ->
 
 
 def padded(samples: BoxSamples, count: int, value: float) -> BoxSamples:
-    """With `count` samples more that are not there, whatever is written in their place."""
+    """With `count` samples more that are not there, wherever they are said to be."""
     more = [(0, 0, 0, count), (0, 0, 0, count), (0, count), (0, count)]
     parts = [samples.points, samples.features, samples.mask, samples.valid]
     points, features, mask, valid = (
         torch.nn.functional.pad(part, width, value=0 if part.dtype == torch.bool else value)
         for part, width in zip(parts, more, strict=True)
     )
-    return BoxSamples(points, features, mask * valid, valid)
+    return BoxSamples(points, features * valid[..., None], mask * valid, valid)
 
 
 def weighted(influences: torch.Tensor) -> torch.Tensor:
