@@ -16,7 +16,7 @@ from benchmark.duration import estimate, in_words, time_limit
 from benchmark.files import remove_abandoned
 from benchmark.isolation import Limits
 from benchmark.machine import cores, machine_mib
-from benchmark.plan import Plan, Request, check_places, make_plan
+from benchmark.plan import Plan, Request, check_places, make_plan, superseded
 from benchmark.registry import GROUPS, discover, expand
 from benchmark.request import request_of
 from benchmark.results import RunRow, check_runs, delete_rows, load_runs
@@ -85,8 +85,7 @@ def selftest(_values: arguments.Selftest) -> int:
 
 def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[RunRow]:
     """The rows that stay: without those to be replaced or tried again."""
-    wanted = {key.place: key for key in plan.keys}
-    other = [row for row in rows if wanted.get(row.key.place, row.key) != row.key]
+    other = superseded(plan.keys, rows)
     if not values.overwrite:
         check_places(plan.keys, rows)
     again = [row for row in rows if values.retry and row.status == "failed" and row.key in plan.keys]

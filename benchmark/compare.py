@@ -13,6 +13,7 @@ from benchmark import statistics
 from benchmark.results import check_runs
 from benchmark.standings import ALL_METRICS, Entry, compare_entries, load_standings
 from benchmark.statistics import Difference
+from benchmark.wording import counted
 from datagen.errors import UsageError
 
 COLUMNS = {"metric": 17, "A": 5, "B": 5, "A - B": 6, "95 % interval": 13, "wins": 5, "resolvable": 10, "p": 5}
@@ -78,7 +79,7 @@ def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> G
 def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Table:
     fitted = "" if fit_track == track else f", fitted on {fit_track}"
     scenes = max(line.difference.n_scenes for line in lines)
-    title = f"[bold]{track}{fitted}, {scenes} scenes"
+    title = f"[bold]{track}{fitted}, {counted(scenes, 'scene')}"
     table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
     for name, width in COLUMNS.items():
         table.add_column(name, justify="left" if name == "metric" else "right", no_wrap=True, min_width=width)
@@ -92,10 +93,10 @@ def _cells(line: Comparison) -> list[str]:
     found = line.difference
     return [
         line.metric,
-        f"{line.one:.3f}",
-        f"{line.two:.3f}",
-        f"{found.mean:+.3f}",
-        f"{found.low:+.3f} {found.high:+.3f}",
+        f"{line.one:z.3f}",
+        f"{line.two:z.3f}",
+        f"{found.mean:+z.3f}",
+        f"{found.low:+z.3f} {found.high:+z.3f}",
         f"{100 * found.win_rate:.0f} %",
         f"{found.resolvable:.3f}",
         f"{line.p_corrected:.3f}" if line.p_corrected >= 0.001 else "<.001",

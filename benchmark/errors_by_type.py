@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Int64
 
+from benchmark.metrics.identity import switches
 from benchmark.metrics.overlap import intersection_over_union
 
 ERROR_TYPES = ("merged", "split", "missed", "leaked", "switched")
@@ -46,7 +47,7 @@ def errors_by_type(
         "split": housed & _second_share(objects, home, background_slot),
         "missed": missed,
         "leaked": housed & np.take_along_axis(_background_share(tables), home, axis=1),
-        "switched": _switched(tables),
+        "switched": switches(intersection_over_union(tables)[:, None])[:, 0],
     }
     return np.stack([masks[name] for name in ERROR_TYPES], axis=-1)
 
@@ -66,18 +67,3 @@ def _second_share(objects: np.ndarray, home: np.ndarray, background_slot: int) -
 def _background_share(tables: np.ndarray) -> Bool[np.ndarray, "frame slot"]:
     sizes = tables.sum(axis=1)
     return (tables[:, 0] >= PART * sizes) & (sizes > 0)
-
-
-def _switched(tables: np.ndarray) -> Bool[np.ndarray, "frame object"]:
-    """Switches as `benchmark.metrics.identity` counts them; among equally good slots an object stays where it was."""
-    iou = intersection_over_union(tables)[:, 1:]
-    best = iou.max(axis=2, keepdims=True, initial=0.0)
-    choices = (iou == best) & (best > 0)
-    switched = np.zeros(choices.shape[:2], bool)
-    held = choices[0]
-    for frame, now in enumerate(choices):
-        kept = held & now
-        stays, visible, known = (slots.any(axis=1) for slots in (kept, now, held))
-        switched[frame] = visible & known & ~stays
-        held = np.where(stays[:, None], kept, np.where(visible[:, None], now, held))
-    return switched

@@ -61,6 +61,7 @@ def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
             **{f"{name}_group": letters for name, letters in zip(RANKED_METRICS, entry.groups, strict=True)},
             **{name: _mean(values) for name, values in _counts(entry).items()},
             "n_seeds": len(entry.rows),
+            "n_runs": entry.n_runs,
             "n_failed": entry.n_failed,
             "failures": "; ".join(f"{row.key.seed}: {cause}" for row, cause in _by_seed(entry) if cause),
             "n_scenes": entry.n_scenes,
@@ -201,4 +202,4 @@ def _measured(rows: Sequence[RunRow]) -> dict[str, float]:
 
 
 def _text(value: Cell) -> str:
-    return f"{value:.6f}" if isinstance(value, float) else str(value)
+    return f"{value:z.6f}" if isinstance(value, float) else str(value)

@@ -1,16 +1,18 @@
 """What a person gets of a run folder: tables, manifest and report, and a short table on the screen."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.table import Table
 
 from benchmark import leaderboard, report
 from benchmark.manifest import write_manifest
+from benchmark.report.board import marks
 from benchmark.results import load_runs
-from benchmark.standings import Entry
+from benchmark.standings import Entry, best_first, fields
 from benchmark.whereabouts import locate
+from benchmark.wording import run_once
 
 SHOWN = ("ari_fg", "msc_fg", "miou_bg", "ari")
 """Metrics on the screen; the files have them all."""
@@ -34,19 +36,29 @@ def wide_console() -> Console:
     return Console(width=None if Console().is_terminal else FILE_WIDTH)
 
 
-def means_table(entries: Iterable[Entry]) -> Table:
-    """Mean over seeds of every model on every track."""
+def means_table(entries: Sequence[Entry]) -> Group:
+    """Mean over seeds of every model on every track, the best first, and beneath it what the signs mean."""
     table = Table(box=None)
     for name in ("track", "model", "", "seeds", "rank", *SHOWN):
         table.add_column(name, justify="left" if name in ("track", "model", "") else "right", no_wrap=True)
-    before = None
-    for entry in entries:
-        track, fit_track, model = entry.place
-        if before not in (None, entry.place[:2]):
-            table.add_section()
-        before = entry.place[:2]
-        fitted = "" if fit_track == track else f" (fitted on {fit_track})"
-        seeds = f"{len(entry.rows) - entry.n_failed} of {len(entry.rows)}" if entry.n_failed else str(len(entry.rows))
-        values = [f"{entry.best_known(name):.3f}" for name in SHOWN]
-        table.add_row(f"{track}{fitted}", model, entry.marks, seeds, str(entry.rank or ""), *values)
-    return table
+    for field in fields(entries):
+        for entry in best_first(field):
+            table.add_row(*_cells(entry))
+        table.add_section()
+    return Group(table, *_legend(entries))
+
+
+def _cells(entry: Entry) -> list[str]:
+    track, fit_track, model = entry.place
+    fitted = "" if fit_track == track else f" (fitted on {fit_track})"
+    finished = entry.n_runs - min(entry.n_failed, entry.n_runs)
+    seeds = str(finished) if finished == entry.n_runs else f"{finished} of {entry.n_runs}"
+    values = [f"{entry.best_known(name):z.3f}" for name in SHOWN]
+    return [f"{track}{fitted}", model, entry.marks, seeds, str(entry.rank or ""), *values]
+
+
+def _legend(entries: Sequence[Entry]) -> Iterator[str]:
+    if once := run_once(entries):
+        yield f"Seeds make no difference to these, which were run once: {once}."
+    for mark, meaning in marks(entries):
+        yield f"{mark} {meaning}."

@@ -102,20 +102,43 @@ def repeats(row: RunRow, keys: Iterable[RunKey]) -> list[RunRow]:
     return [dataclasses.replace(row, key=key) for key in same]
 
 
+def superseded(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> list[RunRow]:
+    """The rows that wanted ones replace: those in their places that were made with other settings.
+
+    Of label maps made elsewhere all seeds go, so that those of other maps do not stand among the new ones.
+    """
+    wanted = {key.place: key for key in keys}
+    rows = list(rows)
+    changed = {row.key.place for row in rows if wanted.get(row.key.place, row.key) != row.key}
+    renewed = {row.key.place[:3] for row in rows if row.key.place in changed and row.kind == "predictions"}
+    return [
+        row
+        for row in rows
+        if row.key.place in changed or (row.key.place[:3] in renewed and row.key.place not in wanted)
+    ]
+
+
 def check_places(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> None:
     """Check that no wanted row has the place of one made with other settings.
 
     Raises:
         UsageError: names the first, and says what differs.
     """
-    there = {row.key.place: row.key for row in rows}
+    there = {row.key.place: row for row in rows}
     for key in keys:
-        old = there.get(key.place, key)
-        if changed := [name for name, value in dataclasses.asdict(key).items() if getattr(old, name) != value]:
+        row = there.get(key.place)
+        if row is None or row.key == key:
+            continue
+        if row.kind == "predictions":
             raise UsageError(
-                f"The run folder has a row of {key.model} on {key.track} of other settings ({', '.join(changed)} "
-                "differs). Give another folder with --out, the same settings, or --overwrite to replace such rows."
+                f"The run folder has a row of {key.model} on {key.track} of other label maps or --background-slot, or "
+                "of another dataset. Give another --name or --out, or --overwrite to replace all rows of that name."
             )
+        changed = [name for name, value in dataclasses.asdict(key).items() if getattr(row.key, name) != value]
+        raise UsageError(
+            f"The run folder has a row of {key.model} on {key.track} of other settings ({', '.join(changed)} differs). "
+            "Give another folder with --out, the same settings, or --overwrite to replace such rows."
+        )
 
 
 def _fits(request: Request) -> list[tuple[Source, tuple[Source, ...]]]:

@@ -13,6 +13,7 @@ import csv
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -66,7 +67,7 @@ class RunKey:
 
 @dataclass(frozen=True)
 class Measured:
-    """Costs, which differ from run to run; tables name them `measured_*`."""
+    """Costs, which differ from run to run; tables name them `measured_*`. nan, null in files: was not measured."""
 
     seconds_per_frame: float
     """Wall time of `segment` a frame and view; reading and scoring left out."""
@@ -119,6 +120,8 @@ def save_row(folder: Path, row: RunRow) -> None:
     values = dataclasses.asdict(row)
     if curve := values.pop("learning_curve"):
         save_curve(_curve_path(folder, row.key), curve)
+    # JSON has no nan.
+    values["measured"] = {name: cost if math.isfinite(cost) else None for name, cost in values["measured"].items()}
     text = json.dumps(values, indent=1, default=str) + "\n"
     write_whole(row_path(folder, row.key), text.encode())
 
@@ -156,7 +159,8 @@ def load_row(path: Path) -> RunRow:
     """
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        key, measured = RunKey(**values.pop("key")), Measured(**values.pop("measured"))
+        costs = {name: math.nan if cost is None else cost for name, cost in values.pop("measured").items()}
+        key, measured = RunKey(**values.pop("key")), Measured(**costs)
         values["learning_curve"] = load_curve(_curve_path(path.parent.parent, key))
         return RunRow(key=key, measured=measured, priors=tuple(values.pop("priors")), **values)
     except (ValueError, TypeError, KeyError, AttributeError) as error:

@@ -38,7 +38,7 @@ class Entry:
     """One model on one track, all seeds together."""
 
     rows: tuple[RunRow, ...]
-    """Ordered by seed; they differ in the seed only."""
+    """Ordered by seed; they differ in the seed only, and in their contents where they are label maps made elsewhere."""
     causes: tuple[str, ...]
     """Why each seed failed; empty where it did not."""
     tables: tuple[SceneTable | None, ...]
@@ -70,6 +70,11 @@ class Entry:
     def is_ranked(self) -> bool:
         """Whether the model may stand in a ranking: it knows no labels, and there are scores."""
         return self.row.kind not in ("floor", "oracle") and not self.row.uses_labels and self.n_scenes > 0
+
+    @property
+    def n_runs(self) -> int:
+        """How many of the seeds were run; where they make no difference, the first stands for all."""
+        return len(self.rows) if self.row.random else 1
 
     @property
     def n_failed(self) -> int:
@@ -165,9 +170,11 @@ def resamples(n_seeds: int, n_scenes: int) -> Resamples:
     return statistics.draw(n_seeds, n_scenes, np.random.default_rng(BOOTSTRAP_SEED))
 
 
-def _group(row: RunRow) -> tuple[object, ...]:
+def _group(row: RunRow) -> tuple[str | int, ...]:
+    """What the seeds of one entry share; of label maps made elsewhere the hash is of contents, which differ."""
     key = row.key
-    return key.track, key.fit_track, key.model, key.track_spec, key.fit_spec, key.version, key.config_hash
+    settings = "" if row.kind == "predictions" else key.config_hash
+    return key.track, key.fit_track, key.model, key.track_spec, key.fit_spec, key.version, settings
 
 
 def _entry(pairs: Sequence[tuple[RunRow, SceneTable | None]]) -> Entry:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from benchmark import statistics
 from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
 from benchmark.standings import PRETRAINED, RANKED_METRICS, TUNED, USES_LABELS, Entry, best_first, fields
+from benchmark.wording import counted, run_once, seeds_in_words
 
 SHOWN = {"miou_bg": "mIoU-BG", "ari_fg": "ARI-FG", "msc_fg": "MSC-FG", "ari": "ARI"}
 """Metrics in the tables; the CSV has them all."""
@@ -26,8 +27,6 @@ BLOCKS = {
 }
 
 NOTES = (
-    "Mean±population standard deviation over seeds; leaderboard.csv has all metrics, and 95 % bootstrap intervals over "
-    "seeds and scenes; with three seeds these under-cover.",
     "Ranked by the mean of the ranks in ARI-FG and MSC-FG; bold is the best of the ranked rows.",
     "Rows that share a letter cannot be told apart in that column (paired by scene, Holm-corrected, 5 %).",
     f"{USES_LABELS} uses labels, and is not ranked. {TUNED} labels of the validation split were used for tuning. "
@@ -82,7 +81,8 @@ def boards(entries: Iterable[Entry]) -> list[Board]:
 
 def markdown(entries: Iterable[Entry]) -> str:
     """All tables as one Markdown page."""
-    parts = ["# Leaderboard", "\n".join(f"- {note}" for note in NOTES)]
+    entries = list(entries)
+    parts = ["# Leaderboard", "\n".join(f"- {note}" for note in _notes(entries))]
     for board in boards(entries):
         parts += [f"## {board.title}", "\n".join(_markdown_rows(board))]
     return "\n\n".join(parts) + "\n"
@@ -90,13 +90,26 @@ def markdown(entries: Iterable[Entry]) -> str:
 
 def latex(entries: Iterable[Entry]) -> str:
     """All tables as LaTeX, for documents that load booktabs, adjustbox and xcolor."""
-    notes = [f"% {note}" for note in (*NOTES, "Needs booktabs, adjustbox and xcolor.")]
+    entries = list(entries)
+    notes = [f"% {note}" for note in (*_notes(entries), "Needs booktabs, adjustbox and xcolor.")]
     return "\n".join(notes) + "\n\n" + "\n".join(_latex_table(board) for board in boards(entries))
 
 
 def mean_and_std(mean: float, std: float) -> str:
     """As the paper prints scores: two decimals."""
-    return "–" if math.isnan(mean) else f"{mean:.2f}±{std:.2f}"
+    return "–" if math.isnan(mean) else f"{mean:z.2f}±{std:.2f}"
+
+
+def _notes(entries: Sequence[Entry]) -> Iterator[str]:
+    seeds, once = seeds_in_words(entries), run_once(entries)
+    yield (
+        "Mean±population standard deviation over seeds; leaderboard.csv has all metrics, and 95 % bootstrap intervals "
+        "over seeds and scenes"
+        + (f"; with few seeds these under-cover, and here models have {seeds}." if seeds else ".")
+    )
+    if once:
+        yield f"Run once, as seeds make no difference to them: {once}."
+    yield from NOTES
 
 
 def _board(field: Sequence[Entry]) -> Board:
@@ -107,7 +120,7 @@ def _board(field: Sequence[Entry]) -> Board:
     skipped = max(entry.n_skipped for entry in field)
     without = f", {skipped} without any object" if skipped else ""
     blocks = tuple(block for block in _blocks(track, field) if block.lines)
-    return Board(track, f"{title} ({scenes} scenes{without}; dataset {key.track_spec[:8]})", blocks)
+    return Board(track, f"{title} ({counted(scenes, 'scene')}{without}; dataset {key.track_spec[:8]})", blocks)
 
 
 def _blocks(track: str, field: Sequence[Entry]) -> Iterator[Block]:
@@ -135,7 +148,7 @@ def _best_without_training(field: Iterable[Entry], best: Mapping[str, str]) -> l
 def _best_cells(field: Iterable[Entry]) -> dict[str, str]:
     """The best mean of each metric among ranked rows, as printed."""
     ranked = [entry for entry in field if entry.is_ranked]
-    return {name: f"{max((entry.best_known(name) for entry in ranked), default=math.nan):.2f}" for name in SHOWN}
+    return {name: f"{max((entry.best_known(name) for entry in ranked), default=math.nan):z.2f}" for name in SHOWN}
 
 
 def _lines(entry: Entry, best: Mapping[str, str], prefix: str = "") -> list[Line]:
@@ -150,8 +163,9 @@ def _lines(entry: Entry, best: Mapping[str, str], prefix: str = "") -> list[Line
     if not entry.n_failed:
         return [line]
     left = len(entry.rows) - entry.n_failed
+    failed = min(entry.n_failed, entry.n_runs)
     reasons = ", ".join(dict.fromkeys(_brief(cause) for cause in entry.causes if cause))
-    label = f"without the {entry.n_failed} failed of {len(entry.rows)} seeds ({reasons})"
+    label = f"without the {failed} failed of {counted(entry.n_runs, 'seed')} ({reasons})"
     cells = _cells(entry, without_failed=True) if left else ("–",) * len(SHOWN)
     return [line, Line(f"– {label}", "", cells, ("",) * len(SHOWN), (False,) * len(SHOWN), "")]
 

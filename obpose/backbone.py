@@ -71,12 +71,10 @@ class Backbone(nn.Module):
             nn.ModuleList(Block(width, width) for _ in range(count))
             for width, count in zip(widths, config.blocks, strict=True)
         )
-        self.up = nn.ModuleList(Up(coarse, fine) for fine, coarse in pairwise(widths[1:]))
+        self.up = nn.ModuleList(Up(coarse, fine) for fine, coarse in pairwise(widths[config.output_level :]))
+        last = widths[config.output_level]
         self.head = nn.Sequential(
-            nn.Linear(widths[1], widths[1]),
-            nn.LayerNorm(widths[1]),
-            nn.LeakyReLU(0.1),
-            nn.Linear(widths[1], config.embedding),
+            nn.Linear(last, last), nn.LayerNorm(last), nn.LeakyReLU(0.1), nn.Linear(last, config.embedding)
         )
         self.scene = SceneCode(widths)
 
@@ -105,12 +103,14 @@ class Backbone(nn.Module):
         images = [on_grid(values, at) for values, at in zip(skips, grids, strict=True)]
         scene = self.scene(grids, images, on_grid(rgb, grid), self.kernel, center=center, radius=workspace_radius)
         embedding = self.head(self._decode(levels, skips))
-        at = levels[1].grid
-        return BackboneOutput(at.points, at.valid, on_grid(rgb[levels[0].kept], at), embedding, scene)
+        for level in levels[: self.config.output_level]:
+            rgb = rgb[level.kept]
+        at = levels[self.config.output_level].grid
+        return BackboneOutput(at.points, at.valid, on_grid(rgb, at), embedding, scene)
 
     def grid_size(self, height: int, width: int) -> tuple[int, int]:
         """Rows and columns of the embeddings of an image of that size."""
-        stride = 2 * self.config.input_stride
+        stride = 2**self.config.output_level * self.config.input_stride
         return -(-height // stride), -(-width // stride)
 
     @torch.no_grad()
@@ -139,17 +139,17 @@ class Backbone(nn.Module):
 
     def _decode(self, levels: list[Level], skips: list[Tensor]) -> Float[Tensor, "image height width channel"]:
         features = on_grid(skips[-1], levels[-1].grid)
-        for depth in range(len(levels) - 2, 0, -1):
+        for depth in range(len(levels) - 2, self.config.output_level - 1, -1):
             fine = on_grid(skips[depth], levels[depth].grid)
-            features = self.up[depth - 1](features, levels[depth + 1].grid, fine, levels[depth].grid)
+            features = self.up[depth - self.config.output_level](features, levels[depth + 1].grid, fine, levels[depth].grid)
         return features
 
 
 class SceneCode(nn.Module):
     """One code of an image: a KPConv of the deepest level around the workspace's middle, means of levels, mean colour.
 
-    The mean colour stands there as it is. The authors only have the KPConv, as a sum; the background's latent then hardly hears of what a scene has of its
-    own, the table's colour above all, and collapses to its prior.
+    The mean colour stands there as it is. The authors only have the KPConv, as a sum; the background's latent then
+    hardly hears of what a scene has of its own, the table's colour above all, and collapses to its prior.
     """
 
     def __init__(self, widths: tuple[int, ...]):
@@ -185,8 +185,9 @@ def masked_mean(
 class Block(nn.Module):
     """Narrow KPConv with a skip; at some of the points where their places are given.
 
-    As the authors' but for two things: features are normalised point by point, so that nothing depends on how many
-    points there are, and the skip of a thinned grid takes the kept point, where theirs takes the largest neighbour.
+    As the authors' but for its norms and its skip. Features are normalised point by point, so that nothing depends on
+    how many points there are, and only once, at the end of the branch, where theirs are after three layers. The skip
+    takes the point itself, theirs the largest neighbour.
     """
 
     def __init__(self, inputs: int, outputs: int):

@@ -1,4 +1,7 @@
-"""The background's latent z_bg, from the scene codes of the frames (paper, section Training)."""
+"""The background's latent z_bg, from the scene codes of the frames (paper, section Methods).
+
+The paper has z^bg in its figure of the model alone and says nothing of its posterior and prior.
+"""
 
 from obpose.config import LatentConfig
 from obpose.layers.latent import RecurrentLatent

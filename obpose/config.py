@@ -21,7 +21,10 @@ class BackboneConfig:
     """Residual blocks a level, beside the one that goes down to it. [code: 1, 2, 2, 2]"""
     radius: float = 2.0
     """Radius of a KPConv neighbourhood in units of the distance between neighbouring points of the level.
-    [code: 0.025 m at 12 mm, then doubled]"""
+    [ours, that of a 3x3 window; code: 0.025 m where points are some 6 mm apart, then both doubled]"""
+    output_level: int = 0
+    """Level of the grid of embeddings; level l has every 2^l-th point. [paper: 1, of images twice as fine as in the
+    profile `cpu`: either way 64x64 points]"""
     embedding: int = 16
     """D. [code]"""
     colour: int = 8
@@ -62,9 +65,12 @@ class PoseConfig:
     """s, metres. [code: 0.4]"""
     max_translation: float = 0.05
     """T_max, metres. [code: 0.1]"""
-    min_points: int = 10
-    """With fewer points whose argmax is the slot, its location is kept from the frame before, its orientation is that
-    of the frame before or the identity. [code]"""
+    min_points: int = 1
+    """With fewer points of the embedding grid whose argmax is the slot, its location is kept from the frame before.
+    [code: 10 of 64x64; on a grid of 32x32 half of the objects have fewer]"""
+    min_pixels: int = 10
+    """With fewer pixels whose argmax is the slot, its orientation is that of the frame before or the identity.
+    [code: 10 points]"""
     grid_level: int = 1
     """HEALPix level of the rotation grid before refinement; of its 576 (1) or 4608 (2) rotations are used the 24 or 204
     that a box's symmetry does not turn into each other. [code: 3, all 36,864]"""
@@ -135,11 +141,14 @@ class ModelConfig:
     """sigma_T. [code]"""
     floor: float | None = -0.002
     """Voxels below this height above the world's z = 0 are not the object's, metres; None for no floor. [code]"""
+    table: float | None = 0.004
+    """Objects have no density below this height above the world's z = 0, metres; None for no such limit. Without it
+    objects explain their shadows. [ours]"""
 
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Terms and their weights. Terms are means over rays, points or slots unless `reduction` says otherwise."""
+    """Terms and their weights. Terms are means over rays, points or frames, where the paper has sums."""
 
     sigma_max: float = 10.0
     """Density of an opaque point. [code]"""
@@ -159,7 +168,9 @@ class LossConfig:
     mask: float = 1.0
     """Weight of the attention loss; 5 suits `l2`."""
     scope: float = 0.25
+    """[paper: 1, with sums over the embedding grid, which has a quarter of the image's points]"""
     translation: float = 1.0
+    """[paper: 1, with sums over rays, beside which it is thousands of times lighter than here]"""
     kl: float = 1 / 4096
     """Of z_what and z_bg. [paper: 1, with sums over rays]"""
     kl_where: float = 1e-3 / 4096
@@ -180,6 +191,8 @@ class TrainConfig:
     """Frames of a training window; whole clips where they are shorter. [code]"""
     rays: int = 512
     """Pixels a frame at which the fields are evaluated, over all views; 0 for all. [ours]"""
+    object_rays: float = 0.5
+    """Share of the rays drawn where the pre-scope is large, less than 1; weights make up for it. [ours]"""
     learning_rate: float = 1e-3
     """[paper: 4e-4]"""
     decay: Literal["cosine", "none"] = "cosine"
@@ -187,7 +200,7 @@ class TrainConfig:
     clip: float = 1.0
     """Largest norm of the gradient; 0 for no clipping. [ours]"""
     warmup: int = 150
-    """Steps that train the background alone, first. [ours]"""
+    """Steps that train the background and the pre-scope alone, first. [ours]"""
     minutes: float = 23.0
     """Budget in minutes: of CPU time of the process on a CPU, of time of day on a GPU; only training steps count."""
     steps: int | None = None
@@ -216,21 +229,24 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "model.attention.semi_convolution": 0.0,
         "model.attention.moving_seeds": False,
         "model.attention.idle_in_training": "bernoulli",
+        "model.table": None,
         "model.pose.box_size": 0.4,
         "model.pose.max_translation": 0.1,
         "loss.attention_floor": -18.42,
+        "train.object_rays": 0.0,
         "train.learning_rate": 4e-4,
         "train.decay": "none",
         "train.clip": 0.0,
         "train.warmup": 0,
     },
 }
-"""What each variant changes, by dotted name. `obpose-as-published` leaves out what we added to help learning; the
-floor is log 1e-8, as in the authors' code."""
+"""What each variant changes, by dotted name. `obpose-as-published` leaves out most of what we added to help learning
+(docs/paper_to_code.md says what stays); the floor is log 1e-8, as in the authors' code."""
 
 PROFILES: dict[str, dict[str, Any]] = {
     "cpu": {},
     "gpu": {
+        "model.backbone.output_level": 1,
         "model.backbone.blocks": (1, 2, 2, 2),
         "model.object_field.width": 128,
         "model.background_field.width": 96,
@@ -239,6 +255,7 @@ PROFILES: dict[str, dict[str, Any]] = {
         "train.rays": 1024,
     },
     "paper": {
+        "model.backbone.output_level": 1,
         "model.backbone.blocks": (1, 2, 2, 2),
         "model.object_field": FieldConfig(128, 8, 10, 4),
         "model.background_field": FieldConfig(128, 8, 10, 4),

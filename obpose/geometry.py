@@ -1,5 +1,7 @@
 """Pixels to points and points to the objects' boxes."""
 
+from dataclasses import replace
+
 import torch
 from einops import rearrange, repeat
 from jaxtyping import Float
@@ -9,6 +11,8 @@ from obpose.types import Observation, Rays
 
 _DEPTH_OF_NOTHING = 1.0
 """Metres; stands for the depth of pixels without one, which no loss counts."""
+_TINY = 1e-12
+"""Odds of a pixel without depth or interest, before they are made to sum to one."""
 
 
 def unproject(observation: Observation) -> Float[Tensor, "batch frame view height width 3"]:
@@ -41,6 +45,35 @@ def sample_rays(observation: Observation, count: int, generator: torch.Generator
     lots = torch.rand((*observation.depth.shape[:2], pixels), generator=generator, device=observation.depth.device)
     lots = lots + rearrange(observation.valid, "b f view height width -> b f (view height width)")
     return _rays(observation, lots.topk(count, dim=-1, sorted=False).indices)
+
+
+def sample_rays_where(
+    observation: Observation,
+    count: int,
+    interest: Float[Tensor, "batch frame view height width"],
+    *,
+    share: float,
+    generator: torch.Generator | None,
+) -> Rays:
+    """`count` pixels of each frame, a `share` of them drawn in proportion to the interest, the others uniformly.
+
+    Drawn with replacement, and weighted so that weighted means are those over all pixels: importance sampling, with
+    weights of at most 1 / (1 - share). All pixels for a count of 0.
+    """
+    pixels = observation.depth[0, 0].numel()
+    if count == 0 or count >= pixels:
+        return all_rays(observation)
+    flat = "batch frame view height width -> (batch frame) (view height width)"
+    # Where a frame has no depth at all something has to be drawn; it has no weight.
+    valid = rearrange(observation.valid, flat).to(interest.dtype).clamp(min=_TINY)
+    interesting = valid * rearrange(interest, flat).clamp(min=_TINY)
+    odds = (1 - share) * _shares(valid) + share * _shares(interesting)
+    index = odds.multinomial(count, replacement=True, generator=generator)
+    weight = _shares(valid).gather(1, index) / odds.gather(1, index)
+    batch = {"batch": observation.depth.shape[0]}
+    rays = _rays(observation, rearrange(index, "(batch frame) ray -> batch frame ray", **batch))
+    weight = rearrange(weight, "(batch frame) ray -> batch frame ray", **batch)
+    return replace(rays, weight=weight * rays.valid)
 
 
 def to_box(
@@ -90,6 +123,7 @@ def _rays(observation: Observation, index: Tensor) -> Rays:
     return Rays(
         index=index,
         valid=valid,
+        weight=valid.to(depth.dtype),
         colour=_pick(colour, index),
         origin=_pick(origin, index // (height * width)),
         direction=_pick(every, index),
@@ -99,3 +133,7 @@ def _rays(observation: Observation, index: Tensor) -> Rays:
 
 def _pick(values: Float[Tensor, "batch frame place 3"], index: Tensor) -> Float[Tensor, "batch frame ray 3"]:
     return values.gather(-2, repeat(index, "b f ray -> b f ray 3"))
+
+
+def _shares(values: Float[Tensor, "image pixel"]) -> Float[Tensor, "image pixel"]:
+    return values / values.sum(dim=-1, keepdim=True)

@@ -13,7 +13,7 @@ from obpose.attention.icsbp import ICSBP
 from obpose.backbone import Backbone
 from obpose.background import BackgroundLatent
 from obpose.config import Config
-from obpose.geometry import all_rays, sample_rays, unproject
+from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
 from obpose.losses.objective import Evidence, loss_terms
 from obpose.nerf.components import Colours, decode, decode_background
 from obpose.nerf.field import Field
@@ -63,12 +63,11 @@ class ObPose(Trainable):
     def losses(
         self, observation: Observation, *, step: int, generator: torch.Generator | None = None
     ) -> dict[str, Tensor]:
-        """Loss terms and their weighted sum (paper, section Training); in the warm-up, of the background alone."""
-        rays = sample_rays(observation, self.config.train.rays, generator)
+        """Loss terms and their weighted sum (paper, section Training); in the warm-up without any objects."""
         if step < self.config.train.warmup:
-            evidence = self._observe_background(observation, rays, generator)
+            evidence = self._observe_background(observation, generator)
         else:
-            evidence = self._observe(observation, rays, generator)
+            evidence = self._observe(observation, generator)
         return loss_terms(evidence, self.config.loss)
 
     @torch.no_grad()
@@ -149,6 +148,7 @@ class ObPose(Trainable):
             workspace_center=self.center,
             workspace_size=self.config.model.background_size,
             colours=colours,
+            floor=self.config.model.table,
         )
 
     @torch.no_grad()
@@ -205,7 +205,10 @@ class ObPose(Trainable):
     def _orient(
         self, observation: Observation, points: Float[Tensor, "batch frame view height width 3"], masks: Masks
     ) -> Float[Tensor, "batch frame slot 3 3"]:
-        """Orientation of the observed surface points whose largest mask is the slot's."""
+        """Orientation of the observed surface points whose largest mask is the slot's.
+
+        Deviation: those of the image's pixels, which are finer than the embedding grid's that the paper takes.
+        """
         owners = rearrange(self.pixel_owners(masks, observation), "b f v h w -> b f (v h w)")
         chosen, valid = _some_of_each(owners, self.config.model.slots, _ORIENTATION_POINTS)
         flat = rearrange(points, "b f v h w c -> b f 1 (v h w) c").expand(-1, -1, self.config.model.slots, -1, -1)
@@ -216,7 +219,7 @@ class ObPose(Trainable):
             grid_level=pose.grid_level,
             refinements=pose.refinements,
             tolerance=pose.tolerance,
-            min_points=pose.min_points,
+            min_points=pose.min_pixels,
         )
 
     def _crop(self, embeddings: Embeddings, masks: Masks, boxes: Boxes) -> BoxSamples:
@@ -229,10 +232,11 @@ class ObPose(Trainable):
             samples=self.config.model.latent.samples,
         )
 
-    def _observe(self, observation: Observation, rays: Rays, generator: torch.Generator | None) -> Evidence:
+    def _observe(self, observation: Observation, generator: torch.Generator | None) -> Evidence:
         """Everything that the losses compare, along some rays."""
         points = unproject(observation)
         embeddings, log_prescope = self.embed(observation, points)
+        rays = self._sample_rays(observation, log_prescope, generator)
         inference = self._infer(observation, points, embeddings, log_prescope, "sample", generator)
         loss = self.config.loss
         surface = surface_points(rays, loss.jitter, generator)
@@ -253,8 +257,21 @@ class ObPose(Trainable):
             shape=shape,
         )
 
-    def _observe_background(self, observation: Observation, rays: Rays, generator: torch.Generator | None) -> Evidence:
+    @torch.no_grad()
+    def _sample_rays(
+        self, observation: Observation, log_prescope: Float[Tensor, "batch frame point 2"], generator: Any
+    ) -> Rays:
+        """More of them where objects are expected."""
+        train, (views, height, width) = self.config.train, observation.depth.shape[2:]
+        rows, columns = self.backbone.grid_size(height, width)
+        scope = rearrange(log_prescope[..., 1].exp(), "b f (v h w) -> (b f) v h w", v=views, h=rows, w=columns)
+        interest = F.interpolate(scope, size=(height, width), mode="nearest")
+        interest = rearrange(interest, "(b f) v h w -> b f v h w", b=len(observation.depth))
+        return sample_rays_where(observation, train.rays, interest, share=train.object_rays, generator=generator)
+
+    def _observe_background(self, observation: Observation, generator: torch.Generator | None) -> Evidence:
         """The same where the background has to explain everything."""
+        rays = sample_rays(observation, self.config.train.rays, generator)
         embeddings, log_prescope = self.embed(observation, unproject(observation))
         background = self.background(embeddings.scene, "sample", generator)
         loss = self.config.loss

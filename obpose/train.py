@@ -104,6 +104,7 @@ def train(
     """
     if not len(source):
         raise UsageError("There are no clips to train on; expected a training split with at least one scene.")
+    keep_memory()
     fabric = make_fabric(device, config.train)
     fabric.launch()
     learner = Learner(fabric, config, build)

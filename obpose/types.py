@@ -90,12 +90,14 @@ class Latent:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Pixels at which the fields are evaluated. Losses are means over the valid ones."""
+    """Pixels at which the fields are evaluated. Losses are their weighted means."""
 
     index: Int[Tensor, "batch frame ray"]
     """Place of the pixel among those of all views of the frame, view by view, row by row."""
     valid: Bool[Tensor, "batch frame ray"]
     """Whether its depth was observed."""
+    weight: Float[Tensor, "batch frame ray"]
+    """0 where not valid; 1 where all pixels were equally likely to be drawn, else the smaller the likelier."""
     colour: Float[Tensor, "batch frame ray 3"]
     """sRGB in 0..1."""
     origin: Float[Tensor, "batch frame ray 3"]

@@ -114,7 +114,7 @@ def failures(entries: Iterable[Entry]) -> list[dict[str, str]]:
     return [
         {"name": f"{row.key.model}, seed {row.key.seed}", "reason": cause}
         for entry in best_first(entries)
-        for row, cause in zip(entry.rows, entry.causes, strict=True)
+        for row, cause in list(zip(entry.rows, entry.causes, strict=True))[: entry.n_runs]
         if cause
     ]
 
@@ -126,7 +126,7 @@ def marks(entries: Sequence[Entry]) -> list[tuple[str, str]]:
 
 def number(value: float) -> str:
     """A score with three decimals; a dash where it is undefined."""
-    return f"{value:.3f}".replace("-", "−") if math.isfinite(value) else "–"
+    return f"{value:z.3f}".replace("-", "−") if math.isfinite(value) else "–"
 
 
 def duration(seconds: float) -> str:
@@ -157,7 +157,7 @@ def _row(entry: Entry, numbers: Mapping[str, int]) -> Row:
         number(entry.summary("miou_bg").mean),
         number(entry.summary("ari").mean),
         duration(seconds_per_frame(entry)),
-        str(len(entry.rows)),
+        str(entry.n_runs),
         _failure(entry),
     )
 
@@ -169,7 +169,7 @@ def seconds_per_frame(entry: Entry) -> float:
 
 
 def _failure(entry: Entry) -> str:
-    counts = Counter(cause if len(cause) < 12 else "error" for cause in entry.causes if cause)
+    counts = Counter(cause if len(cause) < 12 else "error" for cause in entry.causes[: entry.n_runs] if cause)
     return ", ".join(f"{count} failed ({cause})" for cause, count in counts.items())
 
 

@@ -180,7 +180,7 @@ def _curve(model: int, xs: Values, ys: Values, values: Values, words: Sequence[s
             path.append(f"{pen}{x:.1f} {y:.1f}")
         pen = "L" if math.isfinite(y) else "M"
     points = [
-        (round(x, 1), round(y, 1), f"{value:.3f} at {word}")
+        (round(x, 1), round(y, 1), f"{value:z.3f} at {word}")
         for x, y, value, word in zip(xs, ys, values, words, strict=True)
         if math.isfinite(y)
     ]

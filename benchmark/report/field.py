@@ -14,6 +14,7 @@ from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.panel import error_rows, slice_charts
 from benchmark.standings import Entry, best_first, compare_entries
+from benchmark.wording import counted
 from datagen.errors import DatagenError, UsageError
 from datagen.storage import Split
 
@@ -122,7 +123,7 @@ def _subtitle(field: Field) -> str:
     skipped = max(entry.n_skipped for entry in field.entries)
     fitted = "each model fitted on this track" if field.fit == OWN else f"all models fitted on {field.fit}"
     without = f", {skipped} of them without any object" if skipped else ""
-    return f"{scenes} test scenes{without}; {fitted}; dataset {field.entries[0].row.key.track_spec[:8]}."
+    return f"{counted(scenes, 'test scene')}{without}; {fitted}; dataset {field.entries[0].row.key.track_spec[:8]}."
 
 
 def _paper(track: str) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from benchmark.report.field import OWN, Field, Find, Truths, comparisons, facts,
 from benchmark.report.panel import LIMITS, Album, Limits, Painter
 from benchmark.results import check_runs
 from benchmark.standings import Entry, fields, load_standings
+from benchmark.wording import counted, seeds_in_words
 
 LARGEST = 14_000_000
 """Bytes that a page may have; reports with many models have fewer pictures."""
@@ -73,10 +74,13 @@ def _dataset(entry: Entry) -> tuple[str, str]:
 
 def _common(found: Sequence[Field], names: Sequence[str], numbers: Mapping[str, int]) -> dict[str, Any]:
     panels = [facts(field, numbers) for field in found]
+    tracks = list(dict.fromkeys(field.track for field in found))
     return {
         "title": TITLE,
         "models": names,
-        "tracks": list(dict.fromkeys(field.track for field in found)),
+        "lead": f"{counted(len(names), 'model')} on {counted(len(tracks), 'track')}",
+        "seeds": seeds_in_words(entry for field in found for entry in field.entries),
+        "tracks": tracks,
         "fits": sorted({field.fit for field in found}, key=lambda fit: (fit != OWN, fit)),
         "panels": panels,
         "start": panels[0]["first"],

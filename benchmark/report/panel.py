@@ -109,7 +109,7 @@ class Painter:
         maps = []
         for model in card.models:
             words = errors_in_words(self._analysis.objects, card.image, self._analysis.outcomes[model].errors)
-            score = f"{self._analysis.scores[model][scene]:.3f}"
+            score = f"{self._analysis.scores[model][scene]:z.3f}"
             maps.append([model, self._prediction(model, scene, images), score, words])
         rgb, truth = self._photograph(scene, images), self._truth(scene, images)
         return {"scene": scene, "where": ", ".join(where), "rgb": rgb, "truth": truth, "maps": maps}
@@ -125,7 +125,7 @@ class Painter:
             _strip_row("truth", self._truth(scene, chosen)),
         ]
         for model, scores in self._analysis.scores.items():
-            words = f"MSC-FG {scores[scene]:.3f}"
+            words = f"MSC-FG {scores[scene]:z.3f}"
             rows.append(_strip_row(names[model], self._prediction(model, scene, chosen), model=model, words=words))
         rows += [_strip_row(names[model], None, model=model, reason=why) for model, why in failed.items()]
         return {"scene": scene, "marks": marks, "rows": rows}

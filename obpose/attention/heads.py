@@ -30,8 +30,7 @@ class Heads(nn.Module):
     Deviations from the paper: the position enters the colour head through a linear layer, as in the authors' code,
     and is added to the first three channels of its output, times a constant (semi-convolutional embedding, Novotny et
     al. 2018), because without it nothing tells equal objects apart at the start. The pre-scope is read from the
-    embedding before that addition: whether a point is background should not change along the table, and its loss
-    should not move the seeds.
+    embedding before that addition: whether a point is background should not change along the table.
     """
 
     def __init__(self, backbone: BackboneConfig, attention: AttentionConfig):

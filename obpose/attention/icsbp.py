@@ -1,8 +1,8 @@
 """Instance colouring stick-breaking process for video (paper, section IC-SBP; Engelcke et al. 2021, GENESIS-V2).
 
 Everything is kept as logarithms. Which points are seeds is decided on the first frame, slot by slot and without
-gradients, and how far seeds move in later frames frame by frame; then all slots of all frames are computed at once, with
-gradients also into the embeddings of the seeds.
+gradients, and how far seeds move in later frames, frame by frame; then all slots of all frames are computed at once,
+with gradients also into the embeddings of the seeds.
 
 The paper's seeds stay where they were in the first frame. With embeddings that hold the position an object then slides
 out of its own mask: of an object that has moved, ours are moved by as much as the mean embedding under its mask has.

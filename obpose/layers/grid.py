@@ -70,7 +70,7 @@ def thin(grid: Grid, stride: int) -> tuple[Grid, Int[Tensor, " kept"]]:
     """Keeps one point of each cell of stride x stride: of those that are valid the nearest to its middle.
 
     Also gives their places among all points of the grid. Cells at the right and lower border may be smaller; one
-    without     a valid point stays without.
+    without a valid point stays without. The authors' code thins by farthest points, which the paper leaves open.
     """
     height, width = grid.valid.shape[1:]
     cells = F.pad(grid.valid, (0, -width % stride, 0, -height % stride))
@@ -88,7 +88,10 @@ def thin(grid: Grid, stride: int) -> tuple[Grid, Int[Tensor, " kept"]]:
 def upsample(
     features: Float[Tensor, "image rows columns channel"], valid: Bool[Tensor, "image rows columns"], *, like: Grid
 ) -> Float[Tensor, "image height width channel"]:
-    """Bilinear upsampling by two that leaves out what is not valid; 0 where nothing valid is near."""
+    """Bilinear upsampling by two that leaves out what is not valid; 0 where nothing valid is near.
+
+    The paper says trilinear; on the grid of an image there are two axes.
+    """
     height, width = like.valid.shape[1:]
     weight = valid[..., None].to(features.dtype)
     both = rearrange(torch.cat([features * weight, weight], dim=-1), "image y x channel -> image channel y x")

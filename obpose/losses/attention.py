@@ -1,14 +1,14 @@
 """Losses of the attention masks (paper, eq. attention_mask and the L2 loss below it).
 
-In both the decoder's part is a target: no gradient goes into it, as in the authors' code. `log_likelihood` is
-log N(x | c_k, sigma_std) as `obpose.losses.observation.log_likelihood` gives it, `log_share` log(sigma_hat_k /
-sigma_max). Deviation: means over the valid rays, not sums over all.
+In both the decoder's part is a target: no gradient goes into it, as in the authors' code, which has only the mixture.
+`log_likelihood` is log N(x | c_k, sigma_std) as `obpose.losses.observation.log_likelihood` gives it, `log_share`
+log(sigma_hat_k / sigma_max). Deviation: means over the valid rays, not sums over all.
 """
 
 import math
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from obpose.losses.observation import mean_over
@@ -18,7 +18,7 @@ def attention_mixture(
     log_masks: Float[Tensor, "batch frame component ray"],
     log_likelihood: Float[Tensor, "batch frame component ray channel"],
     log_share: Float[Tensor, "batch frame component ray"],
-    valid: Bool[Tensor, "batch frame ray"],
+    weight: Float[Tensor, "batch frame ray"],
     *,
     floor: float,
 ) -> Float[Tensor, ""]:
@@ -30,13 +30,13 @@ def attention_mixture(
     share = log_share.detach()[..., None]
     targets = torch.cat([log_likelihood.detach() + share, share], dim=-1)
     mixtures = torch.logsumexp(log_masks[..., None] + targets, dim=2)
-    return mean_over(-torch.logaddexp(mixtures, mixtures.new_tensor(floor)).sum(dim=-1), valid)
+    return mean_over(-torch.logaddexp(mixtures, mixtures.new_tensor(floor)).sum(dim=-1), weight)
 
 
 def attention_warmup(
     log_prescope: Float[Tensor, "batch frame 2 ray"],
     log_likelihood: Float[Tensor, "batch frame background ray channel"],
-    valid: Bool[Tensor, "batch frame ray"],
+    weight: Float[Tensor, "batch frame ray"],
     *,
     unknown: float,
 ) -> Float[Tensor, ""]:
@@ -47,14 +47,14 @@ def attention_warmup(
     background for the first thousand steps.
     """
     known = log_prescope[:, :, 0, :, None] + log_likelihood[:, :, 0].detach()
-    return mean_over(-torch.logaddexp(known, log_prescope[:, :, 1, :, None] + unknown).sum(dim=-1), valid)
+    return mean_over(-torch.logaddexp(known, log_prescope[:, :, 1, :, None] + unknown).sum(dim=-1), weight)
 
 
 def attention_l2(
     log_masks: Float[Tensor, "batch frame component ray"],
     log_likelihood: Float[Tensor, "batch frame component ray channel"],
     log_share: Float[Tensor, "batch frame component ray"],
-    valid: Bool[Tensor, "batch frame ray"],
+    weight: Float[Tensor, "batch frame ray"],
     *,
     std: float,
 ) -> Float[Tensor, ""]:
@@ -66,4 +66,4 @@ def attention_l2(
     match = (log_likelihood.detach().sum(dim=-1) - peak).exp()
     masks, share = log_masks.exp(), log_share.detach().exp()
     errors = (match - masks).square() * share + (masks - share).square()
-    return mean_over(errors.sum(dim=2), valid)
+    return mean_over(errors.sum(dim=2), weight)

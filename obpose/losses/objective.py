@@ -60,11 +60,11 @@ def loss_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
 
 
 def _observation_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
-    valid = evidence.rays.valid
+    weight = evidence.rays.weight
     return {
-        "colour": observation.colour_mixture(log_share(evidence.surface.logits), _likelihood(evidence, config), valid),
-        "surface": observation.surface(evidence.surface.logits, valid, sigma_max=config.sigma_max),
-        "air": observation.air(evidence.air.logits, evidence.inverse_rho, valid, sigma_max=config.sigma_max),
+        "colour": observation.colour_mixture(log_share(evidence.surface.logits), _likelihood(evidence, config), weight),
+        "surface": observation.surface(evidence.surface.logits, weight, sigma_max=config.sigma_max),
+        "air": observation.air(evidence.air.logits, evidence.inverse_rho, weight, sigma_max=config.sigma_max),
         "kl_background": kl(evidence.background),
     }
 
@@ -85,7 +85,7 @@ def _object_terms(evidence: Evidence, inference: Inference, config: LossConfig) 
 
 def _warmup_attention(evidence: Evidence, config: LossConfig) -> Tensor:
     log_prescope = _at_rays(evidence, evidence.log_prescope.mT)
-    return attention_warmup(log_prescope, _likelihood(evidence, config), evidence.rays.valid, unknown=config.unknown)
+    return attention_warmup(log_prescope, _likelihood(evidence, config), evidence.rays.weight, unknown=config.unknown)
 
 
 def _at_rays(evidence: Evidence, log_masks: Tensor) -> Tensor:
@@ -96,8 +96,8 @@ def _attention(evidence: Evidence, inference: Inference, config: LossConfig) -> 
     log_masks = _at_rays(evidence, inference.masks.log_masks)
     likelihood, share = _likelihood(evidence, config), log_share(evidence.surface.logits)
     if config.attention == "l2":
-        return attention_l2(log_masks, likelihood, share, evidence.rays.valid, std=config.colour_std)
-    return attention_mixture(log_masks, likelihood, share, evidence.rays.valid, floor=config.attention_floor)
+        return attention_l2(log_masks, likelihood, share, evidence.rays.weight, std=config.colour_std)
+    return attention_mixture(log_masks, likelihood, share, evidence.rays.weight, floor=config.attention_floor)
 
 
 def _likelihood(evidence: Evidence, config: LossConfig) -> Tensor:

@@ -1,13 +1,16 @@
-"""How well the fields explain what was observed (paper, L_obs). Means over the valid rays, in log space throughout."""
+"""How well the fields explain what was observed (paper, L_obs). Weighted means over rays, in log space throughout."""
 
 import math
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from obpose.nerf.compose import air_density, log_density
+
+_LEAST = 1e-6
+"""Weights that sum to less count as this."""
 
 ColourLikelihood = Literal["channel", "joint"]
 
@@ -28,7 +31,7 @@ def log_likelihood(
 def colour_mixture(
     log_share: Float[Tensor, "batch frame component ray"],
     log_likelihood: Float[Tensor, "batch frame component ray channel"],
-    valid: Bool[Tensor, "batch frame ray"],
+    weight: Float[Tensor, "batch frame ray"],
 ) -> Float[Tensor, ""]:
     """First term of L_obs (paper): -log sum_k N(x | c_k, std^2) sigma_hat_k / sigma_max, summed over channels.
 
@@ -36,30 +39,30 @@ def colour_mixture(
     paper's is one over the three together. No constant is added inside the logarithm: far colours keep a gradient.
     """
     mixture = torch.logsumexp(log_share[..., None] + log_likelihood, dim=2)
-    return mean_over(-mixture.sum(dim=-1), valid)
+    return mean_over(-mixture.sum(dim=-1), weight)
 
 
 def surface(
     logits: Float[Tensor, "batch frame component ray"],
-    valid: Bool[Tensor, "batch frame ray"],
+    weight: Float[Tensor, "batch frame ray"],
     *,
     sigma_max: float,
 ) -> Float[Tensor, ""]:
     """Second term of L_obs (paper): -log sigma(p_surface)."""
-    return mean_over(-log_density(logits) - math.log(sigma_max), valid)
+    return mean_over(-log_density(logits) - math.log(sigma_max), weight)
 
 
 def air(
     logits: Float[Tensor, "batch frame component ray"],
     inverse_rho: Float[Tensor, "batch frame ray"],
-    valid: Bool[Tensor, "batch frame ray"],
+    weight: Float[Tensor, "batch frame ray"],
     *,
     sigma_max: float,
 ) -> Float[Tensor, ""]:
     """Third term of L_obs (paper): sigma(p_air) / rho_air, with `air_density`'s continuation where it saturates."""
-    return mean_over(sigma_max * air_density(logits) * inverse_rho, valid)
+    return mean_over(sigma_max * air_density(logits) * inverse_rho, weight)
 
 
-def mean_over(values: Float[Tensor, "*shape"], valid: Bool[Tensor, "*shape"]) -> Float[Tensor, ""]:
-    """Mean of the valid values; 0 where there are none."""
-    return torch.where(valid, values, 0.0).sum() / valid.sum().clamp(min=1)
+def mean_over(values: Float[Tensor, "*shape"], weight: Float[Tensor, "*shape"]) -> Float[Tensor, ""]:
+    """Weighted mean; 0 where all weights are, whatever the values."""
+    return torch.where(weight > 0, values * weight, 0.0).sum() / weight.sum().clamp(min=_LEAST)

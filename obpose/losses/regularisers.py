@@ -12,7 +12,7 @@ def remaining_scope(
     log_scope: Float[Tensor, "batch frame point"], valid: Bool[Tensor, "batch frame point"]
 ) -> Float[Tensor, ""]:
     """What no slot has taken, s_K (paper, L_others). Deviation: the mean over valid points, not the sum."""
-    return mean_over(log_scope.exp(), valid)
+    return mean_over(log_scope.exp(), valid.to(log_scope.dtype))
 
 
 def translation(

@@ -44,11 +44,15 @@ def decode(
     workspace_center: Float[Tensor, "3"],
     workspace_size: float,
     colours: Colours,
+    floor: float | None = None,
 ) -> Decoded:
     """Density logits and colours of the components at world points seen along directions of any length.
 
-    Deviation from the authors' code: the background's points are not raw metres but -1..1 within the workspace, so that
-    its encoding has the same meaning for every dataset.
+    Addition: below the world's z = `floor`, where there is one, there are no objects. What lies on the table is the
+    background's then, also in an object's shadow, which the object's field would explain better.
+
+    Deviation from the authors' code: the background's points are not raw metres but -1..1 within the cube of edge
+    `workspace_size`, which holds the cameras as well, so that its encoding has the same meaning for every dataset.
     """
     directions = F.normalize(directions, dim=-1)
     background = decode_background(
@@ -60,7 +64,7 @@ def decode(
         workspace_size=workspace_size,
         colours=colours,
     )
-    inside = points_in_boxes(points, boxes, active)
+    inside = points_in_boxes(points, boxes, active, floor=floor)
     codes = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).at(inside.owner)
     logits, hidden = object_field.density(inside.points, codes)
     shape = (*z_what.shape[:3], points.shape[2])
@@ -93,11 +97,17 @@ def decode_background(
 
 
 def points_in_boxes(
-    points: Float[Tensor, "batch frame ray 3"], boxes: Boxes, active: Bool[Tensor, "batch slot"]
+    points: Float[Tensor, "batch frame ray 3"],
+    boxes: Boxes,
+    active: Bool[Tensor, "batch slot"],
+    *,
+    floor: float | None = None,
 ) -> InBox:
-    """Points that lie in boxes of active slots, box by box."""
+    """Points above the floor that lie in boxes of active slots, box by box."""
     in_box = to_box(points[:, :, None], boxes.center, boxes.rotation, boxes.size)
     inside = (in_box.abs() <= 1).all(dim=-1) & active[:, None, :, None]
+    if floor is not None:
+        inside &= (points[..., 2] > floor)[:, :, None]
     index = inside.flatten().nonzero()[:, 0]
     _, _, slots, rays = inside.shape
     owner = index // rays

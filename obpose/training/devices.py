@@ -13,9 +13,8 @@ from torch import Tensor
 from obpose.config import TrainConfig
 from obpose.errors import UsageError
 
-
 _MEMORY = {-1: 2**31 - 1, -2: 2**26, -3: 2**25}
-"""Options of mallopt(3): trim never; grow by 64 MiB; blocks of less than 32 MiB, the most it takes, come from it."""
+"""Options of mallopt(3): never trim; grow by 64 MiB; blocks under 32 MiB, the most it takes, come from the heap."""
 
 
 def make_fabric(device: str, config: TrainConfig) -> Fabric:

@@ -6,6 +6,7 @@ import pytest
 from rich.console import Console
 
 from benchmark.compare import Comparison, compare, comparison_table
+from benchmark.statistics import Difference
 from datagen.errors import UsageError
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
@@ -79,6 +80,16 @@ def test_the_table_shows_every_line(folder: Path):
     assert "A = a, B = b" in text
     assert f"{found[0].difference.mean:+.3f}" in text
     assert "resolvable" in text
+
+
+def test_no_difference_is_minus_zero():
+    nothing = Difference(mean=-1e-5, low=-1e-4, high=1e-4, p_value=1.0, win_rate=0.5, resolvable=0.1, n_scenes=1)
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(comparison_table([Comparison("moving", "moving", "ari", -1e-5, -1e-5, nothing, 1.0)], "a", "b"))
+    text = console.export_text()
+    assert "-0.000" not in text
+    assert "+0.000 +0.000" in text
+    assert "moving, 1 scene " in text
 
 
 def test_a_model_that_is_not_there_is_named(folder: Path):

@@ -57,6 +57,20 @@ def test_means_are_over_seeds_and_failures_are_told(folder: Path):
     assert (row["n_scenes"], row["n_frames"], row["n_identity_switches"]) == (str(N), str(2 * N), str(N))
 
 
+def test_runs_are_counted_apart_from_seeds(tmp_path: Path):
+    """Where seeds make no difference, one run stands for all."""
+    for name in ("chance", "fixed"):
+        for seed in range(3):
+            save_run(tmp_path, run_row(name, seed=seed, random=name == "chance"), scene_table({"ari_fg": [0.5] * 3}))
+    leaderboard.write(tmp_path)
+    found = {row["model"]: (row["n_seeds"], row["n_runs"]) for row in read(tmp_path / "leaderboard.csv")}
+    assert found == {"chance": ("3", "3"), "fixed": ("3", "1")}
+
+
+def test_no_figure_is_minus_zero():
+    assert leaderboard.to_csv([{"x": -1e-9}, {"x": -1e-6}]) == "x\n0.000000\n-0.000001\n"
+
+
 def test_seeds_and_scenes_have_lines_of_their_own(folder: Path):
     leaderboard.write(folder)
     seeds, scenes = read(folder / "per_seed.csv"), read(folder / "per_scene.csv")

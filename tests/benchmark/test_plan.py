@@ -7,8 +7,8 @@ import pytest
 import assets
 from benchmark import registry
 from benchmark.model_spec import ModelSpec
-from benchmark.plan import Plan, Request, make_plan
-from benchmark.results import RunRow, load_runs
+from benchmark.plan import Plan, Request, check_places, make_plan, superseded
+from benchmark.results import RunKey, RunRow, load_runs
 from benchmark.runner import blank_row
 from benchmark.tracks import Track, find_track
 from datagen.errors import UsageError
@@ -60,6 +60,30 @@ def test_rows_of_other_budgets_never_mix(register):
     assert len(keys) == 4
     register(budget=5.0)
     assert plan().keys == plan(seconds=5.0).keys
+
+
+def given(*seeds: int, digest: str, model: str = "mine") -> list[RunRow]:
+    """Rows of label maps made elsewhere."""
+    keys = [RunKey("moving", "moving", model, seed, 1, digest, "d", "d") for seed in seeds]
+    return [blank_row(key, None, status="ok") for key in keys]
+
+
+def test_label_maps_that_are_replaced_leave_no_seed_behind():
+    """A seed of other maps, or of another background slot, would stand among the new ones as if it were one of them."""
+    there = given(0, 1, 2, digest="old") + given(0, digest="old", model="yours")
+    assert superseded([row.key for row in given(0, 1, digest="new")], there) == there[:3]
+    assert superseded([row.key for row in given(0, 1, digest="old")], there) == []
+    assert superseded([row.key for row in given(0, 1, 2, 3, digest="old")], there) == []
+
+
+def test_seeds_of_a_model_that_were_not_asked_for_stay(register):
+    rows = done(plan(seeds=3, steps=5))
+    assert superseded(plan(seeds=2, steps=6).keys, rows) == list(rows[:2])
+
+
+def test_other_label_maps_of_the_same_name_are_refused():
+    with pytest.raises(UsageError, match=r"mine on moving .* label maps or --background-slot.*--name"):
+        check_places([given(0, digest="new")[0].key], given(0, digest="old"))
 
 
 def test_constants_of_a_model_are_part_of_the_key(register):

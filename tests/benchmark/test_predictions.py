@@ -12,6 +12,7 @@ from benchmark.cli import main
 from benchmark.clips import ClipSequence
 from benchmark.interface import Clip
 from benchmark.results import load_runs, load_scenes, pooled
+from benchmark.standings import load_standings
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.storage import Dataset, Split
 from tests.fabricated import write_dataset
@@ -96,6 +97,8 @@ def test_several_folders_are_several_seeds(data: Path, truths: list[np.ndarray],
     rows = load_runs(tmp_path / "out")
     assert [(row.key.model, row.key.seed) for row in rows] == [("mine", 0), ("mine", 1)]
     assert [pooled(load_scenes(tmp_path / "out", row), "msc_fg") for row in rows] == [1.0, 0.0]
+    (entry,) = load_standings(tmp_path / "out")
+    assert entry.best_known("msc_fg") == 0.5
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from benchmark import leaderboard, report
 from benchmark.report import page as page_module
 from benchmark.results import load_runs, save_row
 from datagen.errors import UsageError
+from tests.chosen_scores import run_row, save_run, scene_table
 from tests.fabricated_runs import MODELS, TRACKS, write_runs
 
 HOSTILE = "<script>alert(1)<&script>'\""
@@ -102,6 +103,18 @@ def test_every_model_and_track_is_there(page: Page) -> None:
     assert set(TRACKS) <= options
 
 
+def test_models_tracks_and_seeds_are_counted(page: Page, tmp_path: Path) -> None:
+    words = " ".join(page.text)
+    assert "6 models on 2 tracks." in words
+    assert "here models have 2 seeds." in words
+    save_run(tmp_path, run_row(n_scenes=1), scene_table({"ari_fg": [0.5]}))
+    report.write(tmp_path, {})
+    words = " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).text)
+    assert "1 model on 1 track." in words
+    assert "1 test scene;" in words
+    assert "here models have 1 seed." in words
+
+
 def test_names_of_models_cannot_become_code(text: str, page: Page) -> None:
     assert len(page.all("script")) == 3
     assert "<script>alert" not in text
@@ -118,7 +131,7 @@ def test_numbers_are_those_of_the_leaderboard(folder: Path, page: Page) -> None:
             if line[f"{metric}_mean"] in ("", "nan"):
                 continue
             values = [float(line[f"{metric}_{part}"]) for part in ("mean", "ci_low", "ci_high")]
-            mean, low, high = (f"{value:.3f}".replace("-", "−") for value in values)
+            mean, low, high = (f"{value:z.3f}".replace("-", "−") for value in values)
             assert any(mean in row and f"[{low}, {high}]" in row for row in rows), (line["model"], metric)
 
 

@@ -63,6 +63,27 @@ def test_a_learning_curve_is_a_file_of_its_own(tmp_path: Path):
     assert "learning_curve" not in json.loads(row_path(tmp_path, KEY).read_text())
 
 
+def test_costs_that_were_not_measured_are_null_in_the_file(tmp_path: Path):
+    """JSON has no nan, so that other readers could not read it."""
+    save_row(tmp_path, dataclasses.replace(ROW, status="failed", measured=Measured(math.nan, 2.0, math.inf)))
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    values = json.loads(row_path(tmp_path, KEY).read_text(), parse_constant=refuse)
+    assert values["measured"] == {"seconds_per_frame": None, "fit_seconds": 2.0, "peak_mib": None}
+    (row,) = load_runs(tmp_path)
+    assert math.isnan(row.measured.seconds_per_frame)
+    assert row.measured.fit_seconds == 2.0
+
+
+def test_rows_with_nan_from_older_versions_are_read(tmp_path: Path):
+    save_row(tmp_path, ROW)
+    text = row_path(tmp_path, KEY).read_text().replace('"fit_seconds": 2.0', '"fit_seconds": NaN')
+    row_path(tmp_path, KEY).write_text(text)
+    assert math.isnan(load_runs(tmp_path)[0].measured.fit_seconds)
+
+
 def test_rows_of_older_versions_are_read(tmp_path: Path):
     row = dataclasses.replace(ROW, learning_curve=None)
     save_row(tmp_path, row)

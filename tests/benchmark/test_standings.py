@@ -45,6 +45,24 @@ def test_a_method_without_randomness_has_no_spread():
     assert (thrice.low, thrice.high) == (once.low, once.high)
 
 
+def test_label_maps_made_elsewhere_are_seeds_of_one_entry():
+    """The digests of their contents, background slots included, stand in the place of settings."""
+    pairs = [scored("mine", 0.5 + 0.1 * seed, seed, kind="predictions", config_hash=f"c{seed}") for seed in range(3)]
+    rows, tables = zip(*pairs, strict=True)
+    (entry,) = standings(rows, tables)
+    assert [row.key.seed for row in entry.rows] == [0, 1, 2]
+    assert entry.summary("msc_fg").sample_std == pytest.approx(0.1)
+    models = [scored("net", 0.5, seed, config_hash=f"c{seed}") for seed in range(2)]
+    assert len(standings(*zip(*models, strict=True))) == 2
+
+
+def test_one_run_stands_for_all_seeds_where_they_make_no_difference():
+    fixed = [scored("fixed", 0.5, seed, random=False) for seed in range(3)]
+    chance = [scored("chance", 0.5, seed) for seed in range(3)]
+    entries = entries_of(*fixed, *chance)
+    assert (entries["fixed"].n_runs, entries["chance"].n_runs) == (1, 3)
+
+
 def test_models_are_ranked_by_both_metrics():
     """A model that is best in one metric and worst in the other loses to one that is second in both."""
     pairs = []

@@ -3,6 +3,7 @@ import re
 import numpy as np
 import pytest
 
+from benchmark.results import RunRow
 from benchmark.standings import Entry, standings
 from benchmark.tables import Board, Line, boards, latex, markdown, mean_and_std
 from tests.chosen_scores import failed_row, run_row, scene_table
@@ -90,16 +91,72 @@ def test_markdown_has_equally_many_cells_in_each_row(track: str):
 
 @pytest.mark.parametrize("track", ["moving", "textured"])
 def test_latex_is_well_formed(track: str):
-    text = latex(entries(track))
-    body = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
-    assert body.isascii()
-    assert body.count("{") == body.count("}")
-    assert body.count(r"\begin") == body.count(r"\end") == 3
-    columns = re.search(r"\\begin\{tabular\}\{([lrc ]+)\}", body)
-    assert columns
-    rows = [line for line in body.splitlines() if line.endswith(r"\\") and "multicolumn" not in line]
-    assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {len(columns[1].split()) - 1}
+    body = latex_body(latex(entries(track)))
+    assert nested_environments(body) == ["table*", "adjustbox", "tabular"]
+    assert len(set(widths(body))) == 1
     assert (r"\textcolor{gray}" in body) is (track == "moving")
+
+
+def test_names_cannot_break_latex():
+    name = "50%_of_a&b#c${d}~e^f\\g"
+    rows = [run_row(name, name, kind=kind, fit_track="x_%") for kind in ("floor", "learned", "predictions")]
+    body = latex_body(latex(standings(rows, [scene_table({"ari_fg": np.ones(3)})] * len(rows))))
+    assert nested_environments(body) == ["table*", "adjustbox", "tabular"]
+    assert len(set(widths(body))) == 1
+    assert r"50\%\_of\_a\&b\#c\$\{d\}\~{}e\^{}f\textbackslash{}g" in body
+    assert r"models fitted on x\_\%" in body
+
+
+def test_the_checks_of_latex_see_what_is_wrong():
+    body = latex_body(latex(entries()))
+    for wrong in (
+        body.replace(r"\end{adjustbox}", ""),
+        body.replace(r"\end{tabular}", r"\end{table}"),
+        body.replace("kmeans", "k_means"),
+        body.replace("kmeans", "k{means"),
+        body.replace("kmeans", "k%means"),
+        body.replace("kmeans", "k$means"),
+        body.replace("kmeans", "k&means"),
+        body.replace("l r c", "l r"),
+        body.replace("multicolumn{7}", "multicolumn{6}"),
+    ):
+        with pytest.raises(AssertionError):
+            assert wrong == body or (nested_environments(wrong) and len(set(widths(wrong))) == 1)
+
+
+def latex_body(text: str) -> str:
+    """Without the lines of notes."""
+    return "\n".join(line for line in text.splitlines() if not line.startswith("%"))
+
+
+def nested_environments(body: str) -> list[str]:
+    """Names of the environments, after a check that they, braces and dollars match, and nothing is left unescaped."""
+    assert body.isascii()
+    bare = re.sub(r"\\[\\%_&#${}~^]", "", body)
+    assert bare.count("{") == bare.count("}")
+    assert all(line.count("$") % 2 == 0 for line in bare.splitlines())
+    assert not re.search(r"[%#~]", bare)
+    assert not re.search(r"[_^]", re.sub(r"\$[^$]*\$", "", bare))
+    names, still_open = [], []
+    for command, name in re.findall(r"\\(begin|end)\{([^}]*)\}", body):
+        if command == "begin":
+            names.append(name)
+            still_open.append(name)
+        else:
+            assert still_open.pop() == name
+    assert still_open == []
+    return names
+
+
+def widths(body: str) -> list[int]:
+    """Columns of the table as declared, and of each of its rows."""
+    declared = re.search(r"\\begin\{tabular\}\{([lrc ]+)\}", body)
+    assert declared
+    found = [len(declared[1].split())]
+    for row in (line for line in body.splitlines() if line.endswith(r"\\")):
+        spans = [int(span) for span in re.findall(r"\\multicolumn\{(\d+)\}", row)]
+        found.append(len(re.findall(r"(?<!\\)&", row)) + 1 + sum(spans) - len(spans))
+    return found
 
 
 def test_reasons_of_failures_cannot_break_the_tables():
@@ -111,6 +168,52 @@ def test_reasons_of_failures_cannot_break_the_tables():
     assert rows[0].count("|") == 8
     assert len(rows[0]) < 200
     assert r"50 \% of \{x\}\_1 \& y | \textbackslash{}z and a second line" in latex(found)
+
+
+def test_notes_say_how_many_seeds_there_are():
+    def note(*rows: RunRow) -> str:
+        found = standings(rows, [scene_table({"ari_fg": np.ones(3)})] * len(rows))
+        return next(line for line in markdown(found).splitlines() if "under-cover" in line)
+
+    assert "here models have 2 seeds" in note(*(run_row("net", seed=seed) for seed in range(2)))
+    assert "here models have 1 seed." in note(run_row("net"))
+    assert "1 to 4 seeds" in note(*(run_row("net", seed=seed) for seed in range(4)), run_row("shipped"))
+    fixed = [run_row("fixed", seed=seed, random=False) for seed in range(3)]
+    assert "1 seed." in note(*fixed, run_row("net"))
+    assert "three" not in note(run_row("net"))
+
+
+def test_notes_name_the_models_that_were_run_once():
+    rows = [run_row(name, seed=seed, random=name == "net") for name in ("b", "a", "net") for seed in range(2)]
+    text = markdown(standings(rows, [scene_table({"ari_fg": np.ones(3)})] * len(rows)))
+    assert "- Run once, as seeds make no difference to them: a, b.\n" in text
+    assert "Run once" not in markdown(entries())
+
+
+def test_a_failure_that_stands_for_all_seeds_counts_once():
+    rows = [failed_row("fixed", seed=seed, random=False) for seed in range(3)]
+    assert "without the 1 failed of 1 seed (out of memory)" in markdown(standings(rows, [None] * 3))
+
+
+def test_titles_count_scenes():
+    assert "1 scene," in board_of(1).title
+    assert "2 scenes," in board_of(2).title
+
+
+def board_of(scenes: int) -> Board:
+    scores = scene_table({name: [np.nan] * scenes for name in ("ari_fg", "msc_fg")})
+    (found,) = boards(standings([run_row(n_scenes=scenes)], [scores]))
+    return found
+
+
+def test_no_figure_is_minus_zero():
+    assert mean_and_std(-0.001, 0.0) == "0.00±0.00"
+    assert mean_and_std(-0.01, 0.0) == "-0.01±0.00"
+    table = scene_table({"ari_fg": [-0.001], "msc_fg": [-0.001]})
+    (found,) = boards(standings([run_row(n_scenes=1)], [table]))
+    (line,) = found.blocks[0].lines
+    assert line.cells[1] == "0.00±0.00"
+    assert line.bold[1]
 
 
 def test_undefined_scores_are_dashes():

@@ -56,7 +56,7 @@ def test_trimesh(benchmark: BenchmarkFixture, shapes: Tensor):
 def test_training_step(benchmark: Any):
     clips = random_shapes(OBJECTS, 160).unflatten(0, (4, 5, 4))
     valid = torch.ones(clips.shape[:-1], dtype=torch.bool)
-    benchmark(lambda: orient(clips, valid, **SEARCH, tolerance=POSE.tolerance, min_points=POSE.min_points))
+    benchmark(lambda: orient(clips, valid, **SEARCH, tolerance=POSE.tolerance, min_points=POSE.min_pixels))
     assert 1000 * benchmark.stats.stats.median <= MOST_MILLISECONDS_A_STEP
 
 

@@ -36,7 +36,7 @@ def test_mixture_by_channel_agrees_with_the_formula():
     masks, share, floor = log_masks.double().exp(), log_share.double().exp(), math.exp(FLOOR)
     colour = torch.log((masks * share)[..., None].mul(_likelihood(colours)).sum(dim=2) + floor).sum(dim=-1)
     density = torch.log((masks * share).sum(dim=2) + floor)
-    loss = attention_mixture(log_masks, likelihood, log_share, valid, floor=FLOOR)
+    loss = attention_mixture(log_masks, likelihood, log_share, valid.float(), floor=FLOOR)
     torch.testing.assert_close(loss.double(), -(colour + density)[valid].mean(), rtol=1e-5, atol=0)
 
 
@@ -46,7 +46,7 @@ def test_joint_mixture_agrees_with_the_formula():
     masks, share, floor = log_masks.double().exp(), log_share.double().exp(), math.exp(FLOOR)
     colour = torch.log((masks * share * _likelihood(colours).prod(dim=-1)).sum(dim=2) + floor)
     density = torch.log((masks * share).sum(dim=2) + floor)
-    loss = attention_mixture(log_masks, likelihood, log_share, valid, floor=FLOOR)
+    loss = attention_mixture(log_masks, likelihood, log_share, valid.float(), floor=FLOOR)
     torch.testing.assert_close(loss.double(), -(colour + density)[valid].mean(), rtol=1e-5, atol=0)
 
 
@@ -57,7 +57,7 @@ def test_l2_agrees_with_the_formula(likelihood: ColourLikelihood):
     masks, share = log_masks.double().exp(), log_share.double().exp()
     match = (_likelihood(colours) * STD * math.sqrt(2 * math.pi)).prod(dim=-1)
     expected = ((match - masks) ** 2 * share + (masks - share) ** 2).sum(dim=2)[valid].mean()
-    loss = attention_l2(log_masks, values, log_share, valid, std=STD)
+    loss = attention_l2(log_masks, values, log_share, valid.float(), std=STD)
     torch.testing.assert_close(loss.double(), expected, rtol=1e-5, atol=0)
 
 
@@ -66,7 +66,7 @@ def test_l2_is_zero_for_right_masks_of_one_opaque_component_with_the_right_colou
     log_masks[:, :, 2] = 0
     target = _target()
     values = log_likelihood(target[:, :, None].expand(-1, -1, 5, -1, -1), target, std=STD, likelihood="channel")
-    loss = attention_l2(log_masks, values, log_masks, torch.ones(2, 3, 7, dtype=torch.bool), std=STD)
+    loss = attention_l2(log_masks, values, log_masks, torch.ones(2, 3, 7), std=STD)
     assert loss.item() == pytest.approx(0, abs=1e-6)
 
 
@@ -77,7 +77,7 @@ def test_the_mixture_is_least_at_masks_that_take_the_component_that_explains_the
     values = log_likelihood(colours, _target(), std=0.02, likelihood="channel")
     certain = (100 * torch.eye(5)).log_softmax(dim=-1)
     losses = [
-        attention_mixture(row[:, None].expand(SHAPE), values, share, valid, floor=FLOOR).item() for row in certain
+        attention_mixture(row[:, None].expand(SHAPE), values, share, valid.float(), floor=FLOOR).item() for row in certain
     ]
     assert losses.index(min(losses)) == 3
 
@@ -88,7 +88,7 @@ def test_the_decoder_gets_no_gradient_and_invalid_rays_give_none():
     for loss in (attention_mixture, attention_l2):
         option = {"floor": FLOOR} if loss is attention_mixture else {"std": STD}
         inputs = [value.clone().requires_grad_() for value in (log_masks, values, log_share)]
-        result = loss(inputs[0], inputs[1], inputs[2], valid, **option)
+        result = loss(inputs[0], inputs[1], inputs[2], valid.float(), **option)
         gradients = torch.autograd.grad(result, inputs, allow_unused=True)
         assert gradients[0] is not None
         assert gradients[0].movedim(2, -1)[~valid].eq(0).all()
@@ -104,7 +104,7 @@ def test_finite_with_finite_gradients_at_extremes_also_for_one_that_nothing_expl
     for loss in (attention_mixture, attention_l2):
         option = {"floor": FLOOR} if loss is attention_mixture else {"std": STD}
         masks = log_masks.clone().requires_grad_()
-        result = loss(masks, values, log_share, valid, **option)
+        result = loss(masks, values, log_share, valid.float(), **option)
         (gradient,) = torch.autograd.grad(result, masks)
         assert result.isfinite()
         assert gradient.isfinite().all()
@@ -113,13 +113,13 @@ def test_finite_with_finite_gradients_at_extremes_also_for_one_that_nothing_expl
 def test_the_floor_bounds_what_a_ray_can_cost():
     log_masks, colours, log_share, valid = _fields()
     values = log_likelihood(colours + 100, _target(), std=STD, likelihood="channel")
-    loss = attention_mixture(log_masks, values, log_share - 1e4, valid, floor=FLOOR)
+    loss = attention_mixture(log_masks, values, log_share - 1e4, valid.float(), floor=FLOOR)
     assert loss.item() == pytest.approx(-4 * FLOOR)
 
 
 def test_no_valid_ray_no_loss():
     log_masks, colours, log_share, valid = _fields()
     values = log_likelihood(colours, _target(), std=STD, likelihood="channel")
-    nothing = torch.zeros_like(valid)
+    nothing = torch.zeros(valid.shape)
     assert attention_mixture(log_masks, values, log_share, nothing, floor=FLOOR).item() == 0
     assert attention_l2(log_masks, values, log_share, nothing, std=STD).item() == 0

@@ -23,7 +23,7 @@ def example(dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Ten
 def colour_loss(
     logits: torch.Tensor, colours: torch.Tensor, target: torch.Tensor, valid: torch.Tensor, kind: ColourLikelihood
 ):
-    return colour_mixture(log_share(logits), log_likelihood(colours, target, std=STD, likelihood=kind), valid)
+    return colour_mixture(log_share(logits), log_likelihood(colours, target, std=STD, likelihood=kind), valid.to(logits.dtype))
 
 
 def direct_share(logits: torch.Tensor) -> torch.Tensor:
@@ -68,7 +68,7 @@ def test_the_order_of_the_components_does_not_matter():
 def test_a_colour_that_is_far_off_is_still_pulled(kind: ColourLikelihood):
     colours = torch.zeros(1, 1, 2, 1, 3, requires_grad=True)
     logits = torch.tensor([5.0, OUTSIDE]).view(1, 1, 2, 1)
-    loss = colour_loss(logits, colours, torch.ones(1, 1, 1, 3), torch.ones(1, 1, 1, dtype=torch.bool), kind)
+    loss = colour_loss(logits, colours, torch.ones(1, 1, 1, 3), torch.ones(1, 1, 1), kind)
     (gradient,) = torch.autograd.grad(loss, colours)
     torch.testing.assert_close(gradient[0, 0, 0, 0], torch.full((3,), -1 / STD**2))
     assert (gradient[0, 0, 1] == 0).all()
@@ -77,7 +77,7 @@ def test_a_colour_that_is_far_off_is_still_pulled(kind: ColourLikelihood):
 def test_the_surface_term_is_the_log_of_the_density():
     logits, *_, valid = example()
     expected = -(10 * direct_share(logits).sum(dim=2)).log()[valid].mean()
-    assert surface(logits, valid, sigma_max=10.0).item() == pytest.approx(expected.item(), rel=1e-5)
+    assert surface(logits, valid.to(logits.dtype), sigma_max=10.0).item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 def test_the_air_term_is_the_weighted_density():
@@ -85,7 +85,7 @@ def test_the_air_term_is_the_weighted_density():
     logits = logits.clamp(max=0.2)
     inverse_rho = torch.rand(valid.shape) + 0.5
     expected = (10 * direct_share(logits).sum(dim=2) * inverse_rho)[valid].mean()
-    assert air(logits, inverse_rho, valid, sigma_max=10.0).item() == pytest.approx(expected.item(), rel=1e-5)
+    assert air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0).item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 def test_invalid_rays_have_no_say():
@@ -98,8 +98,8 @@ def test_invalid_rays_have_no_say():
         inverse_rho = torch.where(valid, 1.0, weight)
         return (
             colour_loss(logits, colours, target, valid, "channel")
-            + surface(logits, valid, sigma_max=10.0)
-            + air(logits, inverse_rho, valid, sigma_max=10.0)
+            + surface(logits, valid.to(logits.dtype), sigma_max=10.0)
+            + air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0)
         )
 
     torch.testing.assert_close(total(spoiled, 1e6), total(target, 1.0))
@@ -109,7 +109,7 @@ def test_invalid_rays_have_no_say():
 
 def test_a_clip_without_valid_rays_has_no_loss():
     logits, colours, target, valid = example()
-    nothing = torch.zeros_like(valid)
+    nothing = torch.zeros(valid.shape)
     assert colour_loss(logits, colours, target, nothing, "channel") == 0
     assert surface(logits, nothing, sigma_max=10.0) == 0
 
@@ -119,6 +119,6 @@ def test_everything_is_finite_where_nothing_is_dense():
     logits = torch.full(SHAPE, OUTSIDE)
     logits[:, :, 0] = -1e4
     logits.requires_grad_()
-    total = colour_loss(logits, colours, target, valid, "channel") + surface(logits, valid, sigma_max=10.0)
+    total = colour_loss(logits, colours, target, valid, "channel") + surface(logits, valid.to(logits.dtype), sigma_max=10.0)
     assert total.isfinite()
     assert torch.autograd.grad(total, logits)[0].isfinite().all()

@@ -28,9 +28,9 @@ class World:
     points: torch.Tensor
     directions: torch.Tensor
 
-    def decode(self, colours: Colours = "with") -> Decoded:
+    def decode(self, colours: Colours = "with", *, floor: float | None = None) -> Decoded:
         parts = (getattr(self, field.name) for field in fields(self))
-        return decode(*parts, workspace_center=MIDDLE, workspace_size=1.0, colours=colours)
+        return decode(*parts, workspace_center=MIDDLE, workspace_size=1.0, colours=colours, floor=floor)
 
     def scene(self, place: int) -> "World":
         one = slice(place, place + 1)
@@ -70,6 +70,14 @@ def test_evaluation_in_boxes_alone_is_dense_evaluation_masked(world: World):
     torch.testing.assert_close(decoded.logits[:, :, 1:], torch.where(inside, logits, OUTSIDE))
     assert decoded.colours is not None
     torch.testing.assert_close(decoded.colours[:, :, 1:], torch.where(inside[..., None], colours, 0.0))
+
+
+def test_objects_end_at_the_floor_and_the_background_does_not(world: World):
+    free, standing = world.decode(), world.decode(floor=0.02)
+    above = (world.points[..., 2] > 0.02)[:, :, None]
+    assert 0.1 < above.float().mean() < 0.9
+    torch.testing.assert_close(standing.logits[:, :, :1], free.logits[:, :, :1])
+    torch.testing.assert_close(standing.logits[:, :, 1:], torch.where(above, free.logits[:, :, 1:], OUTSIDE))
 
 
 def test_the_background_is_evaluated_everywhere_in_workspace_coordinates(world: World):

@@ -11,7 +11,8 @@ def rays_of_depth(depth: torch.Tensor) -> Rays:
     """Side by side along a direction that is not of unit length, one metre of planar depth to one of z."""
     ones = torch.ones(*depth.shape, 3)
     direction = torch.tensor([0.5, -0.2, 1.0]).expand_as(ones)
-    return Rays(torch.zeros(depth.shape, dtype=torch.long), depth > 0, ones, 0 * ones, direction, depth)
+    seen = depth > 0
+    return Rays(torch.zeros(depth.shape, dtype=torch.long), seen, seen.float(), ones, 0 * ones, direction, depth)
 
 
 def generator(seed: int = 0) -> torch.Generator:

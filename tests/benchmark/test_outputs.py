@@ -1,0 +1,66 @@
+"""What stands on the screen after a run."""
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Console
+
+from benchmark.outputs import FILE_WIDTH, means_table
+from benchmark.results import RunRow, SceneTable
+from benchmark.standings import standings
+from tests.chosen_scores import failed_row, run_row, scene_table
+
+Run = tuple[RunRow, SceneTable | None]
+
+
+def scored(model: str, score: float, *, track: str = "moving", seed: int = 0, **changes: object) -> Run:
+    return run_row(model, track, seed, **changes), scene_table({"ari_fg": [score] * 3, "msc_fg": [score] * 3})
+
+
+def printed(runs: Sequence[Run]) -> list[str]:
+    console = Console(width=FILE_WIDTH, file=io.StringIO())
+    console.print(means_table(standings(*zip(*runs, strict=True))))
+    assert isinstance(console.file, io.StringIO)
+    return [line.strip() for line in console.file.getvalue().splitlines() if line.strip()]
+
+
+def test_models_stand_in_the_order_of_their_ranks_track_by_track():
+    scores = {"bad": 0.2, "best": 0.9, "good": 0.7}
+    runs = [scored(model, score, track=track) for track in ("moving", "static") for model, score in scores.items()]
+    runs += [scored("a-floor", 0.1, kind="floor"), scored("an-oracle", 1.0, kind="oracle", uses_labels=True)]
+    places = [tuple(line.split()[:2]) for line in printed(runs)[1:]]
+    assert places[:5] == [("moving", name) for name in ("best", "good", "bad", "an-oracle", "a-floor")]
+    assert places[5:8] == [("static", name) for name in ("best", "good", "bad")]
+
+
+def test_marks_are_explained_beneath_where_they_occur():
+    marked = [scored("a", 0.9, uses_labels=True), scored("b", 0.8, tuned=True), scored("c", 0.7, pretrained="c.pt")]
+    assert [line[0] for line in printed(marked)[-3:]] == ["†", "‡", "§"]
+    text = "\n".join(printed([scored("b", 0.8, tuned=True)]))
+    assert text.count("‡") == 2
+    assert "†" not in text
+    assert "§" not in text
+
+
+def test_seeds_are_those_that_were_run():
+    """Where seeds make no difference, one run stands for all of them, and its failure too."""
+    runs = [scored("chance", 0.5, seed=seed) for seed in range(3)]
+    runs += [scored("fixed", 0.4, seed=seed, random=False) for seed in range(3)]
+    runs += [(failed_row("broken", seed=seed, random=False), None) for seed in range(3)]
+    runs += [scored("shaky", 0.3), (failed_row("shaky", seed=1), None)]
+    lines = printed(runs)
+    found = {line.split()[1]: " ".join(line.split()[2:5]) for line in lines if line.startswith("moving")}
+    assert found["chance"].split()[0] == "3"
+    assert found["fixed"].split()[0] == "1"
+    assert found["broken"] == "0 of 1"
+    assert found["shaky"] == "1 of 2"
+    assert any("were run once" in line and "broken, fixed" in line for line in lines)
+
+
+def test_no_figure_is_minus_zero():
+    lines = printed([scored("m", -1e-5)])
+    assert "0.000" in lines[1]
+    assert "-0.000" not in lines[1]
+    assert "-0.001" in printed([scored("m", -0.001)])[1]
+    assert not np.isnan(float(lines[1].split()[-1]))
