@@ -24,7 +24,7 @@ from obpose.layers.kpconv import KPConv, influence
 
 @dataclass(frozen=True, eq=False)
 class BackboneOutput:
-    """The grid of embeddings, half as fine as that which was encoded."""
+    """The grid of embeddings."""
 
     points: Float[Tensor, "image height width 3"]
     """World frame, metres; 0 where not valid."""
@@ -56,7 +56,7 @@ class Level:
 
 
 class Backbone(nn.Module):
-    """Encoder over all levels, decoder back to the second, and a code of the scene from the deepest."""
+    """Encoder over all levels, decoder back to the `output_level`, and a code of the scene from the deepest."""
 
     kernel: Tensor
 
@@ -141,7 +141,9 @@ class Backbone(nn.Module):
         features = on_grid(skips[-1], levels[-1].grid)
         for depth in range(len(levels) - 2, self.config.output_level - 1, -1):
             fine = on_grid(skips[depth], levels[depth].grid)
-            features = self.up[depth - self.config.output_level](features, levels[depth + 1].grid, fine, levels[depth].grid)
+            features = self.up[depth - self.config.output_level](
+                features, levels[depth + 1].grid, fine, levels[depth].grid
+            )
         return features
 
 

@@ -17,7 +17,7 @@ class BackboneConfig:
     """Take every n-th pixel of the image in both directions. [ours]"""
     widths: tuple[int, ...] = (16, 32, 64, 64)
     """Channels a level; each level has half the resolution of the one before. [code]"""
-    blocks: tuple[int, ...] = (1, 1, 1, 1)
+    blocks: tuple[int, ...] = (0, 1, 1, 1)
     """Residual blocks a level, beside the one that goes down to it. [code: 1, 2, 2, 2]"""
     radius: float = 2.0
     """Radius of a KPConv neighbourhood in units of the distance between neighbouring points of the level.
@@ -52,7 +52,7 @@ class AttentionConfig:
     idle_points: int = 2
     """At evaluation a slot is idle unless so many points of the first frame have a remaining scope over `idle_scope`; 0
     for no idle slots. [ours]"""
-    idle_scope: float = 0.5
+    idle_scope: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class TrainConfig:
     """Clips a step."""
     frames: int = 5
     """Frames of a training window; whole clips where they are shorter. [code]"""
-    rays: int = 512
+    rays: int = 256
     """Pixels a frame at which the fields are evaluated, over all views; 0 for all. [ours]"""
     object_rays: float = 0.5
     """Share of the rays drawn where the pre-scope is large, less than 1; weights make up for it. [ours]"""

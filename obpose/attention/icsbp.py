@@ -27,8 +27,12 @@ Idle = Literal["never", "bernoulli", "threshold"]
 EXCLUDED = -1e4
 """Log mask of an idle slot, and of all slots at an invalid point: lower than any other, finite in half precision."""
 
+_SHARPNESS = 3
+"""Power of the mask by which the mean embedding is weighted: traces of it on a whole table are not to count."""
+_LOOKS = 2
+"""So often a seed moves to the mean of its mask, from where it was in the frame before."""
 _SEEN = 0.5
-"""A mask that sums to less, in points, covers nothing of which the middle could be told."""
+"""A mask whose powers sum to less, in points, covers nothing of which the middle could be told."""
 
 
 class ICSBP(nn.Module):
@@ -85,21 +89,23 @@ class ICSBP(nn.Module):
         first: Float[Tensor, "batch 1 slot colour"],
         active: Bool[Tensor, "batch slot"],
     ) -> Float[Tensor, "batch frame slot colour"]:
-        """How far the mean embedding under each mask has moved when each frame begins, since it was first seen.
+        """How far the mean embedding under each mask has moved since it was first seen, frame by frame.
 
-        While a mask covers next to nothing, as of an object out of sight, the seed waits.
+        A mask around the seed of the frame before shows where the seed is to move. While that mask covers next to
+        nothing, as of an object out of sight, the seed waits.
         """
         moved, start, shift = [], torch.full_like(first, math.nan), torch.zeros_like(first)
         for frame in range(colour.shape[1]):
-            moved.append(shift)
             here = slice(frame, frame + 1)
-            alpha = self._log_alpha(colour[:, here], first + shift)
-            masks = _break_sticks(alpha, log_prescope[:, here], valid[:, here], active).log_masks[:, :, 1:].exp()
-            total = masks.sum(dim=-1, keepdim=True)
-            mean = masks @ colour[:, here] / total.clamp(min=_SEEN)
-            seen = total >= _SEEN
-            start = torch.where(seen & start.isnan(), mean, start)
-            shift = torch.where(seen, mean - start, shift)
+            for _ in range(_LOOKS if frame else 1):
+                alpha = self._log_alpha(colour[:, here], first + shift)
+                masks = _break_sticks(alpha, log_prescope[:, here], valid[:, here], active).log_masks[:, :, 1:]
+                sharp = (_SHARPNESS * masks).exp()
+                total = sharp.sum(dim=-1, keepdim=True)
+                mean, seen = sharp @ colour[:, here] / total.clamp(min=_SEEN), total >= _SEEN
+                start = torch.where(seen & start.isnan(), mean, start)
+                shift = torch.where(seen, mean - start, shift)
+            moved.append(shift)
         return torch.cat(moved, dim=1)
 
     @torch.no_grad()

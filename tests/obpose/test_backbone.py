@@ -2,7 +2,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from obpose.backbone import Backbone, BackboneOutput
+from obpose.backbone import Backbone, BackboneOutput, standard_colours
 from obpose.config import BackboneConfig
 
 SPACING = 0.015
@@ -41,7 +41,7 @@ def backbone() -> Backbone:
     [((64, 64), 1, (32, 32)), ((80, 60), 1, (40, 30)), ((61, 47), 1, (31, 24)), ((128, 128), 2, (32, 32))],
 )
 def test_any_size_of_image(size: tuple[int, int], stride: int, grid: tuple[int, int]):
-    config = BackboneConfig(input_stride=stride, widths=(8, 16, 16, 16))
+    config = BackboneConfig(input_stride=stride, output_level=1, widths=(8, 16, 16, 16))
     backbone = Backbone(config)
     out = encode(backbone, *cloud(1, *size))
     assert backbone.grid_size(*size) == grid
@@ -129,4 +129,15 @@ def test_gradients_are_finite_even_of_an_image_without_points(backbone: Backbone
 
 def test_levels_without_blocks_and_with_two():
     backbone = Backbone(BackboneConfig(widths=(8, 16, 16), blocks=(0, 2, 0)))
-    assert encode(backbone, *cloud(1, 16, 16)).embedding.shape == (1, 8, 8, 16)
+    assert encode(backbone, *cloud(1, 16, 16)).embedding.shape == (1, 16, 16, 16)
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_embeddings_are_those_of_the_points_that_the_output_level_has(level: int):
+    backbone = Backbone(BackboneConfig(widths=(8, 16, 16), blocks=(0, 1, 1), output_level=level))
+    points, rgb, valid = cloud(1, 12, 10)
+    out = encode(backbone, points, rgb, valid)
+    assert backbone.grid_size(12, 10) == tuple(out.valid.shape[1:])
+    nearest = torch.cdist(out.points[out.valid], points[valid]).min(dim=-1)
+    assert (nearest.values < 1e-4).all()
+    torch.testing.assert_close(out.rgb[out.valid], standard_colours(rgb)[valid][nearest.indices])

@@ -77,7 +77,8 @@ def test_the_mixture_is_least_at_masks_that_take_the_component_that_explains_the
     values = log_likelihood(colours, _target(), std=0.02, likelihood="channel")
     certain = (100 * torch.eye(5)).log_softmax(dim=-1)
     losses = [
-        attention_mixture(row[:, None].expand(SHAPE), values, share, valid.float(), floor=FLOOR).item() for row in certain
+        attention_mixture(row[:, None].expand(SHAPE), values, share, valid.float(), floor=FLOOR).item()
+        for row in certain
     ]
     assert losses.index(min(losses)) == 3
 

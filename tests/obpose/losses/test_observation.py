@@ -23,7 +23,9 @@ def example(dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Ten
 def colour_loss(
     logits: torch.Tensor, colours: torch.Tensor, target: torch.Tensor, valid: torch.Tensor, kind: ColourLikelihood
 ):
-    return colour_mixture(log_share(logits), log_likelihood(colours, target, std=STD, likelihood=kind), valid.to(logits.dtype))
+    return colour_mixture(
+        log_share(logits), log_likelihood(colours, target, std=STD, likelihood=kind), valid.to(logits.dtype)
+    )
 
 
 def direct_share(logits: torch.Tensor) -> torch.Tensor:
@@ -85,7 +87,9 @@ def test_the_air_term_is_the_weighted_density():
     logits = logits.clamp(max=0.2)
     inverse_rho = torch.rand(valid.shape) + 0.5
     expected = (10 * direct_share(logits).sum(dim=2) * inverse_rho)[valid].mean()
-    assert air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0).item() == pytest.approx(expected.item(), rel=1e-5)
+    assert air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0).item() == pytest.approx(
+        expected.item(), rel=1e-5
+    )
 
 
 def test_invalid_rays_have_no_say():
@@ -119,6 +123,8 @@ def test_everything_is_finite_where_nothing_is_dense():
     logits = torch.full(SHAPE, OUTSIDE)
     logits[:, :, 0] = -1e4
     logits.requires_grad_()
-    total = colour_loss(logits, colours, target, valid, "channel") + surface(logits, valid.to(logits.dtype), sigma_max=10.0)
+    total = colour_loss(logits, colours, target, valid, "channel") + surface(
+        logits, valid.to(logits.dtype), sigma_max=10.0
+    )
     assert total.isfinite()
     assert torch.autograd.grad(total, logits)[0].isfinite().all()

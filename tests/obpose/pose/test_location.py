@@ -29,10 +29,10 @@ def test_with_hard_masks_it_is_the_centroid_of_the_observed_points():
                 torch.testing.assert_close(center[batch, frame, slot], points[batch, frame, mine].mean(dim=0))
 
 
-def test_with_soft_masks_it_is_the_weighted_mean():
+def test_with_soft_masks_it_is_the_mean_weighted_by_their_cubes():
     _, points, valid = clip(1, 1, 50)
     masks = torch.randn(1, 1, SLOTS + 1, 50, generator=torch.Generator().manual_seed(1)).softmax(dim=2)
-    weights = masks[0, 0, 1:] * valid[0, 0]
+    weights = masks[0, 0, 1:] ** 3 * valid[0, 0]
     expected = (weights @ points[0, 0]) / weights.sum(dim=-1, keepdim=True)
     torch.testing.assert_close(observed_center(masks.log(), points, valid, min_points=0)[0, 0], expected)
 
@@ -89,3 +89,11 @@ def test_a_clip_does_not_depend_on_its_batch_mates(batch: int):
 def test_there_is_no_gradient_into_the_masks():
     owner, points, valid = clip(1, 2, 40)
     assert not observed_center(hard_masks(owner).requires_grad_(), points, valid, min_points=1).requires_grad
+
+
+def test_traces_of_the_mask_on_the_table_do_not_move_the_center_of_a_small_object():
+    points = torch.cat([torch.full((10, 3), 0.3), 2 * torch.rand(1000, 3) - 1])[None, None]
+    mask = torch.cat([torch.full((10,), 0.9), torch.full((1000,), 0.01)])
+    log_masks = torch.stack([1 - mask, mask]).log()[None, None]
+    center = observed_center(log_masks, points, torch.ones(1, 1, 1010, dtype=torch.bool), min_points=1)
+    torch.testing.assert_close(center[0, 0, 0], points[0, 0, 0], atol=1e-3, rtol=0)
