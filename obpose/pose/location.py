@@ -24,9 +24,11 @@ def observed_center(
 
     The paper takes the plain mean of the points whose largest mask is the slot's; a soft mean is smooth and never of an
     empty set. In the authors' code it is weighted by the mask itself. A hundredth of the mask at each of a thousand
-    points of the table then weighs as much as a small object, and pulls T away by centimetres; its cube does not. Where fewer than `min_points` points have the slot's mask as their largest, T
-    is that of the last frame with enough of them (or of the first frame). The authors keep that frame's corrected
-    location T_hat, which `where` then corrects again; ours keeps T.
+    points of the table then weighs as much as a small object, and pulls T away by centimetres; its cube does not.
+
+    Where fewer than `min_points` points have the slot's mask as their largest, T is that of the last frame with enough
+    of them (or of the first frame). The authors keep that frame's corrected location T_hat, which `where` then corrects
+    again; ours keeps T.
     """
     center = _soft_mean(log_masks[:, :, 1:], points, valid)
     seen = count_points(log_masks, valid) >= min_points
