@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from benchmark.plan import Plan
 from benchmark.runner import Job
+from benchmark.wording import counted
 
 SCENE_SECONDS = 0.1
 """To make a scene of ten frames on one core; docs/performance.md has it measured."""
@@ -55,7 +56,7 @@ def in_words(found: Estimate) -> str:
     """One line for people who wait."""
     parts = (("to make scenes", found.data), ("to train", found.training), ("to score", found.scoring))
     minutes = ", ".join(f"{math.ceil(seconds / 60)} {what}" for what, seconds in parts if seconds)
-    return f"This takes about {math.ceil(found.total / 60)} minutes, less where a run goes on: {minutes}."
+    return f"This takes about {counted(math.ceil(found.total / 60), 'minute')}, less where a run goes on: {minutes}."
 
 
 def time_limit(job: Job) -> float:

@@ -80,9 +80,11 @@ def read_config(folder: Path) -> Config:
         facts = json.loads(path.read_text())
         version, plain = facts["version"], facts["config"]
     except (ValueError, KeyError, TypeError):
-        raise CorruptFile(f"{path} is damaged.") from None
+        raise CorruptFile(f"{path} is damaged; train again into another folder.") from None
     if version != VERSION:
         raise UsageError(f"{path} is of version {version}, expected {VERSION}; train again, or use that version.")
+    if not isinstance(plain, dict):
+        raise CorruptFile(f"{path} is damaged; train again into another folder.")
     return from_plain(plain)
 
 
@@ -109,10 +111,11 @@ def load_training(folder: Path, config: Config) -> TrainingState | None:
     """The unfinished or finished training of a folder; None if nothing was begun there.
 
     Raises:
-        UsageError: it is one of another configuration; says what differs.
+        UsageError: it is one of another configuration (says what differs), or the files there are somebody else's.
         CorruptFile: a file is damaged.
     """
     if not (folder / CONFIG).exists():
+        _check_free(folder)
         return None
     if different := differences(read_config(folder), config):
         raise UsageError(
@@ -123,8 +126,21 @@ def load_training(folder: Path, config: Config) -> TrainingState | None:
     parts: dict[str, State] = {"model": {}, "optimizer": {}}
     for name, tensor in tensors.items():
         part, _, rest = name.partition(".")
+        if part not in parts:
+            raise CorruptFile(
+                f"{folder / TRAINING} is no training: it holds {name!r}; delete the folder to begin anew."
+            )
         parts[part][rest] = tensor
     return TrainingState(parts["model"], parts["optimizer"], info)
+
+
+def _check_free(folder: Path) -> None:
+    """That no work is lost where a training begins; a kill during the very first save leaves files of step 0."""
+    for name in (TRAINING, MODEL):
+        if (folder / name).exists() and _read_tensors(folder / name)[1].get("step") != 0:
+            raise UsageError(
+                f"{folder} has a {name} but no {CONFIG}; it would be overwritten. Give another --out, or move it away."
+            )
 
 
 def _write_tensors(path: Path, tensors: State, info: Info) -> None:

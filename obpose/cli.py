@@ -20,12 +20,14 @@ from rich.console import Console
 from benchmark.tracks import DataFolder, Track, find_track
 from obpose.arguments import Train
 from obpose.config import PROFILES, VARIANTS, Config, make_config
+from obpose.config_bounds import check_bounds
 from obpose.config_text import parse_changes
-from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError
+from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError, is_out_of_memory
 from obpose.scene_bar import scene_bar
 
 PROGRAM = "obpose-train"
 RUNS = Path("runs")
+MOST_THREADS = 1024
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,6 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        return _fail("Out of memory; give smaller --set train.batch, train.frames or train.rays.", EXIT_INCOMPLETE)
 
 
 def run(values: Train) -> int:
@@ -65,6 +71,7 @@ def run(values: Train) -> int:
     val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
     measured = measure_scene(source).changes()
     config = make_config(values.variant, values.profile, **(_chosen(values, data) | measured | changes))
+    check_bounds(config)
     console.print(f"Training {values.variant} on {data.name}, {_in_words(config)}, into {out}", markup=False)
     with progress_bar(console) as report:
         trained = train(
@@ -89,8 +96,10 @@ def _check(values: Train) -> None:
         value = getattr(values, name)
         if value is not None and value <= 0:
             raise UsageError(f"--{name} {value}: expected a positive number.")
-    if values.seed < 0:
-        raise UsageError(f"--seed {values.seed}: expected 0 or more.")
+    if not 0 <= values.seed < 2**63:
+        raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
+    if values.threads > MOST_THREADS:
+        raise UsageError(f"--threads {values.threads}: expected at most {MOST_THREADS}.")
 
 
 def _one_of(name: str, names: Iterable[str], kind: str) -> None:

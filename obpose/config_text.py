@@ -50,8 +50,18 @@ def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
 
 def differences(one: Config, other: Config) -> list[str]:
     """One line for each value that differs, such as `train.batch: 2, 4`."""
-    first, second = dict(_leaves(one, "")), dict(_leaves(other, ""))
+    first, second = dict(dotted_values(one)), dict(dotted_values(other))
     return [f"{name}: {value}, {second[name]}" for name, value in first.items() if value != second[name]]
+
+
+def dotted_values(config: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value that is no configuration itself, with its dotted name."""
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from dotted_values(value, f"{place}{field.name}.")
+        else:
+            yield place + field.name, value
 
 
 def _build(kind: type, plain: Mapping[str, Any], place: str) -> Any:
@@ -119,12 +129,3 @@ def _kinds(kind: type, place: str) -> Iterator[tuple[str, Any]]:
             yield from _kinds(inner, f"{place}{name}.")
         else:
             yield place + name, inner
-
-
-def _leaves(config: Any, place: str) -> Iterator[tuple[str, Any]]:
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from _leaves(value, f"{place}{field.name}.")
-        else:
-            yield place + field.name, value

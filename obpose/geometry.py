@@ -66,7 +66,8 @@ def sample_rays_where(
     flat = "batch frame view height width -> (batch frame) (view height width)"
     # Where a frame has no depth at all something has to be drawn; it has no weight.
     valid = rearrange(observation.valid, flat).to(interest.dtype).clamp(min=_TINY)
-    interesting = valid * rearrange(interest, flat).clamp(min=_TINY)
+    # A diverged model has interests that are no numbers, which cannot be drawn from; its losses tell.
+    interesting = valid * rearrange(interest, flat).nan_to_num().clamp(min=_TINY)
     odds = (1 - share) * _shares(valid) + share * _shares(interesting)
     index = odds.multinomial(count, replacement=True, generator=generator)
     weight = _shares(valid).gather(1, index) / odds.gather(1, index)

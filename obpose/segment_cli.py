@@ -4,6 +4,7 @@ obpose-segment --checkpoint RUN --rgb a.png --depth a_depth.png --intrinsics 525
 obpose-segment --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --every 8
 """
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from jaxtyping import Float, Float64, Int
 
 import assets
 from obpose.checkpoint import load
-from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError
+from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError, is_out_of_memory
 from obpose.geometry import unproject
 from obpose.model import ObPose
 from obpose.recordings.reading import Recording, parse_intrinsics, read_recording
@@ -61,8 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(values: Arguments) -> int:
     """Segment and write."""
-    if not values.depth_scale > 0:
-        raise UsageError(f"--depth-scale is {values.depth_scale:g}; expected more than 0.")
+    if not 0 < values.depth_scale < math.inf:
+        raise UsageError(f"--depth-scale is {values.depth_scale:g}; expected more than 0, and finite.")
     k = parse_intrinsics(values.intrinsics)
     model = _load(values.checkpoint)
     whole = read_recording(values.rgb, values.depth, k, depth_scale=values.depth_scale)
@@ -188,6 +189,10 @@ def _guarded(arguments: list[str]) -> int:
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        return _fail("Out of memory; give fewer frames at a time, or a larger --every.", EXIT_INCOMPLETE)
     except KeyboardInterrupt:
         return _fail("Interrupted.", EXIT_INTERRUPTED)
 

@@ -21,7 +21,7 @@ from obpose.checkpoint import Build, load_training
 from obpose.clips import ClipSource
 from obpose.config import Config
 from obpose.errors import Interrupted, UsageError
-from obpose.files import remove_abandoned
+from obpose.files import claimed
 from obpose.labels import Labels
 from obpose.model import ObPose
 from obpose.trainable import Trainable
@@ -98,7 +98,7 @@ def train(
         build: Makes the model.
 
     Raises:
-        UsageError: there are no clips, or the folder holds a run of another configuration.
+        UsageError: there are no clips, or the folder holds a run of another configuration or is in use.
         Diverged: losses or gradients are not finite any more.
         Interrupted: SIGTERM or SIGINT came, and the state has been saved.
     """
@@ -108,18 +108,18 @@ def train(
     fabric = make_fabric(device, config.train)
     fabric.launch()
     learner = Learner(fabric, config, build)
-    progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
-    record = None
-    if folder and fabric.is_global_zero:
-        remove_abandoned(folder)
-        record = Record(folder, config, steps=progress.step, tensorboard=tensorboard)
-    run = _Run(fabric, learner, source, val_source, config, progress, record, report)
-    try:
-        with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
-            run.go_on(request)
-    finally:
-        if record:
-            record.close()
+    with claimed(folder) if folder and fabric.is_global_zero else nullcontext():
+        progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
+        record = None
+        if folder and fabric.is_global_zero:
+            record = Record(folder, config, steps=progress.step, tensorboard=tensorboard)
+        run = _Run(fabric, learner, source, val_source, config, progress, record, report)
+        try:
+            with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
+                run.go_on(request)
+        finally:
+            if record:
+                record.close()
     return Trained(learner.model.cpu().eval(), config, progress.step, progress.seconds, tuple(progress.curve))
 
 

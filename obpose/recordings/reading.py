@@ -16,6 +16,8 @@ COLOUR_ENDINGS = (".png", ".jpg", ".jpeg")
 DEPTH_ENDINGS = (".png", ".tif", ".tiff", ".npy")
 PLAUSIBLE = (0.05, 50.0)
 """Metres between which the median depth of a recording must lie; others come of a wrong scale."""
+FOCAL = (0.1, 50.0)
+"""Larger sides of the image between which focal lengths must lie; others come of wrong units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,8 @@ def read_recording(
         depth_scale: Metres of one unit of depth images of whole numbers; floats are metres.
 
     Raises:
-        UsageError: files are missing, of other sizes than the first, or hold no depth.
+        UsageError: files are missing, of other sizes than the first, or hold no depth; or the camera matrix belongs to
+            images of another size.
         CorruptFile: a file cannot be read.
     """
     colours, depths = _expand(rgb, COLOUR_ENDINGS, "--rgb"), _expand(depth, DEPTH_ENDINGS, "--depth")
@@ -76,6 +79,7 @@ def read_recording(
                 f"{path} is {_size(array)}, but {colours[0]} is {_size(images[0])}; all images must have one size, and "
                 "depth must be aligned with colour."
             )
+    _check_intrinsics(k, images[0])
     recording = Recording(tuple(colours), np.stack(images), np.stack(maps), k)
     _check_depth(recording.depth, depths[0])
     return recording
@@ -100,6 +104,9 @@ def _expand(paths: Sequence[Path], endings: Sequence[str], flag: str) -> list[Pa
     """The files themselves, in time order."""
     if not paths:
         raise UsageError(f"{flag} names no files; give images in time order, or one folder of them.")
+    for path in paths:
+        if not path.exists():
+            raise UsageError(f"{flag} {path} does not exist.")
     if len(paths) > 1 or not paths[0].is_dir():
         return list(paths)
     found = [path for path in paths[0].iterdir() if path.suffix.lower() in endings]
@@ -138,8 +145,6 @@ def _read_image(path: Path) -> np.ndarray:
 def _read_array(path: Path) -> np.ndarray:
     try:
         values = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise UsageError(f"{path} does not exist.") from None
     except (OSError, ValueError, EOFError) as error:
         raise CorruptFile(f"{path} is damaged or no NPY file ({error}).") from None
     if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "uif":
@@ -152,11 +157,23 @@ def _open(path: Path) -> Image.Image:
     try:
         image = Image.open(BytesIO(path.read_bytes()))
         image.load()
-    except FileNotFoundError:
-        raise UsageError(f"{path} does not exist.") from None
-    except (UnidentifiedImageError, OSError, SyntaxError) as error:
+    except UnidentifiedImageError:
+        raise CorruptFile(f"{path} is damaged or no image of a known format.") from None
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
         raise CorruptFile(f"{path} is damaged or no image ({error}).") from None
     return image
+
+
+def _check_intrinsics(k: Float64[np.ndarray, "3 3"], image: np.ndarray) -> None:
+    """Refuse what no camera with such images has; the centre of a part cut out of an image may lie outside of it."""
+    (height, width), (low, high) = image.shape[:2], FOCAL
+    (fx, _, cx), (_, fy, cy), _ = k
+    focal = all(low < value / max(height, width) < high for value in (fx, fy))
+    if not focal or not (-width < cx < 2 * width and -height < cy < 2 * height):
+        raise UsageError(
+            f"--intrinsics {fx:g},{fy:g},{cx:g},{cy:g} cannot be those of images of {_size(image)}; expected "
+            "fx,fy,cx,cy in pixels of these images. Where images were scaled, scale all four alike."
+        )
 
 
 def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path) -> None:

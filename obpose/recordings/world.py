@@ -30,7 +30,8 @@ def read_pose(path: Path) -> Pose:
         if path.suffix == ".npy":
             pose = np.load(path, allow_pickle=False)
         else:
-            pose = np.array(json.loads(path.read_text()) if path.suffix == ".json" else np.loadtxt(path))
+            text = path.read_text()
+            pose = np.array(json.loads(text) if path.suffix == ".json" else _rows(text))
         pose = pose.astype(np.float64)
     except FileNotFoundError:
         raise UsageError(f"--camera-pose {path} does not exist.") from None
@@ -72,6 +73,12 @@ def pose_over_plane(points: Float[np.ndarray, "point 3"], *, center: tuple[float
 def middle_of(points: Float[np.ndarray, "point 3"]) -> Float64[np.ndarray, "3"]:
     """Middle of what was seen, as `obpose.measure` finds it in training clips."""
     return (np.quantile(points, TAIL, axis=0) + np.quantile(points, 1 - TAIL, axis=0)) / 2
+
+
+def _rows(text: str) -> list[list[float]]:
+    """Numbers between spaces or commas; `#` begins a comment."""
+    lines = (line.partition("#")[0].replace(",", " ").split() for line in text.splitlines())
+    return [[float(number) for number in line] for line in lines if line]
 
 
 def _axes(plane: Plane, points: Float[np.ndarray, "point 3"]) -> Float64[np.ndarray, "3 3"]:

@@ -16,7 +16,11 @@ Row = Mapping[str, float | int | str]
 
 
 class CsvLog:
-    """A table with a column for each name that was ever written; the first is `step`. Every row is on disk at once."""
+    """A table with a column for each name that was ever written; the first is `step`. Every row is on disk at once.
+
+    Raises:
+        UsageError: the file is another table, which would be lost.
+    """
 
     def __init__(self, path: Path, *, steps: int):
         """Go on after so many steps: rows of later ones, which a run that was killed had not saved, are dropped."""
@@ -67,9 +71,16 @@ def _rows(path: Path, steps: int | None) -> list[Row]:
     """Complete rows of a table, those of at most so many steps."""
     if not path.exists():
         return []
-    whole, _, _ = path.read_text().rpartition("\n")  # a line that a kill cut short has no end
+    whole, _, _ = path.read_text(errors="replace").rpartition("\n")  # a line that a kill cut short has no end
     found = csv.DictReader(io.StringIO(whole))
-    return [row for row in found if steps is None or int(row["step"]) <= steps]
+    if whole and (found.fieldnames or [""])[0] != "step":
+        raise UsageError(f"{path} is no table of a training; it would be overwritten. Give another --out, or move it.")
+    return [row for row in found if _is_whole(row) and (steps is None or int(row["step"]) <= steps)]
+
+
+def _is_whole(row: dict[str, str]) -> bool:
+    """Not damaged by a crash of the machine."""
+    return None not in row and row["step"].isdecimal()
 
 
 def _writer(folder: Path, steps: int) -> "SummaryWriter":

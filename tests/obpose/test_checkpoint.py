@@ -99,3 +99,28 @@ def test_a_training_that_lacks_a_file_is_reported(run: Path):
     (run / TRAINING).unlink()
     with pytest.raises(CorruptFile, match="missing"):
         load_training(run, CONFIGURATION)
+
+
+@pytest.mark.parametrize("lost", [(CONFIG,), (CONFIG, TRAINING), (CONFIG, MODEL)])
+def test_where_a_configuration_is_lost_the_weights_are_not_overwritten(run: Path, lost: tuple[str, ...]):
+    for name in lost:
+        (run / name).unlink()
+    with pytest.raises(UsageError, match=r"but no config\.json; it would be overwritten"):
+        load_training(run, CONFIGURATION)
+
+
+def test_a_kill_in_the_first_save_does_no_harm(tmp_path: Path):
+    save_training(tmp_path, TrainingState(ToyModel(CONFIGURATION).state_dict(), {}, {"step": 0}))
+    assert load_training(tmp_path, CONFIGURATION) is None
+
+
+def test_a_model_in_the_place_of_a_training_is_told(run: Path):
+    (run / TRAINING).write_bytes((run / MODEL).read_bytes())
+    with pytest.raises(CorruptFile, match=r"training\.safetensors is no training"):
+        load_training(run, CONFIGURATION)
+
+
+def test_a_configuration_of_another_kind_is_damaged(run: Path):
+    (run / CONFIG).write_text(json.dumps({"version": 1, "config": 3}))
+    with pytest.raises(CorruptFile, match="is damaged"):
+        load(run, ToyModel)

@@ -58,6 +58,8 @@ def test_the_last_word_is_that_of_set(data: Path, tmp_path: Path):
         (("--track", "moving", "--minutes", "1", "--steps", "2"), "contradict"),
         (("--track", "moving", "--minutes", "0"), "--minutes 0.0: expected a positive number"),
         (("--track", "moving", "--seed", "-1"), "expected 0 or more"),
+        (("--track", "moving", "--seed", "1" + "0" * 30), "less than 2^63"),
+        (("--track", "moving", "--threads", "100000000000"), "expected at most 1024"),
         (("--track", "moving", "--set", "train.bach=2"), "did you mean 'train.batch'"),
         (("--data", "/nowhere"), "holds no dataset"),
     ],
@@ -76,6 +78,36 @@ def test_a_run_of_another_configuration_is_refused(data: Path, tmp_path: Path, c
     assert main(command) == 0
     assert main([*command, "--seed", "1"]) == 2
     assert "train.seed: 0, 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
+def test_too_little_memory_ends_in_one_line(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def fail(_values: object) -> int:
+        raise error
+
+    monkeypatch.setattr("obpose.cli.run", fail)
+    assert main(["--track", "moving"]) == 3
+    assert capsys.readouterr().err.startswith("obpose-train: Out of memory; give smaller")
+
+
+def test_errors_of_ours_keep_their_trace(monkeypatch: pytest.MonkeyPatch):
+    def fail(_values: object) -> int:
+        raise RuntimeError("tensors refer to a single memory location")
+
+    monkeypatch.setattr("obpose.cli.run", fail)
+    with pytest.raises(RuntimeError, match="single memory"):
+        main(["--track", "moving"])
+
+
+def test_values_of_which_nothing_can_be_made_leave_no_run(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    run = tmp_path / "run"
+    assert main(["--data", str(data), "--out", str(run), "--set", "train.steps=-3"]) == 2
+    assert capsys.readouterr().err == "obpose-train: train.steps is -3; expected 1 or more.\n"
+    assert not run.exists()
 
 
 @pytest.mark.slow

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from obpose.errors import DatagenError
-from obpose.files import remove_abandoned, write_whole
+from obpose.errors import DatagenError, UsageError
+from obpose.files import claimed, remove_abandoned, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path):
@@ -28,8 +28,26 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.Mon
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_file_is_no_folder(tmp_path: Path):
+    (tmp_path / "notes").write_text("mine")
+    with pytest.raises(UsageError, match="notes is a file"), claimed(tmp_path / "notes"):
+        raise AssertionError
+    assert (tmp_path / "notes").read_text() == "mine"
+
+
 def test_what_killed_processes_left_is_removed(tmp_path: Path):
     (tmp_path / ".file.123.partial").write_bytes(b"half")
     (tmp_path / "file").write_bytes(b"whole")
     remove_abandoned(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_is_one_process_s_until_it_lets_go(tmp_path: Path):
+    (tmp_path / ".file.123.partial").write_bytes(b"half")
+    with claimed(tmp_path):
+        (tmp_path / ".file.124.partial").write_bytes(b"of the first")
+        with pytest.raises(UsageError, match="Another process is writing to"), claimed(tmp_path):
+            raise AssertionError
+        assert [path.name for path in tmp_path.iterdir()] == [".file.124.partial"]
+    with claimed(tmp_path):
+        assert not list(tmp_path.iterdir())

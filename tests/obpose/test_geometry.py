@@ -47,3 +47,9 @@ def test_the_share_of_the_rays_is_where_the_interest_is():
 def test_a_frame_without_depth_has_no_weight():
     rays = sample_rays_where(observation(seen=0.0), 60, corner(), share=0.5, generator=torch.Generator().manual_seed(0))
     assert (rays.weight == 0).all()
+
+
+def test_interests_of_a_diverged_model_can_be_drawn_from():
+    generator = torch.Generator().manual_seed(0)
+    rays = sample_rays_where(observation(), 5, corner() * torch.nan, share=0.5, generator=generator)
+    assert rays.depth.isfinite().all()

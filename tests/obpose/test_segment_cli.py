@@ -123,6 +123,7 @@ def test_weights_that_ship_go_by_their_name(scene: Path, tmp_path: Path, monkeyp
         ({"rgb": "{scene}/pose.txt", "depth": "{scene}/depth/0.png"}, (), EXIT_INCOMPLETE, "damaged or no image"),
         ({}, ("--intrinsics", "1,2,3"), EXIT_USAGE, "expected fx,fy,cx,cy"),
         ({}, ("--depth-scale", 0), EXIT_USAGE, "--depth-scale is 0"),
+        ({}, ("--depth-scale", "inf"), EXIT_USAGE, "--depth-scale is inf"),
         ({}, ("--depth-scale", 1), EXIT_USAGE, "median depth is"),
         ({}, ("--every", 100), EXIT_USAGE, "--every 100"),
         ({}, ("--camera-pose", "nowhere.txt"), EXIT_USAGE, "nowhere.txt does not exist"),

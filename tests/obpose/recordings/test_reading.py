@@ -120,6 +120,27 @@ def test_what_is_wrong_is_said(tmp_path: Path):
             read_recording(rgb, depth, K, depth_scale=0.001)
 
 
+def test_a_format_that_is_not_known_is_said_without_what_python_calls_it(tmp_path: Path, pair: tuple[Path, Path]):
+    (tmp_path / "text.png").write_text("no image")
+    with pytest.raises(CorruptFile, match=r"text\.png is damaged or no image of a known format\.$"):
+        read_recording([tmp_path / "text.png"], [pair[1]], K, depth_scale=0.001)
+
+
+def test_a_folder_that_is_not_there_is_said_before_files_are_counted(tmp_path: Path, pair: tuple[Path, Path]):
+    with pytest.raises(UsageError, match=r"--depth .*nowhere does not exist"):
+        read_recording([pair[0]] * 2, [tmp_path / "nowhere"], K, depth_scale=0.001)
+
+
+@pytest.mark.parametrize("text", ["500,500,320,240", "6e9,6e9,3,2", "6,1e-9,3,2", "6,6,3,-5"])
+def test_intrinsics_of_images_of_another_size_are_refused(text: str, pair: tuple[Path, Path]):
+    with pytest.raises(UsageError, match="cannot be those of images of 6x4"):
+        read_recording([pair[0]], [pair[1]], parse_intrinsics(text), depth_scale=0.001)
+
+
+def test_the_centre_may_lie_outside_of_an_image_that_was_cut_out(pair: tuple[Path, Path]):
+    read_recording([pair[0]], [pair[1]], parse_intrinsics("6,6,9,-2"), depth_scale=0.001)
+
+
 @pytest.mark.parametrize("text", ["", "1,2,3", "1,2,3,4,5", "a,2,3,4", "0,2,3,4", "1,nan,3,4", "-1,2,3,4"])
 def test_intrinsics_are_four_numbers(text: str):
     with pytest.raises(UsageError, match="--intrinsics"):

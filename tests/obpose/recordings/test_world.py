@@ -91,6 +91,12 @@ def test_a_pose_that_cannot_be_read_is_named(tmp_path: Path):
         read_pose(tmp_path / "nowhere.txt")
 
 
+def test_an_empty_file_holds_no_pose(tmp_path: Path):
+    (tmp_path / "pose.txt").write_text("# nothing yet\n")
+    with pytest.raises(UsageError, match="holds no rigid pose"):
+        read_pose(tmp_path / "pose.txt")
+
+
 def test_rounded_rotations_pass(tmp_path: Path):
     pose = rigid(np.array([0.1, 0.2, 0.3]), np.array([0.9, 0.1, -0.3, 0.2])).round(4)
     np.savetxt(tmp_path / "pose.txt", pose)

@@ -63,3 +63,18 @@ def test_without_tensorboard_the_remedy_is_told(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard.writer", None)
     with pytest.raises(UsageError, match="pip install"):
         TensorBoardLog(tmp_path, steps=0)
+
+
+def test_a_table_of_somebody_else_is_not_overwritten(tmp_path: Path):
+    path = tmp_path / "log.csv"
+    path.write_text("name,grade\nAda,1\n")
+    with pytest.raises(UsageError, match="is no table of a training"):
+        CsvLog(path, steps=0)
+    assert path.read_text() == "name,grade\nAda,1\n"
+
+
+def test_rows_that_a_crash_damaged_are_dropped(tmp_path: Path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"step,total\n1,0.5\n\0\0\0,\0\xff\n,\n2,3,4,5\n2,0.25\n")
+    CsvLog(path, steps=2)
+    assert [row["total"] for row in table(path)] == ["0.5", "0.25"]

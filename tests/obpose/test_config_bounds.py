@@ -1,0 +1,38 @@
+import re
+
+import pytest
+
+from obpose.config import PROFILES, VARIANTS, make_config
+from obpose.config_bounds import check_bounds
+from obpose.config_text import parse_changes
+from obpose.errors import UsageError
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("profile", PROFILES)
+def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
+    check_bounds(make_config(variant, profile, **{"train.steps": 1}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("model.slots=0", "model.slots is 0; expected 1 or more"),
+        ("train.batch=-1", "train.batch is -1; expected 1 or more"),
+        ("train.steps=-3", "train.steps is -3; expected 1 or more"),
+        ("train.rays=-5", "train.rays is -5; expected 0 or more, and finite"),
+        ("train.seed=-1", "train.seed is -1; expected 0 or more, and less than 2^63"),
+        ("train.minutes=Infinity", "train.minutes is inf; expected more than 0, and finite"),
+        ("train.learning_rate=NaN", "train.learning_rate is nan; expected a number"),
+        ("train.object_rays=1", "train.object_rays is 1.0; expected 0 or more, and less than 1"),
+        ("model.pose.box_size=0", "model.pose.box_size is 0.0; expected more than 0, and finite"),
+        ("loss.colour_std=0", "loss.colour_std is 0.0; expected more than 0, and finite"),
+        ("model.backbone.colour=2", "model.backbone.colour is 2; expected 3 or more"),
+        ("model.backbone.widths=[]", "model.backbone.widths is (); expected positive numbers"),
+        ("model.backbone.blocks=1", "model.backbone.blocks is (1,); expected 4 numbers"),
+        ("model.backbone.output_level=4", "model.backbone.output_level is 4; expected 0 to 3"),
+    ],
+)
+def test_values_of_which_nothing_can_be_made_are_named(change: str, message: str):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        check_bounds(make_config(**parse_changes([change])))
