@@ -24,12 +24,19 @@ def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = ()) -> 
         CorruptFile: its label maps are missing or damaged.
     """
     finished = [row for row in rows if row.status == "ok"]
-    for row in finished:
-        labels = labels_path(folder, row)
-        if not labels.exists():
-            raise DatagenError(f"{labels} is missing; label maps stay on the machine that made them. Run there.")
-        dataset = locate(folder, row, data)
-        if dataset is None:
-            raise DatagenError(f"The dataset of {row.key.name} is not on this machine; name its folder with --data.")
+    # All are looked for before any table is written: a folder without some of them stays as it was.
+    found = [_find(folder, row, data) for row in finished]
+    for row, (labels, dataset) in zip(finished, found, strict=True):
         score_labels(labels, Dataset(dataset).split(SPLIT), folder, row.key.name)
     return len(finished)
+
+
+def _find(folder: Path, row: RunRow, data: Sequence[Path]) -> tuple[Path, Path]:
+    """Its label maps and its dataset."""
+    labels = labels_path(folder, row)
+    if not labels.exists():
+        raise DatagenError(f"{labels} is missing; label maps stay on the machine that made them. Run there.")
+    dataset = locate(folder, row, data)
+    if dataset is None:
+        raise DatagenError(f"The dataset of {row.key.name} is not on this machine; name its folder with --data.")
+    return labels, dataset

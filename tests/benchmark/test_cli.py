@@ -182,6 +182,17 @@ def test_scores_are_computed_again_from_label_maps(data: Path, tmp_path: Path, c
 
 
 @pytest.mark.slow
+def test_scores_stay_as_they_were_where_one_label_map_is_missing(data: Path, tmp_path: Path, capsys):
+    assert run_cli("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 1) == EXIT_OK
+    for path in (tmp_path / "scenes").iterdir():
+        path.write_text("as they were")
+    max((tmp_path / "labels").iterdir()).unlink()
+    assert run_cli("rescore", tmp_path) != EXIT_OK
+    assert "is missing" in capsys.readouterr().err
+    assert {path.read_text() for path in (tmp_path / "scenes").iterdir()} == {"as they were"}
+
+
+@pytest.mark.slow
 def test_two_models_are_compared(data: Path, tmp_path: Path, capsys):
     assert run_cli("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 2) == EXIT_OK
     assert run_cli("compare", "good", "chance", "--run", tmp_path) == EXIT_OK
