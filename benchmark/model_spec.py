@@ -42,6 +42,8 @@ class ModelSpec:
     """Seconds of one core that it trains for unless the command says otherwise."""
     extra: tuple[str, ...] = ()
     """Names of the segmentations in `Prediction.extra`, which have rows of their own."""
+    settled_with_labels: bool = False
+    """Whether its constants were chosen by scores on labelled validation scenes; rows are marked like tuned ones."""
     settings: Options = field(default_factory=dict)
     """Constants that its results depend on beside its version and options; rows are made anew when they change."""
 

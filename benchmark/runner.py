@@ -142,13 +142,13 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     segmenter = spec.build({**chosen, **({"folder": job.folder} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)
     seconds = float(getattr(segmenter, "fit_seconds", time.perf_counter() - started))
-    return _Fitted(spec, segmenter, chosen, tuned, seconds)
+    return _Fitted(spec, segmenter, chosen, tuned or spec.settled_with_labels, seconds)
 
 
 def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
     segmenter = spec.build({"slots": job.fit_slots, "checkpoint": job.checkpoint})
     segmenter.fit([], [], seed=job.seed, budget=0.0)
-    return _Fitted(spec, segmenter, {}, False, float("nan"))
+    return _Fitted(spec, segmenter, {}, spec.settled_with_labels, float("nan"))
 
 
 def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:

@@ -34,6 +34,7 @@ def _spec(variant: str) -> ModelSpec:
         priors=("slots", "background slot", "camera pose", "plane"),
         budget=60 * config.train.minutes,
         extra=("att",),
+        settled_with_labels=True,
         settings=dataclasses.asdict(config),
     )
 

@@ -74,6 +74,7 @@ def test_one_training_makes_two_rows_a_curve_and_a_checkpoint(whole: Path):
     assert (row.status, row.n_scenes, row.kind) == ("ok", 2, "learned")
     assert row.config["model"]["pose"]["conditioning"] == "full"
     assert row.config["steps"] == STEPS
+    assert row.tuned
     assert row.learning_curve
     assert row.learning_curve[-1]["step"] == STEPS
     assert [path.stem for path in (whole / "curves").iterdir()] == [row.key.name]
@@ -142,7 +143,7 @@ def test_weights_that_ship_need_no_training(
     assert not (out / "training").exists()
     with (out / "leaderboard.csv").open(newline="") as file:
         lines = {line["model"]: line for line in csv.DictReader(file)}
-    assert (lines["obpose-pretrained"]["n_seeds"], lines["obpose-pretrained"]["marks"]) == ("1", "§")
+    assert (lines["obpose-pretrained"]["n_seeds"], lines["obpose-pretrained"]["marks"]) == ("1", "‡§")
     assert lines["plane-dbscan"]["n_seeds"] == "3"
     assert "§ weights that ship" in (out / "leaderboard.md").read_text()
     for model, labels in labels_in(whole).items():
