@@ -51,7 +51,7 @@ class Run:
     overwrite: Switch = False
     """Replace rows of the same model, track and seed that were made with other settings or versions."""
     retry: Switch = False
-    """Run again what has failed before."""
+    """Run again what has failed before; predictions are tried again in any case."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ class Rescore:
 
 @dataclass(frozen=True)
 class Compare:
-    """Paired differences of two models, scene by scene."""
+    """Paired differences of two models, scene by scene, on all tracks that both have scores on; needs rows only."""
 
     one: Annotated[str, tyro.conf.Positional]
     """Name of a model."""
     other: Annotated[str, tyro.conf.Positional]
     """Name of another."""
     run: Path = DEFAULT_OUT
-    """The run folder."""
+    """The run folder that both are in, such as docs/results."""
 
 
 @dataclass(frozen=True)

@@ -85,12 +85,20 @@ def selftest(_values: arguments.Selftest) -> int:
 
 def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[RunRow]:
     """The rows that stay: without those to be replaced or tried again."""
-    other = superseded(plan.keys, rows)
+    again = [row for row in rows if row.status == "failed" and _is_tried_again(row, values, plan)]
+    kept = [row for row in rows if row not in again]
     if not values.overwrite:
-        check_places(plan.keys, rows)
-    again = [row for row in rows if values.retry and row.status == "failed" and row.key in plan.keys]
+        check_places(plan.keys, kept)
+    other = superseded(plan.keys, rows) if values.overwrite else []
     delete_rows(values.out, [*other, *again])
-    return [row for row in rows if row not in other and row not in again]
+    return [row for row in kept if row not in other]
+
+
+def _is_tried_again(row: RunRow, values: arguments.Run, plan: Plan) -> bool:
+    """Failed label maps are tried whenever they are named, since mending their files makes another row of them."""
+    if row.kind == "predictions":
+        return row.key.place in {key.place for key in plan.keys}
+    return values.retry and row.key in plan.keys
 
 
 def _prepare(plan: Plan, values: arguments.Run) -> None:

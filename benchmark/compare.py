@@ -8,21 +8,22 @@ from pathlib import Path
 import numpy as np
 from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from benchmark import statistics
 from benchmark.results import check_runs
 from benchmark.standings import ALL_METRICS, Entry, compare_entries, load_standings
 from benchmark.statistics import Difference
-from benchmark.wording import counted
+from benchmark.wording import counted, without_floor
 from datagen.errors import UsageError
 
 COLUMNS = {"metric": 17, "A": 5, "B": 5, "A - B": 6, "95 % interval": 13, "wins": 5, "resolvable": 10, "p": 5}
 """Of the printed table, and their widths: the same for all tracks."""
 
 LEGEND = (
-    "A - B is paired by scene. wins: share of scenes in which A scores more. resolvable: the smallest true difference "
-    "that these scenes would show (5 % significance, 80 % power). p: Holm-corrected over all lines; grey where 5 % or "
-    "more."
+    "A - B is paired by scene, after a mean over each model's seeds that have scores. wins: share of scenes in which A "
+    "scores more; equal scores count half. resolvable: the smallest true difference that these scenes would show (5 % "
+    "significance, 80 % power). p: Holm-corrected over all lines; grey where 5 % or more."
 )
 
 
@@ -40,6 +41,8 @@ class Comparison:
     difference: Difference
     p_corrected: float
     """Holm-corrected for the metrics and tracks of the comparison."""
+    warnings: tuple[str, ...] = ()
+    """What must be known of the two models: which seeds failed, where, and what could not be told or compared."""
 
     @property
     def is_significant(self) -> bool:
@@ -55,31 +58,44 @@ def compare(folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRI
         CorruptFile: a finished row is damaged.
     """
     check_runs(folder)
-    entries = [entry for entry in load_standings(folder) if entry.n_scenes > 0]
+    everything = load_standings(folder)
+    entries = [entry for entry in everything if entry.n_scenes > 0]
     first, second = (_of_model(entries, name, folder) for name in (one, two))
     shared = [(first[field], second[field]) for field in first if field in second]
     if not shared:
         raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {_tracks(first)}.")
     found = [(a, b, name, compare_entries(a, b, name)) for a, b in shared for name in metrics]
     found = [line for line in found if line[3].n_scenes > 0]
+    left_out = [_left_out(entry) for entry in everything if entry.place[2] in (one, two) and entry.n_scenes == 0]
     corrected = statistics.holm(np.array([line[3].p_value for line in found]))
     return [
-        Comparison(*a.place[:2], name, a.best_known(name), b.best_known(name), difference, float(p_value))
+        Comparison(
+            *a.place[:2],
+            name,
+            a.best_known(name),
+            b.best_known(name),
+            difference,
+            float(p_value),
+            (*_warnings(a, b), *left_out),
+        )
         for (a, b, name, difference), p_value in zip(found, corrected, strict=True)
     ]
 
 
 def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> Group:
-    """For the terminal, track by track; what is not significant is grey."""
+    """For the terminal, track by track, with warnings beneath; what is not significant is grey."""
+    comparisons = list(comparisons)
     places = groupby(comparisons, key=lambda line: (line.track, line.fit_track))
     tables = [_track_table(*place, list(lines)) for place, lines in places]
-    return Group(f"A = {one}, B = {two}\n", *tables, LEGEND)
+    warnings = dict.fromkeys(warning for line in comparisons for warning in line.warnings)
+    return Group(
+        f"A = {one}, B = {two}\n", *tables, *(Text(f"Warning: {warning}", "yellow") for warning in warnings), LEGEND
+    )
 
 
 def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Table:
-    fitted = "" if fit_track == track else f", fitted on {fit_track}"
     scenes = max(line.difference.n_scenes for line in lines)
-    title = f"[bold]{track}{fitted}, {counted(scenes, 'scene')}"
+    title = f"[bold]{_where(track, fit_track)}, {counted(scenes, 'scene')}"
     table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
     for name, width in COLUMNS.items():
         table.add_column(name, justify="left" if name == "metric" else "right", no_wrap=True, min_width=width)
@@ -101,6 +117,27 @@ def _cells(line: Comparison) -> list[str]:
         f"{found.resolvable:.3f}",
         f"{line.p_corrected:.3f}" if line.p_corrected >= 0.001 else "<.001",
     ]
+
+
+def _warnings(one: Entry, two: Entry) -> tuple[str, ...]:
+    failed = ", ".join(filter(None, map(_failed_seeds, (one, two))))
+    seeds = f"{_where(*one.place[:2])}: {failed}; their scores, where they have some, count." if failed else ""
+    return tuple(filter(None, (seeds, without_floor((one, two)))))
+
+
+def _left_out(entry: Entry) -> str:
+    track, fit_track, model = entry.place
+    return f"{_where(track, fit_track)} is left out, as {model} has no scores there: {_failed_seeds(entry)}."
+
+
+def _failed_seeds(entry: Entry) -> str:
+    """Which of the runs failed, and why; empty where none did."""
+    causes = list(zip(entry.rows, entry.causes, strict=True))[: entry.n_runs]
+    return ", ".join(f"seed {row.key.seed} of {row.key.model} failed ({cause})" for row, cause in causes if cause)
+
+
+def _where(track: str, fit_track: str) -> str:
+    return track if fit_track == track else f"{track}, fitted on {fit_track}"
 
 
 def _of_model(entries: Iterable[Entry], model: str, folder: Path) -> dict[tuple[str, ...], Entry]:

@@ -1,9 +1,11 @@
 """Which seeds count as failed: a rule of scores, declared before any run and the same for all models.
 
-A seed failed if its loss became nan; or if its mIoU-BG is under 0.5 (background and objects changed places); or if its
-MSC-FG is no more than 0.05 above the best floor of the track (the model collapsed). Floors set that bar and oracles
-show what the truth would reach: neither competes, and neither is measured by it. A run that ended without scores failed
-too, for the reason it gave. Failed seeds are never dropped silently: tables show every model with and without them.
+A seed failed if its loss became nan, or a headline metric is undefined in all of its frames and yet not in those of
+every other run on the dataset; or if its mIoU-BG is under 0.5 (background and objects changed places); or if its MSC-FG
+is no more than 0.05 above the best floor of the track (the model collapsed). Floors set that bar and oracles show what
+the truth would reach: neither competes, and neither is measured by it. Where no floor was scored there is no bar, which
+the tables say. A run that ended without scores failed too, for the reason it gave. Failed seeds are never dropped
+silently: tables show every model with and without them.
 """
 
 import math
@@ -15,8 +17,11 @@ LEAST_ABOVE_FLOOR = 0.05
 
 CAUSES = ("nan", "swap", "collapse")
 
+HEADLINE = ("ari_fg", "msc_fg", "miou_bg", "ari")
+"""Metrics that must be defined."""
 
-def cause_of_failure(miou_bg: float, msc_fg: float, best_floor: float, *, finite_loss: bool = True) -> str:
+
+def cause_of_failure(miou_bg: float, msc_fg: float, best_floor: float, *, finite: bool = True) -> str:
     """One of `CAUSES`, or nothing where the seed is fine.
 
     Args:
@@ -24,9 +29,9 @@ def cause_of_failure(miou_bg: float, msc_fg: float, best_floor: float, *, finite
         msc_fg: of this seed.
         best_floor: largest MSC-FG of a floor on the same track; nan where no floor was run, and then no collapse is
             seen.
-        finite_loss: whether the loss stayed finite while training.
+        finite: whether the loss stayed finite while training, and the headline metrics are defined.
     """
-    if not finite_loss:
+    if not finite:
         return "nan"
     if miou_bg < LEAST_MIOU_BG:
         return "swap"

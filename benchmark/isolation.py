@@ -87,7 +87,8 @@ def _watch(
                 return Outcome(tuple(events), reason)
             continue
         if line is None:
-            return Outcome(tuple(events), _ending(process.wait()))
+            done = {target.key.name for target in job.targets} <= set(events)
+            return Outcome(tuple(events), _ending(process.wait(), done))
         event = json.loads(line)
         if "failed" in event:
             return Outcome(tuple(events), event["failed"])
@@ -113,14 +114,16 @@ def _trespass(process: subprocess.Popen[bytes], limits: Limits, deadline: float,
     return f"out of memory: {used:.0f} MiB of {limits.memory_mib:.0f} MiB" if used > limits.memory_mib else ""
 
 
-def _ending(code: int) -> str:
-    if code == 0:
+def _ending(code: int, done: bool) -> str:
+    if code == 0 and done:
         return ""
     if code == -signal.SIGKILL:
         return "was killed, most likely because memory ran out"
     if code < 0:
         return f"crashed with {signal.Signals(-code).name}"
-    return "interrupted" if code == EXIT_INTERRUPTED else f"ended with exit code {code} and said nothing"
+    if code == EXIT_INTERRUPTED:
+        return "interrupted"
+    return f"its process ended by itself with exit code {code} before it returned a result"
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -19,13 +19,15 @@ import numpy as np
 from benchmark import tables
 from benchmark.files import write_whole
 from benchmark.results import COUNTS, RunRow, SceneTable
-from benchmark.standings import ALL_METRICS, RANKED_METRICS, Entry, load_standings
+from benchmark.standings import ALL_METRICS, RANKED_METRICS, SWITCHES, Entry, load_standings
 from benchmark.statistics import Summary
+from benchmark.wording import rank_in_words
 
 Cell = str | int | float
 Line = Mapping[str, Cell]
 
 FILES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv", "leaderboard.md", "leaderboard.tex")
+SUMMARISED = (*ALL_METRICS, SWITCHES)
 
 
 def write(folder: Path) -> list[Entry]:
@@ -55,15 +57,17 @@ def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
             **dict(zip(("track", "fit_track", "model"), entry.place, strict=True)),
             "kind": entry.row.kind,
             "marks": entry.marks,
-            "rank": entry.rank or "",
+            "rank": rank_in_words(entry),
             "mean_rank": entry.mean_rank,
             **_metric_columns(entry),
             **{f"{name}_group": letters for name, letters in zip(RANKED_METRICS, entry.groups, strict=True)},
             **{name: _mean(values) for name, values in _counts(entry).items()},
             "n_seeds": len(entry.rows),
             "n_runs": entry.n_runs,
+            "n_scored": entry.n_scored,
             "n_failed": entry.n_failed,
             "failures": "; ".join(f"{row.key.seed}: {cause}" for row, cause in _by_seed(entry) if cause),
+            "best_floor": entry.best_floor,
             "n_scenes": entry.n_scenes,
             "n_skipped": entry.n_skipped,
             "priors": "; ".join(entry.row.priors),
@@ -102,7 +106,7 @@ def to_csv(lines: Sequence[Line]) -> str:
 
 def _metric_columns(entry: Entry) -> dict[str, float]:
     columns: dict[str, float] = {}
-    for name in ALL_METRICS:
+    for name in SUMMARISED:
         summary = entry.summary(name)
         kept = entry.summary(name, without_failed=True) if entry.n_failed else summary
         columns |= _summary_columns(name, summary)
@@ -121,7 +125,7 @@ def _summary_columns(name: str, summary: Summary) -> dict[str, float]:
 
 
 def _seed_lines(entry: Entry) -> Iterator[Line]:
-    means = {name: entry.seed_means(name) for name in ALL_METRICS}
+    means = {name: entry.seed_means(name) for name in SUMMARISED}
     counts = _counts(entry)
     for index, (row, cause) in enumerate(_by_seed(entry)):
         yield {
@@ -160,12 +164,9 @@ def _by_seed(entry: Entry) -> list[tuple[RunRow, str]]:
 
 
 def _counts(entry: Entry) -> dict[str, np.ndarray]:
-    """Sums over scenes, one for each seed: frames with one object, with undefined metrics, switches, ignored pixels."""
-    sums = [[_sum(table, name) for table in entry.tables] for name in COUNTS if name != "objects"]
-    names = [f"n_{name}" for name in COUNTS if name != "objects"]
-    return dict(zip(names, np.array(sums), strict=True)) | {
-        "n_frames": np.array([_sum(table, "n_frames") for table in entry.tables])
-    }
+    """Sums over scenes, one for each seed: frames with one object, with undefined metrics, ignored pixels, frames."""
+    names = {f"n_{name}": name for name in ("one_object", "undefined", "ignored")} | {"n_frames": "n_frames"}
+    return {column: np.array([_sum(table, name) for table in entry.tables]) for column, name in names.items()}
 
 
 def _sum(table: SceneTable | None, name: str) -> float:

@@ -2,20 +2,25 @@
 
 import hashlib
 import json
+import math
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from benchmark.files import write_whole
-from benchmark.results import RunRow
+from benchmark.leaderboard import FILES
+from benchmark.standings import Entry
 
 MANIFEST = "manifest.json"
+HASHED = tuple(name for name in FILES if name != "per_scene.csv")
+"""That one is made from `scenes/` and too large for git: a clone would lack what its manifest lists."""
 PACKAGES = ("obpose", "numpy", "scipy", "scikit-learn", "h5py", "torch")
 
 
-def write_manifest(folder: Path, rows: Sequence[RunRow], tables: Iterable[str]) -> None:
-    """Write `manifest.json`; `tables` are names of files in the folder."""
+def write_manifest(folder: Path, entries: Sequence[Entry]) -> None:
+    """Write `manifest.json`; the tables must be there."""
+    rows = [row for entry in entries for row in entry.rows]
     facts = {
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
@@ -24,9 +29,15 @@ def write_manifest(folder: Path, rows: Sequence[RunRow], tables: Iterable[str]) 
         "models": {row.key.model: row.key.version for row in rows},
         "tracks": {row.key.track: row.key.track_spec for row in rows} | {r.key.fit_track: r.key.fit_spec for r in rows},
         "rows": {"ok": sum(r.status == "ok" for r in rows), "failed": sum(r.status == "failed" for r in rows)},
-        "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in tables},
+        "best_floor": {entry.row.key.track: _number(entry.best_floor) for entry in entries},
+        "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in HASHED},
     }
     write_whole(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())
+
+
+def _number(value: float) -> float | None:
+    """MSC-FG from which the collapse of a seed is told; null where no floor was scored and none can be."""
+    return None if math.isnan(value) else round(value, 6)
 
 
 def _version(package: str) -> str:

@@ -7,15 +7,14 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from benchmark import leaderboard, report
+from benchmark.failed_seeds import HEADLINE
 from benchmark.manifest import write_manifest
 from benchmark.report.board import marks
 from benchmark.results import load_runs
 from benchmark.standings import Entry, best_first, fields
 from benchmark.whereabouts import locate
-from benchmark.wording import run_once
+from benchmark.wording import free_of_slots, rank_in_words, run_once, seeds_covered, without_floor
 
-SHOWN = ("ari_fg", "msc_fg", "miou_bg", "ari")
-"""Metrics on the screen; the files have them all."""
 FILE_WIDTH = 160
 """Characters a line where the output goes into a file or pipe."""
 
@@ -23,7 +22,7 @@ FILE_WIDTH = 160
 def write(folder: Path, data: Sequence[Path]) -> None:
     """Write everything that is made from a run folder's rows, and print the means and where the files are."""
     entries, rows = leaderboard.write(folder), load_runs(folder)
-    write_manifest(folder, rows, leaderboard.FILES)
+    write_manifest(folder, entries)
     page = report.write(folder, {row.key.track: locate(folder, row, data) for row in rows})
     console = wide_console()
     console.print(means_table(entries))
@@ -37,9 +36,9 @@ def wide_console() -> Console:
 
 
 def means_table(entries: Sequence[Entry]) -> Group:
-    """Mean over seeds of every model on every track, the best first, and beneath it what the signs mean."""
+    """Mean over seeds of every model on every track, the best first, and beneath it what must be known."""
     table = Table(box=None)
-    for name in ("track", "model", "", "seeds", "rank", *SHOWN):
+    for name in ("track", "model", "", "seeds", "rank", *HEADLINE):
         table.add_column(name, justify="left" if name in ("track", "model", "") else "right", no_wrap=True)
     for field in fields(entries):
         for entry in best_first(field):
@@ -51,10 +50,10 @@ def means_table(entries: Sequence[Entry]) -> Group:
 def _cells(entry: Entry) -> list[str]:
     track, fit_track, model = entry.place
     fitted = "" if fit_track == track else f" (fitted on {fit_track})"
-    finished = entry.n_runs - min(entry.n_failed, entry.n_runs)
-    seeds = str(finished) if finished == entry.n_runs else f"{finished} of {entry.n_runs}"
-    values = [f"{entry.best_known(name):z.3f}" for name in SHOWN]
-    return [f"{track}{fitted}", model, entry.marks, seeds, str(entry.rank or ""), *values]
+    failed = min(entry.n_failed, entry.n_runs) - (entry.n_runs - entry.n_scored)
+    seeds = seeds_covered(entry) + (f", {failed} failed" if failed else "")
+    values = [f"{entry.best_known(name):z.3f}" for name in HEADLINE]
+    return [f"{track}{fitted}", model, entry.marks, seeds, rank_in_words(entry), *values]
 
 
 def _legend(entries: Sequence[Entry]) -> Iterator[str]:
@@ -62,3 +61,4 @@ def _legend(entries: Sequence[Entry]) -> Iterator[str]:
         yield f"Seeds make no difference to these, which were run once: {once}."
     for mark, meaning in marks(entries):
         yield f"{mark} {meaning}."
+    yield from filter(None, (free_of_slots(entries), without_floor(entries)))

@@ -70,7 +70,10 @@ def _predictions_request(values: arguments.Run, sources: list[Source]) -> Reques
         raise UsageError("--predictions are of one track or dataset; name one.")
     if missing := [folder for folder in values.predictions if not folder.is_dir()]:
         raise UsageError(f"{missing[0]} is no folder; expected one with label maps.")
-    name = values.name or values.predictions[0].resolve().name
+    resolved = [folder.resolve() for folder in values.predictions]
+    if twice := [folder for folder in values.predictions if resolved.count(folder.resolve()) > 1]:
+        raise UsageError(f"{twice[0]} is given twice in --predictions; expected one folder a seed, each another.")
+    name = values.name or resolved[0].name
     if name in discover()[0]:
         raise UsageError(f"{name!r} is the name of a model; give the predictions another with --name.")
     folders = tuple(PredictionFolder(folder, values.background_slot) for folder in values.predictions)

@@ -68,8 +68,7 @@ def _do(job: Job, limits: Limits, stop: threading.Event, heard: Heard) -> list[J
     # What goes wrong in fitting goes wrong for all tracks, what goes wrong in segmenting for this one.
     failed = left[:1] if "fitted" in outcome.events else left
     for target in failed:
-        reason = outcome.reason or "its process ended before the row was written"
-        heard(_save_failure(job, target, spec, reason))
+        heard(_save_failure(job, target, spec, outcome.reason))
     rest = tuple(left[len(failed) :])
     return [dataclasses.replace(job, targets=rest)] if rest else []
 

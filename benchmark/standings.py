@@ -4,7 +4,7 @@ Two models are compared only where they were scored on the same dataset and fitt
 itself, or all on one other track. Floors, oracles and models that saw labels are shown and never ranked.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations, groupby
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from benchmark import statistics
-from benchmark.failed_seeds import cause_of_failure, has_finite_loss
+from benchmark.failed_seeds import HEADLINE, cause_of_failure, has_finite_loss
 from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.results import RunRow, SceneTable, load_runs, load_scenes
 from benchmark.statistics import Difference, Resamples, Summary
@@ -22,6 +22,10 @@ from benchmark.statistics import Difference, Resamples, Summary
 ALL_METRICS = (*METRICS, *CLIP_METRICS)
 RANKED_METRICS = ("ari_fg", "msc_fg")
 """Models are ordered by the mean of their ranks in these."""
+ORACLE_METRICS = ("miou_bg_oracle", "msc_fg_oracle_bg")
+"""Those that choose the background slot by the truth: marked `USES_LABELS`, and nothing is ranked by them."""
+SWITCHES = "identity_switches"
+"""Summarised as the metrics are, in switches a scene; fewer are better."""
 
 USES_LABELS, TUNED, PRETRAINED = "†", "‡", "§"
 """Marks of models that see labels, of those whose values were chosen by scores on the validation split, and of those
@@ -43,10 +47,12 @@ class Entry:
     """Why each seed failed; empty where it did not."""
     tables: tuple[SceneTable | None, ...]
     """Each seed's scores scene by scene; None where the run gave none."""
+    best_floor: float = np.nan
+    """Largest MSC-FG of a floor on the same dataset; nan where none was scored, so that no collapse can be told."""
     mean_rank: float = np.nan
     """Mean of the ranks in `RANKED_METRICS`; nan where the model is not ranked."""
-    rank: int | None = None
-    """Place by mean rank, equal ones by MSC-FG; None where the model is not ranked."""
+    rank: float | None = None
+    """Place by mean rank, equal ones sharing the mean of their places; None where the model is not ranked."""
     groups: tuple[str, ...] = ("",) * len(RANKED_METRICS)
     """For each of `RANKED_METRICS` the letters of its groups: models that share one cannot be told apart."""
 
@@ -68,13 +74,19 @@ class Entry:
 
     @property
     def is_ranked(self) -> bool:
-        """Whether the model may stand in a ranking: it knows no labels, and there are scores."""
-        return self.row.kind not in ("floor", "oracle") and not self.row.uses_labels and self.n_scenes > 0
+        """Whether the model may stand in a ranking: it knows no labels, and not every seed failed."""
+        knows = self.row.kind in ("floor", "oracle") or self.row.uses_labels
+        return not knows and self.n_failed < len(self.rows)
 
     @property
     def n_runs(self) -> int:
         """How many of the seeds were run; where they make no difference, the first stands for all."""
         return len(self.rows) if self.row.random else 1
+
+    @property
+    def n_scored(self) -> int:
+        """Of these runs, those that gave scores: what means are over."""
+        return min(sum(row.status == "ok" for row in self.rows), self.n_runs)
 
     @property
     def n_failed(self) -> int:
@@ -102,7 +114,7 @@ class Entry:
         shape = (len(tables), self.n_scenes)
         if not tables or metric not in tables[0]:
             return np.full(shape, np.nan), np.zeros(shape)
-        return np.stack([table[metric] for table in tables]), np.stack([table[f"{metric}_n"] for table in tables])
+        return np.stack([table[metric] for table in tables]), np.stack([_weights(table, metric) for table in tables])
 
     def summary(self, metric: str, *, without_failed: bool = False) -> Summary:
         """Mean, spread and interval of a metric."""
@@ -134,7 +146,8 @@ def standings(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> li
     pairs = sorted(zip(rows, tables, strict=True), key=lambda pair: (_group(pair[0]), pair[0].key.seed))
     entries = [_entry(list(members)) for _, members in groupby(pairs, key=lambda pair: _group(pair[0]))]
     floors = _best_floors(entries)
-    judged = [replace(entry, causes=_causes(entry, floors)) for entry in entries]
+    defined = _defined(entries)
+    judged = [_judged(entry, floors.get(entry.row.key.track_spec, np.nan), defined) for entry in entries]
     ranked = [entry for field in fields(judged) for entry in _ranked(field)]
     return sorted(ranked, key=lambda entry: _group(entry.row))
 
@@ -185,7 +198,12 @@ def _entry(pairs: Sequence[tuple[RunRow, SceneTable | None]]) -> Entry:
 def _pooled(table: SceneTable | None, metric: str) -> float:
     if table is None or metric not in table:
         return np.nan
-    return float(statistics.pooled_means(table[metric][None], table[f"{metric}_n"][None])[0])
+    return float(statistics.pooled_means(table[metric][None], _weights(table, metric)[None])[0])
+
+
+def _weights(table: SceneTable, metric: str) -> Float64[np.ndarray, "scene"]:
+    """The number of values behind each scene's mean; switches are counted once a scene, and not in stills."""
+    return (table["ari_video_n"] > 0).astype(np.float64) if metric == SWITCHES else table[f"{metric}_n"]
 
 
 def _best_floors(entries: Iterable[Entry]) -> dict[str, float]:
@@ -198,18 +216,33 @@ def _best_floors(entries: Iterable[Entry]) -> dict[str, float]:
     return best
 
 
-def _causes(entry: Entry, floors: dict[str, float]) -> tuple[str, ...]:
-    best_floor = floors.get(entry.row.key.track_spec, np.nan)
-    scores = zip(entry.rows, entry.seed_means("miou_bg"), entry.seed_means("msc_fg"), strict=True)
-    return tuple(_cause(row, miou_bg, msc_fg, best_floor) for row, miou_bg, msc_fg in scores)
+def _defined(entries: Iterable[Entry]) -> set[tuple[str, str]]:
+    """Datasets and the headline metrics that some run defines on them."""
+    return {
+        (entry.row.key.track_spec, name)
+        for entry in entries
+        for name in HEADLINE
+        if not np.isnan(entry.seed_means(name)).all()
+    }
 
 
-def _cause(row: RunRow, miou_bg: float, msc_fg: float, best_floor: float) -> str:
+def _judged(entry: Entry, best_floor: float, defined: Collection[tuple[str, str]]) -> Entry:
+    expected = [name for name in HEADLINE if (entry.row.key.track_spec, name) in defined]
+    means = {name: entry.seed_means(name) for name in HEADLINE}
+    causes = tuple(
+        _cause(row, {name: float(values[seed]) for name, values in means.items()}, best_floor, expected)
+        for seed, row in enumerate(entry.rows)
+    )
+    return replace(entry, best_floor=best_floor, causes=causes)
+
+
+def _cause(row: RunRow, scores: Mapping[str, float], best_floor: float, expected: Iterable[str]) -> str:
     if row.status == "failed":
         return row.reason or "no result"
     if row.kind in ("floor", "oracle"):
         return ""
-    return cause_of_failure(miou_bg, msc_fg, best_floor, finite_loss=has_finite_loss(row))
+    finite = has_finite_loss(row) and not any(np.isnan(scores[name]) for name in expected)
+    return cause_of_failure(scores["miou_bg"], scores["msc_fg"], best_floor, finite=finite)
 
 
 def _ranked(field: Sequence[Entry]) -> list[Entry]:
@@ -218,12 +251,12 @@ def _ranked(field: Sequence[Entry]) -> list[Entry]:
     values = {name: np.array([entry.best_known(name) for entry in ranked]) for name in RANKED_METRICS}
     mean_ranks = statistics.mean_ranks(*(values[name] for name in RANKED_METRICS))
     letters = zip(*(_letters(ranked, name, values[name]) for name in RANKED_METRICS), strict=True)
+    places = statistics.ranks(-mean_ranks)
     placed = [
-        replace(entry, mean_rank=float(rank), groups=groups)
-        for entry, rank, groups in zip(ranked, mean_ranks, letters, strict=True)
+        replace(entry, mean_rank=float(mean_rank), rank=float(place), groups=groups)
+        for entry, mean_rank, place, groups in zip(ranked, mean_ranks, places, letters, strict=True)
     ]
-    ordered = [replace(entry, rank=rank) for rank, entry in enumerate(best_first(placed), start=1)]
-    return ordered + [entry for entry in field if not entry.is_ranked]
+    return placed + [entry for entry in field if not entry.is_ranked]
 
 
 def _letters(entries: Sequence[Entry], metric: str, values: Float64[np.ndarray, "model"]) -> list[str]:

@@ -4,10 +4,12 @@ Scores are arrays (seed, scene) of per-scene means over frames, with the number 
 split's score pools its frames: sum(score * weight) / sum(weight); a model's score is the mean of that over its seeds.
 
 What the numbers can say:
-- The interval of a score resamples seeds and scenes. Three seeds under-cover: where most of the spread is between
-  seeds, intervals of nominally 95 % hold the truth in about 75 % of simulated experiments, since three values know
-  nothing of the tails. The spread over seeds therefore stands beside them. With one seed, or a method without
-  randomness, only scenes are resampled.
+- The interval of a score resamples seeds and scenes, crossed: all seeds are scored on the same scenes, so that a hard
+  scene is hard for all of them and their mean is no surer of the scenes than one seed's. Nested resampling, with scenes
+  drawn anew inside every seed, would take it for surer, and its intervals are too narrow.
+- Three seeds under-cover: where most of the spread is between seeds, intervals of nominally 95 % hold the truth in
+  about 75 % of simulated experiments, since they then run from the lowest of three values to the highest. The spread
+  over seeds therefore stands beside them. With one seed, or a method without randomness, only scenes are resampled.
 - Differences between two models are paired by scene, after a mean over each model's seeds. They tell about the runs
   that were made, and not how another training would come out.
 """

@@ -1,5 +1,6 @@
-"""Counts in words, the same on the screen, in the tables and in the report."""
+"""Counts and caveats in words, the same on the screen, in the tables and in the report."""
 
+import math
 from collections.abc import Iterable
 
 from benchmark.standings import Entry
@@ -22,3 +23,30 @@ def seeds_in_words(entries: Iterable[Entry]) -> str:
 def run_once(entries: Iterable[Entry]) -> str:
     """Names of the models that were run once for several seeds, as these make no difference; empty where none was."""
     return ", ".join(sorted({entry.row.key.model for entry in entries if entry.n_runs < len(entry.rows)}))
+
+
+def seeds_covered(entry: Entry) -> str:
+    """How many seeds a mean is over, and of how many where some gave no scores."""
+    return str(entry.n_scored) if entry.n_scored == entry.n_runs else f"{entry.n_scored} of {entry.n_runs}"
+
+
+def rank_in_words(entry: Entry) -> str:
+    """Such as 1, or 2.5 where two share places 2 and 3; empty where the model is not ranked."""
+    return f"{entry.rank:g}" if entry.rank else ""
+
+
+def without_floor(entries: Iterable[Entry]) -> str:
+    """Where models compete and no floor says what a collapse is, in a sentence; empty where there is no such track."""
+    blind = [entry for entry in entries if entry.row.kind not in ("floor", "oracle") and math.isnan(entry.best_floor)]
+    tracks = ", ".join(sorted({entry.row.key.track for entry in blind}))
+    return f"No floor was scored on {tracks}: a seed that collapsed is not told there; add --model floors." * bool(
+        blind
+    )
+
+
+def free_of_slots(entries: Iterable[Entry]) -> str:
+    """Which classical models find the number of objects themselves, in a sentence; empty where none does."""
+    free = {e.row.key.model for e in entries if e.row.kind == "classical" and "slots" not in e.row.priors}
+    names = ", ".join(sorted(free))
+    rest = "they find the number of objects themselves; leaderboard.csv says under priors what each model was given."
+    return f"Not held to the track's number of slots: {names}; {rest}" * bool(free)

@@ -42,6 +42,9 @@ def main() -> int:
     except Exception as error:  # A model may raise anything; it becomes the reason of a failed row.
         traceback.print_exc()
         tell(failed=f"{type(error).__name__}: {error}".strip().splitlines()[0])
+    except SystemExit:  # A model may call sys.exit; the exit code becomes the reason, and the log says where.
+        traceback.print_exc()
+        raise
     else:
         return EXIT_OK
     return EXIT_INCOMPLETE

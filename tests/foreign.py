@@ -6,6 +6,7 @@ MODELS = '''
 import os
 import signal
 import subprocess
+import sys
 import time
 
 import numpy as np
@@ -76,6 +77,16 @@ class Leaves(Good):
         os._exit(0)
 
 
+class Exits(Good):
+    def fit(self, train, val, *, seed, budget):
+        sys.exit(0)
+
+
+class ExitsWithACode(Good):
+    def segment(self, clip):
+        os._exit(7)
+
+
 class Hangs(Good):
     """Waits, and has started another process that waits."""
 
@@ -128,6 +139,8 @@ CLASSES = {
     "crashes": "Crashes",
     "killed": "Killed",
     "leaves": "Leaves",
+    "exits": "Exits",
+    "exits-with-a-code": "ExitsWithACode",
     "hangs": "Hangs",
     "hoards": "Hoards",
     "out-of-memory": "OutOfMemory",

@@ -9,6 +9,7 @@ from typing import Any
 from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.standings import PRETRAINED, TUNED, USES_LABELS, Entry, best_first
 from benchmark.statistics import Summary
+from benchmark.wording import rank_in_words, seeds_covered
 
 BLOCKS = {
     "learned": "Learned",
@@ -151,13 +152,13 @@ def _row(entry: Entry, numbers: Mapping[str, int]) -> Row:
     return Row(
         numbers[entry.row.key.model],
         entry.marks,
-        str(entry.rank or ""),
+        rank_in_words(entry),
         cell(entry.summary("msc_fg"), msc_fg),
         cell(entry.summary("ari_fg"), ari_fg),
         number(entry.summary("miou_bg").mean),
         number(entry.summary("ari").mean),
         duration(seconds_per_frame(entry)),
-        str(entry.n_runs),
+        seeds_covered(entry),
         _failure(entry),
     )
 

@@ -14,7 +14,7 @@ from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.panel import error_rows, slice_charts
 from benchmark.standings import Entry, best_first, compare_entries
-from benchmark.wording import counted
+from benchmark.wording import counted, free_of_slots, without_floor
 from datagen.errors import DatagenError, UsageError
 from datagen.storage import Split
 
@@ -93,6 +93,7 @@ def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
         "blocks": board.blocks(entries, numbers),
         "paper": _paper(entries[0].row.key.track),
         "marks": board.marks(entries),
+        "notes": [note for note in (free_of_slots(entries), without_floor(entries)) if note],
         "metrics": metrics,
         "details": details,
         "failures": board.failures(entries),
@@ -101,6 +102,7 @@ def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
         "errors": error_rows(field.analysis) if field.analysis else [],
         "scatter": _scatter(entries, numbers),
         "histories": _histories(entries, numbers),
+        "curveless": _curveless(entries),
     }
 
 
@@ -152,6 +154,12 @@ def _histories(entries: Sequence[Entry], numbers: Mapping[str, int]) -> list[Lin
     curves = [(numbers[e.row.key.model], row.learning_curve) for e in entries for row in e.rows if row.learning_curve]
     names = dict.fromkeys(name for _, points in curves for point in points for name in point if name not in CLOCKS)
     return [history_chart(name, [_history(model, points, name) for model, points in curves]) for name in names]
+
+
+def _curveless(entries: Sequence[Entry]) -> str:
+    """Names of models that learn and have no curve."""
+    learned = [entry for entry in entries if entry.row.kind == "learned"]
+    return ", ".join(e.row.key.model for e in learned if not any(row.learning_curve for row in e.rows))
 
 
 def _history(model: int, points: Sequence[Mapping[str, float]], name: str) -> tuple[int, list[float], list[float]]:

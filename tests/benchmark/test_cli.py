@@ -57,6 +57,9 @@ def test_a_run_leaves_rows_tables_and_a_short_table_on_the_screen(data: Path, tm
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["models"] == {"good": 3, "plane-dbscan": 1}
     assert manifest["rows"] == {"ok": 4, "failed": 0}
+    assert manifest["best_floor"] == {"data": None}
+    assert set(manifest["sha256"]) == {"leaderboard.csv", "per_seed.csv", "leaderboard.md", "leaderboard.tex"}
+    assert "No floor was scored on data" in shown.out
 
 
 def test_a_second_run_makes_only_what_is_missing(data: Path, tmp_path: Path, capsys):
@@ -100,7 +103,9 @@ FAILURES = {
     "raises-in-fit": "OSError: no weights",
     "crashes": "crashed with SIGSEGV",
     "killed": "most likely because memory ran out",
-    "leaves": "ended before the row was written",
+    "leaves": "its process ended by itself with exit code 0 before it returned a result",
+    "exits": "its process ended by itself with exit code 0 before it returned a result",
+    "exits-with-a-code": "its process ended by itself with exit code 7 before it returned a result",
     "out-of-memory": "out of memory: cannot allocate",
     "wrong-shape": "expected integers of shape (2, 1, 48, 64)",
     "nan": "with nan",
@@ -118,6 +123,7 @@ def test_every_failure_is_a_row_with_its_reason_and_the_rest_goes_on(data: Path,
         name: row.reason for name, row in rows.items() if row.status == "failed" and FAILURES[name] in row.reason
     }.keys() == FAILURES.keys()
     assert rows["good"].status == "ok"
+    assert "in fit" in next((tmp_path / "logs").glob("data--exits--*.log")).read_text()
     capsys.readouterr()
     assert run_cli(*command) == EXIT_INCOMPLETE
     assert "FAILED" not in capsys.readouterr().err

@@ -82,6 +82,37 @@ def test_the_table_shows_every_line(folder: Path):
     assert "resolvable" in text
 
 
+def printed(found: list[Comparison]) -> str:
+    console = Console(width=120, record=True, file=io.StringIO())
+    console.print(comparison_table(found, "a", "b"))
+    return " ".join(console.export_text().split())
+
+
+def test_failed_seeds_are_named(folder: Path):
+    save_run(folder, run_row("floor", n_scenes=N, kind="floor"), scene_table({"msc_fg": np.full(N, 0.1)}))
+    assert "seed" not in printed(compare(folder, "a", "b", metrics=("msc_fg",))).partition("Warning: noisy")[0]
+    swapped = scene_table({"msc_fg": np.full(N, 0.6), "miou_bg": np.full(N, 0.1)})
+    save_run(folder, run_row("b", seed=2, n_scenes=N), swapped)
+    save_run(folder, failed_row("b", seed=3))
+    text = printed(compare(folder, "a", "b", metrics=("msc_fg",)))
+    assert text.count("Warning: moving: seed 2 of b failed (swap), seed 3 of b failed (out of memory); ") == 1
+    assert text.count("Warning: noisy is left out, as b has no scores there: seed 0 of b failed (out of memory).") == 1
+
+
+def test_a_collapse_that_cannot_be_seen_is_said(folder: Path):
+    assert printed(compare(folder, "a", "b", metrics=("msc_fg",))).count("No floor was scored on static") == 1
+
+
+def test_the_legend_says_how_equal_scores_count(folder: Path):
+    assert "equal scores count half" in printed(compare(folder, "a", "b"))
+
+
+def test_only_rows_and_scores_of_scenes_are_needed(folder: Path):
+    """What a clone has: tables that are left out of git are made from these."""
+    assert sorted(path.name for path in folder.iterdir()) == ["runs", "scenes"]
+    assert compare(folder, "a", "b")
+
+
 def test_no_difference_is_minus_zero():
     nothing = Difference(mean=-1e-5, low=-1e-4, high=1e-4, p_value=1.0, win_rate=0.5, resolvable=0.1, n_scenes=1)
     console = Console(width=120, record=True, file=io.StringIO())

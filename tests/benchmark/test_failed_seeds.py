@@ -25,7 +25,7 @@ def test_the_rule(miou_bg: float, msc_fg: float, best_floor: float, cause: str):
 
 
 def test_nan_comes_first():
-    assert cause_of_failure(0.1, 0.1, 0.2, finite_loss=False) == "nan"
+    assert cause_of_failure(0.1, 0.1, 0.2, finite=False) == "nan"
 
 
 def test_the_loss_is_read_from_the_learning_curve():

@@ -39,7 +39,7 @@ def read(path: Path) -> list[dict[str, str]]:
 def test_every_column_that_is_promised(folder: Path):
     leaderboard.write(folder)
     columns = set(read(folder / "leaderboard.csv")[0])
-    for metric in (*METRICS, *CLIP_METRICS):
+    for metric in (*METRICS, *CLIP_METRICS, "identity_switches"):
         assert {f"{metric}_{name}" for name in ("mean", "std", "sample_std", "ci_low", "ci_high")} <= columns
     assert {"track", "fit_track", "model", "n_seeds", "n_failed", "n_scenes", "n_skipped", "priors"} <= columns
     assert {"parameters", "device", "marks", "measured_seconds_per_frame", "measured_fit_seconds"} <= columns
@@ -53,8 +53,11 @@ def test_means_are_over_seeds_and_failures_are_told(folder: Path):
     assert float(row["msc_fg_std"]) == pytest.approx(np.std(seeds), abs=1e-6)
     assert float(row["msc_fg_sample_std"]) == pytest.approx(np.std(seeds, ddof=1), abs=2e-6)
     assert float(row["msc_fg_ci_low"]) < float(row["msc_fg_mean"]) < float(row["msc_fg_ci_high"])
-    assert (row["n_seeds"], row["n_failed"], row["failures"]) == ("3", "1", "2: out of memory")
-    assert (row["n_scenes"], row["n_frames"], row["n_identity_switches"]) == (str(N), str(2 * N), str(N))
+    counts = [row[name] for name in ("n_seeds", "n_scored", "n_failed", "failures")]
+    assert counts == ["3", "2", "1", "2: out of memory"]
+    assert (row["n_scenes"], row["n_frames"], row["identity_switches_mean"]) == (str(N), str(2 * N), "1.000000")
+    floors = [float(seed["msc_fg"]) for seed in read(folder / "per_seed.csv") if seed["model"] == "floor"]
+    assert float(row["best_floor"]) == pytest.approx(np.mean(floors), abs=1e-6)
 
 
 def test_runs_are_counted_apart_from_seeds(tmp_path: Path):
@@ -65,6 +68,13 @@ def test_runs_are_counted_apart_from_seeds(tmp_path: Path):
     leaderboard.write(tmp_path)
     found = {row["model"]: (row["n_seeds"], row["n_runs"]) for row in read(tmp_path / "leaderboard.csv")}
     assert found == {"chance": ("3", "3"), "fixed": ("3", "1")}
+
+
+def test_equal_models_share_a_rank(tmp_path: Path):
+    for name, score in (("a", 0.5), ("b", 0.5), ("c", 0.4)):
+        save_run(tmp_path, run_row(name), scene_table({"ari_fg": [score] * 3, "msc_fg": [score] * 3}))
+    leaderboard.write(tmp_path)
+    assert [row["rank"] for row in read(tmp_path / "leaderboard.csv")] == ["1.5", "1.5", "3"]
 
 
 def test_no_figure_is_minus_zero():

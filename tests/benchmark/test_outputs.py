@@ -36,6 +36,7 @@ def test_models_stand_in_the_order_of_their_ranks_track_by_track():
 
 def test_marks_are_explained_beneath_where_they_occur():
     marked = [scored("a", 0.9, uses_labels=True), scored("b", 0.8, tuned=True), scored("c", 0.7, pretrained="c.pt")]
+    marked += [scored("a-floor", 0.1, kind="floor")]
     assert [line[0] for line in printed(marked)[-3:]] == ["†", "‡", "§"]
     text = "\n".join(printed([scored("b", 0.8, tuned=True)]))
     assert text.count("‡") == 2
@@ -49,13 +50,22 @@ def test_seeds_are_those_that_were_run():
     runs += [scored("fixed", 0.4, seed=seed, random=False) for seed in range(3)]
     runs += [(failed_row("broken", seed=seed, random=False), None) for seed in range(3)]
     runs += [scored("shaky", 0.3), (failed_row("shaky", seed=1), None)]
+    swapped = scene_table({"msc_fg": [0.7] * 3, "miou_bg": [0.1] * 3})
+    runs += [scored("swapped", 0.7), (run_row("swapped", seed=1), swapped)]
     lines = printed(runs)
     found = {line.split()[1]: " ".join(line.split()[2:5]) for line in lines if line.startswith("moving")}
     assert found["chance"].split()[0] == "3"
     assert found["fixed"].split()[0] == "1"
     assert found["broken"] == "0 of 1"
     assert found["shaky"] == "1 of 2"
+    assert found["swapped"] == "2, 1 failed"
     assert any("were run once" in line and "broken, fixed" in line for line in lines)
+
+
+def test_a_collapse_that_cannot_be_seen_is_said():
+    assert any("No floor was scored on moving" in line for line in printed([scored("m", 0.5)]))
+    both = [scored("m", 0.5), scored("floor", 0.1, kind="floor")]
+    assert not any("No floor" in line for line in printed(both))
 
 
 def test_no_figure_is_minus_zero():

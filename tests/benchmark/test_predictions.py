@@ -126,6 +126,21 @@ def test_changed_predictions_are_another_row(data: Path, truths: list[np.ndarray
     assert pooled(load_scenes(tmp_path / "out", row), "msc_fg") == 0.5
 
 
+@pytest.mark.slow
+def test_mended_predictions_replace_failed_rows_unasked(data: Path, truths: list[np.ndarray], tmp_path: Path):
+    for name in ("a", "b"):
+        write_npz(tmp_path / name, truths)
+    broken = tmp_path / "b" / "test" / "00001.npz"
+    whole = broken.read_bytes()
+    broken.write_bytes(b"nonsense")
+    command = ("--predictions", tmp_path / "a", tmp_path / "b", "--name", "mine", "--data", data)
+    assert run_cli(*command, "--out", tmp_path / "out") == 3
+    assert [row.status for row in load_runs(tmp_path / "out")] == ["ok", "failed"]
+    broken.write_bytes(whole)
+    assert run_cli(*command, "--out", tmp_path / "out") == 0
+    assert [(row.key.seed, row.status) for row in load_runs(tmp_path / "out")] == [(0, "ok"), (1, "ok")]
+
+
 def test_a_file_that_names_its_background_overrules_the_flag(clip: Clip, truths: list[np.ndarray], tmp_path: Path):
     write_npz(tmp_path / "npz", truths)
     write_png(tmp_path / "png", truths)
@@ -190,6 +205,7 @@ def test_images_of_a_bad_kind_are_named(clip: Clip, truths: list[np.ndarray], tm
         (["--predictions", "{nowhere}"], "is no folder"),
         (["--predictions", "{empty}"], "no label maps of scene 0"),
         (["--predictions", "{mine}", "--name", "plane-dbscan"], "is the name of a model"),
+        (["--predictions", "{mine}", "{mine}/../mine"], "is given twice"),
         (["--predictions", "{mine}", "--model", "plane-dbscan"], "Name what to score"),
     ],
 )

@@ -141,6 +141,32 @@ def test_failures_are_shown_with_their_reason(page: Page) -> None:
     assert words.count("out of memory") >= 2 * len(TRACKS)
 
 
+def test_rows_say_how_many_seeds_their_means_cover(page: Page) -> None:
+    rows = [row.split() for row in page.rows if "splitter" in row and "failed (error)" in row]
+    assert len(rows) == len(TRACKS)
+    assert all(" 0 of 1 1 failed (error)" in " ".join(row) for row in rows)
+
+
+def test_segmentations_that_share_a_training_say_where_their_curve_is(tmp_path: Path) -> None:
+    curve = [{"step": 0.0, "loss": 2.0}, {"step": 1.0, "loss": 1.0}]
+    save_run(tmp_path, run_row("net", n_scenes=1, learning_curve=curve), scene_table({"ari_fg": [0.5]}))
+    save_run(tmp_path, run_row("net-att", n_scenes=1), scene_table({"ari_fg": [0.5]}))
+    report.write(tmp_path, {})
+    words = " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).text)
+    assert "Without a curve of their own: net-att." in words
+    assert "No floor was scored on moving" in words
+
+
+def test_models_that_are_not_held_to_the_slots_are_named(tmp_path: Path, page: Page) -> None:
+    row = run_row("plane", n_scenes=1, kind="classical", priors=("plane",))
+    save_run(tmp_path, row, scene_table({"ari_fg": [0.5]}))
+    report.write(tmp_path, {})
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Not held to the track&#39;s number of slots: plane;" in text
+    assert "Not held" not in " ".join(page.text)
+    assert "No floor" not in " ".join(page.text)
+
+
 def test_the_papers_figures_stand_apart(page: Page) -> None:
     words = " ".join(page.text)
     assert "In the paper: other data, not comparable" in words

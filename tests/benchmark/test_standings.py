@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from benchmark.results import RunRow, SceneTable
-from benchmark.standings import Entry, best_first, compare_entries, fields, load_standings, standings
+from benchmark.standings import (
+    RANKED_METRICS,
+    SWITCHES,
+    Entry,
+    best_first,
+    compare_entries,
+    fields,
+    load_standings,
+    standings,
+)
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
 N = 40
@@ -85,7 +94,7 @@ def test_floors_oracles_and_label_users_are_never_ranked():
         "given": {"kind": "predictions"},
         "classical": {"kind": "classical", "tuned": True},
     }
-    entries = entries_of(*(scored(name, 0.5, **changes) for name, changes in kinds.items()))
+    entries = entries_of(*(scored(name, 0.2 if name == "floor" else 0.5, **kinds[name]) for name in kinds))
     assert {name for name, entry in entries.items() if entry.rank} == {"given", "classical"}
     assert {name: entry.marks for name, entry in entries.items()} == {
         "floor": "",
@@ -94,6 +103,60 @@ def test_floors_oracles_and_label_users_are_never_ranked():
         "given": "",
         "classical": "‡",
     }
+
+
+def test_equal_models_share_the_mean_of_their_places():
+    """Exactly equal ones, and those of which one leads in ARI-FG and the other in MSC-FG by as much."""
+    found = entries_of(scored("best", 0.9), scored("a", 0.8), scored("b", 0.8), scored("last", 0.7))
+    assert {name: entry.rank for name, entry in found.items()} == {"best": 1, "a": 2.5, "b": 2.5, "last": 4}
+    crossed = {"one": (0.9, 0.8), "two": (0.8, 0.9)}
+    tables = [scene_table(dict(zip(RANKED_METRICS, np.tile(pair, (N, 1)).T, strict=True))) for pair in crossed.values()]
+    found = standings([run_row(name, n_scenes=N) for name in crossed], tables)
+    assert [entry.rank for entry in found] == [1.5, 1.5]
+
+
+def test_a_model_whose_every_seed_failed_is_not_ranked():
+    floor, fine = scored("floor", 0.2, kind="floor"), scored("fine", 0.6)
+    swapped, table = scored("swapped", 0.9)
+    half = [scored("half", 0.7), (failed_row("half", seed=1), None)]
+    entries = entries_of(floor, fine, (swapped, table | {"miou_bg": np.full(N, 0.1)}), scored("flat", 0.22), *half)
+    assert {name: entry.rank for name, entry in entries.items()} == {
+        "floor": None,
+        "fine": 2,
+        "swapped": None,
+        "flat": None,
+        "half": 1,
+    }
+    assert (entries["half"].n_scored, entries["swapped"].n_scored, entries["swapped"].n_failed) == (1, 1, 1)
+
+
+def test_a_score_that_only_this_run_leaves_undefined_is_a_failure():
+    nothing = np.full(N, np.nan)
+    row, table = scored("m", 0.8)
+    broken = (run_row("broken", n_scenes=N), table | {"miou_bg": nothing, "miou_bg_n": np.zeros(N)})
+    assert entries_of((row, table), broken)["broken"].causes == ("nan",)
+    empty = [(run_row(name, n_scenes=N), scene_table(dict.fromkeys(RANKED_METRICS, nothing))) for name in ("a", "b")]
+    assert {entry.causes for entry in entries_of(*empty).values()} == {("",)}
+
+
+def test_the_bar_is_known_only_where_a_floor_has_scores():
+    low, high = (scored(name, score, kind="floor") for name, score in (("low", 0.1), ("high", 0.2)))
+    lost = (failed_row("low", "static", kind="floor", track_spec="s"), None)
+    elsewhere = scored("m", 0.8, track="static", track_spec="s")
+    moving = entries_of(low, high, scored("m", 0.8))["m"]
+    assert moving.best_floor == pytest.approx(0.2 + NOISE.mean())
+    assert np.isnan(entries_of(lost, elsewhere, low)["m"].best_floor)
+
+
+def test_identity_switches_are_summarised_like_metrics():
+    """A mean over the scenes that have time; stills have none."""
+    row, table = scored("m", 0.5)
+    pairs = [(run_row("m", seed=s, n_scenes=N), table | {"identity_switches": np.full(N, 1.0 + s)}) for s in range(2)]
+    entry = entries_of(*pairs)["m"]
+    assert entry.seed_means(SWITCHES).tolist() == [1.0, 2.0]
+    assert (entry.summary(SWITCHES).mean, entry.summary(SWITCHES).std) == (1.5, 0.5)
+    stills = entries_of((row, table | {"ari_video": np.full(N, np.nan), "ari_video_n": np.zeros(N)}))["m"]
+    assert np.isnan(stills.summary(SWITCHES).mean)
 
 
 def test_ties_are_found_by_pairing():

@@ -19,5 +19,8 @@ def test_a_model_without_randomness_has_run_once():
     broken = [failed_row("broken", seed=seed, random=False) for seed in range(3)]
     entries = standings([*chance, *broken], [scores] * 3 + [None] * 3)
     (block,) = blocks(entries, {"broken": 0, "chance": 1})
-    assert {row.model: (row.seeds, row.failure) for row in block.rows} == {0: ("1", "1 failed (error)"), 1: ("3", "")}
+    assert {row.model: (row.seeds, row.failure) for row in block.rows} == {
+        0: ("0 of 1", "1 failed (error)"),
+        1: ("3", ""),
+    }
     assert [failure["name"] for failure in failures(entries)] == ["broken, seed 0"]
