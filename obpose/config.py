@@ -1,7 +1,7 @@
 """Every constant of the model, the losses and the training, with where it comes from.
 
-`[paper]`: stated there; `[code]`: the authors' published code; `[ours]`: our addition or choice, measured in
-docs/results.md. A variant is an entry in `VARIANTS`, a size an entry in `PROFILES`; nothing else differs.
+`[paper]`: stated there; `[code]`: the authors' published code; `[ours]`: our addition or choice, see
+docs/paper_to_code.md. A variant is an entry in `VARIANTS`, a size an entry in `PROFILES`; nothing else differs.
 """
 
 import dataclasses
@@ -42,17 +42,24 @@ class AttentionConfig:
     semi_convolution: float = 8.0
     """World position in metres, times this, is added to the first three channels of the colour embedding; 0 for none.
     What matters most for learning in few steps. [ours; Novotny et al. 2018]"""
+    semi_colour: float = 0.3
+    """Standardised colour, times this, is added to the next three channels; 0 for none. [ours]"""
     seeds: Literal["stochastic", "greedy"] = "stochastic"
-    """In training: seed at the argmax of u * scope with u uniform (GENESIS-V2), or of the scope. Evaluation is always
-    greedy. [ours: greedy at evaluation]"""
-    moving_seeds: bool = True
-    """Seeds follow their objects from frame to frame. [ours]"""
+    """In training: seed at the argmax of u * scope with u uniform (GENESIS-V2), or of the scope. [code: stochastic]"""
+    evaluation_seeds: Literal["greedy", "densest"] = "densest"
+    """At evaluation: seed at the largest scope, or where the scope around is largest. [ours]"""
+    evaluation_division: Literal["sticks", "shares"] = "shares"
+    """At evaluation: what several slots reach goes to the first of them first, or to the nearest. In training sticks
+    are broken always. [ours; paper: sticks]"""
+    looks: int = 3
+    """So often a seed moves to the mean embedding under its mask, in each frame; 0: it stays where it was chosen.
+    [ours; paper: 0]"""
     idle_in_training: Literal["never", "bernoulli"] = "never"
     """Whether a slot is left out when a draw of the remaining scope finds no point. [code: bernoulli]"""
     idle_points: int = 2
     """At evaluation a slot is idle unless so many points of the first frame have a remaining scope over `idle_scope`; 0
     for no idle slots. [ours]"""
-    idle_scope: float = 0.2
+    idle_scope: float = 0.7
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ class PoseConfig:
     """T_max, metres. [code: 0.1]"""
     min_points: int = 1
     """With fewer points of the embedding grid whose argmax is the slot, its location is kept from the frame before.
-    [code: 10 of 64x64; on a grid of 32x32 half of the objects have fewer]"""
+    [ours; code: 10 of 64x64]"""
     min_pixels: int = 10
     """With fewer pixels whose argmax is the slot, its orientation is that of the frame before or the identity.
     [code: 10 points]"""
@@ -118,7 +125,6 @@ class ModelConfig:
 
     slots: int = 4
     """K, without the background. [code]"""
-    attention_type: Literal["ic-sbp"] = "ic-sbp"
     backbone: BackboneConfig = field(default_factory=BackboneConfig)
     attention: AttentionConfig = field(default_factory=AttentionConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
@@ -185,7 +191,7 @@ class LossConfig:
 class TrainConfig:
     """How it is trained."""
 
-    batch: int = 2
+    batch: int = 1
     """Clips a step."""
     frames: int = 5
     """Frames of a training window; whole clips where they are shorter. [code]"""
@@ -227,7 +233,10 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "obpose-none": {"model.pose.conditioning": "none"},
     "obpose-as-published": {
         "model.attention.semi_convolution": 0.0,
-        "model.attention.moving_seeds": False,
+        "model.attention.semi_colour": 0.0,
+        "model.attention.looks": 0,
+        "model.attention.evaluation_seeds": "greedy",
+        "model.attention.evaluation_division": "sticks",
         "model.attention.idle_in_training": "bernoulli",
         "model.table": None,
         "model.pose.box_size": 0.4,

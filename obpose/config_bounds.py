@@ -15,12 +15,12 @@ model.latent.samples model.object_field.width model.object_field.depth model.bac
 model.background_field.depth train.batch train.frames train.steps"""
 _POSITIVE = """model.backbone.radius model.pose.box_size model.spacing model.workspace_size model.background_size
 loss.sigma_max loss.colour_std train.learning_rate train.minutes"""
-_NOT_NEGATIVE = """model.attention.semi_convolution model.attention.idle_points model.pose.max_translation
-model.pose.min_points model.pose.min_pixels model.pose.grid_level model.pose.refinements model.pose.tolerance
-model.object_field.position_frequencies model.object_field.direction_frequencies
-model.background_field.position_frequencies model.background_field.direction_frequencies loss.colour loss.surface
-loss.air loss.mask loss.scope loss.translation loss.kl loss.kl_where loss.jitter train.rays train.clip
-train.warmup"""
+_NOT_NEGATIVE = """model.attention.semi_convolution model.attention.semi_colour model.attention.looks
+model.attention.idle_points model.pose.max_translation model.pose.min_points model.pose.min_pixels
+model.pose.grid_level model.pose.refinements model.pose.tolerance model.object_field.position_frequencies
+model.object_field.direction_frequencies model.background_field.position_frequencies
+model.background_field.direction_frequencies loss.colour loss.surface loss.air loss.mask loss.scope loss.translation
+loss.kl loss.kl_where loss.jitter train.rays train.clip train.warmup"""
 
 
 def check_bounds(config: Config) -> None:
@@ -38,8 +38,9 @@ def check_bounds(config: Config) -> None:
         ("train.seed", lambda value: 0 <= value < 2**63, "0 or more, and less than 2^63"),
         ("train.object_rays", lambda value: 0 <= value < 1, "0 or more, and less than 1"),
         ("loss.near_share", lambda value: 0 < value < 1, "between 0 and 1"),
-        # The position is added to three of them.
-        ("model.backbone.colour", lambda value: value >= 3, "3 or more"),
+        ("model.attention.idle_scope", lambda value: 0 < value < 1, "between 0 and 1"),
+        # The position is added to three of them, the colour to three more.
+        ("model.backbone.colour", lambda value: value >= 6, "6 or more"),
     ):
         _check_each(config, names, holds, expected)
     _check_levels(config)

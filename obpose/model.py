@@ -128,9 +128,10 @@ class ObPose(Trainable):
         grid = rearrange(out.points, "(b f v) h w c -> b f (v h w) c", **cells)
         valid = rearrange(out.valid, "(b f v) h w -> b f (v h w)", **cells)
         embedding = rearrange(out.embedding, "(b f v) h w c -> b f (v h w) c", **cells)
-        colour, features, log_prescope = self.heads(grid, valid, embedding, center=self.center)
+        rgb = rearrange(out.rgb, "(b f v) h w c -> b f (v h w) c", **cells)
+        colour, features, log_prescope = self.heads(grid, valid, rgb, embedding, center=self.center)
         # The observed colours stand beside zeta_f, so that the latents need not wait for the backbone.
-        features = torch.cat([features, rearrange(out.rgb, "(b f v) h w c -> b f (v h w) c", **cells)], dim=-1)
+        features = torch.cat([features, rgb], dim=-1)
         scene = rearrange(out.scene, "(b f v) c -> b f v c", **cells).mean(dim=2)
         return Embeddings(grid, valid, colour, features, scene), log_prescope
 
@@ -168,8 +169,9 @@ class ObPose(Trainable):
             embeddings.valid,
             log_prescope,
             slots=self.config.model.slots,
-            seeds=config.seeds if self.training else "greedy",
+            seeds=config.seeds if self.training else config.evaluation_seeds,
             idle=config.idle_in_training if self.training else "threshold",
+            division="sticks" if self.training else config.evaluation_division,
             generator=generator,
         )
 
@@ -259,7 +261,10 @@ class ObPose(Trainable):
 
     @torch.no_grad()
     def _sample_rays(
-        self, observation: Observation, log_prescope: Float[Tensor, "batch frame point 2"], generator: Any
+        self,
+        observation: Observation,
+        log_prescope: Float[Tensor, "batch frame point 2"],
+        generator: torch.Generator | None,
     ) -> Rays:
         """More of them where objects are expected."""
         train, (views, height, width) = self.config.train, observation.depth.shape[2:]

@@ -28,7 +28,7 @@ def _spec(variant: str) -> ModelSpec:
     config = make_config(variant)
     return ModelSpec(
         partial(_build, variant),
-        version=1,
+        version=2,
         description=DESCRIPTIONS[variant],
         kind="learned",
         priors=("slots", "background slot", "camera pose", "plane"),

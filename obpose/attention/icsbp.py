@@ -1,38 +1,36 @@
 """Instance colouring stick-breaking process for video (paper, section IC-SBP; Engelcke et al. 2021, GENESIS-V2).
 
-Everything is kept as logarithms. Which points are seeds is decided on the first frame, slot by slot and without
-gradients, and how far seeds move in later frames, frame by frame; then all slots of all frames are computed at once,
-with gradients also into the embeddings of the seeds.
-
-The paper's seeds stay where they were in the first frame. With embeddings that hold the position an object then slides
-out of its own mask: of an object that has moved, ours are moved by as much as the mean embedding under its mask has.
+Everything is kept as logarithms. Seeds are points of the first frame, chosen slot by slot. The paper's stay there, and
+where a point is at the edge of its object its mask covers half of it. An addition lets seeds move to the mean
+embedding under their masks, a few times in the first frame, and again in every later one from where they were in the
+frame before, since with embeddings that hold the position an object slides out of a mask that stays. Where seeds are
+has no gradient, but for the embeddings that they are means of; the masks of all frames are then computed at once.
 """
 
 import math
 from typing import Literal
 
 import torch
-from einops import rearrange
+from einops import rearrange, repeat
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from obpose.attention.kernels import initial_sigma, log_alpha
 from obpose.config import AttentionConfig
-from obpose.layers.numerics import log1mexp
+from obpose.layers.numerics import log1mexp, sharpen
 from obpose.types import Masks
 
-Seeds = Literal["stochastic", "greedy"]
+Seeds = Literal["stochastic", "greedy", "densest"]
 Idle = Literal["never", "bernoulli", "threshold"]
+Division = Literal["sticks", "shares"]
 
 EXCLUDED = -1e4
 """Log mask of an idle slot, and of all slots at an invalid point: lower than any other, finite in half precision."""
 
-_SHARPNESS = 3
-"""Power of the mask by which the mean embedding is weighted: traces of it on a whole table are not to count."""
-_LOOKS = 2
-"""So often a seed moves to the mean of its mask, from where it was in the frame before."""
 _SEEN = 0.5
-"""A mask whose powers sum to less, in points, covers nothing of which the middle could be told."""
+"""A sharpened mask that sums to less, in points, covers nothing of which the middle could be told."""
+_CANDIDATES = 256
+"""So many points are compared for the densest."""
 
 
 class ICSBP(nn.Module):
@@ -55,6 +53,7 @@ class ICSBP(nn.Module):
         slots: int,
         seeds: Seeds,
         idle: Idle,
+        division: Division = "sticks",
         generator: torch.Generator | None,
     ) -> Masks:
         """Masks of the background and of `slots` objects in every frame.
@@ -62,53 +61,49 @@ class ICSBP(nn.Module):
         A slot is idle where the rule `idle` says so of the scope left to it in the first frame, and where that frame
         has no valid point: `bernoulli` as in the authors' code, where a draw of the scope at each point finds none;
         `threshold` where fewer than `idle_points` points have a scope over `idle_scope`. Points that are not valid
-        belong to the background and have no influence.
+        belong to the background and have no influence. What several slots reach is divided by breaking sticks, or in
+        shares.
         """
         wide = torch.promote_types(colour.dtype, torch.float32)
         colour, log_prescope = colour.to(wide), log_prescope.to(wide)
-        places, active = self._choose_seeds(
+        first, active, log_claims = self._choose_seeds(
             colour[:, 0],
             valid[:, 0],
-            log_prescope[:, 0, :, 1],
+            log_prescope[:, 0, :, 1].detach(),
             slots=slots,
             seeds=seeds,
             idle=idle,
             generator=generator,
         )
-        first = _pick(colour[:, 0], places)[:, None]
-        moved = self._follow(colour, valid, log_prescope, first, active) if self.config.moving_seeds else 0.0
-        alpha = self._log_alpha(colour, (first + moved).expand(-1, colour.shape[1], -1, -1))
-        return _break_sticks(alpha, log_prescope, valid, active)
+        if self.config.looks:
+            places = self._follow(colour, valid, log_prescope, first, active)
+        else:
+            places = repeat(first, "b slot colour -> b frame slot colour", frame=colour.shape[1])
+        alpha = self._log_alpha(colour, places)
+        if division == "sticks":
+            return _break_sticks(alpha, log_prescope, valid, active)
+        return _share(alpha, log_prescope, valid, active, log_claims)
 
-    @torch.no_grad()
     def _follow(
         self,
         colour: Float[Tensor, "batch frame point colour"],
         valid: Bool[Tensor, "batch frame point"],
         log_prescope: Float[Tensor, "batch frame point 2"],
-        first: Float[Tensor, "batch 1 slot colour"],
+        first: Float[Tensor, "batch slot colour"],
         active: Bool[Tensor, "batch slot"],
     ) -> Float[Tensor, "batch frame slot colour"]:
-        """How far the mean embedding under each mask has moved since it was first seen, frame by frame.
-
-        A mask around the seed of the frame before shows where the seed is to move. While that mask covers next to
-        nothing, as of an object out of sight, the seed waits.
-        """
-        moved, start, shift = [], torch.full_like(first, math.nan), torch.zeros_like(first)
+        """Seeds of all frames, each looked for from where it was in the frame before."""
+        seed, places = first, []
         for frame in range(colour.shape[1]):
             here = slice(frame, frame + 1)
-            for _ in range(_LOOKS if frame else 1):
-                alpha = self._log_alpha(colour[:, here], first + shift)
-                masks = _break_sticks(alpha, log_prescope[:, here], valid[:, here], active).log_masks[:, :, 1:]
-                sharp = (_SHARPNESS * masks).exp()
-                total = sharp.sum(dim=-1, keepdim=True)
-                mean, seen = sharp @ colour[:, here] / total.clamp(min=_SEEN), total >= _SEEN
-                start = torch.where(seen & start.isnan(), mean, start)
-                shift = torch.where(seen, mean - start, shift)
-            moved.append(shift)
-        return torch.cat(moved, dim=1)
+            for _ in range(self.config.looks):
+                with torch.no_grad():
+                    alpha = self._log_alpha(colour[:, here], seed[:, None])
+                    masks = _break_sticks(alpha, log_prescope[:, here], valid[:, here], active).log_masks[:, 0, 1:]
+                seed = _look(seed.detach(), masks, colour[:, frame])
+            places.append(seed)
+        return torch.stack(places, dim=1)
 
-    @torch.no_grad()
     def _choose_seeds(
         self,
         colour: Float[Tensor, "batch point colour"],
@@ -119,16 +114,48 @@ class ICSBP(nn.Module):
         seeds: Seeds,
         idle: Idle,
         generator: torch.Generator | None,
-    ) -> tuple[Int[Tensor, "batch slot"], Bool[Tensor, "batch slot"]]:
-        """Place of each slot's seed among the points of the first frame, and which slots are in use."""
-        log_scope = log_scope.masked_fill(~valid, -math.inf)
-        places, active = [], []
+    ) -> tuple[Float[Tensor, "batch slot colour"], Bool[Tensor, "batch slot"], Float[Tensor, "batch slot"]]:
+        """The embeddings of the points of the first frame that are the slots' seeds, and which slots are in use.
+
+        What a slot leaves to the next is what is left around the place that its seed will move to. The last value is
+        the log of a slot's claim, 0..1: the share of the scope there that the slots before it have left.
+        """
+        whole = log_scope = log_scope.masked_fill(~valid, EXCLUDED)
+        chosen, active, log_claims = [], [], []
         for _ in range(slots):
             active.append(self._find_points(log_scope, idle, generator) & valid.any(dim=-1))
-            places.append(_choose_seed(log_scope, seeds, generator))
-            alpha = self._log_alpha(colour[:, None], _pick(colour, places[-1][:, None])[:, None])[:, 0, 0]
-            log_scope = log_scope + log1mexp(alpha) * active[-1][:, None]
-        return torch.stack(places, dim=-1), torch.stack(active, dim=-1)
+            seed = _pick(colour, self._choose_seed(colour, log_scope, seeds, generator))
+            chosen.append(seed)
+            with torch.no_grad():
+                for _ in range(self.config.looks):
+                    seed = _look(seed, log_scope[:, None] + self._alpha_around(seed, colour), colour)
+                alpha = self._alpha_around(seed, colour)[:, 0]
+                near = sharpen(alpha)
+                log_claims.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
+                log_scope = log_scope + log1mexp(alpha) * active[-1][:, None]
+        return torch.cat(chosen, dim=1), torch.stack(active, dim=-1), torch.stack(log_claims, dim=-1)
+
+    @torch.no_grad()
+    def _choose_seed(
+        self,
+        colour: Float[Tensor, "batch point colour"],
+        log_scope: Float[Tensor, "batch point"],
+        seeds: Seeds,
+        generator: torch.Generator | None,
+    ) -> Int[Tensor, "batch 1"]:
+        """Place of the argmax of u * s with u uniform in 0..1 (GENESIS-V2), or of s, or of the densest point.
+
+        The densest point has the largest scope around it, summed under its kernel, of those with an own scope over
+        `idle_scope`, or of the points with the largest scope where there are more.
+        """
+        if seeds == "stochastic":
+            return (_uniform(log_scope, generator).log() + log_scope).argmax(dim=-1, keepdim=True)
+        if seeds == "greedy":
+            return log_scope.argmax(dim=-1, keepdim=True)
+        best = log_scope.topk(min(_CANDIDATES, log_scope.shape[-1]), dim=-1)
+        around = self._alpha_around(_pick(colour, best.indices), colour) + log_scope[:, None]
+        density = around.exp().sum(dim=-1) * (best.values > math.log(self.config.idle_scope))
+        return best.indices.gather(1, density.argmax(dim=-1, keepdim=True))
 
     def _find_points(
         self, log_scope: Float[Tensor, "batch point"], idle: Idle, generator: torch.Generator | None
@@ -139,6 +166,11 @@ class ICSBP(nn.Module):
             return (_uniform(log_scope, generator).log() < log_scope).any(dim=-1)
         return (log_scope > math.log(self.config.idle_scope)).sum(dim=-1) >= self.config.idle_points
 
+    def _alpha_around(
+        self, seeds: Float[Tensor, "batch seed colour"], colour: Float[Tensor, "batch point colour"]
+    ) -> Float[Tensor, "batch seed point"]:
+        return self._log_alpha(colour[:, None], seeds[:, None])[:, 0]
+
     def _log_alpha(
         self, colour: Float[Tensor, "batch frame point colour"], seeds: Float[Tensor, "batch frame slot colour"]
     ) -> Float[Tensor, "batch frame slot point"]:
@@ -147,13 +179,18 @@ class ICSBP(nn.Module):
         return log_alpha(distance, self.log_sigma.to(colour.dtype), self.config.kernel)
 
 
-def _choose_seed(
-    log_scope: Float[Tensor, "batch point"], seeds: Seeds, generator: torch.Generator | None
-) -> Int[Tensor, "batch"]:
-    """Argmax of u * s with u uniform in 0..1 (GENESIS-V2), or of s."""
-    if seeds == "greedy":
-        return log_scope.argmax(dim=-1)
-    return (_uniform(log_scope, generator).log() + log_scope).argmax(dim=-1)
+def _look(
+    seed: Float[Tensor, "batch slot colour"],
+    log_masks: Float[Tensor, "batch slot point"],
+    colour: Float[Tensor, "batch point colour"],
+) -> Float[Tensor, "batch slot colour"]:
+    """The mean embedding under each mask, sharpened; a seed whose mask covers next to nothing waits where it was.
+
+    So does that of an object out of sight.
+    """
+    weights = sharpen(log_masks).exp()
+    total = weights.sum(dim=-1, keepdim=True)
+    return torch.where(total >= _SEEN, weights @ colour / total.clamp(min=_SEEN), seed)
 
 
 def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:
@@ -162,9 +199,9 @@ def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:
 
 
 def _pick(
-    colour: Float[Tensor, "batch point colour"], places: Int[Tensor, "batch slot"]
-) -> Float[Tensor, "batch slot colour"]:
-    return colour.gather(1, places[..., None].expand(-1, -1, colour.shape[-1]))
+    colour: Float[Tensor, "batch point colour"], places: Int[Tensor, "batch place"]
+) -> Float[Tensor, "batch place colour"]:
+    return colour.gather(1, repeat(places, "b place -> b place colour", colour=colour.shape[-1]))
 
 
 def _break_sticks(
@@ -178,17 +215,50 @@ def _break_sticks(
     Deviations, as in the authors' code: s_0 is the pre-scope, so there is a background mask, and the last slot takes
     no remainder: s_K stays apart, and a loss penalises it.
     """
-    background, scope = log_prescope.unbind(dim=-1)
+    left = _left(alpha, active)
+    scopes = torch.cat([log_prescope[:, :, None, :, 1], left], dim=2).cumsum(dim=2)
+    return _masks(scopes[:, :, :-1] + alpha, scopes[:, :, -1], log_prescope, valid, active)
+
+
+def _share(
+    alpha: Float[Tensor, "batch frame slot point"],
+    log_prescope: Float[Tensor, "batch frame point 2"],
+    valid: Bool[Tensor, "batch frame point"],
+    active: Bool[Tensor, "batch slot"],
+    log_claims: Float[Tensor, "batch slot"],
+) -> Masks:
+    """Masks that take as much of the pre-scope as sticks do, in all, in shares that go by the cubes of alpha and claim.
+
+    An addition. A stick that is broken first takes a third of a neighbour that is as far away as the kernel is wide,
+    whatever the neighbour's own slot; in shares the nearer slot takes nearly all. Their order has no influence but by
+    the claims, which keep a slot that sits on what others left from halving their objects.
+    """
+    left = _left(alpha, active).sum(dim=2)
+    taken = log1mexp(left.clamp(max=-torch.finfo(left.dtype).tiny)) + log_prescope[..., 1]
+    strength = sharpen(alpha + rearrange(log_claims, "b slot -> b 1 slot 1"))
     in_use = rearrange(active, "b slot -> b 1 slot 1")
-    left = log1mexp(alpha) * in_use
-    scopes = torch.cat([scope[:, :, None], left], dim=2).cumsum(dim=2)
-    masks = (scopes[:, :, :-1] + alpha).masked_fill(~in_use, EXCLUDED)
-    there = valid[:, :, None]
+    shares = strength.masked_fill(~in_use, EXCLUDED).log_softmax(dim=2)
+    return _masks(taken[:, :, None] + shares, left + log_prescope[..., 1], log_prescope, valid, active)
+
+
+def _left(
+    alpha: Float[Tensor, "batch frame slot point"], active: Bool[Tensor, "batch slot"]
+) -> Float[Tensor, "batch frame slot point"]:
+    """Log of what each slot leaves of what it gets."""
+    return log1mexp(alpha) * rearrange(active, "b slot -> b 1 slot 1")
+
+
+def _masks(
+    masks: Float[Tensor, "batch frame slot point"],
+    log_scope: Float[Tensor, "batch frame point"],
+    log_prescope: Float[Tensor, "batch frame point 2"],
+    valid: Bool[Tensor, "batch frame point"],
+    active: Bool[Tensor, "batch slot"],
+) -> Masks:
+    there = valid[:, :, None] & rearrange(active, "b slot -> b 1 slot 1")
+    background = log_prescope[..., 0] * valid
     return Masks(
-        log_masks=torch.cat(
-            [(background * valid)[:, :, None], masks.masked_fill(~there, EXCLUDED)],
-            dim=2,
-        ),
-        log_scope=scopes[:, :, -1].masked_fill(~valid, EXCLUDED),
+        log_masks=torch.cat([background[:, :, None], masks.masked_fill(~there, EXCLUDED)], dim=2),
+        log_scope=log_scope.masked_fill(~valid, EXCLUDED),
         active=active,
     )

@@ -8,8 +8,7 @@ from einops import rearrange, repeat
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-_SHARPNESS = 3
-"""Power of the mask by which points are weighted."""
+from obpose.layers.numerics import sharpen
 
 
 @torch.no_grad()
@@ -52,7 +51,7 @@ def _soft_mean(
 ) -> Float[Tensor, "batch frame slot 3"]:
     """A softmax over the points normalises masks however small they are; 0 where nothing was observed."""
     unobserved = rearrange(~valid, "b f point -> b f 1 point")
-    return (_SHARPNESS * log_masks).masked_fill(unobserved, -torch.inf).softmax(dim=-1).nan_to_num(0) @ points
+    return sharpen(log_masks).masked_fill(unobserved, -torch.inf).softmax(dim=-1).nan_to_num(0) @ points
 
 
 def _last_seen(seen: Bool[Tensor, "batch frame slot"]) -> Int[Tensor, "batch frame slot"]:

@@ -21,9 +21,11 @@ def make_fabric(device: str, config: TrainConfig) -> Fabric:
     """One process, or those that `torchrun` started, each on a device of its own.
 
     Raises:
-        UsageError: there is no such device.
+        UsageError: there is no such device, or it cannot compute with this precision.
     """
     accelerator = _accelerator(device)
+    if accelerator == "cpu" and config.precision != "32-true":
+        raise UsageError(f"train.precision={config.precision} needs a GPU; expected 32-true on a CPU.")
     processes, here = (int(os.environ.get(name, 1)) for name in ("WORLD_SIZE", "LOCAL_WORLD_SIZE"))
     if processes == 1:
         return Fabric(accelerator=accelerator, devices=1, precision=config.precision)

@@ -52,7 +52,7 @@ def test_where_nothing_was_begun_there_is_no_training(tmp_path: Path):
 
 
 def test_another_configuration_is_refused_with_what_differs(run: Path):
-    with pytest.raises(UsageError, match=r"differ: train.batch: 2, 7; train.seed: 0, 1\."):
+    with pytest.raises(UsageError, match=r"differ: train.batch: 1, 7; train.seed: 0, 1\."):
         load_training(run, toy_config(**{**SAME, "train.batch": 7, "train.seed": 1}))
 
 

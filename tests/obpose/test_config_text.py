@@ -77,4 +77,4 @@ def test_impossible_changes_are_refused(text: str, message: str):
 def test_differences_are_named():
     one, other = make_config(), make_config("obpose-loc", **{"train.batch": 4})
     assert differences(one, one) == []
-    assert differences(one, other) == ["model.pose.conditioning: full, location", "train.batch: 2, 4"]
+    assert differences(one, other) == ["model.pose.conditioning: full, location", "train.batch: 1, 4"]

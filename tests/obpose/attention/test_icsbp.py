@@ -57,8 +57,9 @@ def _total(masks: Masks) -> torch.Tensor:
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("seeds", ["greedy", "stochastic"])
 @pytest.mark.parametrize("idle", ["never", "bernoulli", "threshold"])
-def test_background_masks_and_scope_sum_to_one_at_every_point(kernel: Kernel, seeds: str, idle: str):
-    masks = _attend(*_scene(), config=AttentionConfig(kernel=kernel), seeds=seeds, idle=idle)
+@pytest.mark.parametrize("division", ["sticks", "shares"])
+def test_background_masks_and_scope_sum_to_one_at_every_point(kernel: Kernel, seeds: str, idle: str, division: str):
+    masks = _attend(*_scene(), config=AttentionConfig(kernel=kernel), seeds=seeds, idle=idle, division=division)
     torch.testing.assert_close(_total(masks), torch.ones(2, 3, 40), rtol=0, atol=1e-5)
 
 
@@ -107,7 +108,7 @@ def _reference(
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_agrees_with_loops_over_clips_frames_slots_and_points(kernel: Kernel):
     colour, valid, log_prescope = _scene(batch=2, frames=3, points=25)
-    masks = _attend(colour, valid, log_prescope, config=AttentionConfig(kernel=kernel, moving_seeds=False))
+    masks = _attend(colour, valid, log_prescope, config=AttentionConfig(kernel=kernel, looks=0))
     for clip in range(2):
         expected = _reference(colour[clip].double(), valid[clip], log_prescope[clip].double().exp(), kernel)
         torch.testing.assert_close(masks.log_masks[clip].exp(), expected[0], rtol=5e-3, atol=2e-4)
@@ -216,7 +217,7 @@ def _of_sliding_object(masks: Masks) -> torch.Tensor:
 
 
 def test_a_seed_follows_an_object_that_slides_out_of_the_mask_of_the_first_frame():
-    still = _of_sliding_object(_attend(*_sliding(0.2), config=AttentionConfig(moving_seeds=False)))
+    still = _of_sliding_object(_attend(*_sliding(0.2), config=AttentionConfig(looks=0)))
     assert still[-1] < 0.1
     assert (_of_sliding_object(_attend(*_sliding(0.2))) > 0.85).all()
 
@@ -228,7 +229,7 @@ def test_a_seed_waits_while_its_object_is_out_of_sight():
 
 def test_seeds_that_do_not_move_give_the_same_as_objects_that_do_not():
     moving = _attend(*_sliding(0.0))
-    still = _attend(*_sliding(0.0), config=AttentionConfig(moving_seeds=False))
+    still = _attend(*_sliding(0.0), config=AttentionConfig(looks=0))
     torch.testing.assert_close(moving.log_masks, still.log_masks)
 
 
@@ -245,10 +246,89 @@ def test_later_frames_have_no_influence_on_earlier_ones():
 def test_gradient_reaches_the_embedding_of_a_seed_from_a_later_frame():
     colour, valid, log_prescope = _scene()
     colour.requires_grad_()
-    later = _attend(colour, valid, log_prescope).log_masks[:, 2, 1].sum()
+    later = _attend(colour, valid, log_prescope, config=AttentionConfig(looks=0)).log_masks[:, 2, 1].sum()
     (gradient,) = torch.autograd.grad(later, colour)
     assert gradient[:, 0].abs().sum(dim=-1).count_nonzero(dim=-1).tolist() == [1, 1]
     assert gradient[:, 1].eq(0).all()
+
+
+def test_gradient_reaches_the_embeddings_that_a_seed_is_the_mean_of():
+    colour, valid, log_prescope = _scene()
+    colour = (colour / 4).requires_grad_()
+    # The mask at one point depends on that point and on where the seed is in its frame.
+    at_a_point = _attend(colour, valid, log_prescope).log_masks[0, 1, 1, valid[0, 1]][0]
+    (gradient,) = torch.autograd.grad(at_a_point, colour)
+    assert gradient[0, 1].abs().sum(dim=-1).count_nonzero() == valid[0, 1].count_nonzero()
+    assert gradient[0, [0, 2]].eq(0).all()
+
+
+def _edge_and_middle() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """One object, a row of embeddings, the first of which has the largest scope; and another, of two points."""
+    colour = torch.zeros(1, 1, 33, CHANNELS)
+    colour[0, 0, :31, 0] = torch.linspace(0, 1.2, 31)
+    colour[0, 0, 31:, 1] = 9.0
+    scope = torch.full((33,), 0.95)
+    scope[0] = 0.99
+    return colour, torch.ones(1, 1, 33, dtype=torch.bool), torch.stack([1 - scope, scope], dim=-1).log()[None, None]
+
+
+def test_seeds_move_from_the_edge_of_an_object_to_its_middle():
+    at_edge, moved = (
+        _attend(*_edge_and_middle(), config=AttentionConfig(looks=looks), slots=1).log_masks[0, 0, 1, :31].exp()
+        for looks in (0, 3)
+    )
+    assert at_edge.argmax() == 0
+    assert 6 <= moved.argmax() <= 15
+    assert moved.sum() > 1.2 * at_edge.sum()
+
+
+def test_densest_seeds_are_in_the_middle_of_large_objects_first():
+    masks = _attend(*_edge_and_middle(), config=AttentionConfig(looks=0), slots=2, seeds="densest")
+    first, second = masks.log_masks[0, 0, 1:]
+    assert first.argmax() == 15
+    # What is left of the row is denser than the pair, but none of it has a scope over the threshold.
+    assert second.argmax() in (31, 32)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_shares_divide_what_sticks_take(kernel: Kernel):
+    sticks, shares = (
+        _attend(*_scene(), config=AttentionConfig(kernel=kernel), division=division)
+        for division in ("sticks", "shares")
+    )
+    torch.testing.assert_close(shares.log_scope, sticks.log_scope)
+    torch.testing.assert_close(shares.log_masks[:, :, 0], sticks.log_masks[:, :, 0])
+    assert not torch.allclose(shares.log_masks, sticks.log_masks)
+
+
+def test_one_slot_has_the_same_by_shares_and_sticks():
+    one, other = (_attend(*_scene(), slots=1, division=division) for division in ("sticks", "shares"))
+    torch.testing.assert_close(one.log_masks.exp(), other.log_masks.exp(), rtol=1e-4, atol=1e-30)
+
+
+def _neighbours(apart: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Two objects of eight points with embeddings so far apart, the first with a little more scope."""
+    colour = torch.zeros(1, 1, 16, CHANNELS)
+    colour[0, 0, 8:, 0] = apart
+    scope = torch.full((16,), 0.98)
+    scope[:8] = 0.99
+    return colour, torch.ones(1, 1, 16, dtype=torch.bool), torch.stack([1 - scope, scope], dim=-1).log()[None, None]
+
+
+def test_in_shares_the_first_slot_does_not_take_its_neighbour():
+    sticks, shares = (
+        _attend(*_neighbours(0.7), slots=2, division=division).log_masks[0, 0, 1, 8:].exp().mean()
+        for division in ("sticks", "shares")
+    )
+    assert sticks > 0.2
+    assert shares < 0.05
+
+
+def test_in_shares_a_slot_on_what_others_left_has_next_to_nothing():
+    colour, valid, log_prescope = _neighbours(9.0)
+    masks = _attend(colour, valid, log_prescope, slots=4, division="shares").log_masks[0, 0, 1:].exp()
+    # Four slots for two objects: two sit on an object that is taken.
+    assert masks.amax(dim=0).min() > 0.9
 
 
 @pytest.mark.parametrize(("objects", "in_use"), [((), 0), ((5,), 1), ((5, 5), 2), ((5, 5, 1), 2), ((5, 5, 5, 5, 5), 4)])

@@ -1,7 +1,7 @@
 import torch
 from torch import nn
 
-from obpose.layers.mlp import mlp
+from obpose.layers.mlp import mlp, pass_on
 
 
 def test_elu_stands_between_layers_and_not_after_the_last():
@@ -14,3 +14,27 @@ def test_two_sizes_are_one_linear_map():
     layer = mlp(3, 2)
     x, y = torch.randn(2, 5, 3, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(layer(x) - layer(y), layer(x - y) - layer(torch.zeros(5, 3)))
+
+
+def test_another_activation_takes_the_place_of_elu():
+    assert [type(layer) for layer in mlp(3, 5, 2, activation=nn.ReLU)] == [nn.Linear, nn.ReLU, nn.Linear]
+
+
+def test_a_layer_that_passes_on_keeps_all_lengths_and_distances():
+    torch.manual_seed(0)
+    layer = nn.Linear(4, 9)
+    pass_on(layer, gain=3.0)
+    x, y = torch.randn(2, 20, 4)
+    torch.testing.assert_close(layer(x).norm(dim=-1), 3 * x.norm(dim=-1))
+    torch.testing.assert_close((layer(x) - layer(y)).norm(dim=-1), 3 * (x - y).norm(dim=-1))
+
+
+def test_of_a_part_of_its_outputs_the_others_weights_stay():
+    torch.manual_seed(0)
+    layer = nn.Linear(4, 6)
+    before = layer.weight.detach().clone()
+    pass_on(layer, outputs=4)
+    first, others = layer.weight.detach().split([4, 2])
+    torch.testing.assert_close(first @ first.T, torch.eye(4))
+    assert torch.equal(others, before[4:])
+    assert layer.bias.eq(0).all()

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from obpose.losses.attention import attention_l2, attention_mixture
+from obpose.losses.attention import attention_l2, attention_mixture, attention_warmup
 from obpose.losses.observation import ColourLikelihood, log_likelihood
 
 STD = 0.1
@@ -124,3 +124,33 @@ def test_no_valid_ray_no_loss():
     nothing = torch.zeros(valid.shape)
     assert attention_mixture(log_masks, values, log_share, nothing, floor=FLOOR).item() == 0
     assert attention_l2(log_masks, values, log_share, nothing, std=STD).item() == 0
+
+
+def _warmup_inputs(distance: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Log pre-scopes at two rays, and the log likelihood of the first's colour, `distance` deviations off."""
+    log_prescope = torch.tensor([[0.3, 0.6], [0.7, 0.4]]).log()[None, None].requires_grad_()
+    background = torch.distributions.Normal(0.0, STD).log_prob(torch.tensor([distance * STD, 0.0]))
+    return log_prescope, background[None, None, None, :, None].expand(-1, -1, -1, -1, 3).clone().requires_grad_()
+
+
+def test_warmup_agrees_with_the_formula_and_pulls_only_at_the_prescope():
+    log_prescope, likelihood = _warmup_inputs(2.0)
+    loss = attention_warmup(log_prescope, likelihood, torch.ones(1, 1, 2), unknown=-0.5)
+    background, scope = log_prescope.detach().double().exp()[0, 0]
+    known = likelihood.detach().double().exp()[0, 0, 0, :, 0]
+    expected = -3 * (background * known + scope * math.exp(-0.5)).log().mean()
+    torch.testing.assert_close(loss.double(), expected)
+    loss.backward()
+    assert likelihood.grad is None
+    assert log_prescope.grad is not None
+
+
+@pytest.mark.parametrize(("distance", "grows"), [(0.0, 0), (4.0, 1)])
+def test_in_the_warmup_the_prescope_goes_to_what_the_background_does_not_explain(distance: float, grows: int):
+    logits = torch.zeros(1, 1, 2, 2, requires_grad=True)
+    attention_warmup(
+        logits.log_softmax(dim=2), _warmup_inputs(distance)[1], torch.tensor([[[1.0, 0.0]]]), unknown=0.0
+    ).backward()
+    assert logits.grad is not None
+    assert (-logits.grad[0, 0, :, 0]).argmax() == grows
+    assert logits.grad[0, 0, :, 1].eq(0).all()
