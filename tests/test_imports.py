@@ -44,7 +44,7 @@ LAYERS = (
 
 DATAGEN_FOR = {
     "obpose": {"schema", "storage", "errors"},
-    "benchmark": {"config", "generate", "schema", "storage", "geometry", "preview", "errors"},
+    "benchmark": {"config", "generate", "schema", "storage", "geometry", "preview", "verify", "errors"},
 }
 """What the other packages may use of `datagen`; of `obpose`, only `data.py` does, and `errors.py` its errors."""
 

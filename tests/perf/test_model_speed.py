@@ -1,0 +1,81 @@
+"""What training steps and inference cost: CPU seconds of one thread, medians. The models are untrained."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from statistics import median
+
+import pytest
+import torch
+
+from obpose.model import ObPose
+from obpose.training.devices import keep_memory
+from tests.obpose.scenes import table_scene
+from tests.perf.training_step import Step, clips, config_for_clips, measure_steps
+
+GFLOP = 1e9
+AUTHORS_GFLOP = 365
+"""Of a step of the authors' size."""
+STEP_GOAL, MOST_A_STEP = 0.25, 0.4
+"""Seconds: the goal for `obpose-loc`, which is missed (docs/performance.md), and what both variants keep within."""
+
+
+@pytest.fixture(autouse=True)
+def as_in_training() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    keep_memory()
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("variant", ["obpose-loc", "obpose"])
+def test_training_step(variant: str):
+    """4 clips of 5 frames of 64x64, 512 rays a frame."""
+    config = config_for_clips(variant, "cpu", **{"train.batch": 4, "train.rays": 512})
+    step = measure_steps(config, clips(4, 64))
+    print(
+        f"\n{variant}, 4 clips of 5 frames of 64x64: {step.total:.3f} s a step (goal {STEP_GOAL}); forward + backward:"
+    )
+    print(step)
+    assert step.total <= MOST_A_STEP
+    assert sum(map(sum, step.parts.values())) == pytest.approx(step.total, rel=0.2)
+
+
+def test_the_authors_workload():
+    """5 frames of 128x128, 16,384 rays, 24^3 voxels, 4 slots, fields of their size."""
+    command = [sys.executable, "-m", "tests.perf.training_step"]
+    found = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    step, goal = Step(**found["step"]), 1.6 * AUTHORS_GFLOP * GFLOP / found["sgemm"]
+    print(
+        f"\nthe authors' workload: {step.total:.2f} s (goal {goal:.2f}: sgemm {found['sgemm'] / GFLOP:.0f} GFLOP/s), "
+        f"{step.flops / GFLOP:.0f} GFLOP (theirs {AUTHORS_GFLOP}), "
+        f"{found['gigabytes']:.2f} GB at most (goal 3); forward + backward:"
+    )
+    print(step)
+    assert step.total <= goal
+    assert found["gigabytes"] <= 3
+
+
+def test_the_same_clip_in_the_default_configuration():
+    config = config_for_clips("obpose", "cpu", **{"train.batch": 1, "model.spacing": 0.006})
+    step = measure_steps(config, clips(1, 128))
+    print(f"\nthe same clip, default configuration: {step.total:.3f} s (goal 0.7); forward + backward:\n{step}")
+    assert step.total <= 0.7
+
+
+def test_inference():
+    """Labels of all pixels of a clip of 10 frames."""
+    torch.manual_seed(0)
+    model = ObPose(config_for_clips("obpose", "cpu", **{"model.spacing": 0.006})).eval()
+    clip = table_scene(frames=10, height=128, width=128, spheres=4)
+    times = []
+    for _ in range(6):
+        start = time.process_time()
+        model.segment(clip)
+        times.append(time.process_time() - start)
+    rate = 10 / median(times[1:])
+    print(f"\ninference at 128x128: {rate:.1f} frames/s (goal 10)")
+    assert rate >= 10
