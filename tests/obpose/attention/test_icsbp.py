@@ -282,6 +282,17 @@ def test_seeds_move_from_the_edge_of_an_object_to_its_middle():
     assert moved.sum() > 1.2 * at_edge.sum()
 
 
+def test_what_a_slot_leaves_is_what_is_left_around_where_its_seed_moves():
+    """From its end a seed reaches half of the row, from its middle all of it."""
+    row = [part[:, :, :31] for part in _edge_and_middle()]
+    still, moved = (
+        _attend(row[0], row[1], row[2], config=AttentionConfig(looks=looks), slots=2, idle="threshold").active[0]
+        for looks in (0, 30)
+    )
+    assert still.tolist() == [True, True]
+    assert moved.tolist() == [True, False]
+
+
 def test_densest_seeds_are_in_the_middle_of_large_objects_first():
     masks = _attend(*_edge_and_middle(), config=AttentionConfig(looks=0), slots=2, seeds="densest")
     first, second = masks.log_masks[0, 0, 1:]
