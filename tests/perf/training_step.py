@@ -20,7 +20,6 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor
 from torch.autograd.graph import Node
-from torch.utils.flop_counter import FlopCounterMode
 
 import obpose.model
 from obpose.config import Config, make_config
@@ -119,8 +118,6 @@ class Step:
     """Without any stopwatch."""
     parts: dict[str, tuple[float, float]]
     """Forward and backward."""
-    flops: float
-    """In matrix products."""
 
     def __str__(self) -> str:
         rows = sorted(self.parts.items(), key=lambda row: -sum(row[1]))
@@ -144,9 +141,7 @@ def measure_steps(config: Config, clips: Observation, *, steps: int = 7) -> Step
         name: (median(watch.forward[name] for watch in watches), median(watch.backward[name] for watch in watches))
         for name in names
     }
-    with FlopCounterMode(display=False) as counter:
-        learn()
-    return Step(median(totals[1:]), parts, counter.get_total_flops())
+    return Step(median(totals[1:]), parts)
 
 
 def _learner(config: Config, clips: Observation) -> Callable[[], None]:
