@@ -1,5 +1,6 @@
 """From the flags of `obpose-bench` to what is to be compared."""
 
+import re
 from pathlib import Path
 
 from benchmark import arguments
@@ -9,6 +10,9 @@ from benchmark.registry import discover, expand, find_model
 from benchmark.tracks import DEFAULT, DataFolder, Source, find_track
 from datagen.errors import UsageError
 from datagen.storage import Dataset
+
+NAME = re.compile(r"(?=.{1,80}$)[^\W_]([\w.+-]| (?! |$))*")
+"""What predictions may be called."""
 
 
 def request_of(values: arguments.Run) -> Request:
@@ -49,11 +53,14 @@ def _check(values: arguments.Run) -> None:
     for flag, number in (("seeds", values.seeds), ("workers", values.workers), ("steps", values.steps or 1)):
         if number < 1:
             raise UsageError(f"--{flag} is {number}; expected 1 or more.")
-    for flag, number in (("time-limit", values.time_limit), ("budget", values.budget)):
+    positive = {"time-limit": values.time_limit, "budget": values.budget, "memory-limit": values.memory_limit}
+    for flag, number in positive.items():
         if number is not None and not number > 0:
             raise UsageError(f"--{flag} is {number:g}; expected more than 0.")
     if values.out.exists() and not values.out.is_dir():
         raise UsageError(f"{values.out} is a file; give a folder with --out.")
+    if (values.out / "dataset.json").exists():
+        raise UsageError(f"{values.out} is a dataset, whose manifest would be lost; give another folder with --out.")
 
 
 def _data_folder(folder: Path) -> DataFolder:
@@ -74,6 +81,11 @@ def _predictions_request(values: arguments.Run, sources: list[Source]) -> Reques
     if twice := [folder for folder in values.predictions if resolved.count(folder.resolve()) > 1]:
         raise UsageError(f"{twice[0]} is given twice in --predictions; expected one folder a seed, each another.")
     name = values.name or resolved[0].name
+    if not NAME.fullmatch(name):
+        raise UsageError(
+            f"{name!r} cannot be a model's name, which is part of file names; expected up to 80 letters, digits, dots, "
+            "dashes, underscores and single spaces, the first a letter or digit. Give one with --name."
+        )
     if name in discover()[0]:
         raise UsageError(f"{name!r} is the name of a model; give the predictions another with --name.")
     folders = tuple(PredictionFolder(folder, values.background_slot) for folder in values.predictions)

@@ -17,7 +17,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -160,11 +160,26 @@ def load_row(path: Path) -> RunRow:
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
         costs = {name: math.nan if cost is None else cost for name, cost in values.pop("measured").items()}
-        key, measured = RunKey(**values.pop("key")), Measured(**costs)
+        key, measured = _build(RunKey, values.pop("key")), _build(Measured, costs)
         values["learning_curve"] = load_curve(_curve_path(path.parent.parent, key))
-        return RunRow(key=key, measured=measured, priors=tuple(values.pop("priors")), **values)
+        row = _build(RunRow, {**values, "key": key, "measured": measured, "priors": tuple(values["priors"])})
+        if path.stem != key.name:
+            raise ValueError(f"it holds the row {key.name}")
+        return row
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
+
+
+def _build(kind: type[Any], values: Mapping[str, Any]) -> Any:
+    """Raises TypeError where a plain value is none of those that its field may have."""
+    for name, hint in get_type_hints(kind).items():
+        if name not in values:
+            continue
+        value = values[name]
+        plain = hint in (str, int, float, bool)
+        if (plain and type(value) is not hint) or (get_origin(hint) is Literal and value not in get_args(hint)):
+            raise TypeError(f"{name} is {value!r}")
+    return kind(**values)
 
 
 def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
@@ -213,8 +228,10 @@ def load_scenes(folder: Path, row: RunRow) -> SceneTable:
         with path.open(newline="", encoding="utf-8") as file:
             header, *lines = csv.reader(file)
         values = np.array(lines, np.float64).reshape(len(lines), len(header))
-        if len(lines) != row.n_scenes:
+        if len(lines) != row.n_scenes or not lines:
             raise ValueError(f"{len(lines)} scenes where the row has {row.n_scenes}")
+        if missing := [name for name in METRICS if name not in header or f"{name}_n" not in header]:
+            raise ValueError(f"no column {missing[0]}")
     except (OSError, ValueError) as error:
         raise CorruptFile(f"{path} is missing or damaged ({error}); restore it with: obpose-bench rescore.") from None
     return {name: values[:, column] for column, name in enumerate(header)}

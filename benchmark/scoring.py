@@ -12,7 +12,7 @@ from benchmark.interface import Clip, Prediction
 from benchmark.labels import LARGEST, read_labels, write_labels
 from benchmark.metrics import clip_scores
 from benchmark.results import save_scenes, scene_line
-from datagen.errors import DatagenError
+from datagen.errors import CorruptFile, DatagenError
 from datagen.storage import Split
 
 Predict = Callable[[int, Clip], Prediction]
@@ -57,10 +57,19 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
     """Score stored label maps and write the scene table; returns the number of frames, views counted apart.
 
     Pixels without depth are left out: nothing can be known of them from geometry.
+
+    Raises:
+        CorruptFile: the label maps do not fit the scenes.
     """
     lines = []
-    for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
-        lines.append(scene_line(index, clip_scores(read_truth(scenes, index), labels, slot, ~clip.valid)))
+    try:
+        for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
+            truth = read_truth(scenes, index)
+            if labels.shape != truth.shape:
+                raise ValueError(f"shape {labels.shape} where the dataset has {truth.shape}")
+            lines.append(scene_line(index, clip_scores(truth, labels, slot, ~clip.valid)))
+    except ValueError as error:
+        raise CorruptFile(f"{path} does not fit the dataset's scenes ({error}); run the model again.") from None
     save_scenes(out, name, lines)
     return int(sum(line["n_frames"] for line in lines))
 

@@ -45,8 +45,9 @@ def without_floor(entries: Iterable[Entry]) -> str:
 
 
 def free_of_slots(entries: Iterable[Entry]) -> str:
-    """Which classical models find the number of objects themselves, in a sentence; empty where none does."""
-    free = {e.row.key.model for e in entries if e.row.kind == "classical" and "slots" not in e.row.priors}
+    """Which classical models say that they were not given the number of slots, in a sentence; empty where none does."""
+    classical = [entry.row for entry in entries if entry.row.kind == "classical" and entry.n_scenes]
+    free = {row.key.model for row in classical if "slots" not in row.priors}
     names = ", ".join(sorted(free))
-    rest = "they find the number of objects themselves; leaderboard.csv says under priors what each model was given."
+    rest = "by their own account they find how many objects there are; see priors in leaderboard.csv."
     return f"Not held to the track's number of slots: {names}; {rest}" * bool(free)

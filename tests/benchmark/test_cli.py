@@ -4,7 +4,10 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import h5py
+import numpy as np
 import pytest
 
 from benchmark import plan
@@ -199,6 +202,19 @@ def test_scores_stay_as_they_were_where_one_label_map_is_missing(data: Path, tmp
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("cut", [np.s_[:1], np.s_[..., :16]])
+def test_label_maps_that_do_not_fit_the_scenes_get_one_line(data: Path, tmp_path: Path, capsys, cut: Any):
+    assert run_cli("--model", "good", "--data", data, "--out", tmp_path, "--seeds", 1) == EXIT_OK
+    (path,) = (tmp_path / "labels").iterdir()
+    with h5py.File(path, "a") as file:
+        labels = np.asarray(file["labels"])[cut]
+        del file["labels"]
+        file["labels"] = labels
+    assert run_cli("rescore", tmp_path) == EXIT_INCOMPLETE
+    assert "does not fit the dataset's scenes" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_two_models_are_compared(data: Path, tmp_path: Path, capsys):
     assert run_cli("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 2) == EXIT_OK
     assert run_cli("compare", "good", "chance", "--run", tmp_path) == EXIT_OK
@@ -236,6 +252,16 @@ def test_models_and_tracks_are_listed(capsys):
         (["--model", "plane-dbscan", "--data", "{data}", "--seeds", "0"], "--seeds is 0"),
         (["--model", "plane-dbscan", "--data", "{data}", "--workers", "0"], "--workers is 0"),
         (["--model", "plane-dbscan", "--data", "{data}", "--time-limit", "0"], "--time-limit is 0"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--memory-limit", "-5"], "--memory-limit is -5"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--memory-limit", "nan"], "--memory-limit is nan"),
+        (
+            ["--model", "plane-dbscan", "--data", "{data}", "--out", "{data}"],
+            "is a dataset, whose manifest would be lost",
+        ),
+        (["--predictions", "{empty}", "--data", "{data}", "--name", "a/b"], "'a/b' cannot be a model's name"),
+        (["--predictions", "{empty}", "--data", "{data}", "--name", "x/../../evil"], "cannot be a model's name"),
+        (["--predictions", "{empty}", "--data", "{data}", "--name", " "], "cannot be a model's name"),
+        (["--predictions", "{empty}", "--data", "{data}", "--name", "a" * 81], "cannot be a model's name"),
         (["--model", "chance", "--data", "{data}", "--deterministic"], "--steps"),
         (["--model", "plane-dbscan", "--data", "{data}", "--out", "{file}"], "is a file"),
         (["rescore", "{empty}"], "holds no finished runs"),

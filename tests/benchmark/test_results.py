@@ -119,6 +119,50 @@ def test_a_damaged_row_is_named(tmp_path: Path, text: str):
         load_runs(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("part", "name", "value"),
+    [
+        (None, "status", "weird"),
+        (None, "kind", "foo"),
+        (None, "reason", 5),
+        (None, "n_scenes", True),
+        ("key", "seed", "2"),
+        ("key", "track", None),
+        ("measured", "fit_seconds", "x"),
+    ],
+)
+def test_a_value_of_another_kind_is_damage(tmp_path: Path, part: str | None, name: str, value: object):
+    save_row(tmp_path, ROW)
+    path = row_path(tmp_path, KEY)
+    values = json.loads(path.read_text())
+    (values[part] if part else values)[name] = value
+    path.write_text(json.dumps(values))
+    with pytest.raises(CorruptFile, match=f"{name} is"):
+        load_runs(tmp_path)
+
+
+def test_a_copy_of_a_row_is_not_another_seed(tmp_path: Path):
+    save_row(tmp_path, ROW)
+    path = row_path(tmp_path, KEY)
+    path.with_name("copy.json").write_bytes(path.read_bytes())
+    with pytest.raises(CorruptFile, match=r"copy\.json is damaged \(it holds the row moving--model--1"):
+        load_runs(tmp_path)
+
+
+def test_a_table_without_a_metric_is_refused(tmp_path: Path):
+    save_scenes(tmp_path, KEY.name, [{name.replace("ari_fg", "xx"): line[name] for name in line} for line in lines()])
+    with pytest.raises(CorruptFile, match="no column ari_fg"):
+        load_scenes(tmp_path, ROW)
+
+
+def test_a_table_of_no_scenes_is_refused(tmp_path: Path):
+    save_scenes(tmp_path, KEY.name, lines(scenes=1))
+    path = tmp_path / "scenes" / f"{KEY.name}.csv"
+    path.write_text(path.read_text().splitlines()[0] + "\n")
+    with pytest.raises(CorruptFile, match="0 scenes"):
+        load_scenes(tmp_path, dataclasses.replace(ROW, n_scenes=0))
+
+
 def test_scenes_are_read_exactly_as_they_were_written(tmp_path: Path):
     written = lines()
     save_scenes(tmp_path, KEY.name, written)
