@@ -32,8 +32,8 @@ class Heads(nn.Module):
     and is added to the first three channels of its output, times a constant (semi-convolutional embedding, Novotny et
     al. 2018), because without it nothing tells equal objects apart at the start. So is the colour to the next three:
     without it objects that touch are one for long. The pre-scope is read from the embedding before these additions:
-    whether a point is background should not change along the table. ReLU in place of the authors' ELU: with an
-    embedding for every pixel ELU alone takes an eighth of a training step on a CPU.
+    whether a point is background should not change along the table. ReLU in place of the authors' ELU,
+    which with an embedding for every pixel is a notable part of a training step on a CPU.
     """
 
     def __init__(self, backbone: BackboneConfig, attention: AttentionConfig):
