@@ -6,8 +6,11 @@ from typing import Annotated
 
 import tyro
 
+from benchmark.tracks import Profile
+
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 DEFAULT_OUT = Path("results")
+DEFAULT_SEARCH = Path("search")
 
 
 @dataclass(frozen=True)
@@ -15,9 +18,14 @@ class Run:
     """Compare models; the same command again makes only the rows that are missing."""
 
     model: tuple[str, ...] = ()
-    """Names of models and groups, such as training-free."""
+    """Names of models and groups, such as training-free or paper; the latter sets an equal budget of 12 minutes."""
     track: tuple[str, ...] = ()
-    """Names of tracks, moving if left out; their datasets are made on first use."""
+    """Names of tracks and groups, such as paper; moving if left out. Their datasets are made on first use."""
+    profile: Profile = "cpu"
+    """Size of the tracks' images, and of the networks of models that learn: for a CPU core, or for a GPU."""
+    slots: tuple[int, ...] = ()
+    """Slots for objects, the background's comes on top: a model for each number, NAME-N-slots unless N is the track's
+    largest object count, which it has if this is left out."""
     data: Path | None = None
     """Folder of a dataset, in the place of tracks."""
     predictions: tuple[Path, ...] = ()
@@ -37,7 +45,8 @@ class Run:
     pretrained: Switch = False
     """Models that learn use weights that ship with the package, in the place of training."""
     budget: float | None = None
-    """Seconds of one core that a model that learns may train for; what each declares if left out."""
+    """Seconds of one core that a model that learns may train for; if left out, those of the group paper, or what each
+    declares."""
     steps: int | None = None
     """Steps that it trains for, in the place of seconds."""
     deterministic: Switch = False
@@ -84,6 +93,35 @@ class Report:
     """The run folder."""
     data: tuple[Path, ...] = ()
     """Folders of datasets that the runs were scored on, if they are not where they were."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """Try the declared settings of models that learn, and choose by the loss on validation clips, never by a label.
+
+    The same command again makes only the trials that are missing.
+    """
+
+    model: tuple[str, ...]
+    """Names of models that learn, and groups of them."""
+    track: tuple[str, ...] = ()
+    """Names of tracks and groups, moving if left out."""
+    data: Path | None = None
+    """Folder of a dataset, in the place of tracks."""
+    minutes: float = 3.0
+    """Of one core, that each trial may learn for."""
+    steps: int | None = None
+    """Steps that it learns for, in the place of minutes."""
+    profile: Profile = "cpu"
+    """Size of the tracks' images and of the networks."""
+    out: Path = DEFAULT_SEARCH
+    """Where search.csv, outcomes and curves go."""
+    workers: int = 2
+    """Trials side by side."""
+    memory_limit: float | None = None
+    """MiB of memory at which a trial has failed; if left out, an equal part of nine tenths of the machine's."""
+    retry: Switch = False
+    """Run again what has failed before."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 obpose-bench --model training-free --track moving static      compare models
 obpose-bench --model plane-dbscan --data DIR                   on a dataset of your own
 obpose-bench --predictions DIR --track moving                  score label maps made elsewhere
+obpose-bench search --model obpose --track moving              choose settings by validation losses
 obpose-bench rescore RUN                                       compute all scores anew from stored label maps
 obpose-bench compare A B                                       is A better than B, and what could be seen at all?
 obpose-bench report RUN                                        write tables and report again
@@ -16,7 +17,8 @@ from typing import Any
 import tyro
 
 from benchmark import commands
-from benchmark.arguments import Compare, Report, Rescore, Run, Selftest
+from benchmark.arguments import Compare, Report, Rescore, Run, Search, Selftest
+from benchmark.search.command import search
 from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, DatagenError
 
 PROGRAM = "obpose-bench"
@@ -51,6 +53,7 @@ def _fail(message: str, code: int) -> int:
 
 COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {
     "run": (Run, commands.run),
+    "search": (Search, search),
     "rescore": (Rescore, commands.rescore),
     "compare": (Compare, commands.compare),
     "report": (Report, commands.report),

@@ -1,38 +1,32 @@
 """What each command of `obpose-bench` does, and what it prints."""
 
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from benchmark import arguments, outputs
+from benchmark import arguments, outputs, tracks
 from benchmark import compare as paired
 from benchmark import rescore as rescoring
 from benchmark import selftest as golden_cases
+from benchmark.console import prepare, progress_bar, status
 from benchmark.duration import estimate, in_words, time_limit
 from benchmark.files import remove_abandoned
-from benchmark.isolation import Limits
-from benchmark.machine import cores, machine_mib
+from benchmark.isolation import Limits, limits
 from benchmark.plan import Plan, Request, check_places, make_plan, superseded
-from benchmark.registry import GROUPS, discover, expand
+from benchmark.registry import GROUPS, discover
 from benchmark.request import request_of
 from benchmark.results import RunRow, check_runs, delete_rows, load_runs
 from benchmark.runner import SPLIT, Job
 from benchmark.schedule import repeat_rows, run_jobs
-from benchmark.tracks import SIZES, all_tracks
+from benchmark.tracks import SIZES, Profile, all_tracks
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION
-
-MEMORY_SHARE = 0.9
-"""Of the machine's memory, for all jobs together."""
 
 
 def run(values: arguments.Run) -> int:
     """Make the rows that are missing, then tables and report."""
     if values.list:
-        _print_lists()
+        _print_lists(values.profile)
         return EXIT_OK
     request = request_of(values)
     remove_abandoned(values.out)
@@ -42,8 +36,8 @@ def run(values: arguments.Run) -> int:
     plan = make_plan(request, rows, values.out)
     _check_predictions(request)
     if found := estimate(plan, values.workers):
-        _status().print(in_words(found))
-    _prepare(plan, values)
+        status().print(in_words(found))
+    prepare(plan.splits, workers=values.workers)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
     outputs.write(values.out, [source.folder for source in request.sources])
@@ -101,27 +95,6 @@ def _is_tried_again(row: RunRow, values: arguments.Run, plan: Plan) -> bool:
     return values.retry and row.key in plan.keys
 
 
-def _prepare(plan: Plan, values: arguments.Run) -> None:
-    console = _status()
-    for source, splits in plan.splits.items():
-        if missing := source.missing(splits):
-            console.print(f"Making track {source.name}: {missing} scenes into {source.folder}")
-        source.prepare(splits, workers=values.workers, progress=lambda total: _bar(console, "scenes", total))
-
-
-def _status() -> Console:
-    return Console(stderr=True, soft_wrap=True, highlight=False)
-
-
-@contextmanager
-def _bar(console: Console, what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A progress bar, where the console is a terminal; gives what is to be called at each step."""
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=total)
-        yield lambda: bar.advance(task)
-
-
 def _check_predictions(request: Request) -> None:
     for folder in request.predictions:
         folder.check(request.sources[0].size(SPLIT))
@@ -131,15 +104,16 @@ def _run_jobs(plan: Plan, values: arguments.Run) -> None:
     """Run what is missing, with a line for every row."""
 
     def limits_of(job: Job) -> Limits:
-        return Limits(
-            seconds=60 * values.time_limit if values.time_limit else time_limit(job),
-            memory_mib=values.memory_limit or MEMORY_SHARE * machine_mib() / values.workers,
-            threads=1 if values.deterministic else max(1, cores() // values.workers),
+        return limits(
+            60 * values.time_limit if values.time_limit else time_limit(job),
+            workers=values.workers,
+            memory_mib=values.memory_limit,
+            threads=1 if values.deterministic else None,
         )
 
     total = sum(len(job.targets) for job in plan.jobs)
-    console = _status()
-    with _bar(console, "rows", total) as advance:
+    console = status()
+    with progress_bar(console, "rows", total) as advance:
 
         def hear(row: RunRow) -> None:
             console.print(_line(row), markup=False)
@@ -159,7 +133,7 @@ def _line(row: RunRow) -> str:
     return f"{place}: {fitted or 'scored'}"
 
 
-def _print_lists() -> None:
+def _print_lists(profile: Profile) -> None:
     console = outputs.wide_console()
     models, problems = discover()
     table = Table("model", "version", "kind", "what it is", box=None)
@@ -168,11 +142,14 @@ def _print_lists() -> None:
     console.print(table)
     for problem in problems:
         console.print(f"{problem.name}: cannot be used: {problem.reason}", markup=False)
-    for group in GROUPS:
-        console.print(f"\ngroup {group}: {', '.join(expand([group]))}", highlight=False)
+    for name, group in GROUPS.items():
+        budget = f", {group.budget:g} seconds each" if group.budget else ""
+        console.print(f"\ngroup {name}: {', '.join(group.members)}{budget}", highlight=False)
     table = Table("track", "size", "slots", "what it is", box=None)
-    for track in all_tracks():
+    for track in all_tracks(profile):
         table.add_row(track.name, "{}x{}".format(*track.resolution), str(track.slots), track.description)
     console.print()
     console.print(table)
+    for name, members in tracks.GROUPS.items():
+        console.print(f"\ngroup {name}: {', '.join(members)}", highlight=False)
     console.print(f"\nscenes of a track: {', '.join(f'{number} {split}' for split, number in SIZES.items())}")

@@ -3,8 +3,8 @@
 A model is a class with `fit` and `segment`. The benchmark builds it from **options**, given as keyword arguments: the
 values that are tuned for it, by name, and those of the following for which its constructor has an argument:
 
-- `slots`: how many slots every model may use on the track, which is its largest object count, plus one for the
-  background. Models that find the number of objects themselves do not take it, and may use more.
+- `slots`: how many slots every model may use on the track, which is its largest object count or what `--slots` says,
+  plus one for the background. Models that find the number of objects themselves do not take it, and may use more.
 - `steps`: how many steps of training to make, whatever time they take. It is given only where results must not depend
   on the speed of the machine, and so it needs a default.
 - `folder`: where to keep files of this run, such as checkpoints. A run that was killed gets the same folder when it is
@@ -12,6 +12,12 @@ values that are tuned for it, by name, and those of the following for which its 
   while values are tuned, and so it needs a default.
 - `checkpoint`: a folder with the weights of a model that was trained before, to be used in the place of training
   (`--pretrained`); `fit` then gets no clips. It needs a default too.
+- `profile`: `gpu` where images and networks are larger than in the default, which is `cpu`.
+- `watch`: a `benchmark.watch.Watch`, to be called as `watch(segment, step=, seconds=)` now and then while the model
+  learns, with a function from a clip to a `Prediction`: it puts scores on validation clips into the run's learning
+  curve, at the steps which that has points for. It needs a default too.
+- `changes`: values of the model's own settings by dotted name, which `obpose-bench search` tries; `ModelSpec.trials`
+  declares them. It needs a default too.
 """
 
 from collections.abc import Mapping, Sequence

@@ -13,17 +13,32 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Protocol, runtime_checkable
 
-from benchmark.machine import ROOT, resident_mib
-from benchmark.runner import Job
+from benchmark.machine import ROOT, cores, machine_mib, resident_mib
 from datagen.errors import EXIT_INTERRUPTED
 
 LOGS = "logs"
+MEMORY_SHARE = 0.9
+"""Of the machine's memory, for all jobs together."""
 _POLL_SECONDS = 0.05
 _SAVING_SECONDS = 5.0
 """Between asking a process to end and ending it."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@runtime_checkable
+class Work(Protocol):
+    """What is done in a process of its own: rows (`benchmark.runner.Job`), or a trial (`benchmark.search.trial`)."""
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of what it writes."""
+        ...
+
+    def run(self, announce: Callable[[str], None]) -> None:
+        """Do it; `announce` hears each of these names when that is written, and may hear "fitted" before."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -31,10 +46,19 @@ class Limits:
     """What a job may use."""
 
     seconds: float
-    """Until its next row is written, fitting included."""
+    """Until its next result is written, fitting included."""
     memory_mib: float
     """Resident memory of its process."""
     threads: int = 1
+
+
+def limits(seconds: float, *, workers: int, memory_mib: float | None = None, threads: int | None = None) -> Limits:
+    """An equal part of the machine for each of the jobs that run side by side, where no other limit is given."""
+    return Limits(
+        seconds=seconds,
+        memory_mib=memory_mib or MEMORY_SHARE * machine_mib() / workers,
+        threads=threads or max(1, cores() // workers),
+    )
 
 
 @dataclass(frozen=True)
@@ -42,12 +66,12 @@ class Outcome:
     """How a job ended."""
 
     events: tuple[str, ...]
-    """As `benchmark.runner.run_job` announced them."""
+    """As the job announced them."""
     reason: str
     """Why it did not finish; empty if it did."""
 
 
-def run_isolated(job: Job, limits: Limits, log: Path, stop: threading.Event, heard: Callable[[str], None]) -> Outcome:
+def run_isolated(job: Work, limits: Limits, log: Path, stop: threading.Event, heard: Callable[[str], None]) -> Outcome:
     """Run a job in its own process; `heard` gets its events at once, `stop` ends it. A failure leaves a log."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as errors:
@@ -69,7 +93,7 @@ def run_isolated(job: Job, limits: Limits, log: Path, stop: threading.Event, hea
 
 
 def _watch(
-    process: subprocess.Popen[bytes], job: Job, limits: Limits, stop: threading.Event, heard: Callable[[str], None]
+    process: subprocess.Popen[bytes], job: Work, limits: Limits, stop: threading.Event, heard: Callable[[str], None]
 ) -> Outcome:
     assert process.stdin
     assert process.stdout
@@ -87,7 +111,7 @@ def _watch(
                 return Outcome(tuple(events), reason)
             continue
         if line is None:
-            done = {target.key.name for target in job.targets} <= set(events)
+            done = set(job.results) <= set(events)
             return Outcome(tuple(events), _ending(process.wait(), done))
         event = json.loads(line)
         if "failed" in event:

@@ -79,6 +79,7 @@ def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
             "device": _distinct(row.device for row in entry.rows),
             "commit": _distinct(row.commit for row in entry.rows),
             **_measured(entry.rows),
+            **({"views": entry.views} if entry.views else {}),
         }
         for entry in entries
     ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 from benchmark.interface import Segmenter
+from benchmark.tracks import Profile
 
 Options = Mapping[str, Any]
 """Keyword arguments of a model's constructor: numbers, strings, booleans."""
@@ -16,8 +17,29 @@ KINDS: tuple[str, ...] = get_args(Kind)
 PRIORS = ("slots", "background slot", "camera pose", "plane")
 """Number of slots; which slot is the background; poses of the cameras; that the background is a plane."""
 
+MOST_TRIALS = 4
+"""That a model may declare, so that none is searched more than another."""
+
 DEFAULT_BUDGET = 600.0
 """Seconds of one core that a model may train for, if it does not say otherwise."""
+
+
+ViewsSeen = Literal["one", "all"]
+"""Of the views of a frame."""
+VIEWS_SEEN: tuple[ViewsSeen, ...] = get_args(ViewsSeen)
+
+
+@dataclass(frozen=True)
+class Views:
+    """How many views of a frame a model is given, and how many say in training what it should have rendered."""
+
+    given: ViewsSeen
+    supervising: ViewsSeen
+
+    def on(self, number: int) -> str:
+        """In words, on a track of so many views; empty where there is one."""
+        counts = {"one": 1, "all": number}
+        return f"{counts[self.given]} in, {counts[self.supervising]} supervise" if number > 1 else ""
 
 
 @dataclass(frozen=True)
@@ -47,22 +69,45 @@ class ModelSpec:
     settings: Options = field(default_factory=dict)
     """Constants that its results depend on beside its version and options; rows are made anew when they change."""
 
+    profiles: Mapping[str, Options] = field(default_factory=dict)
+    """The same in other profiles than `cpu`, where they differ."""
+    views: Views | None = None
+    """Which views it uses, if it says so."""
+    trials: tuple[Options, ...] = ({},)
+    """What `obpose-bench search` tries: changes of its settings by dotted name; the first are none."""
+
     @property
     def default(self) -> Options:
         """The first value of the grid."""
         return self.grid[0] if self.grid else {}
 
+    @property
+    def takes_slots(self) -> bool:
+        """Whether it is told how many slots to use, or finds the number of objects itself."""
+        return not (isinstance(self.build, Builder) and "slots" in self.build.refused)
 
-OFFERED = ("slots", "steps", "folder", "checkpoint")
+    def settings_in(self, profile: Profile) -> Options:
+        """The constants in a profile."""
+        return self.profiles.get(profile, self.settings)
+
+
+OFFERED: tuple[str, ...] = ("slots", "steps", "folder", "checkpoint", "profile", "changes", "watch")
 """Options that every model is offered, and gets if its constructor has an argument of that name; see
 `benchmark.interface`."""
 
 
-def builder(model: Callable[..., Segmenter]) -> Callable[[Options], Segmenter]:
+@dataclass(frozen=True)
+class Builder:
     """Calls a class with the options as keyword arguments; with `OFFERED` ones only if its constructor has them."""
-    refused = {name for name in OFFERED if name not in inspect.signature(model).parameters}
 
-    def build(options: Options) -> Segmenter:
-        return model(**{name: value for name, value in options.items() if name not in refused})
+    model: Callable[..., Segmenter]
 
-    return build
+    @property
+    def refused(self) -> set[str]:
+        """Options on offer that it does not take."""
+        return set(OFFERED) - set(inspect.signature(self.model).parameters)
+
+    def __call__(self, options: Options) -> Segmenter:
+        """The model."""
+        refused = self.refused
+        return self.model(**{name: value for name, value in options.items() if name not in refused})

@@ -9,6 +9,7 @@ from rich.table import Table
 from benchmark import leaderboard, report
 from benchmark.failed_seeds import HEADLINE
 from benchmark.manifest import write_manifest
+from benchmark.report import learning
 from benchmark.report.board import marks
 from benchmark.results import load_runs
 from benchmark.standings import Entry, best_first, fields
@@ -28,6 +29,8 @@ def write(folder: Path, data: Sequence[Path]) -> None:
     console.print(means_table(entries))
     console.print(f"\nTable:  {folder.resolve() / leaderboard.FILES[0]}", soft_wrap=True, highlight=False)
     console.print(f"Report: {page.resolve()}", soft_wrap=True, highlight=False)
+    if curves := learning.write(folder, entries):
+        console.print(f"Curves: {curves.resolve()}", soft_wrap=True, highlight=False)
 
 
 def wide_console() -> Console:

@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,12 +12,14 @@ from benchmark.model_spec import ModelSpec
 from benchmark.registry import find_model
 from benchmark.results import TRAINING, RunKey, RunRow, digest
 from benchmark.runner import SPLIT, Job, Target
-from benchmark.tracks import Source
+from benchmark.tracks import Profile, Source
 from datagen.errors import UsageError
 from obpose.shipped import content_hash, find_shipped
 
 PRETRAINED = "-pretrained"
 """Stands behind the names of models whose weights were not made by the run."""
+SLOTS = "-{}-slots"
+"""Stands behind the names of models that have another number of slots than the track's, the background's apart."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,10 @@ class Request:
     """Training steps in the place of seconds."""
     pretrained: bool = False
     """Whether models that learn use the weights that ship with the package; these have one seed."""
+    slots: tuple[int, ...] = ()
+    """Slots that models may use, the background's included: a model for each number that is not the track's own."""
+    profile: Profile = "cpu"
+    """Of the models that learn; the sources have their own."""
     predictions: tuple[PredictionFolder, ...] = ()
     """Label maps in the place of models, one folder a seed; `models` then holds the one name that they go by."""
 
@@ -61,8 +67,7 @@ def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
         return _predictions_plan(request, rows, out)
     done = {row.key for row in rows}
     keys, jobs, splits = [], [], {}
-    for model, (fit, sources) in itertools.product(request.models, _fits(request)):
-        way = _way(request, model, fit)
+    for way, sources in _ways(request):
         for seed in range(way.seeds):
             targets = {source: way.target(source, seed) for source in sources}
             keys += [key for target in targets.values() for key in target.keys]
@@ -70,7 +75,7 @@ def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
             if not missing or (seed > 0 and not way.spec.random):
                 continue
             jobs.append(way.job(seed, tuple(missing.values()), out))
-            _add(splits, fit, way.splits)
+            _add(splits, way.fit, way.splits)
             for source in missing:
                 _add(splits, source, (SPLIT,))
     return Plan(tuple(sorted(keys)), tuple(_by_track(jobs, request.sources)), splits)
@@ -159,6 +164,9 @@ class _Way:
     seconds: float
     steps: int | None
     checkpoint: Path | None
+    slots: int | None
+    """In the place of the track's."""
+    profile: Profile
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -167,31 +175,46 @@ class _Way:
             return ()
         return ("train", "val") if self.spec.kind == "learned" else ("val",)
 
-    @property
-    def settings(self) -> dict[str, object]:
+    def own_slots(self, source: Source) -> int | None:
+        """The number of slots where it is not the one that the model has on a track anyway; else None."""
+        usual = {self.fit.slots} if self.spec.kind == "learned" else {self.fit.slots, source.slots}
+        return None if usual == {self.slots} else self.slots
+
+    def name(self, source: Source) -> str:
+        """In tables, files and keys."""
+        slots = self.own_slots(source)
+        return self.model + PRETRAINED * bool(self.checkpoint) + (SLOTS.format(slots - 1) if slots else "")
+
+    def settings(self, source: Source) -> dict[str, object]:
         """What was known before the run and changes its results."""
         if self.checkpoint:
             return {"checkpoint": content_hash(self.checkpoint)}
         settings: dict[str, object] = {"grid": [dict(value) for value in self.spec.grid]}
         if self.spec.kind == "learned":
             settings["budget"] = [self.seconds, "seconds"] if self.steps is None else [self.steps, "steps"]
-        return settings | ({"settings": self.spec.settings} if self.spec.settings else {})
+        # What is as ever is not named, so that rows that were made before there was a choice keep their keys.
+        further = {
+            "settings": self.spec.settings_in(self.profile),
+            "slots": self.own_slots(source),
+            "profile": self.profile if self.spec.kind == "learned" and self.profile != "cpu" else None,
+        }
+        return settings | {name: value for name, value in further.items() if value}
 
     def target(self, source: Source, seed: int) -> Target:
         """The rows of a seed on a track."""
-        name = self.model + (PRETRAINED if self.checkpoint else "")
+        name = self.name(source)
         key = RunKey(
             track=source.name,
             model=name,
             fit_track=self.fit.name,
             seed=seed,
             version=self.spec.version,
-            config_hash=digest(self.settings),
+            config_hash=digest(self.settings(source)),
             fit_spec=self.fit.spec_hash,
             track_spec=source.spec_hash,
         )
         extra = {other: dataclasses.replace(key, model=f"{name}-{other}") for other in self.spec.extra}
-        return Target(key, source.folder, source.slots, extra)
+        return Target(key, source.folder, self.slots or source.slots, extra)
 
     def job(self, seed: int, targets: tuple[Target, ...], out: Path) -> Job:
         """The work of a seed."""
@@ -199,22 +222,31 @@ class _Way:
             model=self.model,
             seed=seed,
             fit_data=self.fit.folder,
-            fit_slots=self.fit.slots,
+            fit_slots=self.slots or self.fit.slots,
             targets=targets,
             out=out,
             seconds=self.seconds if self.steps is None else math.inf,
             steps=self.steps,
             folder=out / TRAINING / self._folder_name(seed) if self.spec.kind == "learned" else None,
             checkpoint=self.checkpoint,
+            profile=self.profile,
         )
 
     def _folder_name(self, seed: int) -> str:
         """The same for all tracks that are scored, so that none of them needs training anew."""
-        facts = [self.spec.version, self.settings, self.fit.spec_hash]
-        return f"{self.fit.name}--{self.model}--{seed}--{digest({'fit': facts})[:8]}"
+        facts = [self.spec.version, self.settings(self.fit), self.fit.spec_hash]
+        return f"{self.fit.name}--{self.name(self.fit)}--{seed}--{digest({'fit': facts})[:8]}"
 
 
-def _way(request: Request, model: str, fit: Source) -> _Way:
+def _ways(request: Request) -> Iterator[tuple[_Way, tuple[Source, ...]]]:
+    """Every model in every way that is asked for, and what is scored after it."""
+    for model, (fit, sources) in itertools.product(request.models, _fits(request)):
+        numbers = request.slots if find_model(model).takes_slots else ()
+        for slots in numbers or (None,):
+            yield _way(request, model, fit, slots), sources
+
+
+def _way(request: Request, model: str, fit: Source, slots: int | None) -> _Way:
     spec = find_model(model)
     pretrained = request.pretrained and spec.kind == "learned"
     return _Way(
@@ -225,6 +257,8 @@ def _way(request: Request, model: str, fit: Source) -> _Way:
         seconds=request.seconds or spec.budget,
         steps=request.steps,
         checkpoint=find_shipped(model, fit.name, fit.resolution) if pretrained else None,
+        slots=slots,
+        profile=request.profile,
     )
 
 

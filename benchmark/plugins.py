@@ -12,17 +12,19 @@ Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`), and may 
 - `kind`: one of `benchmark.model_spec.KINDS`; "learned" if left out.
 - `budget`: seconds that it trains for unless the command says otherwise; 600.0 if left out.
 - `extra`: names of further segmentations that its predictions hold; none if left out.
+- `views`: of the views of a frame, how many it is given and how many supervise it, such as ("one", "all").
+- `trials`: a tuple of dicts, changes that `obpose-bench search` gives to its argument `changes`; the first is empty.
 """
 
 import inspect
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, cast
 
 from benchmark.interface import Segmenter
-from benchmark.model_spec import DEFAULT_BUDGET, KINDS, PRIORS, ModelSpec, builder
+from benchmark.model_spec import DEFAULT_BUDGET, KINDS, MOST_TRIALS, PRIORS, VIEWS_SEEN, Builder, ModelSpec, Views
 from datagen.errors import UsageError
 
 GROUP = "obpose.models"
@@ -37,6 +39,8 @@ UNSAID: dict[str, Any] = {
     "kind": "learned",
     "budget": DEFAULT_BUDGET,
     "extra": (),
+    "views": (),
+    "trials": ({},),
 }
 """What holds of a class that does not say it."""
 
@@ -78,9 +82,10 @@ def spec_of(model: Any) -> ModelSpec:
     _check(said)
     for options in said["options"] or ({},):
         _check_options(options, inspect.signature(model))
+    _check_trials(said["trials"], inspect.signature(model))
     summary = inspect.cleandoc(model.__doc__ or model.__name__).splitlines()[0]
     return ModelSpec(
-        build=builder(cast(type[Segmenter], model)),
+        build=Builder(cast(type[Segmenter], model)),
         version=said["version"],
         description=said["description"] or summary,
         kind=said["kind"],
@@ -90,6 +95,8 @@ def spec_of(model: Any) -> ModelSpec:
         priors=tuple(said["priors"]),
         budget=said["budget"],
         extra=said["extra"],
+        views=Views(*said["views"]) if said["views"] else None,
+        trials=said["trials"],
     )
 
 
@@ -122,8 +129,19 @@ def _check(said: Mapping[str, Any]) -> None:
         raise UsageError(f"its budget is {said['budget']:g}; expected more than 0 seconds.")
     if said["kind"] not in KINDS:
         raise UsageError(f"its kind is {said['kind']!r}; expected one of {', '.join(KINDS)}.")
+    if said["views"] and (len(said["views"]) != 2 or not {*said["views"]} <= {*VIEWS_SEEN}):
+        raise UsageError(f"its views are {said['views']!r}; expected two of {', '.join(VIEWS_SEEN)}.")
     if unknown := [prior for prior in said["priors"] if prior not in PRIORS]:
         raise UsageError(f"its priors name {', '.join(map(repr, unknown))}; expected some of {', '.join(PRIORS)}.")
+
+
+def _check_trials(trials: Sequence[Any], signature: inspect.Signature) -> None:
+    if not trials or not all(isinstance(changes, Mapping) for changes in trials) or trials[0]:
+        raise UsageError(f"its trials are {trials!r}; expected dicts of changes, the first of which is empty.")
+    if len(trials) > MOST_TRIALS:
+        raise UsageError(f"it declares {len(trials)} trials; expected {MOST_TRIALS} at most, as many as others have.")
+    if len(trials) > 1 and "changes" not in signature.parameters:
+        raise UsageError("it declares trials, but its constructor has no argument 'changes' to get them by.")
 
 
 def _check_options(options: Any, signature: inspect.Signature) -> None:

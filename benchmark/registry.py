@@ -13,6 +13,7 @@ Other packages add models through the entry point group `obpose.models`; see `be
 
 import difflib
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from benchmark import plugins
 from benchmark.adapters import LEARNED
@@ -21,18 +22,49 @@ from benchmark.model_spec import ModelSpec
 from benchmark.plugins import Problem
 from datagen.errors import UsageError
 
-__all__ = ["GROUPS", "MODELS", "ModelSpec", "Problem", "discover", "expand", "find_model"]
+__all__ = ["GROUPS", "MODELS", "Group", "ModelSpec", "Problem", "budget_of", "discover", "expand", "find_model"]
 
 MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **LEARNED}
 """The models of this package; those of others come from `discover`."""
 
-GROUPS: dict[str, tuple[str, ...]] = {
-    "floors": ("floor",),
-    "classical": ("classical",),
-    "oracles": ("oracle",),
-    "training-free": ("floor", "classical", "oracle"),
+
+@dataclass(frozen=True)
+class Group:
+    """A name that stands for several models."""
+
+    kinds: tuple[str, ...] = ()
+    """All models in `MODELS` of these kinds,"""
+    names: tuple[str, ...] = ()
+    """and these."""
+    budget: float | None = None
+    """Seconds of one core that all models of a command with this group may train for, so that none has more than
+    another; None: what each declares."""
+
+    @property
+    def members(self) -> list[str]:
+        """Names of its models."""
+        return [*(model for model, spec in MODELS.items() if spec.kind in self.kinds), *self.names]
+
+
+GROUPS: dict[str, Group] = {
+    "floors": Group(("floor",)),
+    "classical": Group(("classical",)),
+    "oracles": Group(("oracle",)),
+    "training-free": Group(("floor", "classical", "oracle")),
+    "paper": Group(
+        names=(
+            "obpose-loc",
+            "obpose",
+            "ic-sbp",
+            "slot-attention",
+            "obsurf",
+            "obsurf-no-overlap",
+            "obsurf-no-overlap-depth",
+        ),
+        budget=12 * 60.0,
+    ),
 }
-"""Names that stand for all models in `MODELS` of these kinds."""
+"""Names that stand for several models; `paper` are the rows of the paper's tables."""
 
 
 def discover() -> tuple[dict[str, ModelSpec], list[Problem]]:
@@ -64,15 +96,16 @@ def expand(names: Iterable[str]) -> list[str]:
     Raises:
         UsageError: as `find_model`.
     """
-    members = [member for name in names for member in _members(name)]
+    members = [member for name in names for member in (GROUPS[name].members if name in GROUPS else [name])]
+    for member in members:
+        find_model(member)
     return list(dict.fromkeys(members))
 
 
-def _members(name: str) -> list[str]:
-    if name not in GROUPS:
-        find_model(name)
-        return [name]
-    return [model for model, spec in MODELS.items() if spec.kind in GROUPS[name]]
+def budget_of(names: Iterable[str]) -> float | None:
+    """The equal budget that goes with groups among these names, the smallest of several; None where none has one."""
+    budgets = (GROUPS[name].budget for name in names if name in GROUPS)
+    return min((budget for budget in budgets if budget is not None), default=None)
 
 
 def _unknown(name: str, models: Iterable[str]) -> UsageError:

@@ -5,9 +5,10 @@ from pathlib import Path
 
 from benchmark import arguments
 from benchmark.adapters.predictions import PredictionFolder
+from benchmark.interface import LARGEST_LABEL
 from benchmark.plan import Request
-from benchmark.registry import discover, expand, find_model
-from benchmark.tracks import DEFAULT, DataFolder, Source, find_track
+from benchmark.registry import budget_of, discover, expand, find_model
+from benchmark.tracks import DEFAULT, DataFolder, Source, find_track, find_tracks
 from datagen.errors import UsageError
 from datagen.storage import Dataset
 
@@ -22,8 +23,8 @@ def request_of(values: arguments.Run) -> Request:
         UsageError: they contradict each other, or name what does not exist.
     """
     _check(values)
-    names = dict.fromkeys(values.track or (values.fit_track or DEFAULT,))
-    sources: list[Source] = [_data_folder(values.data)] if values.data else [find_track(name) for name in names]
+    names = values.track or (values.fit_track or DEFAULT,)
+    sources: list[Source] = [_data_folder(values.data)] if values.data else [*find_tracks(names, values.profile)]
     if values.predictions:
         return _predictions_request(values, sources)
     models = tuple(expand(values.model))
@@ -32,14 +33,20 @@ def request_of(values: arguments.Run) -> Request:
         raise UsageError("--deterministic counts budgets in steps; say how many with --steps.")
     if values.pretrained and not learns:
         raise UsageError("--pretrained is for models that learn; name one, or leave it out.")
+    if values.pretrained and values.slots:
+        raise UsageError(
+            "--slots is for models that are made here: weights that ship have the slots of their training."
+        )
     return Request(
         models=models,
         sources=tuple(sources),
         seeds=values.seeds,
-        fit_source=find_track(values.fit_track) if values.fit_track else None,
-        seconds=values.budget,
+        fit_source=find_track(values.fit_track, values.profile) if values.fit_track else None,
+        seconds=values.budget if values.budget is not None else budget_of(values.model),
         steps=values.steps,
         pretrained=values.pretrained,
+        slots=tuple(dict.fromkeys(number + 1 for number in values.slots)),
+        profile=values.profile,
     )
 
 
@@ -50,9 +57,15 @@ def _check(values: arguments.Run) -> None:
             "Name what to score and where: --model NAME [NAME ...] or --predictions DIR, and --track NAME [NAME ...] "
             f"or --data DIR (models are scored on the track {DEFAULT!r} if left out); --list shows models and tracks."
         )
-    for flag, number in (("seeds", values.seeds), ("workers", values.workers), ("steps", values.steps or 1)):
+    for flag, number in (
+        ("seeds", values.seeds),
+        ("workers", values.workers),
+        ("steps", 1 if values.steps is None else values.steps),
+    ):
         if number < 1:
             raise UsageError(f"--{flag} is {number}; expected 1 or more.")
+    if unfit := [number for number in values.slots if not 1 <= number <= LARGEST_LABEL]:
+        raise UsageError(f"--slots is {unfit[0]}; expected 1 to {LARGEST_LABEL}, the background being one more.")
     positive = {"time-limit": values.time_limit, "budget": values.budget, "memory-limit": values.memory_limit}
     for flag, number in positive.items():
         if number is not None and not number > 0:

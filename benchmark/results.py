@@ -6,6 +6,7 @@ OUT/
     labels/NAME.h5 .... the label maps, from which everything else can be computed again
     curves/NAME.csv ... the learning curve, of models that keep one
     training/ ......... models' own files: checkpoints, pictures
+    watched/ .......... scores on validation clips while models learn, which go into the curves
 with NAME = track--model--seed--8 hex digits of the key. What else lies in OUT is made from these.
 """
 
@@ -106,6 +107,8 @@ class RunRow:
     measured: Measured
     pretrained: str = ""
     """Name of the weights that were used in the place of training; empty where the run trained."""
+    views: str = ""
+    """How many views of a frame the model gets and how many supervise it, where it says so and there are several."""
     learning_curve: list[dict[str, float]] | None = field(default=None)
     """What a model recorded while it trained, a dict for each of some steps; kept in `curves/`."""
 

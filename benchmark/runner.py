@@ -9,13 +9,16 @@ from pathlib import Path
 
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.clips import ClipSequence, TruthSequence
+from benchmark.curves import Curve
 from benchmark.interface import Segmenter
 from benchmark.machine import commit, peak_mib
 from benchmark.model_spec import ModelSpec, Options
 from benchmark.registry import find_model
 from benchmark.results import LABELS, Measured, RunKey, RunRow, save_row
 from benchmark.scoring import Predict, score_labels, segment_split
+from benchmark.tracks import Profile
 from benchmark.tuning import choose
+from benchmark.watch import WATCHED, Watch
 from datagen.errors import UsageError
 from datagen.storage import Dataset, Split
 
@@ -60,6 +63,8 @@ class Job:
     """For files of the model's own; see `benchmark.interface`."""
     checkpoint: Path | None = None
     """Weights to be used in the place of training."""
+    profile: Profile = "cpu"
+    """Of a model that learns."""
 
     @property
     def learns(self) -> bool:
@@ -73,6 +78,20 @@ class Job:
 
     predictions: PredictionFolder | None = None
     """Label maps to score in the place of a model."""
+
+    @property
+    def trains(self) -> bool:
+        """Whether its model learns here."""
+        return self.learns and not self.checkpoint
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of the targets' own rows."""
+        return tuple(target.key.name for target in self.targets)
+
+    def run(self, announce: Callable[[str], None]) -> None:
+        """As `run_job`."""
+        run_job(self, announce)
 
 
 def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> None:
@@ -123,6 +142,14 @@ class _Fitted:
     options: Options
     tuned: bool
     seconds: float
+    watch: Watch | None
+
+    @property
+    def learning_curve(self) -> Curve | None:
+        """What the model recorded while it learned, and what was seen of it then."""
+        curve = getattr(self.segmenter, "learning_curve", None)
+        points = [{name: float(value) for name, value in point.items()} for point in curve or ()]
+        return (self.watch.added_to(points) if self.watch else points) or None
 
 
 def _fit(spec: ModelSpec, job: Job) -> _Fitted:
@@ -137,18 +164,20 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     if tuned and not len(val):
         raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
     options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
+    options |= {} if job.profile == "cpu" else {"profile": job.profile}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
-    segmenter = spec.build({**chosen, **({"folder": job.folder} if job.folder else {})})
+    watch = Watch(val, truths, job.out / WATCHED / f"{job.folder.name}.csv") if job.folder else None
+    segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": watch} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)
     seconds = float(getattr(segmenter, "fit_seconds", time.perf_counter() - started))
-    return _Fitted(spec, segmenter, chosen, tuned or spec.settled_with_labels, seconds)
+    return _Fitted(spec, segmenter, chosen, tuned or spec.settled_with_labels, seconds, watch)
 
 
 def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
     segmenter = spec.build({"slots": job.fit_slots, "checkpoint": job.checkpoint})
     segmenter.fit([], [], seed=job.seed, budget=0.0)
-    return _Fitted(spec, segmenter, {}, spec.settled_with_labels, float("nan"))
+    return _Fitted(spec, segmenter, {}, spec.settled_with_labels, float("nan"), None)
 
 
 def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
@@ -158,21 +187,17 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
     seconds_per_frame = _score(job, target, lambda _, clip: segmenter.segment(clip), scenes, clips)
     row = dataclasses.replace(
         blank_row(target.key, fitted.spec, status="ok"),
-        config={**fitted.spec.settings, **options},
+        config={**fitted.spec.settings_in(job.profile), **options},
         tuned=fitted.tuned,
         n_scenes=len(scenes),
         parameters=int(getattr(segmenter, "parameters", 0)),
         device=str(getattr(segmenter, "device", "cpu")),
         measured=Measured(seconds_per_frame, fitted.seconds, peak_mib()),
         pretrained=job.pretrained,
+        views=fitted.spec.views.on(_number_of_views(scenes)) if fitted.spec.views else "",
     )
     others = [dataclasses.replace(row, key=key) for key in target.extra.values()]
-    return [dataclasses.replace(row, learning_curve=_learning_curve(segmenter)), *others]
-
-
-def _learning_curve(segmenter: Segmenter) -> list[dict[str, float]] | None:
-    curve = getattr(segmenter, "learning_curve", None)
-    return curve and [{name: float(value) for name, value in point.items()} for point in curve]
+    return [dataclasses.replace(row, learning_curve=fitted.learning_curve), *others]
 
 
 def _for_target(job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:
@@ -198,6 +223,10 @@ def _scenes(target: Target) -> Split:
     if len(scenes) == 0:
         raise UsageError(f"Split {SPLIT!r} of {target.data} has no scenes; generate some.")
     return scenes
+
+
+def _number_of_views(scenes: Split) -> int:
+    return scenes.spec["recipe"]["views"]
 
 
 def _score(job: Job, target: Target, predict: Predict, scenes: Split, clips: ClipSequence) -> float:

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
+from typing import TypeVar
 
 from benchmark.files import write_whole
 from benchmark.isolation import LOGS, Limits, run_isolated
@@ -16,18 +17,27 @@ from benchmark.runner import Job, Target, blank_row
 
 Heard = Callable[[RunRow], None]
 """Is told of every target's row that a job made or failed to make."""
+Task = TypeVar("Task")
 
 
 def run_jobs(plan: Plan, limits_of: Callable[[Job], Limits], workers: int, heard: Heard) -> None:
     """Do all jobs of a plan. Kill it at any moment: the rows that were written count, the others are made next time."""
+    side_by_side(plan.jobs, lambda job, stop: _do(job, limits_of(job), stop, heard), workers)
+
+
+def side_by_side(tasks: Sequence[Task], do: Callable[[Task, threading.Event], Sequence[Task]], workers: int) -> None:
+    """Do so many tasks at a time, in their order; `do` returns what is left of one, and ends early when it is told to.
+
+    Whatever interrupts this, Ctrl-C included, is raised when the running tasks have ended.
+    """
     stop = threading.Event()
-    waiting = list(plan.jobs)
+    waiting = list(tasks)
     with ThreadPoolExecutor(workers) as pool:
         try:
             running = set()
             while waiting or running:
                 while waiting and len(running) < workers:
-                    running.add(pool.submit(_do, job := waiting.pop(0), limits_of(job), stop, heard))
+                    running.add(pool.submit(do, waiting.pop(0), stop))
                 finished, running = wait(running, return_when=FIRST_COMPLETED)
                 waiting[:0] = [rest for future in finished for rest in future.result()]
         except BaseException:

@@ -73,6 +73,11 @@ class Entry:
         return USES_LABELS * row.uses_labels + TUNED * row.tuned + PRETRAINED * bool(row.pretrained)
 
     @property
+    def views(self) -> str:
+        """How many views of a frame the model is given and how many supervise it; empty where it does not say."""
+        return next((row.views for row in self.rows if row.views), "")
+
+    @property
     def is_ranked(self) -> bool:
         """Whether the model may stand in a ranking: it knows no labels, and not every seed failed."""
         knows = self.row.kind in ("floor", "oracle") or self.row.uses_labels
@@ -165,6 +170,12 @@ def best_first(entries: Iterable[Entry]) -> list[Entry]:
         return float(rank), float(score), entry.place
 
     return sorted(entries, key=order)
+
+
+def best_without_training(field: Iterable[Entry]) -> Entry | None:
+    """What those that learn are to be held against: the best ranked row of those that may be compared."""
+    classical = [entry for entry in field if entry.is_ranked and entry.row.kind == "classical"]
+    return best_first(classical)[0] if classical else None
 
 
 def fields(entries: Iterable[Entry]) -> list[list[Entry]]:

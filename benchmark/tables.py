@@ -20,6 +20,7 @@ from benchmark.standings import (
     USES_LABELS,
     Entry,
     best_first,
+    best_without_training,
     fields,
 )
 from benchmark.wording import (
@@ -29,6 +30,7 @@ from benchmark.wording import (
     run_once,
     seeds_covered,
     seeds_in_words,
+    views_explained,
     without_floor,
 )
 
@@ -79,6 +81,8 @@ class Line:
     bold: tuple[bool, ...]
     paper: str
     """The paper's figures; empty where it has none."""
+    views: str = ""
+    """How many views of a frame the model is given and how many supervise it; empty where it does not say."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,11 @@ class Board:
     def has_paper(self) -> bool:
         """Whether the paper has figures for this track."""
         return self.track in PAPER_TRACKS
+
+    @property
+    def has_views(self) -> bool:
+        """Whether some row says how many views its model uses."""
+        return any(line.views for block in self.blocks for line in block.lines)
 
 
 def boards(entries: Iterable[Entry]) -> list[Board]:
@@ -139,7 +148,7 @@ def _notes(entries: Sequence[Entry]) -> Iterator[str]:
     if once:
         yield f"Run once, as seeds make no difference to them: {once}."
     yield from NOTES
-    yield from filter(None, (free_of_slots(entries), without_floor(entries)))
+    yield from filter(None, (views_explained(entries), free_of_slots(entries), without_floor(entries)))
 
 
 def _board(field: Sequence[Entry]) -> Board:
@@ -171,8 +180,8 @@ def _block_of(entry: Entry) -> str:
 
 
 def _best_without_training(field: Iterable[Entry], best: Mapping[str, str]) -> list[Line]:
-    classical = best_first(entry for entry in field if entry.is_ranked and entry.row.kind == "classical")
-    return _lines(classical[0], best, prefix="best without training: ") if classical else []
+    entry = best_without_training(field)
+    return _lines(entry, best, prefix="best without training: ") if entry else []
 
 
 def _best_cells(field: Iterable[Entry]) -> dict[str, str]:
@@ -193,7 +202,7 @@ def _lines(entry: Entry, best: Mapping[str, str], prefix: str = "") -> list[Line
     )
     paper = " ".join(paper_cells(entry.row.key.track, entry.row.key.model).values())
     letters = tuple(groups.get(name, "") for name in SHOWN)
-    line = Line(label, rank_in_words(entry), seeds_covered(entry), cells, letters, bold, paper)
+    line = Line(label, rank_in_words(entry), seeds_covered(entry), cells, letters, bold, paper, entry.views)
     if not entry.n_failed:
         return [line]
     failed = min(entry.n_failed, entry.n_runs)
@@ -221,16 +230,16 @@ def _paper_line(track: str, model: str) -> Line:
 
 def _markdown_rows(board: Board) -> Iterator[str]:
     grey = [f"*{_paper_header(board)}*"] if board.has_paper else []
-    header = ["model", "rank", "seeds", *SHOWN.values(), *grey]
+    views = ["views"] if board.has_views else []
+    header = ["model", *views, "rank", "seeds", *SHOWN.values(), *grey]
     yield _markdown_row(header)
-    yield _markdown_row(["---", "---:", *["---:"] * (len(header) - 2)])
+    yield _markdown_row(["---", *("---" for _ in views), *["---:"] * (len(header) - len(views) - 1)])
     for block in board.blocks:
         yield _markdown_row([f"**{block.title}**", *[""] * (len(header) - 1)])
         for line in block.lines:
             paper = [f"*{line.paper}*" if line.paper else ""] if board.has_paper else []
-            yield _markdown_row(
-                [line.label, line.rank, line.seeds, *map(_markdown_cell, line.cells, line.groups, line.bold), *paper]
-            )
+            said = [line.label, *(line.views for _ in views), line.rank, line.seeds]
+            yield _markdown_row([*said, *map(_markdown_cell, line.cells, line.groups, line.bold), *paper])
 
 
 def _markdown_row(cells: Iterable[str]) -> str:
@@ -249,8 +258,9 @@ def _paper_header(board: Board) -> str:
 
 def _latex_table(board: Board) -> str:
     grey = [_grey(_paper_header(board))] if board.has_paper else []
-    columns = "l r r " + " ".join("c" * (len(SHOWN) + len(grey)))
-    header = ["", "rank", "seeds", *(rf"{_escaped(name)}$\uparrow$" for name in SHOWN.values()), *grey]
+    views = ["views"] if board.has_views else []
+    columns = "l " + "l " * len(views) + "r r " + " ".join("c" * (len(SHOWN) + len(grey)))
+    header = ["", *views, "rank", "seeds", *(rf"{_escaped(name)}$\uparrow$" for name in SHOWN.values()), *grey]
     lines = [
         r"\begin{table*}",
         r"    \centering",
@@ -273,7 +283,8 @@ def _latex_table(board: Board) -> str:
 def _latex_row(line: Line, board: Board) -> str:
     cells = map(_latex_cell, line.cells, line.groups, line.bold)
     paper = [_grey(line.paper) if line.paper else ""] if board.has_paper else []
-    return " & ".join([rf"\textsc{{{_escaped(line.label)}}}", line.rank, line.seeds, *cells, *paper]) + r" \\"
+    views = [line.views] if board.has_views else []
+    return " & ".join([rf"\textsc{{{_escaped(line.label)}}}", *views, line.rank, line.seeds, *cells, *paper]) + r" \\"
 
 
 def _latex_cell(cell: str, groups: str, bold: bool) -> str:

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 from datagen.config import load_recipe, recipe_names
 from datagen.errors import DatagenError, UsageError
@@ -23,9 +23,14 @@ SIZES = {"train": 2000, "val": 100, "test": 300}
 SEED = 0
 DEFAULT = "moving"
 """The track that is meant where none is named."""
-SQUARE, WIDE = (64, 64), (80, 60)
-"""Width and height of the images, in the profile `cpu`; wide for recipes that are wide themselves."""
-
+Profile = Literal["cpu", "gpu"]
+"""Size of images and of the networks that learn from them: for a CPU core, or for a GPU."""
+PROFILES: tuple[Profile, ...] = get_args(Profile)
+SQUARE: dict[Profile, tuple[int, int]] = {"cpu": (64, 64), "gpu": (128, 128)}
+WIDE: dict[Profile, tuple[int, int]] = {"cpu": (80, 60), "gpu": (128, 96)}
+"""Width and height of the images; wide for recipes that are wide themselves."""
+GROUPS = {"paper": ("moving", "static", "clevr3d", "multishape")}
+"""Names that stand for several tracks; `paper` are those that the paper has tables of."""
 
 Progress = Callable[[int], AbstractContextManager[Callable[[], None]]]
 """Starts showing the progress of so many scenes; gives what is to be called after each."""
@@ -42,12 +47,13 @@ class Track:
 
     name: str
     """Of the track and of its recipe."""
+    profile: Profile = "cpu"
 
     @property
     def resolution(self) -> tuple[int, int]:
         """Width and height of its images."""
         width, height = load_recipe(self.name).resolution
-        return SQUARE if width == height else WIDE
+        return (SQUARE if width == height else WIDE)[self.profile]
 
     @property
     def description(self) -> str:
@@ -160,7 +166,7 @@ Source = Track | DataFolder
 """Something to fit on or to score on."""
 
 
-def find_track(name: str) -> Track:
+def find_track(name: str, profile: Profile = "cpu") -> Track:
     """The track of that name.
 
     Raises:
@@ -168,20 +174,31 @@ def find_track(name: str) -> Track:
     """
     names = recipe_names()
     if name in names:
-        return Track(name)
-    near = difflib.get_close_matches(name, names, n=1)
+        return Track(name, profile)
+    known = [*names, *GROUPS]
+    near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise UsageError(f"Unknown track {name!r}; {hint}There are: {', '.join(names)}.")
+    raise UsageError(f"Unknown track {name!r}; {hint}There are: {', '.join(known)}.")
 
 
-def all_tracks() -> list[Track]:
+def find_tracks(names: Iterable[str], profile: Profile = "cpu") -> list[Track]:
+    """The tracks of these names, each once, in which groups are replaced by their members.
+
+    Raises:
+        UsageError: as `find_track`.
+    """
+    members = [member for name in names for member in GROUPS.get(name, (name,))]
+    return [find_track(name, profile) for name in dict.fromkeys(members)]
+
+
+def all_tracks(profile: Profile = "cpu") -> list[Track]:
     """Every track: one for each recipe."""
-    return [Track(name) for name in recipe_names()]
+    return [Track(name, profile) for name in recipe_names()]
 
 
 def find_dataset(track: str, spec_hash: str, folders: Iterable[Path]) -> Path | None:
     """Where the dataset of that identity is: in one of the folders, or among the tracks that were made; or None."""
-    made = [Track(track).folder] if track in recipe_names() else []
+    made = [Track(track, profile).folder for profile in PROFILES] if track in recipe_names() else []
     for folder in (*folders, *made):
         if (folder / "dataset.json").exists() and Dataset(folder).spec["spec_hash"] == spec_hash:
             return folder

@@ -44,6 +44,12 @@ def without_floor(entries: Iterable[Entry]) -> str:
     )
 
 
+def views_explained(entries: Iterable[Entry]) -> str:
+    """What is said of views, where something is; else empty."""
+    said = any(entry.views for entry in entries)
+    return "Views: how many of a frame's views a model is given, and how many supervise it in training." * said
+
+
 def free_of_slots(entries: Iterable[Entry]) -> str:
     """Which classical models say that they were not given the number of slots, in a sentence; empty where none does."""
     classical = [entry.row for entry in entries if entry.row.kind == "classical" and entry.n_scenes]

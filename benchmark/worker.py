@@ -15,7 +15,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from benchmark.runner import run_job
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, DatagenError
 
 _PARENT_CHECK_SECONDS = 0.5
@@ -34,7 +33,7 @@ def main() -> int:
         events.write(json.dumps(event) + "\n")
 
     try:
-        run_job(job, lambda done: tell(done=done))
+        job.run(lambda done: tell(done=done))
     except MemoryError as error:
         tell(failed=f"out of memory: {error}")
     except DatagenError as error:

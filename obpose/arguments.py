@@ -18,7 +18,7 @@ class Train:
     data: Path | None = None
     """Folder of a dataset, in the place of a track."""
     variant: str = "obpose"
-    """What the model is; see VARIANTS in obpose/config.py."""
+    """What the model is; see obpose/systems.py."""
     profile: str = "cpu"
     """How large it is: cpu, gpu or paper."""
     minutes: float | None = None
@@ -31,7 +31,7 @@ class Train:
     out: Path | None = None
     """The run's folder; default runs/VARIANT-PROFILE-DATA-seedS."""
     set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Any other value of obpose/config.py, such as model.pose.box_size=0.3; can be given many times."""
+    """Any other value of the model's configuration, such as model.pose.box_size=0.3; can be given many times."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """`auto`: a GPU if there is one."""
     threads: int = 1

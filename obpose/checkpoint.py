@@ -15,17 +15,18 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from obpose.config import Config
 from obpose.config_text import differences, from_plain, to_plain
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
-from obpose.trainable import Trainable
+from obpose.model import ObPose
+from obpose.systems import ARCHITECTURES, OBPOSE, architecture_of, build_model
+from obpose.trainable import Configuration, Trainable
 
 MODEL, CONFIG, TRAINING = "model.safetensors", "config.json", "training.safetensors"
 VERSION = 1
 """Of the files; raised when older ones can no longer be read."""
 
-Build = Callable[[Config], Trainable]
+Build = Callable[[Any], Trainable]
 """Makes a model with fresh weights."""
 
 Info = dict[str, Any]
@@ -44,15 +45,15 @@ class TrainingState:
     info: Info
 
 
-def save_model(folder: Path, weights: State, config: Config, info: Info) -> None:
+def save_model(folder: Path, weights: State, config: Configuration, info: Info) -> None:
     """Write what `load` reads; the configuration last, so that where it is, all is."""
     _write_tensors(folder / MODEL, weights, info)
-    facts = {"version": VERSION, "config": to_plain(config)}
+    facts = {"version": VERSION, "architecture": architecture_of(config).name, "config": to_plain(config)}
     write_whole(folder / CONFIG, (json.dumps(facts, indent=1) + "\n").encode())
 
 
-def load(folder: Path, build: Build) -> tuple[Trainable, Config, Info]:
-    """The model of a folder, on the CPU and in evaluation mode.
+def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configuration, Info]:
+    """The model of a folder, on the CPU and in evaluation mode; `build` makes another than that of its configuration.
 
     Raises:
         UsageError: there is none, or it is of another version or architecture.
@@ -66,7 +67,20 @@ def load(folder: Path, build: Build) -> tuple[Trainable, Config, Info]:
     return model.eval(), config, info
 
 
-def read_config(folder: Path) -> Config:
+def load_obpose(folder: Path) -> ObPose:
+    """The same where poses and fields are asked for, which other architectures do not have.
+
+    Raises:
+        UsageError: as `load`, or the model is none of ObPose's.
+        CorruptFile: a file is damaged.
+    """
+    model = load(folder)[0]
+    if not isinstance(model, ObPose):
+        raise UsageError(f"{folder} holds a model of class {type(model).__name__}; expected one of ObPose's variants.")
+    return model
+
+
+def read_config(folder: Path) -> Configuration:
     """The configuration of a folder's model.
 
     Raises:
@@ -85,7 +99,11 @@ def read_config(folder: Path) -> Config:
         raise UsageError(f"{path} is of version {version}, expected {VERSION}; train again, or use that version.")
     if not isinstance(plain, dict):
         raise CorruptFile(f"{path} is damaged; train again into another folder.")
-    return from_plain(plain)
+    # Files that do not say it are older than the second architecture.
+    name = facts.get("architecture", OBPOSE.name)
+    if name not in ARCHITECTURES:
+        raise UsageError(f"{path} is of architecture {name!r}; this version has {', '.join(ARCHITECTURES)}.")
+    return from_plain(plain, ARCHITECTURES[name].config)
 
 
 def put_weights(model: Trainable, weights: State, place: str) -> None:
@@ -107,7 +125,7 @@ def save_training(folder: Path, state: TrainingState) -> None:
     _write_tensors(folder / TRAINING, weights | optimizer, state.info)
 
 
-def load_training(folder: Path, config: Config) -> TrainingState | None:
+def load_training(folder: Path, config: Configuration) -> TrainingState | None:
     """The unfinished or finished training of a folder; None if nothing was begun there.
 
     Raises:

@@ -6,11 +6,10 @@ obpose-train --track moving --set model.pose.box_size=0.3
 torchrun --nproc-per-node 2 -m obpose.cli --track moving       two processes, each with a batch of its own
 """
 
-import difflib
 import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +18,11 @@ from rich.console import Console
 
 from benchmark.tracks import DataFolder, Track, find_track
 from obpose.arguments import Train
-from obpose.config import PROFILES, VARIANTS, Config, make_config
-from obpose.config_bounds import check_bounds
+from obpose.config import TrainConfig
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError, is_out_of_memory
 from obpose.scene_bar import scene_bar
+from obpose.systems import System, did_you_mean, find_system
 
 PROGRAM = "obpose-train"
 RUNS = Path("runs")
@@ -51,8 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Train) -> int:
     """Prepare the data, train, and say where everything is."""
-    _check(values)
-    changes = parse_changes(values.set)
+    system = find_system(values.variant)
+    _check(values, system)
+    changes = parse_changes(values.set, system.architecture.config)
     data = _data(values)
     out = values.out or RUNS / f"{values.variant}-{values.profile}-{data.name}-seed{values.seed}"
     console = Console(stderr=True, soft_wrap=True, highlight=False, quiet=_process() > 0)
@@ -67,12 +67,12 @@ def run(values: Train) -> int:
     from obpose.train import train
 
     torch.set_num_threads(values.threads)
-    source = SceneDataset(folder)
+    source = SceneDataset(folder, extra=["segmentation"] if system.uses_labels else ())
     val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
-    measured = measure_scene(source).changes()
-    config = make_config(values.variant, values.profile, **(_chosen(values, data) | measured | changes))
-    check_bounds(config)
-    console.print(f"Training {values.variant} on {data.name}, {_in_words(config)}, into {out}", markup=False)
+    measured = system.known(measure_scene(source).changes())
+    config = system.config(values.profile, _chosen(values, data) | measured | changes)
+    system.architecture.check(config)
+    console.print(f"Training {values.variant} on {data.name}, {_in_words(config.train)}, into {out}", markup=False)
     with progress_bar(console) as report:
         trained = train(
             source, val_source, config, folder=out, report=report, device=values.device, tensorboard=values.tensorboard
@@ -87,9 +87,9 @@ def _fail(message: str, code: int) -> int:
     return code
 
 
-def _check(values: Train) -> None:
-    _one_of(values.variant, VARIANTS, "variant")
-    _one_of(values.profile, PROFILES, "profile")
+def _check(values: Train, system: System) -> None:
+    if values.profile not in (profiles := system.architecture.profiles):
+        raise UsageError(f"Unknown profile {values.profile!r}; {did_you_mean(values.profile, profiles)}")
     if values.minutes is not None and values.steps is not None:
         raise UsageError("--minutes and --steps contradict each other; leave one of them out.")
     for name in ("minutes", "steps", "threads"):
@@ -100,13 +100,6 @@ def _check(values: Train) -> None:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
     if values.threads > MOST_THREADS:
         raise UsageError(f"--threads {values.threads}: expected at most {MOST_THREADS}.")
-
-
-def _one_of(name: str, names: Iterable[str], kind: str) -> None:
-    if name not in (known := list(names)):
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise UsageError(f"Unknown {kind} {name!r}; {hint}There are: {', '.join(known)}.")
 
 
 def _data(values: Train) -> Track | DataFolder:
@@ -129,8 +122,7 @@ def _chosen(values: Train, data: Track | DataFolder) -> dict[str, Any]:
     return {"model.slots": data.slots - 1, "train.seed": values.seed, "train.steps": values.steps, **budget}
 
 
-def _in_words(config: Config) -> str:
-    settings = config.train
+def _in_words(settings: TrainConfig) -> str:
     return f"{settings.steps} steps" if settings.steps is not None else f"{settings.minutes:g} minutes"
 
 

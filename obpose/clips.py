@@ -1,8 +1,8 @@
 """Where training gets its clips from."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import Protocol, runtime_checkable
+from dataclasses import fields, replace
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -10,10 +10,12 @@ from einops import rearrange
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from obpose.errors import UsageError
 from obpose.types import Observation
 
-FIELDS = tuple(field.name for field in fields(Observation))
-"""What a model sees."""
+Observed = TypeVar("Observed", bound=Observation)
+
+_CAMERAS = ("k", "world_from_camera")
 
 
 @runtime_checkable
@@ -32,8 +34,8 @@ class ClipSource(Protocol):
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
         """Some frames of a clip: the fields of `obpose.types.Observation` without the batch axis.
 
-        A source for validation may add `segmentation` (Int64 "frame view height width", 0 = background), which is used
-        to score segmentations and for nothing else.
+        A source may add `segmentation` (Int64 "frame view height width", 0 = background). For validation it is used to
+        score segmentations and for nothing else; in training it reaches those models alone that say that they see it.
         """
         ...
 
@@ -68,6 +70,16 @@ class ArrayClip(Protocol):
         ...
 
 
+@runtime_checkable
+class LabelledArrayClip(ArrayClip, Protocol):
+    """One that has labels, or None in their place."""
+
+    @property
+    def truth(self) -> UInt8[np.ndarray, "frame view height width"] | None:
+        """Object ids, 0 = background."""
+        ...
+
+
 class ArrayClips:
     """A sequence of clips as arrays, read when they are needed."""
 
@@ -94,18 +106,59 @@ class ArrayClips:
         }
 
 
-def stack(windows: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
-    """Windows of equal size as one batch; what a model must not see is left behind."""
-    return {name: torch.stack([window[name] for window in windows]) for name in FIELDS}
+class LabelledArrayClips(ArrayClips):
+    """The same with their labels, for models that learn from them."""
+
+    def __init__(self, clips: Sequence[LabelledArrayClip]):
+        super().__init__(clips)
+        self._labelled = clips
+
+    def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
+        """Some frames of a clip, with `segmentation`.
+
+        Raises:
+            UsageError: the clip has no labels.
+        """
+        truth = self._labelled[index].truth
+        if truth is None:
+            raise UsageError(f"Clip {index} has no labels, which this model learns from; give it clips with labels.")
+        labels = torch.from_numpy(truth[start : start + frames]).to(torch.int64)
+        return {**super().window(index, start, frames), "segmentation": labels}
 
 
-def observation_of(windows: Sequence[Mapping[str, Tensor]]) -> Observation:
+def stack(windows: Sequence[Mapping[str, Tensor]], sees: type[Observation] = Observation) -> dict[str, Tensor]:
+    """Windows of equal size as one batch; what a model must not see is left behind.
+
+    Raises:
+        UsageError: the model sees labels, and there are none.
+    """
+    names = [field.name for field in fields(sees)]
+    if missing := [name for name in names if any(name not in window for window in windows)]:
+        raise UsageError(f"The clips have no {missing[0]}, which this model learns from; give it clips with labels.")
+    return {name: torch.stack([window[name] for window in windows]) for name in names}
+
+
+def observation_of(windows: Sequence[Mapping[str, Tensor]], sees: type[Observed] = Observation) -> Observed:
     """Windows of equal size as a model sees them."""
-    return Observation(**stack(windows))
+    return sees(**stack(windows, sees))
 
 
-def views_apart(observation: Observation) -> Observation:
+def one_view(observation: Observed, generator: torch.Generator | None) -> Observed:
+    """Each clip with one of its views, drawn at random."""
+    clips, device = torch.arange(len(observation.depth)), observation.depth.device
+    view = torch.randint(observation.depth.shape[2], clips.shape, generator=generator, device=device)
+    chosen = {}
+    for name in (field.name for field in fields(observation)):
+        values = getattr(observation, name)
+        chosen[name] = values[clips, view][:, None] if name in _CAMERAS else values[clips, :, view][:, :, None]
+    return replace(observation, **chosen)
+
+
+def views_apart(observation: Observed) -> Observed:
     """Every view as a scene of its own."""
     images, cameras = "batch frame view ... -> (batch view) frame 1 ...", "batch view ... -> (batch view) 1 ..."
-    patterns = {"rgb": images, "depth": images, "valid": images, "k": cameras, "world_from_camera": cameras}
-    return Observation(**{name: rearrange(getattr(observation, name), how) for name, how in patterns.items()})
+    names = [field.name for field in fields(observation)]
+    return replace(
+        observation,
+        **{name: rearrange(getattr(observation, name), cameras if name in _CAMERAS else images) for name in names},
+    )

@@ -8,6 +8,9 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+Weights = Literal["orthogonal", "uniform"]
+Views = Literal["together", "one", "apart"]
+
 
 @dataclass(frozen=True)
 class BackboneConfig:
@@ -35,8 +38,10 @@ class BackboneConfig:
 
 @dataclass(frozen=True)
 class AttentionConfig:
-    """The IC-SBP."""
+    """From embeddings to masks; all but the first is of the IC-SBP."""
 
+    kind: Literal["icsbp", "slots"] = "icsbp"
+    """Masks of the IC-SBP, or of slot attention, whose slots take the place of the object encoder. [paper: both]"""
     kernel: Literal["gaussian", "laplacian", "epanechnikov"] = "gaussian"
     """psi. [code: gaussian]"""
     semi_convolution: float = 8.0
@@ -54,6 +59,9 @@ class AttentionConfig:
     looks: int = 3
     """So often a seed moves to the mean embedding under its mask, in each frame; 0: it stays where it was chosen.
     [ours; paper: 0]"""
+    mask_power: float = 3.0
+    """Means over points, which are where seeds go and where objects are, weigh each by its mask to this power. [ours;
+    code: 1]"""
     idle_in_training: Literal["never", "bernoulli"] = "never"
     """Whether a slot is left out when a draw of the remaining scope finds no point. [code: bernoulli]"""
     idle_points: int = 2
@@ -63,11 +71,32 @@ class AttentionConfig:
 
 
 @dataclass(frozen=True)
+class SlotAttentionConfig:
+    """Slot attention (Locatello et al. 2020), as in the paper's ablation."""
+
+    iterations: int = 3
+    """In each frame. [code]"""
+    width: int = 32
+    """Of a slot. [code]"""
+    distribution: Literal["learned", "untrained"] = "learned"
+    """Mean and deviation from which slots are drawn: parameters, or numbers of which nothing is learned or saved, and
+    others at evaluation than in training. [Locatello et al.: learned; code: untrained, by mistake]"""
+    position_frequencies: int = 1
+    """Sines and cosines of 2^i pi p, for i below this, that tokens hear of beside the position p, which is -1..1 in the
+    workspace. [ours; code: 0]"""
+
+
+@dataclass(frozen=True)
 class PoseConfig:
     """Boxes of the objects and the `where` module."""
 
-    conditioning: Literal["none", "location", "full"] = "full"
-    """Objects are encoded in the workspace's frame, at their location, or at location and orientation. [paper]"""
+    conditioning: Literal["world", "none", "location", "full"] = "full"
+    """Objects are encoded in the workspace's frame, at their location, or at location and orientation, and are nowhere
+    else; `world`: as `none`, but their fields fill the whole world, like the background's. [paper; its baselines:
+    world]"""
+    points: Literal["own", "all"] = "own"
+    """An object encoder sees the points of the box at which no other slot's mask is larger, or all. [ours; code:
+    all]"""
     box_size: float = 0.2
     """s, metres. [code: 0.4]"""
     max_translation: float = 0.05
@@ -103,6 +132,23 @@ class LatentConfig:
     """Width of the object encoders. [code]"""
     samples: int = 160
     """Points of the box given to an object encoder. [ours; code: all]"""
+    summary: Literal["points", "mean"] = "points"
+    """An object's code: of an encoder of its points, or the mean of features and positions under its mask. [paper:
+    points; code of its IC-SBP ablation: mean]"""
+    radius: float = 0.5
+    """Of a neighbourhood in the object encoder; half the box's edge is 1. [ours; code: 0.025, in which each point is
+    alone]"""
+    frequencies: int = 3
+    """Sines and cosines of 2^i pi p, for i below this, that the object encoder gets beside the position p. [ours; code:
+    0]"""
+    colours: Literal["given", "none"] = "given"
+    """Whether the observed colours stand beside zeta_f. [ours; code: none]"""
+    means: Literal["given", "none"] = "given"
+    """Whether the mean of the features under the mask ends the code of an object, as it is. [ours; code: none]"""
+    posterior_std: float = 0.01
+    """Standard deviation typical of a fresh posterior. [ours; code: 0.7]"""
+    posterior_input: Literal["state and code", "state"] = "state and code"
+    """What a posterior is read from: the recurrent cell's state, and the frame's code beside it. [ours; code: state]"""
 
 
 @dataclass(frozen=True)
@@ -117,6 +163,9 @@ class FieldConfig:
     """sin and cos of 2^i pi p for i below this. [code: 10]"""
     direction_frequencies: int = 2
     """The same for view directions. [code: 4]"""
+    density: Literal["raw", "squashed"] = "raw"
+    """The density logit: what the network gives, or 10 times its sigmoid, with which no point can be empty. [paper:
+    raw; code of its slot attention for video: squashed]"""
 
 
 @dataclass(frozen=True)
@@ -125,8 +174,15 @@ class ModelConfig:
 
     slots: int = 4
     """K, without the background. [code]"""
+    background: Literal["component", "none"] = "component"
+    """A component with a field of its own; or none: then K + 1 slots are equal, and the IC-SBP's last one takes the
+    remaining scope. [paper; GENESIS-V2: none]"""
+    weights: Weights = "orthogonal"
+    """Fresh weights from the encoders' codes to the fields: orthogonal, by which inputs stay as far apart as they are,
+    or PyTorch's own. [ours; code: uniform]"""
     backbone: BackboneConfig = field(default_factory=BackboneConfig)
     attention: AttentionConfig = field(default_factory=AttentionConfig)
+    slot_attention: SlotAttentionConfig = field(default_factory=SlotAttentionConfig)
     pose: PoseConfig = field(default_factory=PoseConfig)
     latent: LatentConfig = field(default_factory=LatentConfig)
     object_field: FieldConfig = field(default_factory=FieldConfig)
@@ -183,6 +239,9 @@ class LossConfig:
     """[code: 1e-3 of the other]"""
     jitter: float = 0.01
     """Colour and density are fitted up to this far behind the surface, metres of planar depth. [code]"""
+    air_saturation: float | None = 3.0
+    """Summed softplus beyond which density in the air goes on as a straight line, which has a gradient; None: it stays
+    a tanh. [ours; paper: none]"""
     near_share: float = 0.98
     """Half of the air points lie before this share of the depth, half behind. [code]"""
 
@@ -192,7 +251,7 @@ class TrainConfig:
     """How it is trained."""
 
     batch: int = 1
-    """Clips a step."""
+    """Clips a step; as many more as they are shorter than `frames`, so that a step sees as many images."""
     frames: int = 5
     """Frames of a training window; whole clips where they are shorter. [code]"""
     rays: int = 256
@@ -201,18 +260,24 @@ class TrainConfig:
     """Share of the rays drawn where the pre-scope is large, less than 1; weights make up for it. [ours]"""
     learning_rate: float = 1e-3
     """[paper: 4e-4]"""
-    decay: Literal["cosine", "none"] = "cosine"
-    """To zero at the end of the budget. [paper: none]"""
+    decay: Literal["cosine", "halving", "none"] = "cosine"
+    """`cosine`: to zero at the end of the budget; `halving`: smoothly to a half, again and again. [paper: none]"""
+    half_life: float = 0.1
+    """Share of the budget in which `halving` halves. [ObSuRF's code: 100,000 of at most a million steps]"""
     clip: float = 1.0
     """Largest norm of the gradient; 0 for no clipping. [ours]"""
+    skip: float = 0.0
+    """After the first tenth of the budget, steps whose gradient has a larger norm than this, before clipping, change
+    nothing; 0 for none. [ObSuRF's code: 200, from a hundredth of its million steps on]"""
     warmup: int = 150
     """Steps that train the background and the pre-scope alone, first. [ours]"""
     minutes: float = 23.0
     """Budget in minutes: of CPU time of the process on a CPU, of time of day on a GPU; only training steps count."""
     steps: int | None = None
     """Budget in steps, in the place of minutes."""
-    views: Literal["together", "apart"] = "together"
-    """The views of a frame are one point cloud, or scenes of their own. [code: apart]"""
+    views: Views = "together"
+    """The views of a frame are one point cloud; or the model sees one of them, drawn at random, and rays of all of them
+    supervise it; or they are scenes of their own. Only the first segments them together. [code: apart; ObSuRF: one]"""
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
     """Of the arithmetic in training; segmentations are always computed with 32 bits. [ours]"""
     seed: int = 0
@@ -226,6 +291,18 @@ class Config:
     loss: LossConfig = field(default_factory=LossConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
 
+
+@dataclass(frozen=True)
+class SupervisedConfig(Config):
+    """The same for `obpose.supervised`, for which many values have no meaning: those of latents, fields and losses."""
+
+
+_SLOT_ATTENTION: dict[str, Any] = {
+    "model.attention.kind": "slots",
+    "model.pose.conditioning": "world",
+    "train.object_rays": 0.0,
+    "train.warmup": 0,
+}
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "obpose": {},
@@ -241,16 +318,44 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "model.table": None,
         "model.pose.box_size": 0.4,
         "model.pose.max_translation": 0.1,
+        "model.attention.mask_power": 1.0,
+        "model.pose.points": "all",
+        "model.latent.radius": 0.025,
+        "model.latent.frequencies": 0,
+        "model.latent.colours": "none",
+        "model.latent.means": "none",
+        "model.latent.posterior_std": 0.7,
+        "model.latent.posterior_input": "state",
+        "model.weights": "uniform",
         "loss.attention_floor": -18.42,
+        "loss.translation": 1 / 4096,
+        "loss.air_saturation": None,
         "train.object_rays": 0.0,
         "train.learning_rate": 4e-4,
         "train.decay": "none",
         "train.clip": 0.0,
         "train.warmup": 0,
     },
+    "ic-sbp": {
+        "model.background": "none",
+        "model.attention.semi_convolution": 2.0,
+        "model.pose.conditioning": "world",
+        "model.table": None,
+        "train.object_rays": 0.0,
+        "train.warmup": 0,
+    },
+    "slot-attention": _SLOT_ATTENTION,
+    "slot-attention-as-published": {
+        **_SLOT_ATTENTION,
+        "model.slot_attention.distribution": "untrained",
+        "model.object_field.density": "squashed",
+        "model.background_field.density": "squashed",
+    },
 }
-"""What each variant changes, by dotted name. `obpose-as-published` leaves out most of what we added to help learning
-(docs/paper_to_code.md says what stays); the floor is log 1e-8, as in the authors' code."""
+"""What each variant changes, by dotted name. `obpose-as-published` leaves out what we added to help learning
+(docs/paper_to_code.md says what stays); the floor is log 1e-8, as in the authors' code. `ic-sbp` and `slot-attention`
+are the paper's ablations, with our additions where they apply; `slot-attention-as-published` has two mistakes of the
+authors' code, but the additions too."""
 
 PROFILES: dict[str, dict[str, Any]] = {
     "cpu": {},

@@ -1,7 +1,7 @@
 """Which values of a configuration make sense: bounds that their types cannot say, looked at before anything is made."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import reduce
 from typing import Any
 
@@ -9,18 +9,54 @@ from obpose.config import Config
 from obpose.config_text import dotted_values
 from obpose.errors import UsageError
 
+Rule = tuple[str, Callable[[Any], bool], str]
+"""Dotted names, apart by spaces, what must hold of their values, and that in words. `None` is always let through."""
+
+
+def counts(names: str) -> Rule:
+    """One at least."""
+    return names, lambda value: value >= 1, "1 or more"
+
+
+def positive(names: str) -> Rule:
+    """Above 0."""
+    return names, lambda value: 0 < value < math.inf, "more than 0, and finite"
+
+
+def not_negative(names: str) -> Rule:
+    """0 or above."""
+    return names, lambda value: 0 <= value < math.inf, "0 or more, and finite"
+
+
+def between_0_and_1(names: str) -> Rule:
+    """Neither of the two."""
+    return names, lambda value: 0 < value < 1, "between 0 and 1"
+
+
+TRAINING: tuple[Rule, ...] = (
+    counts("train.batch train.frames train.steps"),
+    positive("train.learning_rate train.minutes train.half_life"),
+    not_negative("train.rays train.clip train.skip train.warmup"),
+    ("train.seed", lambda value: 0 <= value < 2**63, "0 or more, and less than 2^63"),
+    ("train.object_rays", lambda value: 0 <= value < 1, "0 or more, and less than 1"),
+)
+"""Of every architecture."""
+
 _COUNTS = """model.slots model.voxels model.backbone.input_stride model.backbone.embedding model.backbone.feature
 model.latent.where model.latent.what model.latent.background model.latent.hidden model.latent.encoder
 model.latent.samples model.object_field.width model.object_field.depth model.background_field.width
-model.background_field.depth train.batch train.frames train.steps"""
+model.background_field.depth
+model.slot_attention.iterations model.slot_attention.width"""
 _POSITIVE = """model.backbone.radius model.pose.box_size model.spacing model.workspace_size model.background_size
-loss.sigma_max loss.colour_std train.learning_rate train.minutes"""
+loss.sigma_max loss.colour_std
+model.attention.mask_power model.latent.radius model.latent.posterior_std loss.air_saturation"""
 _NOT_NEGATIVE = """model.attention.semi_convolution model.attention.semi_colour model.attention.looks
 model.attention.idle_points model.pose.max_translation model.pose.min_points model.pose.min_pixels
 model.pose.grid_level model.pose.refinements model.pose.tolerance model.object_field.position_frequencies
 model.object_field.direction_frequencies model.background_field.position_frequencies
 model.background_field.direction_frequencies loss.colour loss.surface loss.air loss.mask loss.scope loss.translation
-loss.kl loss.kl_where loss.jitter train.rays train.clip train.warmup"""
+loss.kl loss.kl_where loss.jitter
+model.slot_attention.position_frequencies model.latent.frequencies"""
 
 
 def check_bounds(config: Config) -> None:
@@ -29,41 +65,70 @@ def check_bounds(config: Config) -> None:
     Raises:
         UsageError: names the first value that is out of bounds, and what is expected.
     """
-    for name, value in dotted_values(config):
-        _expect(not (isinstance(value, float) and math.isnan(value)), name, value, "a number")
-    for names, holds, expected in (
-        (_COUNTS, lambda value: value >= 1, "1 or more"),
-        (_POSITIVE, lambda value: 0 < value < math.inf, "more than 0, and finite"),
-        (_NOT_NEGATIVE, lambda value: 0 <= value < math.inf, "0 or more, and finite"),
-        ("train.seed", lambda value: 0 <= value < 2**63, "0 or more, and less than 2^63"),
-        ("train.object_rays", lambda value: 0 <= value < 1, "0 or more, and less than 1"),
-        ("loss.near_share", lambda value: 0 < value < 1, "between 0 and 1"),
-        ("model.attention.idle_scope", lambda value: 0 < value < 1, "between 0 and 1"),
-        # The position is added to three of them, the colour to three more.
-        ("model.backbone.colour", lambda value: value >= 6, "6 or more"),
-    ):
-        _check_each(config, names, holds, expected)
+    check_values(
+        config,
+        (
+            counts(_COUNTS),
+            positive(_POSITIVE),
+            not_negative(_NOT_NEGATIVE),
+            between_0_and_1("loss.near_share model.attention.idle_scope"),
+            # The position is added to three of them, the colour to three more.
+            ("model.backbone.colour", lambda value: value >= 6, "6 or more"),
+            *TRAINING,
+        ),
+    )
     _check_levels(config)
+    _check_parts(config)
 
 
-def _check_each(config: Config, names: str, holds: Callable[[Any], bool], expected: str) -> None:
-    for name in names.split():
-        value = reduce(getattr, name.split("."), config)
-        _expect(value is None or holds(value), name, value, expected)
+def check_values(config: Any, rules: Iterable[Rule]) -> None:
+    """Let a configuration of any architecture pass only if its values keep to the rules, and all are numbers.
+
+    Raises:
+        UsageError: names the first value that does not.
+    """
+    for name, value in dotted_values(config):
+        expect(not (isinstance(value, float) and math.isnan(value)), name, value, "a number")
+    for names, holds, expected in rules:
+        for name in names.split():
+            value = reduce(getattr, name.split("."), config)
+            expect(value is None or holds(value), name, value, expected)
+
+
+def expect(holds: bool, name: str, value: Any, expected: str) -> None:
+    """Let a value pass.
+
+    Raises:
+        UsageError: it does not hold, and what was expected.
+    """
+    if not holds:
+        raise UsageError(f"{name} is {value}; expected {expected}.")
 
 
 def _check_levels(config: Config) -> None:
     """The lists of the backbone, an entry a level, fit each other."""
     backbone = config.model.backbone
     levels = len(backbone.widths)
-    _expect(levels > 0 and min(backbone.widths) > 0, "model.backbone.widths", backbone.widths, "positive numbers")
+    expect(levels > 0 and min(backbone.widths) > 0, "model.backbone.widths", backbone.widths, "positive numbers")
     fits = len(backbone.blocks) == levels and min(backbone.blocks) >= 0
-    _expect(fits, "model.backbone.blocks", backbone.blocks, f"{levels} numbers, one for each of model.backbone.widths")
-    _expect(
+    expect(fits, "model.backbone.blocks", backbone.blocks, f"{levels} numbers, one for each of model.backbone.widths")
+    expect(
         0 <= backbone.output_level < levels, "model.backbone.output_level", backbone.output_level, f"0 to {levels - 1}"
     )
 
 
-def _expect(holds: bool, name: str, value: Any, expected: str) -> None:
-    if not holds:
-        raise UsageError(f"{name} is {value}; expected {expected}.")
+def _check_parts(config: Config) -> None:
+    """Parts that need each other are there."""
+    model, train = config.model, config.train
+    conditioning = model.pose.conditioning
+    if model.background == "none":
+        fills = "world, as without a background objects have to fill all space"
+        expect(conditioning == "world", "model.pose.conditioning", conditioning, fills)
+        expect(model.table is None, "model.table", model.table, "none, as without a background the table is a slot's")
+        expect(train.warmup == 0, "train.warmup", train.warmup, "0, as there is no background to warm up")
+    if model.attention.kind == "slots":
+        unposed = conditioning in ("none", "world")
+        expect(unposed, "model.pose.conditioning", conditioning, "none or world, as slot attention has no boxes")
+    if model.background == "none" or model.attention.kind == "slots":
+        unknown = "0, as without a pre-scope nothing says where objects are"
+        expect(train.object_rays == 0, "train.object_rays", train.object_rays, unknown)

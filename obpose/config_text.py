@@ -14,28 +14,28 @@ Plain = dict[str, Any]
 """What JSON can say."""
 
 
-def to_plain(config: Config) -> Plain:
+def to_plain(config: Any) -> Plain:
     """As nested dicts."""
     return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
-def from_plain(plain: Mapping[str, Any]) -> Config:
-    """The inverse of `to_plain`; a value that is not there, in an older file, has its default.
+def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
+    """The inverse of `to_plain`; a value that is not there, in an older file, has the default of this kind.
 
     Raises:
         UsageError: an unknown name, or a value of the wrong kind.
     """
-    return _build(Config, plain, "")
+    return _build(kind, plain, "")
 
 
-def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
-    """`model.pose.box_size=0.3` as a change for `obpose.config.make_config`. Tuples are written 16,32 or [16,32].
+def parse_changes(texts: Iterable[str], kind: type = Config) -> dict[str, Any]:
+    """`model.pose.box_size=0.3` as a change of a kind of configuration. Tuples are written 16,32 or [16,32].
 
     Raises:
         UsageError: an unknown name, or a value of the wrong kind.
     """
     changes: dict[str, Any] = {}
-    kinds = dict(_kinds(Config, ""))
+    kinds = dict(_kinds(kind, ""))
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
@@ -43,13 +43,16 @@ def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
         if name not in kinds:
             near = difflib.get_close_matches(name, kinds, n=1, cutoff=0.5)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            raise UsageError(f"--set {text}: unknown value {name!r}; {hint}They are listed in obpose/config.py.")
+            place = kind.__module__.replace(".", "/") + ".py"
+            raise UsageError(f"--set {text}: unknown value {name!r}; {hint}They are listed in {place}.")
         changes[name] = _conform(_read(value, kinds[name]), kinds[name], f"--set {name}")
     return changes
 
 
-def differences(one: Config, other: Config) -> list[str]:
-    """One line for each value that differs, such as `train.batch: 2, 4`."""
+def differences(one: Any, other: Any) -> list[str]:
+    """One line for each value that differs, such as `train.batch: 2, 4`, or for the kinds where these do."""
+    if type(one) is not type(other):
+        return [f"the kind of model: {type(one).__name__}, {type(other).__name__}"]
     first, second = dict(dotted_values(one)), dict(dotted_values(other))
     return [f"{name}: {value}, {second[name]}" for name, value in first.items() if value != second[name]]
 

@@ -11,11 +11,12 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from obpose.clips import views_apart
+from obpose.config import Views
 from obpose.files import write_whole
 from obpose.geometry import all_rays, from_box
 from obpose.nerf.compose import mean_colour
 from obpose.trainable import Trainable
-from obpose.types import Boxes, Decoded, Inference, Observation, Segmentation
+from obpose.types import Boxes, Decoded, Inference, Observation, SceneSegmentation, Segmentation
 
 TILE = 192
 """Images are enlarged by a whole number to about so many pixels."""
@@ -56,12 +57,12 @@ class Decodes(Protocol):
         ...
 
 
-def write_picture(path: Path, model: Trainable, clips: Observation, views: Literal["together", "apart"]) -> None:
+def write_picture(path: Path, model: Trainable, clips: Observation, views: Views) -> None:
     """Draw first and last frame of each clip, in the first view."""
     was_training = model.training
     model.eval()
     try:
-        picture = draw(model, views_apart(clips) if views == "apart" else clips)
+        picture = draw(model, clips if views == "together" else views_apart(clips))
     finally:
         model.train(was_training)
     file = io.BytesIO()
@@ -73,14 +74,17 @@ def write_picture(path: Path, model: Trainable, clips: Observation, views: Liter
 def draw(model: Trainable, clips: Observation) -> Picture:
     """One row for each shown frame, under a line of titles."""
     segmentation = model.segment(clips)
-    rebuilt = reconstruct(model, clips, segmentation.inference) if isinstance(model, Decodes) else None
+    rebuilt = None
+    if isinstance(model, Decodes) and isinstance(segmentation, SceneSegmentation):
+        rebuilt = reconstruct(model, clips, segmentation.inference)
     last = clips.depth.shape[1] - 1
     rows = [
         np.concatenate(_row(clips, segmentation, rebuilt, clip, frame), axis=1)
         for clip in range(len(clips.depth))
         for frame in sorted({0, last})
     ]
-    names = [name for name in COLUMNS if name != "reconstruction" or rebuilt is not None]
+    shown = {"reconstruction": rebuilt is not None, "boxes": isinstance(segmentation, SceneSegmentation)}
+    names = [name for name in COLUMNS if shown.get(name, True)]
     return np.concatenate([_titles(names, rows[0].shape[1]), *rows])
 
 
@@ -123,9 +127,12 @@ def _row(
     if rebuilt is not None:
         tiles.append(_bytes(rebuilt[clip, frame, 0]))
     factor = max(1, round(TILE / image.shape[0]))
+    large = [_enlarge(tile, factor) for tile in tiles]
+    if not isinstance(segmentation, SceneSegmentation):
+        return large
     shown = segmentation.labels[clip].unique().tolist()
     boxes = _draw_boxes(_enlarge(image, factor), factor, clips, segmentation.inference.boxes, clip, frame, shown)
-    return [*(_enlarge(tile, factor) for tile in tiles), boxes]
+    return [*large, boxes]
 
 
 def _draw_boxes(

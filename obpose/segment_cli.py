@@ -9,7 +9,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import torch
@@ -18,7 +17,7 @@ from einops import rearrange
 from jaxtyping import Float, Float64, Int
 
 import assets
-from obpose.checkpoint import load
+from obpose.checkpoint import load_obpose
 from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError, is_out_of_memory
 from obpose.geometry import unproject
 from obpose.model import ObPose
@@ -27,7 +26,7 @@ from obpose.recordings.world import FITTED, GIVEN, Pose, middle_of, pose_over_pl
 from obpose.recordings.writing import Found, write_results
 from obpose.resolution import fitting_model, surface_spacing
 from obpose.shipped import list_shipped, shipped_names
-from obpose.types import Observation, Segmentation
+from obpose.types import Observation, SceneSegmentation, Segmentation
 
 PROGRAM = "obpose-segment"
 
@@ -94,7 +93,7 @@ def _load(checkpoint: Path) -> ObPose:
             f"--checkpoint {checkpoint}: no such folder; expected one that obpose-train wrote, or the name of weights "
             f"that ship with this package. {list_shipped()}"
         )
-    return cast(ObPose, load(checkpoint, ObPose)[0])
+    return load_obpose(checkpoint)
 
 
 def _observation(recording: Recording, pose: Pose) -> Observation:
@@ -154,7 +153,9 @@ def _enlarged(found: Segmentation, step: int, shape: tuple[int, ...]) -> Int[np.
     return labels[:, rows[:, None], columns]
 
 
-def _objects(found: Segmentation, labels: Int[np.ndarray, "frame height width"], model: ObPose) -> list[list[Found]]:
+def _objects(
+    found: SceneSegmentation, labels: Int[np.ndarray, "frame height width"], model: ObPose
+) -> list[list[Found]]:
     """The objects of each frame: slots in use, whether they are in view or not."""
     inference = found.inference
     boxed = inference.where is not None

@@ -19,12 +19,11 @@ from lightning_fabric import Fabric
 from benchmark.metrics import clip_scores
 from obpose.checkpoint import Build, load_training
 from obpose.clips import ClipSource
-from obpose.config import Config
 from obpose.errors import Interrupted, UsageError
 from obpose.files import claimed
 from obpose.labels import Labels
-from obpose.model import ObPose
-from obpose.trainable import Trainable
+from obpose.systems import build_model
+from obpose.trainable import Configuration, Trainable
 from obpose.training.batches import Sampling, Share, batches, readers_for
 from obpose.training.budget import Budget, Stopwatch, learning_rate
 from obpose.training.devices import keep_memory, make_fabric, mean_over_processes
@@ -62,7 +61,7 @@ class Trained:
 
     model: Trainable
     """On the CPU, in evaluation mode."""
-    config: Config
+    config: Configuration
     steps: int
     seconds: float
     """Of the budget's clock."""
@@ -74,16 +73,25 @@ def say_nothing(status: Status) -> None:
     """Report to nobody."""
 
 
+Look = Callable[[Trainable, int, float], None]
+"""Is shown the model at each validation, in evaluation mode, with the steps and the seconds that are done."""
+
+
+def look_away(model: Trainable, step: int, seconds: float) -> None:
+    """See nothing."""
+
+
 def train(
     source: ClipSource,
     val_source: ClipSource | None,
-    config: Config,
+    config: Configuration,
     *,
     folder: Path | None = None,
     report: Report = say_nothing,
+    look: Look = look_away,
     device: str = "auto",
     tensorboard: bool = False,
-    build: Build = ObPose,
+    build: Build = build_model,
 ) -> Trained:
     """Train a model until its budget, `config.train.minutes` or `.steps`, is used up.
 
@@ -93,9 +101,10 @@ def train(
         config: Everything that the result depends on, with the measures of the scene (`obpose.measure.measure_scene`).
         folder: Where checkpoints, curves and pictures go, and where an interrupted run goes on from; None for nowhere.
         report: Is told how it goes after each step.
+        look: Is shown the model at each validation; what it does there counts for nothing, in the budget neither.
         device: `auto` (a GPU if there is one), `cpu` or `cuda`.
         tensorboard: Whether the folder gets curves for TensorBoard, too.
-        build: Makes the model.
+        build: Makes the model; if left out, the one that the configuration is of.
 
     Raises:
         UsageError: there are no clips, or the folder holds a run of another configuration or is in use.
@@ -113,7 +122,7 @@ def train(
         record = None
         if folder and fabric.is_global_zero:
             record = Record(folder, config, steps=progress.step, tensorboard=tensorboard)
-        run = _Run(fabric, learner, source, val_source, config, progress, record, report)
+        run = _Run(fabric, learner, source, val_source, config, progress, record, report, look)
         try:
             with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
                 run.go_on(request)
@@ -144,11 +153,12 @@ class _Run:
     learner: Learner
     source: ClipSource
     val_source: ClipSource | None
-    config: Config
+    config: Configuration
     progress: _Progress
     record: Record | None
     """Of the first process."""
     report: Report
+    look: Look
 
     def go_on(self, request: StopRequest) -> None:
         """Make the steps that are left."""
@@ -160,14 +170,14 @@ class _Run:
         while fraction < 1:
             rate = learning_rate(settings, fraction)
             with watch.running():
-                learned = self.learner.learn(next(feed), step=progress.step, learning_rate=rate)
+                learned = self.learner.learn(next(feed), step=progress.step, fraction=fraction, learning_rate=rate)
             progress.step += 1
             progress.seconds = self._agree(watch.seconds)
             before, fraction = fraction, budget.fraction(progress.step, progress.seconds)
             if self.record:
                 self.record.log_step(progress.step, progress.seconds, rate, learned)
             if budget.validation_is_due(before, fraction):
-                self._validate()
+                self._validate(fraction)
             if self.fabric.is_global_zero:
                 latest = progress.curve[-1] if progress.curve else None
                 self.report(Status(progress.step, progress.seconds, fraction, learned.losses, latest))
@@ -179,22 +189,25 @@ class _Run:
 
     def _feed(self) -> Any:
         settings, fabric = self.config.train, self.fabric
+        frames = min(settings.frames, self.source.frames_of_clip)
         sampling = Sampling(
             clips=len(self.source),
             frames_of_clip=self.source.frames_of_clip,
-            frames=min(settings.frames, self.source.frames_of_clip),
-            batch=settings.batch * fabric.world_size,
+            frames=frames,
+            batch=settings.batch * (settings.frames // frames) * fabric.world_size,
             seed=settings.seed,
         )
         share = Share(fabric.global_rank, fabric.world_size)
         readers = readers_for(fabric.device)
-        return batches(self.source, sampling, share, first_step=self.progress.step, readers=readers)
+        return batches(
+            self.source, sampling, share, first_step=self.progress.step, readers=readers, sees=self.learner.model.sees
+        )
 
     def _agree(self, value: float) -> float:
         """The mean over all processes, so that they do the same."""
         return mean_over_processes(self.fabric, torch.tensor([value], dtype=torch.float64)).item()
 
-    def _validate(self) -> None:
+    def _validate(self, fraction: float) -> None:
         """In the first process; the others wait for it in their next step."""
         if not self.fabric.is_global_zero:
             return
@@ -205,6 +218,7 @@ class _Run:
                 self.val_source,
                 self.config.train,
                 step=progress.step,
+                fraction=fraction,
                 seconds=progress.seconds,
                 device=device,
                 score=_ari_fg,
@@ -212,6 +226,11 @@ class _Run:
             progress.curve.append(point)
             if self.record:
                 self.record.log_validation(point)
+        model.eval()
+        try:
+            self.look(model, progress.step, progress.seconds)
+        finally:
+            model.train()
         if self.record:
             self.record.draw(model, self.val_source or self.source, step=progress.step, device=device)
 
@@ -228,7 +247,7 @@ class _Run:
         )
 
 
-def _resume(learner: Learner, folder: Path, config: Config, processes: int) -> _Progress:
+def _resume(learner: Learner, folder: Path, config: Configuration, processes: int) -> _Progress:
     state = load_training(folder, config)
     if state is None:
         return _Progress()

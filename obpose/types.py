@@ -5,7 +5,7 @@ of a frame, view by view and row by row; `slot`: the objects; `component`: the b
 pixels at which fields are evaluated; `sample`: points of one slot. World frame and metres unless said.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import torch
@@ -33,7 +33,15 @@ class Observation:
 
     def to(self, device: torch.device | str) -> "Observation":
         """The same on another device."""
-        return Observation(**{field.name: getattr(self, field.name).to(device) for field in fields(self)})
+        return replace(self, **{field.name: getattr(self, field.name).to(device) for field in fields(self)})
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledObservation(Observation):
+    """The same with labels: only for models that say that they see them (`obpose.trainable.Trainable.sees`)."""
+
+    segmentation: Int[Tensor, "batch frame view height width"]
+    """Object ids, 0 = background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +53,9 @@ class Embeddings:
     valid: Bool[Tensor, "batch frame point"]
     """Whether the point was observed."""
     colour: Float[Tensor, "batch frame point colour"]
-    """zeta_c, for the IC-SBP."""
+    """zeta_c, for the IC-SBP; without channels where there is none."""
     features: Float[Tensor, "batch frame point feature"]
-    """zeta_f and the observed colours, for the other encoders."""
+    """zeta_f, and the observed colours if wanted, for the other encoders."""
     scene: Float[Tensor, "batch frame scene"]
     """One code of the whole frame, for the background."""
 
@@ -142,16 +150,22 @@ class Inference:
     """Shape batch frame slot; None without pose conditioning."""
     what: Latent
     """Shape batch frame slot."""
-    background: Latent
-    """Shape batch frame."""
+    background: Latent | None
+    """Shape batch frame; None without such a component."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Labels of every pixel: 0 = background, 1.. = slots."""
+    """Labels of every pixel: 0 = background, or nothing was observed; 1.. = slots."""
 
     labels: Int[Tensor, "batch frame view height width"]
-    """Argmax of the composed density at the observed surface; background where there is no depth."""
+    """What counts; of ObPose the argmax of the composed density at the observed surface."""
     attention: Int[Tensor, "batch frame view height width"]
     """Argmax of the attention masks, upsampled."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSegmentation(Segmentation):
+    """Labels with what they came of."""
+
     inference: Inference

@@ -101,7 +101,7 @@ def test_a_bad_import_is_found(path: str, source: str):
         ("obpose/data.py", "from datagen import schema, storage"),
         ("obpose/errors.py", "from datagen.errors import UsageError"),
         ("obpose/train.py", "from benchmark.metrics import score"),
-        ("benchmark/adapters/obpose.py", "import torch\nfrom obpose.model import ObPose"),
+        ("benchmark/adapters/learned.py", "import torch\nfrom obpose.model import ObPose"),
         ("benchmark/runner.py", "from datagen.storage import Dataset"),
     ],
 )

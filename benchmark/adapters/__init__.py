@@ -3,40 +3,45 @@
 PyTorch takes seconds to import, so that only building a model does it.
 """
 
-import dataclasses
 from functools import partial
+from typing import Any
 
+from benchmark.adapters.settings import settings_of
+from benchmark.adapters.trials import TRIALS
 from benchmark.interface import Segmenter
-from benchmark.model_spec import ModelSpec, Options
-from obpose.config import VARIANTS, make_config
-
-DESCRIPTIONS = {
-    "obpose": "objects at their location and rotation",
-    "obpose-loc": "the same at their location only",
-    "obpose-none": "the same in the workspace's frame",
-    "obpose-as-published": "obpose without our additions",
-}
+from benchmark.model_spec import ModelSpec, Options, Views
+from obpose.systems import SYSTEMS, System
 
 
-def _build(variant: str, options: Options) -> Segmenter:
-    from benchmark.adapters.obpose import ObPoseSegmenter
+def _build(name: str, options: Options) -> Segmenter:
+    from benchmark.adapters.learned import LearnedSegmenter
 
-    return ObPoseSegmenter(variant, **options)
+    return LearnedSegmenter(name, **options)
 
 
-def _spec(variant: str) -> ModelSpec:
-    config = make_config(variant)
+def _spec(name: str, system: System) -> ModelSpec:
+    config = system.config()
     return ModelSpec(
-        partial(_build, variant),
-        version=2,
-        description=DESCRIPTIONS[variant],
+        partial(_build, name),
+        version=system.version,
+        description=system.description,
         kind="learned",
-        priors=("slots", "background slot", "camera pose", "plane"),
+        uses_labels=system.uses_labels,
+        priors=system.priors,
         budget=60 * config.train.minutes,
-        extra=("att",),
+        extra=system.extra,
         settled_with_labels=True,
-        settings=dataclasses.asdict(config),
+        settings=settings_of(config),
+        profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
+        views=_views(config),
+        trials=TRIALS.get(name, ({},)),
     )
 
 
-LEARNED = {variant: _spec(variant) for variant in VARIANTS}
+def _views(config: Any) -> Views:
+    return {"together": Views("all", "all"), "one": Views("one", "all"), "apart": Views("one", "one")}[
+        config.train.views
+    ]
+
+
+LEARNED = {name: _spec(name, system) for name, system in SYSTEMS.items()}

@@ -12,7 +12,7 @@ from benchmark.baselines.plane_components import PlaneComponents
 from benchmark.baselines.plane_dbscan import PlaneDbscan
 from benchmark.baselines.plane_dbscan_tracked import PlaneDbscanTracked
 from benchmark.baselines.plane_hdbscan import PlaneHdbscan
-from benchmark.model_spec import ModelSpec, Options, builder
+from benchmark.model_spec import Builder, ModelSpec, Options
 
 
 def _grid(**values: tuple[float, ...]) -> tuple[Options, ...]:
@@ -35,26 +35,26 @@ PLANE = ("background slot", "camera pose", "plane")
 
 FLOORS = {
     "one-cluster": ModelSpec(
-        builder(OneCluster), 1, "everything is one object", "floor", random=False, priors=("background slot",)
+        Builder(OneCluster), 1, "everything is one object", "floor", random=False, priors=("background slot",)
     ),
     "all-background": ModelSpec(
-        builder(AllBackground), 1, "everything is background", "floor", random=False, priors=("background slot",)
+        Builder(AllBackground), 1, "everything is background", "floor", random=False, priors=("background slot",)
     ),
-    "random-slots": ModelSpec(builder(RandomSlots), 1, "every pixel draws its slot", "floor", priors=("slots",)),
+    "random-slots": ModelSpec(Builder(RandomSlots), 1, "every pixel draws its slot", "floor", priors=("slots",)),
     "constant-grid": ModelSpec(
-        builder(ConstantGrid), 1, "the same rectangles in every image", "floor", random=False, priors=("slots",)
+        Builder(ConstantGrid), 1, "the same rectangles in every image", "floor", random=False, priors=("slots",)
     ),
 }
 
 CLASSICAL = {
     "plane-dbscan": ModelSpec(
-        builder(PlaneDbscan), 1, "RANSAC plane removal, then DBSCAN on the points", "classical", DBSCAN, priors=PLANE
+        Builder(PlaneDbscan), 1, "RANSAC plane removal, then DBSCAN on the points", "classical", DBSCAN, priors=PLANE
     ),
     "plane-dbscan-colour": ModelSpec(
-        builder(PlaneDbscan), 1, "the same on points and colours", "classical", DBSCAN_COLOUR, priors=PLANE
+        Builder(PlaneDbscan), 1, "the same on points and colours", "classical", DBSCAN_COLOUR, priors=PLANE
     ),
     "plane-dbscan-tracked": ModelSpec(
-        builder(PlaneDbscanTracked),
+        Builder(PlaneDbscanTracked),
         1,
         "plane-dbscan, its clusters followed over frames by nearest centroid",
         "classical",
@@ -62,10 +62,10 @@ CLASSICAL = {
         priors=PLANE,
     ),
     "plane-hdbscan": ModelSpec(
-        builder(PlaneHdbscan), 1, "RANSAC plane removal, then HDBSCAN on the points", "classical", HDBSCAN, priors=PLANE
+        Builder(PlaneHdbscan), 1, "RANSAC plane removal, then HDBSCAN on the points", "classical", HDBSCAN, priors=PLANE
     ),
     "plane-components": ModelSpec(
-        builder(PlaneComponents),
+        Builder(PlaneComponents),
         1,
         "RANSAC plane removal, then connected components of the depth image",
         "classical",
@@ -73,7 +73,7 @@ CLASSICAL = {
         priors=PLANE,
     ),
     "kmeans-xyz-rgb": ModelSpec(
-        builder(KMeansXyzRgb),
+        Builder(KMeansXyzRgb),
         1,
         "k-means on positions and colours of all points",
         "classical",
@@ -84,7 +84,7 @@ CLASSICAL = {
 
 ORACLES = {
     "oracle-k-slots": ModelSpec(
-        builder(OracleKSlots),
+        Builder(OracleKSlots),
         1,
         "the truth, as far as K slots reach",
         "oracle",
@@ -93,7 +93,7 @@ ORACLES = {
         priors=("slots", "background slot"),
     ),
     "oracle-quarter-resolution": ModelSpec(
-        builder(OracleQuarterResolution),
+        Builder(OracleQuarterResolution),
         1,
         "the truth at a quarter of the resolution",
         "oracle",
@@ -102,7 +102,7 @@ ORACLES = {
         priors=("background slot",),
     ),
     "oracle-split-background": ModelSpec(
-        builder(OracleSplitBackground),
+        Builder(OracleSplitBackground),
         1,
         "the truth, its background in four slots",
         "oracle",

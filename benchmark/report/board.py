@@ -3,11 +3,11 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmark.metrics import CLIP_METRICS, METRICS
-from benchmark.standings import PRETRAINED, TUNED, USES_LABELS, Entry, best_first
+from benchmark.standings import PRETRAINED, TUNED, USES_LABELS, Entry, best_first, best_without_training
 from benchmark.statistics import Summary
 from benchmark.wording import rank_in_words, seeds_covered
 
@@ -71,11 +71,14 @@ class Row:
     time: str
     seeds: str
     failure: str
+    views: str
+    repeated: bool = False
+    """Whether it stands above models that learn, for comparison, and has a place of its own."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Models of one kind, best first."""
+    """Models of one kind, best first; above those that learn stands the best one without training."""
 
     title: str
     rows: tuple[Row, ...]
@@ -84,9 +87,13 @@ class Block:
 def blocks(entries: Iterable[Entry], numbers: Mapping[str, int]) -> list[Block]:
     """The leaderboard; `numbers` are those of the models in the report."""
     ordered = best_first(entries)
+    free = best_without_training(ordered)
     titles = [*list(BLOCKS.values())[:3], LABELLED, *list(BLOCKS.values())[3:]]
     found = {title: [entry for entry in ordered if block_title(entry) == title] for title in titles}
-    return [Block(title, tuple(_row(e, numbers) for e in members)) for title, members in found.items() if members]
+    rows = {title: [_row(entry, numbers) for entry in members] for title, members in found.items() if members}
+    if free and (learned := BLOCKS["learned"]) in rows:
+        rows[learned].insert(0, replace(_row(free, numbers), repeated=True))
+    return [Block(title, tuple(members)) for title, members in rows.items()]
 
 
 def block_title(entry: Entry) -> str:
@@ -160,6 +167,7 @@ def _row(entry: Entry, numbers: Mapping[str, int]) -> Row:
         duration(seconds_per_frame(entry)),
         seeds_covered(entry),
         _failure(entry),
+        entry.views,
     )
 
 

@@ -98,21 +98,22 @@ def class_chart(
     return LineChart(title, axis, tuple(ticks), unit_ticks(), tuple(curves), tuple(bars))
 
 
-def history_chart(title: str, lines: Sequence[tuple[int, Values, Values]]) -> LineChart:
-    """Learning curves: model, steps and values; both axes fit what is there."""
+def history_chart(title: str, axis: str, lines: Sequence[tuple[int, Values, Values]]) -> LineChart:
+    """Learning curves: model, time in the axis' units and values; both axes fit what is there."""
     steps = [x for _, xs, _ in lines for x in xs]
     heights = [y for _, _, ys in lines for y in ys if math.isfinite(y)]
     low_x, high_x = _span(steps)
     low_y, high_y = _span(heights)
     place_x = lambda x: LEFT + (WIDTH - LEFT - RIGHT) * (x - low_x) / (high_x - low_x)  # noqa: E731
     place_y = lambda y: HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (y - low_y) / (high_y - low_y)  # noqa: E731
+    one = axis.removesuffix("s")
     curves = [
-        _curve(model, [place_x(x) for x in xs], [place_y(y) for y in ys], ys, [f"step {x:g}" for x in xs])
+        _curve(model, [place_x(x) for x in xs], [place_y(y) for y in ys], ys, [f"{one} {x:.4g}" for x in xs])
         for model, xs, ys in lines
     ]
-    x_ticks = [Tick(round(place_x(x), 1), f"{x:g}") for x in (low_x, (low_x + high_x) / 2, high_x)]
+    x_ticks = [Tick(round(place_x(x), 1), f"{x:.4g}") for x in (low_x, (low_x + high_x) / 2, high_x)]
     y_ticks = [Tick(round(place_y(y), 1), f"{y:.3g}") for y in (low_y, (low_y + high_y) / 2, high_y)]
-    return LineChart(title, "step", tuple(x_ticks), tuple(y_ticks), tuple(curves))
+    return LineChart(title, axis, tuple(x_ticks), tuple(y_ticks), tuple(curves))
 
 
 def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int = 560, height: int = 300) -> Scatter:

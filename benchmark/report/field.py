@@ -14,13 +14,14 @@ from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.panel import error_rows, slice_charts
 from benchmark.standings import Entry, best_first, compare_entries
-from benchmark.wording import counted, free_of_slots, without_floor
+from benchmark.watch import SCORES
+from benchmark.wording import counted, free_of_slots, views_explained, without_floor
 from datagen.errors import DatagenError, UsageError
 from datagen.storage import Split
 
 OWN = "the track itself"
 CLOCKS = ("step", "seconds")
-"""What learning curves count time in; the charts' axis is the step."""
+"""What learning curves count time in."""
 
 Find = Callable[[str], Path | None]
 
@@ -93,7 +94,7 @@ def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
         "blocks": board.blocks(entries, numbers),
         "paper": _paper(entries[0].row.key.track),
         "marks": board.marks(entries),
-        "notes": [note for note in (free_of_slots(entries), without_floor(entries)) if note],
+        "notes": [note for note in _notes(entries) if note],
         "metrics": metrics,
         "details": details,
         "failures": board.failures(entries),
@@ -104,6 +105,10 @@ def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
         "histories": _histories(entries, numbers),
         "curveless": _curveless(entries),
     }
+
+
+def _notes(entries: Sequence[Entry]) -> tuple[str, ...]:
+    return views_explained(entries), free_of_slots(entries), without_floor(entries)
 
 
 def comparisons(field: Field, numbers: Mapping[str, int]) -> dict[str, list[float]]:
@@ -153,7 +158,15 @@ def _histories(entries: Sequence[Entry], numbers: Mapping[str, int]) -> list[Lin
     """One chart for each quantity that some learning curve records, with a line for each seed."""
     curves = [(numbers[e.row.key.model], row.learning_curve) for e in entries for row in e.rows if row.learning_curve]
     names = dict.fromkeys(name for _, points in curves for point in points for name in point if name not in CLOCKS)
-    return [history_chart(name, [_history(model, points, name) for model, points in curves]) for name in names]
+    return [_history_chart(name, curves) for name in sorted(names, key=lambda name: name not in SCORES)]
+
+
+def _history_chart(name: str, curves: Sequence[tuple[int, Sequence[Mapping[str, float]]]]) -> LineChart:
+    """Scores against minutes of the budget, in which models can be compared; losses, which are their own, by step."""
+    if name not in SCORES:
+        return history_chart(name, "step", [_history(model, points, name) for model, points in curves])
+    lines = [_history(model, points, name, clock="seconds", unit=60.0) for model, points in curves]
+    return history_chart(f"{board.NAMES[name]} on validation clips", "minutes", lines)
 
 
 def _curveless(entries: Sequence[Entry]) -> str:
@@ -162,8 +175,10 @@ def _curveless(entries: Sequence[Entry]) -> str:
     return ", ".join(e.row.key.model for e in learned if not any(row.learning_curve for row in e.rows))
 
 
-def _history(model: int, points: Sequence[Mapping[str, float]], name: str) -> tuple[int, list[float], list[float]]:
+def _history(
+    model: int, points: Sequence[Mapping[str, float]], name: str, *, clock: str = "step", unit: float = 1.0
+) -> tuple[int, list[float], list[float]]:
     there = [
-        (float(point.get("step", place)), float(point[name])) for place, point in enumerate(points) if name in point
+        (float(point.get(clock, place)) / unit, point[name]) for place, point in enumerate(points) if name in point
     ]
-    return model, [step for step, _ in there], [value for _, value in there]
+    return model, [time for time, _ in there], [value for _, value in there]

@@ -14,6 +14,7 @@ import torch
 from einops import rearrange, repeat
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from obpose.attention.kernels import initial_sigma, log_alpha
 from obpose.config import AttentionConfig
@@ -23,6 +24,7 @@ from obpose.types import Masks
 Seeds = Literal["stochastic", "greedy", "densest"]
 Idle = Literal["never", "bernoulli", "threshold"]
 Division = Literal["sticks", "shares"]
+Remainder = Literal["apart", "slot"]
 
 EXCLUDED = -1e4
 """Log mask of an idle slot, and of all slots at an invalid point: lower than any other, finite in half precision."""
@@ -31,6 +33,11 @@ _SEEN = 0.5
 """A sharpened mask that sums to less, in points, covers nothing of which the middle could be told."""
 _CANDIDATES = 256
 """So many points are compared for the densest."""
+
+
+def whole_scope(valid: Bool[Tensor, "batch frame point"]) -> Float[Tensor, "batch frame point 2"]:
+    """Log of a pre-scope without a background: s_0 = 1, as in the paper's equation and GENESIS-V2."""
+    return torch.stack([torch.where(valid, EXCLUDED, 0.0), torch.where(valid, 0.0, EXCLUDED)], dim=-1)
 
 
 class ICSBP(nn.Module):
@@ -54,9 +61,10 @@ class ICSBP(nn.Module):
         seeds: Seeds,
         idle: Idle,
         division: Division = "sticks",
+        remainder: Remainder = "apart",
         generator: torch.Generator | None,
     ) -> Masks:
-        """Masks of the background and of `slots` objects in every frame.
+        """Masks of the background and of `slots` objects in every frame, and of one more that takes the `remainder`.
 
         A slot is idle where the rule `idle` says so of the scope left to it in the first frame, and where that frame
         has no valid point: `bernoulli` as in the authors' code, where a draw of the scope at each point finds none;
@@ -81,8 +89,10 @@ class ICSBP(nn.Module):
             places = repeat(first, "b slot colour -> b frame slot colour", frame=colour.shape[1])
         alpha = self._log_alpha(colour, places)
         if division == "sticks":
-            return _break_sticks(alpha, log_prescope, valid, active)
-        return _share(alpha, log_prescope, valid, active, log_claims)
+            masks = _break_sticks(alpha, log_prescope, valid, active)
+        else:
+            masks = _share(alpha, log_prescope, valid, active, log_claims, self.config.mask_power)
+        return masks if remainder == "apart" else _take_remainder(masks)
 
     def _follow(
         self,
@@ -100,7 +110,7 @@ class ICSBP(nn.Module):
                 with torch.no_grad():
                     alpha = self._log_alpha(colour[:, here], seed[:, None])
                     masks = _break_sticks(alpha, log_prescope[:, here], valid[:, here], active).log_masks[:, 0, 1:]
-                seed = _look(seed.detach(), masks, colour[:, frame])
+                seed = _look(seed.detach(), masks, colour[:, frame], self.config.mask_power)
             places.append(seed)
         return torch.stack(places, dim=1)
 
@@ -128,9 +138,10 @@ class ICSBP(nn.Module):
             chosen.append(seed)
             with torch.no_grad():
                 for _ in range(self.config.looks):
-                    seed = _look(seed, log_scope[:, None] + self._alpha_around(seed, colour), colour)
+                    log_mask = log_scope[:, None] + self._alpha_around(seed, colour)
+                    seed = _look(seed, log_mask, colour, self.config.mask_power)
                 alpha = self._alpha_around(seed, colour)[:, 0]
-                near = sharpen(alpha)
+                near = sharpen(alpha, self.config.mask_power)
                 log_claims.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
                 log_scope = log_scope + log1mexp(alpha) * active[-1][:, None]
         return torch.cat(chosen, dim=1), torch.stack(active, dim=-1), torch.stack(log_claims, dim=-1)
@@ -183,12 +194,13 @@ def _look(
     seed: Float[Tensor, "batch slot colour"],
     log_masks: Float[Tensor, "batch slot point"],
     colour: Float[Tensor, "batch point colour"],
+    power: float,
 ) -> Float[Tensor, "batch slot colour"]:
     """The mean embedding under each mask, sharpened; a seed whose mask covers next to nothing waits where it was.
 
     So does that of an object out of sight.
     """
-    weights = sharpen(log_masks).exp()
+    weights = sharpen(log_masks, power).exp()
     total = weights.sum(dim=-1, keepdim=True)
     return torch.where(total >= _SEEN, weights @ colour / total.clamp(min=_SEEN), seed)
 
@@ -226,8 +238,9 @@ def _share(
     valid: Bool[Tensor, "batch frame point"],
     active: Bool[Tensor, "batch slot"],
     log_claims: Float[Tensor, "batch slot"],
+    power: float,
 ) -> Masks:
-    """Masks that take as much of the pre-scope as sticks do, in all, in shares that go by the cubes of alpha and claim.
+    """Masks that take as much of the pre-scope as sticks do, in all, in shares by powers of alpha and claim.
 
     An addition. A stick that is broken first takes a third of a neighbour that is as far away as the kernel is wide,
     whatever the neighbour's own slot; in shares the nearer slot takes nearly all. Their order has no influence but by
@@ -235,10 +248,19 @@ def _share(
     """
     left = _left(alpha, active).sum(dim=2)
     taken = log1mexp(left.clamp(max=-torch.finfo(left.dtype).tiny)) + log_prescope[..., 1]
-    strength = sharpen(alpha + rearrange(log_claims, "b slot -> b 1 slot 1"))
+    strength = sharpen(alpha + rearrange(log_claims, "b slot -> b 1 slot 1"), power)
     in_use = rearrange(active, "b slot -> b 1 slot 1")
     shares = strength.masked_fill(~in_use, EXCLUDED).log_softmax(dim=2)
     return _masks(taken[:, :, None] + shares, left + log_prescope[..., 1], log_prescope, valid, active)
+
+
+def _take_remainder(masks: Masks) -> Masks:
+    """One slot more, which takes what the others leave: m_K = s_{K-1}, as in the paper's equation and GENESIS-V2."""
+    return Masks(
+        log_masks=torch.cat([masks.log_masks, masks.log_scope[:, :, None]], dim=2),
+        log_scope=torch.full_like(masks.log_scope, EXCLUDED),
+        active=pad(masks.active, (0, 1), value=True),
+    )
 
 
 def _left(

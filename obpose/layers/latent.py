@@ -11,6 +11,7 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from obpose.config import LatentConfig, Weights
 from obpose.layers.gaussian import draw_gaussian, mean_and_std
 from obpose.layers.mlp import mlp, pass_on
 from obpose.types import Draw, Latent
@@ -20,8 +21,6 @@ Start = Literal["zero", "learned"]
 the first prior too is read."""
 
 
-POSTERIOR_STD = 0.01
-"""Typical of a fresh posterior; with the authors' 0.7 what a fresh encoder tells of a scene is lost in the noise."""
 PRIOR_STD = 0.7
 """Typical of a fresh prior, the authors'."""
 _MEAN_GAIN = 3.0
@@ -33,17 +32,29 @@ class RecurrentLatent(nn.Module):
 
     As in the authors' code the posterior hears of earlier latents only through the encodings that they came from (the
     paper's q(z_what) is also conditioned on earlier z). So the posteriors of all frames are computed and drawn at once.
-    Other than theirs the posterior's MLP reads the encoding of the frame beside the normalised hidden state, as a fresh
-    GRU passes on only a tenth of what tells two scenes apart.
+    Additions: the posterior's MLP reads the encoding of the frame beside the normalised hidden state, as a fresh GRU
+    passes on only a tenth of what tells two scenes apart; a fresh posterior is narrow, as in a wide one what a fresh
+    encoder tells of a scene is lost in the noise.
     """
 
-    def __init__(self, encoding: int, latent: int, hidden: int, *, start: Start = "zero"):
+    def __init__(
+        self,
+        encoding: int,
+        latent: int,
+        config: LatentConfig,
+        *,
+        weights: Weights = "orthogonal",
+        start: Start = "zero",
+    ):
         super().__init__()
+        hidden, self._std = config.hidden, config.posterior_std
         self._posterior = nn.GRU(encoding, hidden)
-        self._posterior_norm = nn.LayerNorm(hidden)
-        first, last = nn.Linear(hidden + encoding, hidden), nn.Linear(hidden, 2 * latent)
-        pass_on(first)
-        pass_on(last, gain=_MEAN_GAIN, outputs=latent)
+        beside = config.posterior_input == "state and code"
+        self._posterior_norm = nn.LayerNorm(hidden) if beside else None
+        first, last = nn.Linear(hidden + beside * encoding, hidden), nn.Linear(hidden, 2 * latent)
+        if weights == "orthogonal":
+            pass_on(first)
+            pass_on(last, gain=_MEAN_GAIN, outputs=latent)
         self._posterior_head = nn.Sequential(first, nn.ELU(), last)
         self._prior = nn.GRU(latent, hidden)
         self._prior_head = mlp(hidden, hidden, 2 * latent)
@@ -60,9 +71,9 @@ class RecurrentLatent(nn.Module):
         sequence = rearrange(encoding, "batch frame ... encoding -> frame (batch ...) encoding")
         posterior_start, prior_start = self._hidden(sequence)
         hidden, _ = self._posterior(sequence, posterior_start)
-        mean, std = mean_and_std(
-            self._posterior_head(torch.cat([self._posterior_norm(hidden), sequence], dim=-1)), typical_std=POSTERIOR_STD
-        )
+        if self._posterior_norm is not None:
+            hidden = torch.cat([self._posterior_norm(hidden), sequence], dim=-1)
+        mean, std = mean_and_std(self._posterior_head(hidden), typical_std=self._std)
         z = draw_gaussian(mean, std, draw=draw, generator=generator)
         parts = (z, mean, std, *self._priors(z, prior_start))
         return Latent(*(rearrange(_unfold(part, batch, slots), "f b ... z -> b f ... z") for part in parts))

@@ -30,9 +30,9 @@ class _Log1mExp(torch.autograd.Function):
         return -gradient / torch.expm1(-x)
 
 
-def sharpen(log_masks: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """Log of the cubes of masks, by which means over points are weighted.
+def sharpen(log_masks: Float[Tensor, "*shape"], power: float) -> Float[Tensor, "*shape"]:
+    """Log of a power of masks, by which means over points are weighted.
 
     A hundredth of a mask at each of a thousand points of the table weighs as much as a small object; its cube does not.
     """
-    return 3 * log_masks
+    return power * log_masks

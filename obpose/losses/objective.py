@@ -10,24 +10,20 @@ from obpose.config import LossConfig
 from obpose.losses import observation
 from obpose.losses.attention import attention_l2, attention_mixture, attention_warmup
 from obpose.losses.regularisers import kl, remaining_scope, translation
+from obpose.nerf.along import FieldsAlongRays
 from obpose.nerf.compose import log_share
-from obpose.types import Decoded, Embeddings, Inference, Latent, Rays, Shape
+from obpose.types import Embeddings, Inference, Latent, Shape
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What the losses compare; without `inference` only the background and the pre-scope are trained."""
 
-    rays: Rays
-    surface: Decoded
-    """At the observed surface, with colours."""
-    air: Decoded
-    """Before it."""
-    inverse_rho: Float[Tensor, "batch frame ray"]
-    """Of the points in the air, metres."""
-    background: Latent
+    fields: FieldsAlongRays
+    """Along rays of pixels that have masks."""
+    background: Latent | None
     embeddings: Embeddings
-    log_prescope: Float[Tensor, "batch frame point 2"]
+    log_prescope: Float[Tensor, "batch frame point 2"] | None
     grid: tuple[int, int, int]
     """Views, rows and columns of the embedding grid."""
     size: tuple[int, int]
@@ -35,6 +31,8 @@ class Evidence:
     inference: Inference | None = None
     shape: Shape | None = None
     """T_shape; None without pose conditioning."""
+    beyond: FieldsAlongRays | None = None
+    """Along rays of views that have no masks, which count as much as the others; None without such views."""
 
 
 def loss_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
@@ -51,21 +49,34 @@ def loss_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
         "kl_where": config.kl_where,
     }
     terms = _observation_terms(evidence, config)
-    if evidence.inference is None:
-        terms["attention"] = _warmup_attention(evidence, config)
-    else:
+    if evidence.inference is not None:
         terms |= _object_terms(evidence, evidence.inference, config)
+    elif evidence.log_prescope is not None:
+        terms["attention"] = _warmup_attention(evidence, evidence.log_prescope, config)
     total = sum((weights[name] * term for name, term in terms.items()), start=terms["surface"].new_zeros(()))
     return {"total": total, **{name: term.detach() for name, term in terms.items()}}
 
 
 def _observation_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
-    weight = evidence.rays.weight
+    terms = _terms_along(evidence.fields, config)
+    if evidence.beyond is not None:
+        others = _terms_along(evidence.beyond, config)
+        terms = {name: (term + others[name]) / 2 for name, term in terms.items()}
+    return terms if evidence.background is None else terms | {"kl_background": kl(evidence.background)}
+
+
+def _terms_along(fields: FieldsAlongRays, config: LossConfig) -> dict[str, Tensor]:
+    weight, logits = fields.rays.weight, fields.surface.logits
     return {
-        "colour": observation.colour_mixture(log_share(evidence.surface.logits), _likelihood(evidence, config), weight),
-        "surface": observation.surface(evidence.surface.logits, weight, sigma_max=config.sigma_max),
-        "air": observation.air(evidence.air.logits, evidence.inverse_rho, weight, sigma_max=config.sigma_max),
-        "kl_background": kl(evidence.background),
+        "colour": observation.colour_mixture(log_share(logits), _likelihood(fields, config), weight),
+        "surface": observation.surface(logits, weight, sigma_max=config.sigma_max),
+        "air": observation.air(
+            fields.air.logits,
+            fields.inverse_rho,
+            weight,
+            sigma_max=config.sigma_max,
+            saturation=config.air_saturation,
+        ),
     }
 
 
@@ -83,28 +94,31 @@ def _object_terms(evidence: Evidence, inference: Inference, config: LossConfig) 
     return terms
 
 
-def _warmup_attention(evidence: Evidence, config: LossConfig) -> Tensor:
-    log_prescope = _at_rays(evidence, evidence.log_prescope.mT)
-    return attention_warmup(log_prescope, _likelihood(evidence, config), evidence.rays.weight, unknown=config.unknown)
+def _warmup_attention(evidence: Evidence, log_prescope: Tensor, config: LossConfig) -> Tensor:
+    at_rays, weight = _at_rays(evidence, log_prescope.mT), evidence.fields.rays.weight
+    return attention_warmup(at_rays, _likelihood(evidence.fields, config), weight, unknown=config.unknown)
 
 
 def _at_rays(evidence: Evidence, log_masks: Tensor) -> Tensor:
-    return masks_at(log_masks, evidence.embeddings.valid, evidence.rays.index, grid=evidence.grid, size=evidence.size)
+    index = evidence.fields.rays.index
+    return masks_at(log_masks, evidence.embeddings.valid, index, grid=evidence.grid, size=evidence.size)
 
 
 def _attention(evidence: Evidence, inference: Inference, config: LossConfig) -> Tensor:
     log_masks = _at_rays(evidence, inference.masks.log_masks)
-    likelihood, share = _likelihood(evidence, config), log_share(evidence.surface.logits)
+    fields = evidence.fields
+    likelihood, share, weight = _likelihood(fields, config), log_share(fields.surface.logits), fields.rays.weight
     if config.attention == "l2":
-        return attention_l2(log_masks, likelihood, share, evidence.rays.weight, std=config.colour_std)
-    return attention_mixture(log_masks, likelihood, share, evidence.rays.weight, floor=config.attention_floor)
+        return attention_l2(log_masks, likelihood, share, weight, std=config.colour_std)
+    return attention_mixture(log_masks, likelihood, share, weight, floor=config.attention_floor)
 
 
-def _likelihood(evidence: Evidence, config: LossConfig) -> Tensor:
-    assert evidence.surface.colours is not None
+def _likelihood(fields: FieldsAlongRays, config: LossConfig) -> Tensor:
+    colours = fields.surface.colours
+    assert colours is not None
     return observation.log_likelihood(
-        evidence.surface.colours,
-        evidence.rays.colour,
+        colours,
+        fields.rays.colour,
         std=config.colour_std,
         likelihood=config.colour_likelihood,
     )

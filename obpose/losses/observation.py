@@ -58,9 +58,10 @@ def air(
     weight: Float[Tensor, "batch frame ray"],
     *,
     sigma_max: float,
+    saturation: float | None,
 ) -> Float[Tensor, ""]:
     """Third term of L_obs (paper): sigma(p_air) / rho_air, with `air_density`'s continuation where it saturates."""
-    return mean_over(sigma_max * air_density(logits) * inverse_rho, weight)
+    return mean_over(sigma_max * air_density(logits, saturation=saturation) * inverse_rho, weight)
 
 
 def mean_over(values: Float[Tensor, "*shape"], weight: Float[Tensor, "*shape"]) -> Float[Tensor, ""]:

@@ -33,11 +33,11 @@ class InBox:
 
 def decode(
     object_field: Field,
-    background_field: Field,
+    background_field: Field | None,
     boxes: Boxes,
     active: Bool[Tensor, "batch slot"],
     z_what: Float[Tensor, "batch frame slot latent"],
-    z_background: Float[Tensor, "batch frame background"],
+    z_background: Float[Tensor, "batch frame background"] | None,
     points: Float[Tensor, "batch frame ray 3"],
     directions: Float[Tensor, "batch frame ray 3"],
     *,
@@ -77,8 +77,8 @@ def decode(
 
 
 def decode_background(
-    field: Field,
-    z_background: Float[Tensor, "batch frame background"],
+    field: Field | None,
+    z_background: Float[Tensor, "batch frame background"] | None,
     points: Float[Tensor, "batch frame ray 3"],
     directions: Float[Tensor, "batch frame ray 3"],
     *,
@@ -86,7 +86,10 @@ def decode_background(
     workspace_size: float,
     colours: Colours,
 ) -> Decoded:
-    """The same for the background alone, as the only component."""
+    """The same for the background alone, as the only component; without one it is nowhere."""
+    if field is None or z_background is None:
+        nowhere = points.new_full((*points.shape[:2], 1, points.shape[2]), OUTSIDE)
+        return Decoded(logits=nowhere, colours=None if colours == "without" else points.new_zeros(*nowhere.shape, 3))
     in_workspace = (points - workspace_center) * (2 / workspace_size)
     codes = field.condition(z_background).of_all_points()
     logits, hidden = field.density(in_workspace, codes)

@@ -12,9 +12,6 @@ from torch import Tensor
 OUTSIDE = -30000.0
 """Logit outside a slot's box and of idle slots: lower than what fields give, finite also in half precision."""
 
-SATURATION = 3.0
-"""Summed softplus beyond which `air_density` goes on as a straight line."""
-
 _SMALL = -4.0
 """Below this log of the summed softplus, tanh is taken from its series."""
 
@@ -40,16 +37,18 @@ def log_share(
 
 
 def air_density(
-    logits: Float[Tensor, "*shape component ray"],
+    logits: Float[Tensor, "*shape component ray"], *, saturation: float | None
 ) -> Float[Tensor, "*shape ray"]:
     """Joint density over sigma_max for the air term (paper, L_obs): tanh(sum_k softplus(sigma_k)).
 
-    Deviation: beyond `SATURATION` tanh is continued by its tangent, because its own gradient is exactly 0 in single
-    precision from about 9 on: fog that dense could never clear up.
+    An addition: beyond a summed softplus of `saturation` tanh is continued by its tangent, because its own gradient is
+    exactly 0 in single precision from about 9 on: fog that dense could never clear up.
     """
     total = F.softplus(logits).sum(dim=-2)
-    beyond = F.relu(total - SATURATION)
-    slope = 1 - torch.tanh(total.new_tensor(SATURATION)) ** 2
+    if saturation is None:
+        return torch.tanh(total)
+    beyond = F.relu(total - saturation)
+    slope = 1 - torch.tanh(total.new_tensor(saturation)) ** 2
     return torch.tanh(total - beyond) + slope * beyond
 
 

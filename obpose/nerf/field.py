@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from obpose.config import FieldConfig
+from obpose.config import FieldConfig, Weights
 from obpose.layers.mlp import pass_on
 
 
@@ -40,7 +40,7 @@ class Field(nn.Module):
     Mildenhall et al. 2020), not its input: the same functions, with fewer copies.
     """
 
-    def __init__(self, config: FieldConfig, latent: int) -> None:
+    def __init__(self, config: FieldConfig, latent: int, weights: Weights = "orthogonal") -> None:
         super().__init__()
         width = config.width
         self.config = config
@@ -52,16 +52,20 @@ class Field(nn.Module):
         self.colour_direction = nn.Linear(6 * config.direction_frequencies, width, bias=False)
         self.colour_out = nn.Linear(width, 3)
         self.codes = nn.Linear(latent, 3 * width, bias=False)
-        pass_on(self.codes)
+        if weights == "orthogonal":
+            pass_on(self.codes)
 
     def condition(self, codes: Float[Tensor, "*code latent"]) -> Conditioning:
         """What latents add to the layers."""
         return Conditioning(*self.codes(codes).chunk(3, dim=-1))
 
     def density(
-        self, points: Float[Tensor, "*shape 3"], codes: Conditioning
-    ) -> tuple[Float[Tensor, "*shape"], Float[Tensor, "*shape width"]]:
-        """Density logits at points, -1..1 in the field's box, and the hidden values that `colour` takes."""
+        self, points: Float[Tensor, "*points 3"], codes: Conditioning
+    ) -> tuple[Float[Tensor, "*value"], Float[Tensor, "*value width"]]:
+        """Density logits at points, -1..1 in the field's box, and the hidden values that `colour` takes.
+
+        Points and codes broadcast to each other.
+        """
         encoded = positional_encoding(points, self.config.position_frequencies)
         # In place only on fresh results of additions: what nn.Linear gives is a view, of which autograd makes copies.
         hidden = (self.first(encoded) + codes.first).relu_()
@@ -70,18 +74,28 @@ class Field(nn.Module):
                 hidden = (layer(hidden) + self.again(encoded)).add_(codes.again).relu_()
             else:
                 hidden = layer(hidden).relu()
-        return self.density_logit(hidden)[..., 0], hidden
+        logit = self.density_logit(hidden)[..., 0]
+        return logit if self.config.density == "raw" else squash(logit), hidden
 
     def colour(
         self,
-        hidden: Float[Tensor, "*shape width"],
-        directions: Float[Tensor, "*shape 3"],
+        hidden: Float[Tensor, "*value width"],
+        directions: Float[Tensor, "*points 3"],
         codes: Conditioning,
-    ) -> Float[Tensor, "*shape 3"]:
+    ) -> Float[Tensor, "*value 3"]:
         """Colours in 0..1 seen along unit directions."""
         encoded = positional_encoding(directions, self.config.direction_frequencies)
         seen = (self.colour_hidden(hidden) + self.colour_direction(encoded)).add_(codes.colour).relu_()
         return torch.sigmoid(self.colour_out(seen))
+
+
+def squash(logit: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """10 times the sigmoid: what the authors' slot attention for video composes in the place of the logit.
+
+    Never below 0: two components alone have a density of tanh(2 ln 2) = .88, five of .998, wherever and whatever the
+    weights. It is here to be compared with.
+    """
+    return 10 * torch.sigmoid(logit)
 
 
 def positional_encoding(points: Float[Tensor, "*shape 3"], frequencies: int) -> Float[Tensor, "*shape encoding"]:

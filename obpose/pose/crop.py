@@ -1,6 +1,7 @@
 """The points that an object encoder sees: the slot's own in its box, in its frame, with masked features."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from einops import rearrange, repeat
@@ -33,18 +34,20 @@ def gather_box(
     boxes: Boxes,
     *,
     samples: int,
+    whose: Literal["own", "all"],
 ) -> BoxSamples:
     """The points in each box that are the slot's; where there are more than `samples`, those with the largest masks.
 
     Features are zeta_f * no_grad(m) (paper, section Object Location and Orientation Conditioned Encoding). The slot's
     are the points at which no other slot has a larger mask. The paper also leaves out those at which the background's
-    is larger, ours are the support of the object as well; the authors' code takes all points in the box, and fields
+    is larger, ours are the support of the object as well; the authors' code takes `all` points in the box, and fields
     then claim the neighbours. There is no gradient into the boxes and the positions.
     """
     with torch.no_grad():
         in_box = _to_boxes(points, boxes)
         inside = (in_box.abs().amax(dim=-1) <= 1) & valid[:, :, None]
-        inside &= log_masks >= log_masks.amax(dim=2, keepdim=True)
+        if whose == "own":
+            inside &= log_masks >= log_masks.amax(dim=2, keepdim=True)
         index, chosen = _largest(log_masks, inside, samples)
         mask = log_masks.gather(-1, index).exp().masked_fill(~chosen, 0)
         near = in_box.gather(-2, repeat(index, "b f s n -> b f s n 3")) * chosen[..., None]

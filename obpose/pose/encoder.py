@@ -2,10 +2,10 @@
 
 A point-wise network, a KPConv from the points onto anchors among them, and a KPConv of the anchors at the middle of the
 box. The authors use the four levels of their backbone with radii of 5 to 40 mm, less than the distance of the points:
-each point is its own only neighbour. Ours are in units of the box and hold neighbours wherever points are closer than a
-fifth of its edge to each other. Sines and cosines of the position and layer norms (where the authors have group norms)
-are there because codes start to depend on shapes several times sooner with them. For the same reason the mean of the
-features over the slot's mask, colours among them, ends the code as it is.
+each point is its own only neighbour. Ours are in units of the box and with the default radius hold neighbours wherever
+points are closer than a fifth of its edge to each other. Sines and cosines of the position and layer norms (where the
+authors have group norms) are there because codes start to depend on shapes several times sooner with them. For the same
+reason the mean of the features over the slot's mask, colours among them, ends the code as it is.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import elu
 
+from obpose.config import LatentConfig
 from obpose.layers.kernel_points import kernel_points
 from obpose.layers.kpconv import KPConv, influence
 from obpose.layers.mlp import mlp
@@ -26,12 +27,8 @@ SPREAD = 0.65
 """Scale of the places near which anchors are looked for, laid out like kernel points; half the box's edge is 1."""
 NEIGHBOURS = 16
 """The nearest so many samples are an anchor's neighbours, as far as they are in reach."""
-RADIUS = 0.5
-"""Of an anchor's neighbourhood; half the box's edge is 1."""
 REACH = 1.2
 """Radius of the neighbourhood of the box's middle, in the same units."""
-_FREQUENCIES = 3
-"""Of the positions in the box, beside the positions themselves."""
 _POINT_WIDTH = 16
 _ANCHOR_WIDTH = 32
 _LITTLE = 1e-3
@@ -58,19 +55,20 @@ class ObjectEncoder(nn.Module):
     kernel: Float[Tensor, "kernel 3"]
     places: Float[Tensor, "anchor 3"]
 
-    def __init__(self, features: int, width: int):
+    def __init__(self, features: int, config: LatentConfig):
         super().__init__()
+        self.config, width = config, config.encoder
         self.register_buffer("kernel", kernel_points(), persistent=False)
         self.register_buffer("places", SPREAD * kernel_points(), persistent=False)
         pooled = width + _ANCHOR_WIDTH + _POINT_WIDTH
-        self._points = mlp(3 + 6 * _FREQUENCIES + features + 1, _POINT_WIDTH, _POINT_WIDTH)
+        self._points = mlp(3 + 6 * config.frequencies + features + 1, _POINT_WIDTH, _POINT_WIDTH)
         self._around = KPConv(_POINT_WIDTH, _ANCHOR_WIDTH)
         self._around_norm = nn.LayerNorm(_ANCHOR_WIDTH)
         self._anchors = mlp(_ANCHOR_WIDTH, _ANCHOR_WIDTH)
         self._middle = KPConv(_ANCHOR_WIDTH, width)
         self._middle_norm = nn.LayerNorm(width)
         self._code = nn.Sequential(nn.LayerNorm(pooled), mlp(pooled, width, width))
-        self.size = width + features
+        self.size = width + (features if config.means == "given" else 0)
 
     def forward(self, samples: BoxSamples) -> Float[Tensor, "batch frame slot width"]:
         """The codes of all boxes at once."""
@@ -78,8 +76,8 @@ class ObjectEncoder(nn.Module):
             rearrange(part, "b f slot ... -> (b f slot) ...")
             for part in (samples.points, samples.features, samples.mask, samples.valid)
         )
-        near = neighbourhoods(points, valid, places=self.places, kernel=self.kernel)
-        encoded = positional_encoding(points, _FREQUENCIES)
+        near = neighbourhoods(points, valid, places=self.places, kernel=self.kernel, radius=self.config.radius)
+        encoded = positional_encoding(points, self.config.frequencies)
         pointwise = elu(self._points(torch.cat([points, encoded, features, mask[..., None]], dim=-1)))
         around = self._around(_neighbours(pointwise, near.index), rearrange(near.influences, "b a n k -> (b a) n k"))
         anchors = elu(self._anchors(elu(self._around_norm(around)))).unflatten(0, near.index.shape[:2])
@@ -88,8 +86,9 @@ class ObjectEncoder(nn.Module):
             anchors.amax(dim=1),
             _mean(pointwise * mask[..., None], mask),
         ]
-        seen = _mean(features, mask)
-        code = torch.cat([self._code(torch.cat(pooled, dim=-1)), seen], dim=-1)
+        code = self._code(torch.cat(pooled, dim=-1))
+        if self.config.means == "given":
+            code = torch.cat([code, _mean(features, mask)], dim=-1)
         return code.unflatten(0, samples.valid.shape[:3])
 
 
@@ -100,8 +99,9 @@ def neighbourhoods(
     *,
     places: Float[Tensor, "anchor 3"],
     kernel: Float[Tensor, "kernel 3"],
+    radius: float,
 ) -> Neighbourhoods:
-    """Anchors are the samples nearest to some places in the box, their neighbours the samples nearest to them.
+    """Anchors are the samples nearest to some places in the box, their neighbours the nearest to them within `radius`.
 
     One sample may be the anchor of several places.
     """
@@ -113,7 +113,7 @@ def neighbourhoods(
     offsets = _neighbours(points, near.indices).unflatten(0, anchor.shape) - at[:, :, None]
     return Neighbourhoods(
         index=near.indices,
-        influences=_averaging(influence(offsets / RADIUS, kernel), near.values < RADIUS**2),
+        influences=_averaging(influence(offsets / radius, kernel), near.values < radius**2),
         central=_averaging(influence(at / REACH, kernel), valid.gather(1, anchor)),
     )
 

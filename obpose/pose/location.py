@@ -18,8 +18,9 @@ def observed_center(
     valid: Bool[Tensor, "batch frame point"],
     *,
     min_points: int,
+    power: float,
 ) -> Float[Tensor, "batch frame slot 3"]:
-    """T, world frame, metres: mean of the observed points weighted by the cube of the slot's soft mask.
+    """T, world frame, metres: mean of the observed points weighted by a power of the slot's soft mask.
 
     The paper takes the plain mean of the points whose largest mask is the slot's; a soft mean is smooth and never of an
     empty set. In the authors' code it is weighted by the mask itself. A hundredth of the mask at each of a thousand
@@ -29,7 +30,7 @@ def observed_center(
     of them (or of the first frame). The authors keep that frame's corrected location T_hat, which `where` then corrects
     again; ours keeps T.
     """
-    center = _soft_mean(log_masks[:, :, 1:], points, valid)
+    center = _soft_mean(log_masks[:, :, 1:], points, valid, power)
     seen = count_points(log_masks, valid) >= min_points
     return center.gather(1, repeat(_last_seen(seen), "b f slot -> b f slot 3"))
 
@@ -48,10 +49,11 @@ def _soft_mean(
     log_masks: Float[Tensor, "batch frame slot point"],
     points: Float[Tensor, "batch frame point 3"],
     valid: Bool[Tensor, "batch frame point"],
+    power: float,
 ) -> Float[Tensor, "batch frame slot 3"]:
     """A softmax over the points normalises masks however small they are; 0 where nothing was observed."""
     unobserved = rearrange(~valid, "b f point -> b f 1 point")
-    return sharpen(log_masks).masked_fill(unobserved, -torch.inf).softmax(dim=-1).nan_to_num(0) @ points
+    return sharpen(log_masks, power).masked_fill(unobserved, -torch.inf).softmax(dim=-1).nan_to_num(0) @ points
 
 
 def _last_seen(seen: Bool[Tensor, "batch frame slot"]) -> Int[Tensor, "batch frame slot"]:

@@ -4,12 +4,12 @@ Paper, section Object Location and Orientation Conditioned Encoding. It hears of
 {T_hat, R}.
 """
 
-from obpose.config import LatentConfig
+from obpose.config import LatentConfig, Weights
 from obpose.layers.latent import RecurrentLatent
 
 
 class What(RecurrentLatent):
     """q(z_what | x_<=t) and its prior, from the object encoder's codes."""
 
-    def __init__(self, encoding: int, latent: LatentConfig):
-        super().__init__(encoding, latent.what, latent.hidden)
+    def __init__(self, encoding: int, latent: LatentConfig, weights: Weights = "orthogonal"):
+        super().__init__(encoding, latent.what, latent, weights=weights)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from obpose.config import LatentConfig, PoseConfig
+from obpose.config import LatentConfig, PoseConfig, Weights
 from obpose.layers.latent import RecurrentLatent
 from obpose.layers.mlp import mlp
 from obpose.types import Draw, Latent
@@ -20,9 +20,9 @@ _TRANSLATION_WIDTH = 256
 class Where(nn.Module):
     """q(z_where | x_<=t), its prior, and what z_where means."""
 
-    def __init__(self, encoding: int, latent: LatentConfig, pose: PoseConfig):
+    def __init__(self, encoding: int, latent: LatentConfig, pose: PoseConfig, weights: Weights = "orthogonal"):
         super().__init__()
-        self._latent = RecurrentLatent(encoding, latent.where, latent.hidden)
+        self._latent = RecurrentLatent(encoding, latent.where, latent, weights=weights)
         self._translation = mlp(latent.where, _TRANSLATION_WIDTH, 3)
         self._max_translation = pose.max_translation
 

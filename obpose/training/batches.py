@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from obpose.clips import ClipSource, stack
+from obpose.types import Observation
 
 READERS_FOR_A_GPU = 8
 """Processes that read ahead where a GPU computes; on a CPU reading takes about 1 % of a step and needs none."""
@@ -70,11 +71,20 @@ class Share:
 
 
 def batches(
-    source: ClipSource, sampling: Sampling, share: Share, *, first_step: int, readers: int
+    source: ClipSource,
+    sampling: Sampling,
+    share: Share,
+    *,
+    first_step: int,
+    readers: int,
+    sees: type[Observation] = Observation,
 ) -> Iterator[dict[str, Tensor]]:
-    """The batches of this process from a step on, without end; `readers` processes read ahead, 0 for none."""
+    """The batches of this process from a step on, without end; `readers` processes read ahead, 0 for none.
+
+    `sees` is what the model is given, and all that is passed on.
+    """
     loader = DataLoader(
-        _Steps(source, sampling, share),
+        _Steps(source, sampling, share, sees),
         batch_size=None,
         sampler=count(first_step),  # pyright: ignore[reportArgumentType]
         num_workers=readers,
@@ -95,12 +105,12 @@ def readers_for(device: torch.device) -> int:
 class _Steps(Dataset[dict[str, Tensor]]):
     """Item `step` is the batch of that step."""
 
-    def __init__(self, source: ClipSource, sampling: Sampling, share: Share):
-        self._source, self._sampling, self._share = source, sampling, share
+    def __init__(self, source: ClipSource, sampling: Sampling, share: Share, sees: type[Observation]):
+        self._source, self._sampling, self._share, self._sees = source, sampling, share, sees
 
     def __getitem__(self, step: int) -> dict[str, Tensor]:
         windows = self._share.of(self._sampling.windows(step))
-        return stack([self._source.window(window.clip, window.start, window.frames) for window in windows])
+        return stack([self._source.window(window.clip, window.start, window.frames) for window in windows], self._sees)
 
 
 def _leave_signals_to_the_parent(_reader: int) -> None:

@@ -13,6 +13,8 @@ from obpose.config import TrainConfig
 VALIDATIONS = 10
 STEPS_BETWEEN, SECONDS_BETWEEN = 1000, 300.0
 """At most so far apart are two validations."""
+SKIP_FROM = 0.1
+"""Share of the budget in which no step is skipped: gradients are large at first."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,14 @@ def learning_rate(config: TrainConfig, fraction: float) -> float:
     """At a fraction of the budget; `cosine` falls to zero at its end."""
     if config.decay == "none":
         return config.learning_rate
+    if config.decay == "halving":
+        return config.learning_rate * 0.5 ** (fraction / config.half_life)
     return config.learning_rate * 0.5 * (1 + math.cos(math.pi * fraction))
+
+
+def is_skipped(config: TrainConfig, fraction: float, gradient_norm: float) -> bool:
+    """Whether a step at a fraction of the budget changes nothing because its gradient has exploded."""
+    return config.skip > 0 and fraction >= SKIP_FROM and gradient_norm > config.skip
 
 
 class Stopwatch:

@@ -10,11 +10,10 @@ from torch import Tensor, nn
 
 from obpose.checkpoint import Build, State, TrainingState, put_weights
 from obpose.clips import views_apart
-from obpose.config import Config
-from obpose.trainable import Trainable
+from obpose.trainable import Configuration, Trainable
+from obpose.training.budget import is_skipped
 from obpose.training.devices import mean_over_processes, noise_of
 from obpose.training.guard import check_finite
-from obpose.types import Observation
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Learned:
 class Learner:
     """A model and its optimiser."""
 
-    def __init__(self, fabric: Fabric, config: Config, build: Build):
+    def __init__(self, fabric: Fabric, config: Configuration, build: Build):
         """Fresh weights follow from the seed."""
         self._fabric, self._config = fabric, config.train
         with torch.random.fork_rng(devices=[]):
@@ -39,8 +38,8 @@ class Learner:
         optimizer = torch.optim.Adam(self.model.parameters(), lr=config.train.learning_rate, fused=True)
         self._module, self._optimizer = fabric.setup(_Losses(self.model, config), optimizer)
 
-    def learn(self, batch: Mapping[str, Tensor], *, step: int, learning_rate: float) -> Learned:
-        """Make one step.
+    def learn(self, batch: Mapping[str, Tensor], *, step: int, fraction: float, learning_rate: float) -> Learned:
+        """Make one step, at a fraction of the budget.
 
         Raises:
             Diverged: losses or gradients are not finite; the weights are as before.
@@ -51,14 +50,15 @@ class Learner:
         device = self._fabric.device
         tensors = {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
         noise = noise_of(step, seed=self._config.seed, process=self._fabric.global_rank, device=device)
-        terms: dict[str, Tensor] = self._module(tensors, step=step, generator=noise)
+        terms: dict[str, Tensor] = self._module(tensors, step=step, fraction=fraction, generator=noise)
         self._fabric.backward(terms["total"])
         norm = self._clip()
         values = torch.stack([term.detach().float() for term in terms.values()])
         *losses, gradient_norm = torch.cat([mean_over_processes(self._fabric, values), norm[None]]).tolist()
         learned = Learned(dict(zip(terms, losses, strict=True)), gradient_norm)
         check_finite(learned.losses, gradient_norm, self.model.named_parameters(), step=step + 1)
-        self._optimizer.step()
+        if not is_skipped(self._config, fraction, gradient_norm):
+            self._optimizer.step()
         return learned
 
     def weights(self) -> State:
@@ -97,13 +97,15 @@ class Learner:
 class _Losses(nn.Module):
     """A model's losses as a forward pass, which is where data-parallel training hooks in."""
 
-    def __init__(self, model: Trainable, config: Config):
+    def __init__(self, model: Trainable, config: Configuration):
         super().__init__()
         self.model = model
         self._views = config.train.views
 
-    def forward(self, tensors: Mapping[str, Tensor], *, step: int, generator: torch.Generator) -> dict[str, Tensor]:
-        observation = Observation(**tensors)
+    def forward(
+        self, tensors: Mapping[str, Tensor], *, step: int, fraction: float, generator: torch.Generator
+    ) -> dict[str, Tensor]:
+        observation = self.model.sees(**tensors)
         if self._views == "apart":
             observation = views_apart(observation)
-        return self.model.losses(observation, step=step, generator=generator)
+        return self.model.losses(observation, step=step, fraction=fraction, generator=generator)

@@ -13,9 +13,8 @@ from typing import Any
 
 from obpose.checkpoint import TrainingState, save_model, save_training
 from obpose.clips import ClipSource, observation_of
-from obpose.config import Config
 from obpose.pictures import write_picture
-from obpose.trainable import Trainable
+from obpose.trainable import Configuration, Trainable
 from obpose.training.learner import Learned, Learner
 from obpose.training.logs import CsvLog, TensorBoardLog
 from obpose.training.validation import CurvePoint
@@ -29,7 +28,7 @@ PICTURE_CLIPS = 3
 class Record:
     """Writes one run's folder; the folder belongs to this process alone."""
 
-    def __init__(self, folder: Path, config: Config, *, steps: int, tensorboard: bool):
+    def __init__(self, folder: Path, config: Configuration, *, steps: int, tensorboard: bool):
         """Begin, or go on after so many steps."""
         self._folder, self._config = folder, config
         self._steps = CsvLog(folder / "training.csv", steps=steps)

@@ -52,12 +52,13 @@ def validate(
     config: TrainConfig,
     *,
     step: int,
+    fraction: float,
     seconds: float,
     device: torch.device,
     score: Score,
 ) -> CurvePoint:
     """Losses as in training, and the segmentations' score in evaluation mode."""
-    losses = validation_losses(model, source, config, step=step, device=device)
+    losses = validation_losses(model, source, config, step=step, fraction=fraction, device=device)
     model.eval()
     try:
         return CurvePoint(step, seconds, losses, validation_score(model, source, config, score, device=device))
@@ -66,15 +67,15 @@ def validate(
 
 
 def validation_losses(
-    model: Trainable, source: ClipSource, config: TrainConfig, *, step: int, device: torch.device
+    model: Trainable, source: ClipSource, config: TrainConfig, *, step: int, fraction: float, device: torch.device
 ) -> dict[str, float]:
     """Means of the loss terms over the first frames of the clips, with the same noise every time."""
     noise = torch.Generator(device).manual_seed(_SEED)
     sums: dict[str, float] = {}
     scenes = 0
-    for observation in _batches(source, config):
+    for observation in _batches(source, config, model.sees):
         with torch.no_grad():
-            terms = model.losses(observation.to(device), step=step, generator=noise)
+            terms = model.losses(observation.to(device), step=step, fraction=fraction, generator=noise)
         number = len(observation.depth)
         scenes += number
         sums = {name: sums.get(name, 0.0) + number * float(value) for name, value in terms.items()}
@@ -96,11 +97,11 @@ def validation_score(
     return float(np.mean(defined)) if defined else None
 
 
-def _batches(source: ClipSource, config: TrainConfig) -> Iterator[Observation]:
+def _batches(source: ClipSource, config: TrainConfig, sees: type[Observation]) -> Iterator[Observation]:
     frames = min(config.frames, source.frames_of_clip)
     for first in range(0, _clips(source), config.batch):
         indices = range(first, min(first + config.batch, _clips(source)))
-        observation = observation_of([source.window(index, 0, frames) for index in indices])
+        observation = observation_of([source.window(index, 0, frames) for index in indices], sees)
         yield views_apart(observation) if config.views == "apart" else observation
 
 

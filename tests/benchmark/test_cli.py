@@ -231,6 +231,8 @@ def test_models_and_tracks_are_listed(capsys):
     assert run_cli("--list") == EXIT_OK
     shown = capsys.readouterr().out
     assert {"plane-dbscan", "good", "training-free:", "multishape", "80x60"} <= set(shown.split())
+    assert "group paper: obpose-loc, obpose, ic-sbp, " in shown
+    assert "group paper: moving, static, clevr3d, multishape" in shown
 
 
 @pytest.mark.parametrize(

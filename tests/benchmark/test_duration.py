@@ -4,11 +4,13 @@ from pathlib import Path
 import pytest
 
 from benchmark import duration
-from benchmark.duration import estimate, in_words, time_limit
-from benchmark.plan import Plan
+from benchmark.arguments import Run
+from benchmark.duration import estimate, estimate_trainings, in_words, time_limit
+from benchmark.plan import Plan, make_plan
+from benchmark.request import request_of
 from benchmark.results import RunKey
 from benchmark.runner import Job, Target
-from benchmark.tracks import find_track
+from benchmark.tracks import SIZES, find_track
 
 KEY = RunKey("data", "data", "m", 0, 1, "c", "f", "t")
 
@@ -40,6 +42,29 @@ def test_scenes_and_scores_take_time_too(tmp_path: Path, monkeypatch: pytest.Mon
     assert in_words(found) == (
         "This takes about 44 minutes, less where a run goes on: 2 to make scenes, 40 to train, 2 to score."
     )
+
+
+def test_all_rows_of_the_paper_s_tables_are_told_beforehand_and_none_takes_an_hour(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path))
+    request = request_of(Run(model=("paper", "plane-dbscan"), track=("paper",), seeds=2, out=tmp_path / "out"))
+    plan = make_plan(request, [], tmp_path / "out")
+    assert len([job for job in plan.jobs if job.learns]) == 7 * 4 * 2
+    found = estimate(plan, 2)
+    assert found
+    assert found.training == 7 * 4 * 2 * 12 * 60 / 2
+    assert found.data == 4 * sum(SIZES.values()) * 0.1 / 2
+    alone = [estimate(Plan((), (job,), {}), 1) for job in plan.jobs if job.learns]
+    assert max(one.total for one in alone if one) < 3600
+
+
+def test_trials_take_the_time_of_their_trainings_alone():
+    found = estimate_trainings([job(seconds=180.0)] * 5, scenes=100, workers=2)
+    assert found
+    assert (found.data, found.training, found.scoring) == (5.0, 540.0, 0.0)
+    assert estimate_trainings([], scenes=100, workers=2) is None
+    assert estimate_trainings([job(seconds=float("inf"), steps=3)], scenes=0, workers=2) is None
 
 
 def test_weights_that_ship_need_no_training():

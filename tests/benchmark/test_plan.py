@@ -14,7 +14,7 @@ from benchmark.tracks import Track, find_track
 from datagen.errors import UsageError
 
 ROOT = Path(__file__).parent.parent.parent
-MOVING, MIXED, TOUCHING = (find_track(name) for name in ("moving", "mixed", "touching"))
+MOVING, MIXED, TOUCHING, CLEVR = (find_track(name) for name in ("moving", "mixed", "touching", "clevr3d"))
 OUT = Path("out")
 
 
@@ -112,6 +112,58 @@ def test_a_model_that_learns_finds_its_folder_again_whatever_is_scored(register)
     assert len(set(folders)) == len(folders) == 9
     register(kind="classical")
     assert {job.folder for job in plan().jobs} == {None}
+
+
+def names(made: Plan) -> list[str]:
+    return list(dict.fromkeys(key.model for key in made.keys))
+
+
+def test_numbers_of_slots_are_models_of_their_own_and_the_track_s_own_is_the_plain_one(register):
+    register(extra=("att",))
+    made = plan(slots=(4, 5, 7), seeds=1)
+    assert names(made) == ["net", "net-3-slots", "net-3-slots-att", "net-6-slots", "net-6-slots-att", "net-att"]
+    assert {(job.targets[0].key.model, job.fit_slots, job.targets[0].slots) for job in made.jobs} == {
+        ("net", 5, 5),
+        ("net-3-slots", 4, 4),
+        ("net-6-slots", 7, 7),
+    }
+    assert set(plan(seeds=1).keys) < set(made.keys)
+    assert len({job.folder for job in made.jobs}) == 3
+
+
+def test_which_number_is_the_plain_one_is_the_track_s_affair(register):
+    made = plan(slots=(5, 7), tracks=(MOVING, CLEVR), seeds=1)
+    assert [(key.track, key.model) for key in made.keys] == [
+        ("clevr3d", "net"),
+        ("clevr3d", "net-4-slots"),
+        ("moving", "net"),
+        ("moving", "net-6-slots"),
+    ]
+
+
+def test_a_model_that_learns_has_the_slots_of_its_training(register):
+    assert names(plan(slots=(5,), tracks=(CLEVR,), fit_source=MIXED)) == ["net"]
+    assert names(plan(slots=(7,), tracks=(CLEVR,), fit_source=MIXED)) == ["net-6-slots"]
+    register(kind="classical")
+    assert names(plan(slots=(5,), tracks=(CLEVR,), fit_source=MIXED)) == ["net-4-slots"]
+    assert names(plan(slots=(5,), tracks=(MOVING,), fit_source=MIXED)) == ["net"]
+
+
+def test_models_that_find_the_number_of_objects_themselves_run_once():
+    made = plan("plane-dbscan", "kmeans-xyz-rgb", slots=(3, 9), seeds=1)
+    assert names(made) == ["kmeans-xyz-rgb-2-slots", "kmeans-xyz-rgb-8-slots", "plane-dbscan"]
+    assert plan("plane-dbscan", seeds=1).keys[0] in made.keys
+
+
+def test_the_profile_is_part_of_what_a_model_that_learns_is(register):
+    register(settings={"width": 1}, profiles={"gpu": {"width": 2}})
+    (small, *_), (large, *_) = plan().jobs, plan(profile="gpu").jobs
+    assert (small.profile, large.profile) == ("cpu", "gpu")
+    assert small.folder != large.folder
+    register()
+    assert plan().keys != plan(profile="gpu").keys
+    register(kind="classical")
+    assert plan().keys == plan(profile="gpu").keys
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.model_spec import ModelSpec
+from benchmark.model_spec import ModelSpec, Views
 from benchmark.plugins import Problem
 from benchmark.registry import discover, expand, find_model
 from datagen.errors import UsageError
@@ -70,8 +70,9 @@ def test_attributes_say_more(install):
     priors = ("slots", "plane")
     options = ({"depth": 2}, {"depth": 3})
     budget, extra = 60.0, ("fine", "coarse")
+    views, trials = ("one", "all"), ({}, {"rate": 2})
 
-    def __init__(self, slots, depth=1, folder=None):
+    def __init__(self, slots, depth=1, folder=None, changes=None):
         self.slots, self.depth, self.folder = slots, depth, folder
 """
     install("muchnet", SMALLEST + said, much="muchnet:Nothing")
@@ -80,6 +81,7 @@ def test_attributes_say_more(install):
         spec.build, 3, "Sees much.", "classical", ({"depth": 2}, {"depth": 3}), False, True, ("slots", "plane")
     )
     expected = dataclasses.replace(expected, budget=60.0, extra=("fine", "coarse"))
+    expected = dataclasses.replace(expected, views=Views("one", "all"), trials=({}, {"rate": 2}))
     assert spec == expected
     model = spec.build({"slots": 5, "steps": 10, "folder": Path("f"), **spec.grid[1]})
     assert vars(model) == {"slots": 5, "depth": 3, "folder": Path("f")}
@@ -103,6 +105,13 @@ def test_attributes_say_more(install):
         ("Nothing.options = 7", "Nothing", "options is 7; expected tuple, such as ()"),
         ("Nothing.budget = -1.0", "Nothing", "budget is -1; expected more than 0"),
         ("Nothing.extra = 'fine'", "Nothing", "extra is 'fine'; expected tuple"),
+        ("Nothing.views = ('one',)", "Nothing", "views are ('one',); expected two of one, all"),
+        ("Nothing.views = ('one', 'two')", "Nothing", "expected two of one, all"),
+        ("Nothing.trials = ()", "Nothing", "trials are (); expected dicts of changes, the first of which is empty"),
+        ("Nothing.trials = ({'rate': 2},)", "Nothing", "the first of which is empty"),
+        ("Nothing.trials = ({},) * 5", "Nothing", "declares 5 trials; expected 4 at most"),
+        ("Nothing.trials = ({}, 2)", "Nothing", "expected dicts of changes"),
+        ("Nothing.trials = ({}, {'rate': 2})", "Nothing", "has no argument 'changes'"),
         ("class Keen(Nothing):\n    def __init__(self, folder): ...", "Keen", "does not take the options {}"),
         ("class Greedy(Nothing):\n    def __init__(self, layers): ...", "Greedy", "does not take the options {}"),
     ],

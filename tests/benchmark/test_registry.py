@@ -6,8 +6,8 @@ import pytest
 
 from benchmark import plugins
 from benchmark.interface import Segmenter
-from benchmark.model_spec import KINDS, PRIORS, ModelSpec
-from benchmark.registry import GROUPS, MODELS, discover, expand, find_model
+from benchmark.model_spec import KINDS, MOST_TRIALS, PRIORS, ModelSpec
+from benchmark.registry import GROUPS, MODELS, Group, budget_of, discover, expand, find_model
 from benchmark.results import digest
 from datagen.errors import UsageError
 
@@ -26,6 +26,43 @@ def test_training_free_is_everything_that_learns_nothing():
     assert not {MODELS[name].kind for name in expand(["training-free"])} - {"floor", "classical", "oracle"}
 
 
+@pytest.fixture
+def group(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = {"names": ("plane-dbscan", "one-cluster")}
+    monkeypatch.setitem(GROUPS, "few", Group(("oracle",), **small, budget=90.0))
+    monkeypatch.setitem(GROUPS, "fewer", Group(**small, budget=60.0))
+
+
+def test_a_group_is_of_kinds_and_of_names(group):
+    assert expand(["few"]) == [*expand(["oracles"]), "plane-dbscan", "one-cluster"]
+
+
+def test_a_group_with_an_unknown_name_breaks_nothing_but_itself(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(GROUPS, "odd", Group(names=("plane-dbscan", "plane-dbscn")))
+    assert expand(["plane-dbscan"]) == ["plane-dbscan"]
+    with pytest.raises(UsageError, match="Unknown model 'plane-dbscn'"):
+        expand(["odd"])
+
+
+def test_an_equal_budget_goes_with_a_group(group):
+    assert budget_of(["few", "kmeans-xyz-rgb"]) == 90.0
+    assert budget_of(["few", "fewer"]) == 60.0
+    assert budget_of(["training-free", "obpose"]) is None
+
+
+def test_the_group_of_the_paper():
+    assert GROUPS["paper"].members == [
+        "obpose-loc",
+        "obpose",
+        "ic-sbp",
+        "slot-attention",
+        "obsurf",
+        "obsurf-no-overlap",
+        "obsurf-no-overlap-depth",
+    ]
+    assert budget_of(["paper"]) == 12 * 60
+
+
 def test_a_model_named_twice_runs_once():
     names = expand(["plane-dbscan", "classical", "plane-dbscan"])
     assert names[0] == "plane-dbscan"
@@ -42,7 +79,9 @@ def test_every_model_says_what_the_tables_need(name: str):
     assert spec.version >= 1
     assert spec.kind in KINDS
     assert set(spec.priors) <= set(PRIORS)
-    assert spec.uses_labels == (spec.kind == "oracle")
+    assert spec.uses_labels or spec.kind != "oracle"
+    assert 1 <= len(spec.trials) <= MOST_TRIALS
+    assert spec.trials[0] == {}
     assert len(spec.grid) <= 12
     assert len({str(value) for value in spec.grid}) == len(spec.grid)
     assert spec.default == (spec.grid[0] if spec.grid else {})

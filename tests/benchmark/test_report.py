@@ -157,6 +157,17 @@ def test_segmentations_that_share_a_training_say_where_their_curve_is(tmp_path: 
     assert "No floor was scored on moving" in words
 
 
+def test_scores_of_validation_clips_stand_over_minutes_and_losses_over_steps(tmp_path: Path) -> None:
+    curve = [{"step": 3.0, "seconds": 60.0, "loss": 2.0, "ari_fg": 0.1}, {"step": 9.0, "seconds": 180.0, "ari_fg": 0.3}]
+    save_run(tmp_path, run_row("net", n_scenes=1, learning_curve=curve), scene_table({"ari_fg": [0.5]}))
+    report.write(tmp_path, {})
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert 'aria-label="ARI-FG on validation clips by minutes' in text
+    assert "net: 0.300 at minute 3<" in text
+    assert 'aria-label="loss by step' in text
+    assert "net: 2.000 at step 3<" in text
+
+
 def test_models_that_are_not_held_to_the_slots_are_named(tmp_path: Path, page: Page) -> None:
     row = run_row("plane", n_scenes=1, kind="classical", priors=("plane",))
     save_run(tmp_path, row, scene_table({"ari_fg": [0.5]}))

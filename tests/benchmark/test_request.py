@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from benchmark.arguments import Run
+from benchmark.registry import GROUPS, Group
 from benchmark.request import request_of
 from datagen import config, spec
 from datagen.errors import UsageError
@@ -26,6 +28,39 @@ def test_a_dataset_without_images_is_refused(tmp_path: Path):
     (tmp_path / spec.SPEC_FILE).write_text(json.dumps(facts))
     with pytest.raises(UsageError, match=r"holds no images; make them with: obpose-datagen render --from"):
         request(tmp_path)
+
+
+def test_an_equal_budget_goes_with_a_group_unless_another_is_given(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(GROUPS, "few", Group(names=("obpose", "obpose-loc"), budget=720.0))
+    assert request_of(Run(model=("few",))).seconds == 720.0
+    assert request_of(Run(model=("few",), budget=30.0)).seconds == 30.0
+    assert request_of(Run(model=("obpose",))).seconds is None
+
+
+def test_the_group_of_tracks_and_the_profile_are_those_of_the_command():
+    asked = request_of(Run(model=("plane-dbscan",), track=("paper",), fit_track="mixed", profile="gpu"))
+    assert asked.fit_source
+    assert [source.name for source in asked.sources] == ["moving", "static", "clevr3d", "multishape"]
+    assert {source.resolution for source in (*asked.sources, asked.fit_source)} == {(128, 128), (128, 96)}
+    assert asked.profile == "gpu"
+
+
+def test_slots_are_those_of_objects_and_one_for_the_background():
+    assert request_of(Run(model=("obpose",), slots=(3, 6, 3))).slots == (4, 7)
+
+
+@pytest.mark.parametrize(
+    ("facts", "reason"),
+    [
+        ({"slots": (0,)}, "--slots is 0; expected 1 to 255"),
+        ({"slots": (4, 256)}, "--slots is 256"),
+        ({"slots": (4,), "pretrained": True}, "--slots is for models that are made here"),
+        ({"steps": 0}, "--steps is 0"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(facts: dict[str, Any], reason: str):
+    with pytest.raises(UsageError, match=reason):
+        request_of(Run(model=("obpose",), **facts))
 
 
 def test_a_dataset_without_test_scenes_is_refused(tmp_path: Path):

@@ -9,7 +9,7 @@ import pytest
 from benchmark import registry
 from benchmark.interface import Clip, Prediction
 from benchmark.labels import read_labels
-from benchmark.model_spec import ModelSpec, Options
+from benchmark.model_spec import ModelSpec, Options, Views
 from benchmark.results import LABELS, RunKey, load_runs, load_scenes, pooled
 from benchmark.runner import Job, Target, run_job
 from benchmark.scoring import BadPrediction
@@ -129,6 +129,38 @@ def test_clips_carry_labels_for_those_only_who_say_so(
     run_job(job(data, tmp_path / "out"))
     assert seen == [uses_labels] * 2
     assert load_runs(tmp_path / "out")[0].uses_labels is uses_labels
+
+
+def test_what_is_seen_of_a_model_while_it_learns_stands_in_its_curve(
+    data: Path, tmp_path: Path, register, monkeypatch: pytest.MonkeyPatch
+):
+    truth = storage.Dataset(data).split("val")[0]["segmentation"].astype(np.int64)
+    model = register(background)
+
+    def fit(train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
+        assert all(clip.truth is None for clip in val)
+        model.options[-1]["watch"](lambda clip: Prediction(truth, 0), step=7, seconds=30.0)
+        model.learning_curve = [{"step": 3, "loss": np.float32(2.0)}, {"step": 7, "loss": np.float32(1.0)}]
+
+    monkeypatch.setattr(model, "fit", fit)
+    run_job(job(data, tmp_path / "out", folder=tmp_path / "out" / "training" / "own"))
+    first, last = load_runs(tmp_path / "out")[0].learning_curve or []
+    assert first == {"step": 3.0, "loss": 2.0}
+    assert last.keys() == {"step", "seconds", "loss", "ari_fg", "msc_fg"}
+    assert last["msc_fg"] > 0
+
+
+def test_a_row_says_how_many_views_its_model_uses(data: Path, tmp_path: Path, register):
+    register(background, views=Views("one", "all"))
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].views == "1 in, 2 supervise"
+
+
+def test_the_profile_is_an_option_where_it_is_not_the_usual_one(data: Path, tmp_path: Path, register):
+    model = register(background, settings={"width": 1}, profiles={"gpu": {"width": 2}})
+    run_job(job(data, tmp_path / "out", profile="gpu"))
+    assert model.options == [{"slots": 5, "profile": "gpu"}]
+    assert load_runs(tmp_path / "out")[0].config == {"width": 2, "slots": 5, "profile": "gpu"}
 
 
 def test_models_that_learn_nothing_get_no_training_clips(data: Path, tmp_path: Path, register):

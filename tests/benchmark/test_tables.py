@@ -54,6 +54,33 @@ def test_the_best_row_without_training_stands_above_the_learned_ones():
     ]
 
 
+def seen(**rows: dict[str, object]) -> list[Entry]:
+    scores = scene_table({"ari_fg": np.ones(3), "msc_fg": np.ones(3)})
+    return standings([run_row(name, **facts) for name, facts in rows.items()], [scores] * len(rows))
+
+
+def test_a_row_says_how_many_views_its_model_uses_where_one_does():
+    found = seen(
+        obpose={"views": "3 in, 3 supervise"}, obsurf={"views": "1 in, 3 supervise"}, plane={"kind": "classical"}
+    )
+    text = markdown(found)
+    assert "| model | views | rank |" in text
+    assert "| --- | --- | ---: |" in text
+    assert "| obsurf | 1 in, 3 supervise | 2 | 1 |" in text
+    assert "| plane |  | 2 | 1 |" in text
+    assert r"\textsc{obpose} & 3 in, 3 supervise & 2 & 1 & " in latex(found)
+    assert r"\begin{tabular}{l l r r c" in latex(found)
+    assert "- Views: how many" in text
+    assert "iews" not in markdown(seen(obpose={}, obsurf={})) + latex(seen(obpose={}))
+
+
+def test_a_model_that_learned_from_labels_stands_with_the_oracles_and_has_no_rank():
+    (found,) = boards(seen(plane={"kind": "classical"}, supervised={"uses_labels": True}))
+    assert [block.title.partition(" ")[0] for block in found.blocks] == ["Without", "Oracles", "In"]
+    (line,) = found.blocks[1].lines
+    assert (line.label, line.rank) == ("supervised †", "")
+
+
 def test_only_ranked_rows_are_ranked_and_bold():
     found = {line.label: line for block in board().blocks for line in block.lines}
     assert [found[name].rank for name in ("plane", "obpose", "slot-attention", "kmeans")] == ["1", "2", "3", "4"]

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from benchmark import tracks
-from benchmark.tracks import DataFolder, Track, all_tracks, find_dataset, find_track
+from benchmark.tracks import DataFolder, Track, all_tracks, find_dataset, find_track, find_tracks
 from datagen.config import load_recipe
 from datagen.errors import DatagenError, UsageError
 from datagen.storage import Dataset
@@ -51,6 +51,23 @@ def test_sizes_of_images():
     sizes = {name: find_track(name).resolution for name in ISSUE}
     assert sizes.pop("clevr3d") == sizes.pop("multishape") == (80, 60)
     assert set(sizes.values()) == {(64, 64)}
+
+
+def test_images_for_a_gpu_are_larger_and_another_dataset():
+    assert [find_track(name, "gpu").resolution for name in ("moving", "clevr3d")] == [(128, 128), (128, 96)]
+    small, large = find_track("moving"), find_track("moving", "gpu")
+    assert small.spec_hash != large.spec_hash
+    assert small.folder != large.folder
+    assert small == Track("moving", "cpu")
+
+
+def test_a_group_stands_for_its_tracks():
+    assert find_tracks(["paper", "moving", "mixed"]) == [
+        find_track(name) for name in ("moving", "static", "clevr3d", "multishape", "mixed")
+    ]
+    assert {track.profile for track in find_tracks(["paper"], "gpu")} == {"gpu"}
+    with pytest.raises(UsageError, match="did you mean 'paper'"):
+        find_tracks(["papr"])
 
 
 def test_an_unknown_track_gets_the_nearest():

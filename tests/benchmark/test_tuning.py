@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmark.interface import Clip, Prediction
-from benchmark.model_spec import ModelSpec, builder
+from benchmark.model_spec import Builder, ModelSpec
 from benchmark.tuning import Choice, choose, subsample
 from tests.sphere_clips import clip_and_truth, with_holes
 
@@ -31,7 +31,7 @@ class Right:
 
 
 def spec(*frames: int) -> ModelSpec:
-    return ModelSpec(builder(Right), 1, "", grid=tuple({"frames": count} for count in frames))
+    return ModelSpec(Builder(Right), 1, "", grid=tuple({"frames": count} for count in frames))
 
 
 def choice(*frames: int, clip: Clip = CLIP, truth: np.ndarray = TRUTH) -> Choice:

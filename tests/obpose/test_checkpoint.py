@@ -4,8 +4,20 @@ from pathlib import Path
 import pytest
 import torch
 
-from obpose.checkpoint import CONFIG, MODEL, TRAINING, TrainingState, load, load_training, save_model, save_training
+from obpose.baselines.obsurf.model import Obsurf
+from obpose.checkpoint import (
+    CONFIG,
+    MODEL,
+    TRAINING,
+    TrainingState,
+    load,
+    load_obpose,
+    load_training,
+    save_model,
+    save_training,
+)
 from obpose.errors import CorruptFile, UsageError
+from obpose.systems import build_model, find_system
 from tests.obpose.toy import ToyModel, toy_config
 
 CONFIGURATION = toy_config(**{"model.floor": None, "model.backbone.widths": (8, 16), "train.learning_rate": 0.1})
@@ -123,4 +135,27 @@ def test_a_model_in_the_place_of_a_training_is_told(run: Path):
 def test_a_configuration_of_another_kind_is_damaged(run: Path):
     (run / CONFIG).write_text(json.dumps({"version": 1, "config": 3}))
     with pytest.raises(CorruptFile, match="is damaged"):
+        load(run, ToyModel)
+
+
+def test_the_configuration_says_of_which_architecture_it_is(tmp_path: Path):
+    config = find_system("obsurf").config("cpu", {"model.encoder.width": 8})
+    model = build_model(config)
+    save_model(tmp_path, model.state_dict(), config, {})
+    found, again, _ = load(tmp_path)
+    assert again == config
+    assert isinstance(found, Obsurf)
+    with pytest.raises(UsageError, match="holds a model of class Obsurf; expected one of ObPose's variants"):
+        load_obpose(tmp_path)
+    with pytest.raises(UsageError, match="the kind of model: ObsurfConfig, Config"):
+        load_training(tmp_path, CONFIGURATION)
+
+
+def test_files_older_than_the_second_architecture_are_of_the_first(run: Path):
+    facts = json.loads((run / CONFIG).read_text())
+    assert facts.pop("architecture") == "obpose"
+    (run / CONFIG).write_text(json.dumps(facts))
+    assert load(run, ToyModel)[1] == CONFIGURATION
+    (run / CONFIG).write_text(json.dumps({**facts, "architecture": "elsewhere"}))
+    with pytest.raises(UsageError, match="architecture 'elsewhere'; this version has obpose, obsurf, supervised"):
         load(run, ToyModel)

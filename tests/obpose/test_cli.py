@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from obpose.baselines.obsurf.config import ObsurfConfig
+from obpose.baselines.obsurf.model import Obsurf
 from obpose.checkpoint import load, read_config
 from obpose.cli import main
 from obpose.model import ObPose
@@ -47,9 +49,27 @@ def test_the_last_word_is_that_of_set(data: Path, tmp_path: Path):
     assert (config.model.spacing, config.model.slots, config.train.steps) == (0.5, 2, 1)
 
 
+def test_another_architecture_is_trained_by_the_same_command(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    small = ["--set", "model.encoder.width=8", "--set", "model.decoder.width=8", "--set", "train.rays=32"]
+    command = ["--data", str(data), "--variant", "obsurf", "--out", str(tmp_path / "run"), *small]
+    assert main([*command, "--steps", "2"]) == 0
+    assert "Training obsurf on spheres, 2 steps" in capsys.readouterr().err
+    model, config, info = load(tmp_path / "run")
+    assert isinstance(model, Obsurf)
+    assert isinstance(config, ObsurfConfig)
+    assert (config.model.slots, info["step"]) == (4, 2)
+    assert 0.1 < config.model.workspace_size < 2.0  # measured
+    assert (tmp_path / "run" / "pictures").exists()
+    assert main([*command, "--steps", "2"]) == 0  # there is nothing left to do
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (("--track", "moving", "--variant", "obsurf", "--profile", "tpu"), "There are: cpu, gpu, paper"),
+        (("--track", "moving", "--variant", "obsurf", "--set", "model.voxels=3"), "obpose/baselines/obsurf/config.py"),
         ((), "either --track NAME or --data DIR"),
         (("--track", "moving", "--data", "x"), "either --track NAME or --data DIR"),
         (("--track", "mooving"), "did you mean 'moving'"),

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from obpose.clips import ArrayClips, ClipSource, observation_of, views_apart
+from obpose.clips import ArrayClips, ClipSource, observation_of, one_view, views_apart
 from obpose.data import SceneDataset
 from tests.fabricated import write_dataset
 from tests.obpose.toy import ToyClips
@@ -48,3 +48,22 @@ def test_views_apart_are_scenes_in_the_order_of_clips_and_views():
             place = 3 * clip + view
             assert torch.equal(apart.rgb[place, :, 0], together.rgb[clip, :, view])
             assert torch.equal(apart.world_from_camera[place, 0], together.world_from_camera[clip, view])
+
+
+def test_one_view_of_each_clip_is_drawn_with_its_camera():
+    source = ArrayClips([clip_and_truth(seed, views=3)[0] for seed in (0, 1)])
+    together = observation_of([source.window(index, 0, 2) for index in (0, 1)])
+    drawn = set()
+    for seed in range(12):
+        one = one_view(together, torch.Generator().manual_seed(seed))
+        assert one.depth.shape == (2, 2, 1, 48, 64)
+        for clip in (0, 1):
+            (view,) = (
+                v
+                for v in range(3)
+                if torch.equal(one.k[clip, 0], together.k[clip, v])
+                and torch.equal(one.world_from_camera[clip, 0], together.world_from_camera[clip, v])
+            )
+            assert torch.equal(one.rgb[clip, :, 0], together.rgb[clip, :, view])
+            drawn.add((clip, view))
+    assert len(drawn) == 6

@@ -30,6 +30,12 @@ def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
         ("model.backbone.colour=5", "model.backbone.colour is 5; expected 6 or more"),
         ("model.attention.idle_scope=0.0", "model.attention.idle_scope is 0.0; expected between 0 and 1"),
         ("model.attention.looks=-1", "model.attention.looks is -1; expected 0 or more, and finite"),
+        ("model.attention.mask_power=0", "model.attention.mask_power is 0.0; expected more than 0, and finite"),
+        ("model.latent.posterior_std=0", "model.latent.posterior_std is 0.0; expected more than 0, and finite"),
+        ("loss.air_saturation=0", "loss.air_saturation is 0.0; expected more than 0, and finite"),
+        ("model.slot_attention.iterations=0", "model.slot_attention.iterations is 0; expected 1 or more"),
+        ("model.background=none", "model.pose.conditioning is full; expected world"),
+        ("model.attention.kind=slots", "model.pose.conditioning is full; expected none or world"),
         ("model.backbone.widths=[]", "model.backbone.widths is (); expected positive numbers"),
         ("model.backbone.blocks=1", "model.backbone.blocks is (1,); expected 4 numbers"),
         ("model.backbone.output_level=4", "model.backbone.output_level is 4; expected 0 to 3"),
@@ -38,3 +44,17 @@ def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
 def test_values_of_which_nothing_can_be_made_are_named(change: str, message: str):
     with pytest.raises(UsageError, match=re.escape(message)):
         check_bounds(make_config(**parse_changes([change])))
+
+
+@pytest.mark.parametrize(
+    ("variant", "change", "message"),
+    [
+        ("ic-sbp", "model.table=0.004", "model.table is 0.004; expected none"),
+        ("ic-sbp", "train.warmup=5", "train.warmup is 5; expected 0, as there is no background to warm up"),
+        ("ic-sbp", "train.object_rays=0.5", "train.object_rays is 0.5; expected 0, as without a pre-scope"),
+        ("slot-attention", "train.object_rays=0.5", "train.object_rays is 0.5; expected 0, as without a pre-scope"),
+    ],
+)
+def test_values_that_need_a_part_that_is_not_there_are_named(variant: str, change: str, message: str):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        check_bounds(make_config(variant, **parse_changes([change])))

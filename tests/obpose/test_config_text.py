@@ -63,7 +63,7 @@ def test_the_last_of_two_changes_counts():
         ("train.batch=2.5", "expected a whole number"),
         ("train.batch=true", "expected a whole number"),
         ("loss.air=thin", "expected a number"),
-        ("model.pose.conditioning=near", "expected one of none, location, full"),
+        ("model.pose.conditioning=near", "expected one of world, none, location, full"),
         ("train.steps=some", "expected a whole number or none"),
         ("model.workspace_center=1,2", "2 values, expected 3"),
         ("model.backbone.widths=a,b", "expected"),

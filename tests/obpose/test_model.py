@@ -10,18 +10,19 @@ from obpose.attention.icsbp import ICSBP
 from obpose.config import VARIANTS, make_config
 from obpose.geometry import unproject
 from obpose.model import ObPose
-from obpose.types import Observation, Segmentation
+from obpose.types import Observation, SceneSegmentation
 from tests.obpose.scenes import table_scene
 
-CONDITIONED = ("obpose", "obpose-loc", "obpose-none")
+CONDITIONED = ("obpose", "obpose-loc", "obpose-none", "ic-sbp", "slot-attention")
 
 
 def _model(variant: str = "obpose", **changes: Any) -> ObPose:
     """Untrained, but that its pre-scope expects objects everywhere."""
     torch.manual_seed(0)
     model = ObPose(make_config(variant, **{"model.spacing": 0.024, **changes}))
-    with torch.no_grad():
-        model.heads.prescope[-1].bias.copy_(torch.tensor([0.0, 5.0]))
+    if model.heads.prescope is not None:
+        with torch.no_grad():
+            model.heads.prescope[-1].bias.copy_(torch.tensor([0.0, 5.0]))
     return model
 
 
@@ -39,11 +40,12 @@ def _objects_alone(**options: Any) -> Observation:
     return replace(scene, depth=scene.depth * above, valid=above)
 
 
-def _told(segmentation: Segmentation) -> tuple[torch.Tensor, ...]:
+def _told(segmentation: SceneSegmentation) -> tuple[torch.Tensor, ...]:
     """What is inferred, scene by scene."""
     inference = segmentation.inference
     masks, boxes = inference.masks.log_masks.exp(), inference.boxes.center
-    return masks, boxes, inference.what.mean, inference.background.mean
+    background = () if inference.background is None else (inference.background.mean,)
+    return masks, boxes, inference.what.mean, *background
 
 
 @pytest.mark.parametrize("variant", CONDITIONED)
@@ -171,3 +173,75 @@ def test_a_scene_without_any_depth_is_background():
     losses = _model().train().losses(scene, step=500, generator=torch.Generator().manual_seed(0))
     losses["total"].backward()
     assert all(value.isfinite() for value in losses.values())
+
+
+@pytest.mark.parametrize("variant", ["ic-sbp", "slot-attention"])
+def test_systems_without_boxes_have_as_many_components_as_the_others(variant: str):
+    model, slots = _model(variant).eval(), make_config().model.slots
+    segmentation = model.segment(table_scene())
+    components = segmentation.inference.masks.log_masks.shape[2]
+    if variant == "ic-sbp":
+        assert (model.background_slot, components) == (None, 1 + slots + 1)
+        assert segmentation.inference.background is None
+        assert segmentation.labels.min() > 0, "Label 0 is of no slot."
+    else:
+        assert (model.background_slot, components) == (0, 1 + slots)
+
+
+def test_slot_attention_can_be_warmed_up_by_its_background_alone():
+    model = _model("slot-attention", **{"train.warmup": 3}).train()
+    losses = model.losses(table_scene(), step=0, generator=torch.Generator().manual_seed(0))
+    losses["total"].backward()
+    assert set(losses) == {"total", "colour", "surface", "air", "kl_background"}
+    assert all(weight.grad is None for weight in model.object_field.parameters())
+
+
+@pytest.mark.parametrize("variant", ["ic-sbp", "slot-attention", "obpose"])
+@pytest.mark.parametrize("loss", ["mixture", "l2"])
+def test_both_attention_losses_teach_the_masks_of_every_system(variant: str, loss: str):
+    only = {f"loss.{name}": 0.0 for name in ("colour", "surface", "air", "scope", "translation", "kl", "kl_where")}
+    model = _model(variant, **{"loss.attention": loss, "train.warmup": 0, **only}).train()
+    model.losses(table_scene(), step=1, generator=torch.Generator().manual_seed(0))["total"].backward()
+    assert all(
+        weight.grad is not None and weight.grad.any() for weight in model.attention.parameters() if weight.dim() == 0
+    )
+    assert any(weight.grad is not None and weight.grad.any() for weight in model.backbone.parameters())
+    assert all(weight.grad is None or not weight.grad.any() for weight in model.object_field.parameters())
+
+
+def test_a_mean_under_the_mask_can_stand_in_for_the_object_encoder():
+    model = _model("ic-sbp", **{"model.latent.summary": "mean"}).train()
+    assert model.what_encoder is None
+    model.losses(table_scene(), step=1, generator=torch.Generator().manual_seed(0))["total"].backward()
+    assert all(weight.grad is not None for weight in model.parameters())
+
+
+def test_observed_colours_can_be_left_out_of_the_features():
+    with_them, without = _model().infer(table_scene()), _model(**{"model.latent.colours": "none"}).infer(table_scene())
+    assert with_them.embeddings.features.shape[-1] == without.embeddings.features.shape[-1] + 3
+
+
+def test_views_that_are_not_encoded_have_no_say_in_what_is_inferred():
+    scene = table_scene(views=3, frames=1)
+    model = _model(**{"train.views": "one"})
+    terms = [
+        model.losses(changed, step=1000, generator=_drawing_the_first_view())
+        for changed in (scene, _other_colours(scene, view=slice(1, 3)))
+    ]
+    for name in ("attention", "kl_what", "kl_background", "scope"):
+        torch.testing.assert_close(terms[0][name], terms[1][name])
+    assert not torch.allclose(terms[0]["colour"], terms[1]["colour"])
+
+
+def _other_colours(scene: Observation, *, view: slice) -> Observation:
+    rgb = scene.rgb.clone()
+    rgb[:, :, view] = 1 - rgb[:, :, view]
+    return replace(scene, rgb=rgb)
+
+
+def _drawing_the_first_view() -> torch.Generator:
+    for seed in range(100):
+        generator = torch.Generator().manual_seed(seed)
+        if torch.randint(3, (1,), generator=generator).item() == 0:
+            return generator.manual_seed(seed)
+    raise AssertionError

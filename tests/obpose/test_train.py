@@ -14,6 +14,7 @@ from torch import Tensor
 from obpose.checkpoint import load
 from obpose.errors import Diverged, Interrupted, UsageError
 from obpose.train import Status, Trained, train
+from obpose.trainable import Trainable
 from obpose.types import Observation
 from tests.obpose.toy import QuietToy, ToyClips, ToyModel, toy_config
 from tests.processes import errors_at_end, wait_until
@@ -55,6 +56,18 @@ def test_the_seed_decides_everything():
     assert_same_weights(one, run())
     other = run(**{"train.seed": 1})
     assert not torch.equal(one.model.state_dict()["mean"], other.model.state_dict()["mean"])
+
+
+def test_whoever_looks_sees_the_model_at_every_validation_and_changes_nothing():
+    seen = []
+
+    def look(model: Trainable, step: int, seconds: float) -> None:
+        seen.append((model.training, step, seconds))
+        torch.rand(3)
+
+    one = train(ToyClips(), ToyClips(), toy_config(), device="cpu", build=ToyModel, look=look)
+    assert seen == [(False, point.step, point.seconds) for point in one.curve]
+    assert_same_weights(one, run(val_source=ToyClips()))
 
 
 def test_the_global_generator_is_left_alone():
@@ -139,11 +152,23 @@ def test_a_run_leaves_curves_and_pictures(tmp_path: Path):
     assert pictures == [f"step-{step:07d}.png" for step in range(1, 7)]
 
 
+def test_a_model_is_told_how_far_the_budget_is_used_up():
+    told: list[float] = []
+
+    class Listening(ToyModel):
+        def losses(self, observation: Observation, *, fraction: float, **options) -> dict[str, Tensor]:
+            told.append(fraction)
+            return super().losses(observation, fraction=fraction, **options)
+
+    run(build=Listening, **{"train.steps": 4})
+    assert told == [0, 0.25, 0.5, 0.75]
+
+
 class Breaking(ToyModel):
     """A term is nan in the fifth step."""
 
-    def losses(self, observation: Observation, *, step: int, generator: torch.Generator | None) -> dict[str, Tensor]:
-        terms = super().losses(observation, step=step, generator=generator)
+    def losses(self, observation: Observation, *, step: int, **options) -> dict[str, Tensor]:
+        terms = super().losses(observation, step=step, **options)
         if step == 4:
             broken = terms["spread"] * float("nan")
             terms |= {"total": terms["total"] + broken, "spread": broken}

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from obpose.config import Config, make_config
 from obpose.trainable import Trainable
-from obpose.types import Boxes, Embeddings, Inference, Latent, Masks, Observation, Segmentation
+from obpose.types import Boxes, Embeddings, Inference, Latent, Masks, Observation, SceneSegmentation
 
 SIZE = 8
 SLOTS = 2
@@ -26,7 +26,9 @@ class ToyModel(Trainable):
         self.mean = nn.Parameter(torch.zeros(3))
         self.layers = nn.Sequential(nn.Linear(1, 8), nn.Tanh(), nn.Linear(8, 3))
 
-    def losses(self, observation: Observation, *, step: int, generator: torch.Generator | None) -> dict[str, Tensor]:
+    def losses(
+        self, observation: Observation, *, step: int, fraction: float, generator: torch.Generator | None
+    ) -> dict[str, Tensor]:
         depth = observation.depth[..., None]
         noise = self.noise * torch.rand(depth.shape, generator=generator, device=depth.device)
         spread = (self.mean**2).sum()
@@ -36,10 +38,10 @@ class ToyModel(Trainable):
         error = (observation.rgb - self.mean - self.layers(depth + noise)) ** 2
         return {"total": error.mean() + spread, "colour": error.mean().detach(), "spread": spread.detach()}
 
-    def segment(self, observation: Observation) -> Segmentation:
+    def segment(self, observation: Observation) -> SceneSegmentation:
         """What is red is slot 1; the attention masks see nothing."""
         labels = (observation.rgb[..., 0] > 0.5).long()
-        return Segmentation(labels, torch.zeros_like(labels), _inference(observation))
+        return SceneSegmentation(labels, torch.zeros_like(labels), _inference(observation))
 
 
 class QuietToy(ToyModel):

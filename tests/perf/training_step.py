@@ -21,9 +21,12 @@ from lightning_fabric import Fabric
 from torch import Tensor
 from torch.autograd.graph import Node
 
+import obpose.encoder
 import obpose.model
 from obpose.config import Config, make_config
 from obpose.model import ObPose
+from obpose.pose.encoder import ObjectEncoder
+from obpose.pose.what import What
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import Observation
@@ -34,12 +37,12 @@ REST = "rest"
 """Of a step: rays, background latent, norm of the gradient, Adam."""
 PARTS = (
     (ObPose, "embed", "backbone and heads"),
-    (ObPose, "_attend", "attention"),
+    (ObPose, "attend", "attention"),
     (ObPose, "_locate", ENCODERS),
     (ObPose, "_crop", ENCODERS),
-    (obpose.model.ObjectEncoder, "forward", ENCODERS),
-    (obpose.model.What, "forward", ENCODERS),
-    (ObPose, "_orient", "orientation"),
+    (ObjectEncoder, "forward", ENCODERS),
+    (What, "forward", ENCODERS),
+    (obpose.encoder, "observed_rotation", "orientation"),
     (ObPose, "decode", "fields"),
     (ObPose, "_estimate_shape", "voxels"),
     (obpose.model, "loss_terms", "losses"),

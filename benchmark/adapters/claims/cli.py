@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from math import isfinite, nan
 from pathlib import Path
 from statistics import mean, median
-from typing import cast
 
 import torch
 import tyro
@@ -21,7 +20,7 @@ from benchmark.adapters.claims.scenes import Account, Found, Scene, account, rea
 from benchmark.adapters.claims.shapes import FINE, estimate_voxels, measure_times, shape_errors
 from benchmark.tracks import DataFolder, Track, find_track
 from datagen.errors import EXIT_OK, DatagenError, UsageError
-from obpose.checkpoint import load
+from obpose.checkpoint import load_obpose
 from obpose.model import ObPose
 from obpose.shipped import find_shipped
 from obpose.training.devices import keep_memory
@@ -82,13 +81,12 @@ def _models(values: Arguments, data: Track | DataFolder) -> dict[Framing, ObPose
         folders["full"] = find_shipped("obpose", data.name, data.resolution)
     models: dict[Framing, ObPose] = {}
     for framing, folder in folders.items():
-        model, config, _ = load(folder, ObPose)
-        if config.model.pose.conditioning != framing:
+        model = load_obpose(folder)
+        if (conditioning := model.config.model.pose.conditioning) != framing:
             raise UsageError(
-                f"{folder} was trained with conditioning {config.model.pose.conditioning!r}, expected {framing!r}; "
-                "name it after that."
+                f"{folder} was trained with conditioning {conditioning!r}, expected {framing!r}; name it after that."
             )
-        models[framing] = cast(ObPose, model)
+        models[framing] = model
     return models
 
 

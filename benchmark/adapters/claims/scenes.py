@@ -15,7 +15,7 @@ from datagen.verify.case import Case, make_case
 from obpose.clips import observation_of
 from obpose.data import SceneDataset
 from obpose.model import ObPose
-from obpose.types import Observation, Segmentation
+from obpose.types import Observation, SceneSegmentation
 
 LEAST_IOU = 0.5
 """Of an object's pixels and a slot's, from which on the slot is the object's."""
@@ -79,7 +79,7 @@ class Account:
 
     scene: Scene
     model: ObPose
-    segmentation: Segmentation
+    segmentation: SceneSegmentation
 
     @cached_property
     def found(self) -> list[Found]:

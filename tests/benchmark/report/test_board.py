@@ -12,6 +12,21 @@ def test_numbers_have_three_decimals_and_no_negative_zero(value: float, text: st
     assert number(value) == text
 
 
+def test_the_best_without_training_stands_above_those_that_learn():
+    scores = {"plane": 0.9, "kmeans": 0.4, "net": 0.5}
+    kinds = {"plane": "classical", "kmeans": "classical", "net": "learned"}
+    rows = [run_row(name, kind=kinds[name], views="1 in, 3 supervise" if name == "net" else "") for name in scores]
+    tables = [scene_table({"ari_fg": [score] * 3, "msc_fg": [score] * 3}) for score in scores.values()]
+    learned, classical = blocks(standings(rows, tables), {name: place for place, name in enumerate(scores)})
+    assert [(row.model, row.repeated, row.views) for row in learned.rows] == [
+        (0, True, ""),
+        (2, False, "1 in, 3 supervise"),
+    ]
+    assert [(row.model, row.repeated) for row in classical.rows] == [(0, False), (1, False)]
+    (alone,) = blocks(standings(rows[2:], tables[2:]), {"net": 0})
+    assert [row.repeated for row in alone.rows] == [False]
+
+
 def test_a_model_without_randomness_has_run_once():
     """Its failure, too, is told once."""
     scores = scene_table({"ari_fg": [0.5], "msc_fg": [0.5]})

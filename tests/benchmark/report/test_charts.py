@@ -22,7 +22,7 @@ def test_an_undefined_class_breaks_the_curve() -> None:
 
 
 def test_learning_curves_fit_their_axes() -> None:
-    chart = history_chart("loss", [(0, [0.0, 10.0], [4.0, 2.0]), (1, [0.0, 20.0], [3.0, math.nan])])
+    chart = history_chart("loss", "step", [(0, [0.0, 10.0], [4.0, 2.0]), (1, [0.0, 20.0], [3.0, math.nan])])
     points = [(x, y) for curve in chart.curves for x, y, _ in curve.points]
     assert min(x for x, _ in points) == LEFT
     assert max(x for x, _ in points) <= WIDTH
@@ -31,7 +31,7 @@ def test_learning_curves_fit_their_axes() -> None:
 
 
 def test_a_flat_learning_curve_can_be_drawn() -> None:
-    assert history_chart("loss", [(0, [5.0], [1.0])]).curves[0].points
+    assert history_chart("loss", "step", [(0, [5.0], [1.0])]).curves[0].points
 
 
 def test_costs_are_on_a_logarithmic_axis() -> None:

@@ -24,6 +24,10 @@ def _assert_close(one: HeadOutputs, other: HeadOutputs) -> None:
         torch.testing.assert_close(a, b, rtol=1e-5, atol=1e-5)
 
 
+def _equal(one: torch.Tensor | None, other: torch.Tensor | None) -> bool:
+    return one is not None and other is not None and torch.equal(one, other)
+
+
 def test_moving_points_and_workspace_together_changes_nothing():
     points, valid, rgb, embedding = _points()
     shift = torch.tensor([5.0, -7.0, 2.0])
@@ -40,7 +44,7 @@ def test_semi_convolution_adds_the_scaled_position_to_three_channels_and_touches
     expected = 8.0 * (points - CENTER) * valid[..., None]
     torch.testing.assert_close(added[..., :3], expected, rtol=1e-5, atol=1e-5)
     assert added[..., 3:].eq(0).all()
-    assert torch.equal(with_it.log_prescope, without.log_prescope)
+    assert _equal(with_it.log_prescope, without.log_prescope)
     assert torch.equal(with_it.features, without.features)
 
 
@@ -52,7 +56,7 @@ def test_semi_colour_adds_the_scaled_colour_to_the_next_three_channels_and_touch
     torch.testing.assert_close(added[..., 3:6], 0.3 * rgb, rtol=1e-5, atol=1e-5)
     assert added[..., :3].eq(0).all()
     assert added[..., 6:].eq(0).all()
-    assert torch.equal(with_it.log_prescope, without.log_prescope)
+    assert _equal(with_it.log_prescope, without.log_prescope)
 
 
 def test_position_enters_the_colour_embedding_also_without_semi_convolution():
@@ -78,7 +82,9 @@ def test_each_point_speaks_for_itself():
     order = torch.randperm(20, generator=torch.Generator().manual_seed(2))
     shuffled = heads(points[:, :, order], valid[:, :, order], rgb[:, :, order], embedding[:, :, order], center=CENTER)
     plain = heads(points, valid, rgb, embedding, center=CENTER)
-    _assert_close(HeadOutputs(*(value[:, :, order] for value in plain)), shuffled)
+    assert plain.log_prescope is not None
+    ordered = plain.colour[:, :, order], plain.features[:, :, order], plain.log_prescope[:, :, order]
+    _assert_close(HeadOutputs(*ordered), shuffled)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e4])
@@ -86,7 +92,24 @@ def test_prescope_sums_to_one_and_stays_finite(scale: float):
     points, valid, rgb, embedding = _points()
     embedding.requires_grad_()
     log_prescope = _heads()(points, valid, rgb, scale * embedding, center=CENTER).log_prescope
+    assert log_prescope is not None
     (gradient,) = torch.autograd.grad(log_prescope.sum(), embedding)
     torch.testing.assert_close(log_prescope.exp().sum(dim=-1), torch.ones(2, 3, 20))
     assert log_prescope.isfinite().all()
     assert gradient.isfinite().all()
+
+
+def test_heads_that_nobody_reads_are_not_there():
+    points, valid, rgb, embedding = _points()
+    for kind, background, colours, has_prescope in (
+        ("icsbp", "component", 8, True),
+        ("icsbp", "none", 8, False),
+        ("slots", "component", 0, False),
+    ):
+        heads = Heads(BackboneConfig(), AttentionConfig(kind=kind), background=background)
+        found = heads(points, valid, rgb, embedding, center=CENTER)
+        assert found.colour.shape[-1] == colours
+        assert (found.log_prescope is not None) == has_prescope
+        assert any(name.startswith("prescope") for name in heads.state_dict()) == has_prescope
+    bare = Heads(BackboneConfig(), AttentionConfig(), features=False)
+    assert bare(points, valid, rgb, embedding, center=CENTER).features.shape[-1] == 0

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import torch
 
-from obpose.attention.icsbp import EXCLUDED, ICSBP
+from obpose.attention.icsbp import EXCLUDED, ICSBP, whole_scope
 from obpose.attention.kernels import Kernel, initial_sigma
 from obpose.config import AttentionConfig
 from obpose.types import Masks
@@ -423,3 +423,36 @@ def test_one_frame_alone_is_like_the_first_of_many():
     colour, valid, log_prescope = _scene()
     clip, image = _attend(colour, valid, log_prescope), _attend(colour[:, :1], valid[:, :1], log_prescope[:, :1])
     torch.testing.assert_close(image.log_masks, clip.log_masks[:, :1])
+
+
+@pytest.mark.parametrize("division", ["sticks", "shares"])
+def test_without_a_background_slots_and_the_remainder_sum_to_one(division: str):
+    colour, valid, _ = _scene()
+    masks = _attend(colour, valid, whole_scope(valid), remainder="slot", division=division)
+    assert masks.log_masks.shape[2] == 1 + SLOTS + 1
+    shares = masks.log_masks.exp()
+    torch.testing.assert_close(shares[:, :, 1:].sum(dim=2)[valid], torch.ones(int(valid.sum())))
+    assert (shares[:, :, 0][valid] == 0).all()
+    assert (shares[:, :, 0][~valid] == 1).all()
+    assert masks.log_scope.exp().eq(0).all()
+    assert masks.active.shape == (2, SLOTS + 1)
+
+
+def test_the_last_slot_takes_what_the_others_leave_and_changes_nothing_of_them():
+    colour, valid, log_prescope = _scene()
+    apart, taken = (_attend(colour, valid, log_prescope, remainder=remainder) for remainder in ("apart", "slot"))
+    torch.testing.assert_close(taken.log_masks[:, :, :-1], apart.log_masks)
+    torch.testing.assert_close(taken.log_masks[:, :, -1], apart.log_scope)
+
+
+def test_a_higher_power_draws_seeds_to_where_masks_are_certain():
+    colour = torch.zeros(1, 1, 41, CHANNELS)
+    colour[..., 1:, 0] = 0.5
+    valid, prescope = torch.ones(1, 1, 41, dtype=torch.bool), whole_scope(torch.ones(1, 1, 41, dtype=torch.bool))
+    own = [
+        _attend(colour, valid, prescope, config=AttentionConfig(mask_power=power, looks=1), slots=1).log_masks[
+            0, 0, 1, 0
+        ]
+        for power in (1.0, 3.0)
+    ]
+    assert own[0] < own[1]

@@ -6,7 +6,8 @@ import torch
 from torch.nn import GRUCell
 from torch.nn.functional import layer_norm, softplus
 
-from obpose.layers.latent import POSTERIOR_STD, PRIOR_STD, RecurrentLatent, Start
+from obpose.config import LatentConfig
+from obpose.layers.latent import PRIOR_STD, RecurrentLatent, Start
 from obpose.types import Latent
 
 ENCODING, LATENT, HIDDEN = 6, 4, 5
@@ -16,7 +17,7 @@ FIELDS = [field.name for field in dataclasses.fields(Latent)]
 
 def module(start: Start = "zero") -> RecurrentLatent:
     torch.manual_seed(0)
-    latent = RecurrentLatent(ENCODING, LATENT, HIDDEN, start=start)
+    latent = RecurrentLatent(ENCODING, LATENT, LatentConfig(hidden=HIDDEN), start=start)
     for parameter in latent.parameters():
         torch.nn.init.uniform_(parameter, -0.6, 0.6)
     return latent
@@ -38,7 +39,9 @@ def unrolled(latent: RecurrentLatent, sequence: torch.Tensor) -> dict[str, torch
     for time, encoding in enumerate(sequence):
         hidden["posterior"] = cells["posterior"](encoding[None], hidden["posterior"])
         state = layer_norm(hidden["posterior"], (HIDDEN,), *(weights[f"_posterior_norm.{name}"] for name in WEIGHTS))
-        mean, std = numbers(latent._posterior_head(torch.cat([state, encoding[None]], dim=-1)), POSTERIOR_STD)
+        mean, std = numbers(
+            latent._posterior_head(torch.cat([state, encoding[None]], dim=-1)), LatentConfig().posterior_std
+        )
         if time > 0:
             hidden["prior"] = cells["prior"](steps[-1]["z"], hidden["prior"])
         standard = time == 0 and "_starts" not in weights
@@ -117,3 +120,14 @@ def test_priors_and_latents_train_every_weight():
     for name, parameter in latent.named_parameters():
         assert parameter.grad is not None, name
         assert parameter.grad.abs().sum() > 0, name
+
+
+def test_a_posterior_can_be_wide_read_the_state_alone_and_begin_with_plain_weights():
+    config = LatentConfig(hidden=HIDDEN, posterior_std=0.7, posterior_input="state")
+    torch.manual_seed(0)
+    latent, plain = (RecurrentLatent(ENCODING, LATENT, config, weights=kind) for kind in ("orthogonal", "uniform"))
+    assert latent(encodings(2, 3), "mean").std.mean().item() == pytest.approx(0.7, abs=0.15)
+    assert latent.get_parameter("_posterior_head.0.weight").shape == (HIDDEN, HIDDEN)
+    first, other = (one.get_parameter("_posterior_head.0.weight") for one in (latent, plain))
+    torch.testing.assert_close(first @ first.T, torch.eye(HIDDEN))
+    assert not torch.allclose(other @ other.T, torch.eye(HIDDEN), atol=0.1)

@@ -3,7 +3,7 @@ from decimal import Decimal, localcontext
 import pytest
 import torch
 
-from obpose.layers.numerics import log1mexp
+from obpose.layers.numerics import log1mexp, sharpen
 
 ARGUMENTS = (-1e-30, -1e-7, -1e-3, -0.5, -0.6931, -0.6932, -1.0, -10.0, -40.0, -80.0)
 
@@ -33,3 +33,8 @@ def test_finite_far_beyond_the_range_of_the_exponential():
     (gradient,) = torch.autograd.grad(value.sum(), x)
     assert value.eq(0).all()
     assert gradient.eq(0).all()
+
+
+def test_sharpening_is_a_power():
+    masks = torch.tensor([0.5, 0.01, 1.0])
+    torch.testing.assert_close(sharpen(masks.log(), 3.0).exp(), masks**3)

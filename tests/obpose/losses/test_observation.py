@@ -87,7 +87,7 @@ def test_the_air_term_is_the_weighted_density():
     logits = logits.clamp(max=0.2)
     inverse_rho = torch.rand(valid.shape) + 0.5
     expected = (10 * direct_share(logits).sum(dim=2) * inverse_rho)[valid].mean()
-    assert air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0).item() == pytest.approx(
+    assert air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0, saturation=3.0).item() == pytest.approx(
         expected.item(), rel=1e-5
     )
 
@@ -103,7 +103,7 @@ def test_invalid_rays_have_no_say():
         return (
             colour_loss(logits, colours, target, valid, "channel")
             + surface(logits, valid.to(logits.dtype), sigma_max=10.0)
-            + air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0)
+            + air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0, saturation=3.0)
         )
 
     torch.testing.assert_close(total(spoiled, 1e6), total(target, 1.0))

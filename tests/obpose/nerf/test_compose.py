@@ -1,8 +1,11 @@
 import pytest
 import torch
 
-from obpose.nerf.compose import OUTSIDE, SATURATION, air_density, log_density, log_share, mean_colour
+from obpose.config import LossConfig
+from obpose.nerf.compose import OUTSIDE, air_density, log_density, log_share, mean_colour
 
+SATURATION = LossConfig().air_saturation
+assert SATURATION is not None
 EXTREMES = (-1e4, -200.0, -30.0, -3.0, 0.0, 3.0, 30.0, 1e4, OUTSIDE)
 
 
@@ -44,7 +47,7 @@ def test_shares_add_up_to_the_joint_density():
 
 def test_everything_is_finite_at_extreme_logits():
     grid = torch.cartesian_prod(*[torch.tensor(EXTREMES)] * 3).T.contiguous().requires_grad_()
-    for value in (log_density(grid), log_share(grid), air_density(grid)):
+    for value in (log_density(grid), log_share(grid), air_density(grid, saturation=SATURATION)):
         assert value.isfinite().all()
         (gradient,) = torch.autograd.grad(value.sum(), grid)
         assert gradient.isfinite().all()
@@ -70,20 +73,28 @@ def test_the_surface_term_lifts_empty_space():
 
 def test_the_air_term_clears_dense_fog():
     logits = logits_of(25.0, 25.0)
-    (gradient,) = torch.autograd.grad(air_density(logits).sum(), logits)
+    (gradient,) = torch.autograd.grad(air_density(logits, saturation=SATURATION).sum(), logits)
     assert (gradient > 1e-3).all()
 
 
 def test_the_air_term_is_the_density_below_saturation_and_goes_on_smoothly():
     total = torch.linspace(0.01, 2 * SATURATION, 1001, dtype=torch.float64)
     logits = total.expm1().log()[None].requires_grad_()
-    air = air_density(logits)
+    air = air_density(logits, saturation=SATURATION)
     below = total <= SATURATION
     torch.testing.assert_close(air[below], total.tanh()[below])
     assert (air.diff() > 0).all()
     slopes = air.diff() / total.diff()
     assert slopes.diff().max() <= 1e-9, "concave, without a step in its slope"
     assert (air - total.tanh()).max() < 0.05
+
+
+def test_without_saturation_the_air_term_is_the_density_and_dense_fog_is_dead():
+    logits = logits_of(25.0, 25.0)
+    density = air_density(logits, saturation=None)
+    torch.testing.assert_close(density, log_density(logits).exp())
+    (gradient,) = torch.autograd.grad(density.sum(), logits)
+    assert (gradient == 0).all()
 
 
 def test_the_mean_colour_leans_to_the_densest_component():

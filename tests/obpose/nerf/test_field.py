@@ -84,3 +84,9 @@ def test_gradients_are_those_of_finite_differences():
         return logits, field.colour(hidden, points, added)
 
     assert torch.autograd.gradcheck(densities_and_colours, (points.requires_grad_(), codes.requires_grad_()))
+
+
+def test_plain_weights_leave_codes_as_pytorch_draws_them():
+    for weights, orthogonal in (("orthogonal", True), ("uniform", False)):
+        codes = Field(SMALL, 5, weights).codes.weight
+        assert torch.allclose(codes.T @ codes, torch.eye(5), atol=1e-4) == orthogonal

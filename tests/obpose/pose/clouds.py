@@ -42,7 +42,8 @@ def crop(
     rotation = torch.eye(3) if rotation is None else rotation
     boxes = Boxes(cube.mean(dim=0)[None, None, None], rotation[None, None, None], size)
     valid = torch.ones(1, 1, len(points), dtype=torch.bool)
-    return gather_box(points[None, None], valid, values[None, None], log_mask[None, None, None], boxes, samples=samples)
+    cloud = points[None, None], valid, values[None, None], log_mask[None, None, None]
+    return gather_box(*cloud, boxes, samples=samples, whose="own")
 
 
 def _shaken(points: torch.Tensor) -> torch.Tensor:

@@ -1,3 +1,5 @@
+from typing import Literal
+
 import torch
 from einops import repeat
 
@@ -23,8 +25,9 @@ class World:
         rotation = torch.linalg.qr(torch.randn(BATCH, FRAMES, SLOTS, 3, 3, generator=generator)).Q
         self.boxes = Boxes(center, rotation * torch.linalg.det(rotation)[..., None, None], SIZE)
 
-    def gather(self, samples: int) -> BoxSamples:
-        return gather_box(self.points, self.valid, self.features, self.log_masks, self.boxes, samples=samples)
+    def gather(self, samples: int, whose: Literal["own", "all"] = "own") -> BoxSamples:
+        cloud = self.points, self.valid, self.features, self.log_masks
+        return gather_box(*cloud, self.boxes, samples=samples, whose=whose)
 
     def inside(self) -> torch.Tensor:
         """Which observed points are the slot's and in its box, "batch frame slot point", from the definition."""
@@ -118,3 +121,12 @@ def test_features_have_a_gradient_masks_and_boxes_have_none():
     assert world.log_masks.grad is None
     assert world.boxes.center.grad is None
     assert world.boxes.rotation.grad is None
+
+
+def test_all_points_of_the_box_can_be_taken_whosever_they_are():
+    world = World()
+    own, every = world.gather(POINTS), world.gather(POINTS, whose="all")
+    each = repeat(world.points, "b f p xyz -> b f s p xyz", s=SLOTS)
+    in_box = (to_box(each, world.boxes.center, world.boxes.rotation, SIZE).abs() <= 1).all(dim=-1)
+    assert torch.equal(every.valid.sum(dim=-1), (in_box & world.valid[:, :, None]).sum(dim=-1))
+    assert every.valid.sum() > own.valid.sum()

@@ -1,28 +1,32 @@
 import dataclasses
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 import torch
 
+from obpose.config import LatentConfig
 from obpose.layers.kpconv import EXTENT
 from obpose.pose.crop import BoxSamples
-from obpose.pose.encoder import NEIGHBOURS, RADIUS, Neighbourhoods, ObjectEncoder, neighbourhoods
+from obpose.pose.encoder import NEIGHBOURS, Neighbourhoods, ObjectEncoder, neighbourhoods
 from tests.obpose.pose.clouds import crop, half_a_cube, table
 
 FEATURES, WIDTH = 4, 32
+RADIUS = LatentConfig().radius
 NOTHING = torch.zeros(0, 3)
 SPARSE, DENSE = 0.025, 0.012
 """Metres between points of the embedding grids, 32 and 64 cells wide."""
 
 
-def encoder() -> ObjectEncoder:
+def encoder(**values: Any) -> ObjectEncoder:
     torch.manual_seed(0)
-    return ObjectEncoder(FEATURES, WIDTH)
+    return ObjectEncoder(FEATURES, LatentConfig(encoder=WIDTH, **values))
 
 
-def geometry(samples: BoxSamples) -> Neighbourhoods:
+def geometry(samples: BoxSamples, radius: float = RADIUS) -> Neighbourhoods:
     net = encoder()
-    return neighbourhoods(samples.points[0, 0], samples.valid[0, 0], places=net.places, kernel=net.kernel)
+    return neighbourhoods(
+        samples.points[0, 0], samples.valid[0, 0], places=net.places, kernel=net.kernel, radius=radius
+    )
 
 
 def reordered(samples: BoxSamples, order: torch.Tensor) -> BoxSamples:
@@ -80,6 +84,20 @@ def test_neighbours_are_the_nearest_samples_and_those_in_reach_share_the_influen
     distances = (offsets[:, :, None] - net.kernel).norm(dim=-1)
     expected = (1 - distances / EXTENT).clamp(min=0) * (offsets.norm(dim=-1) < 1)[..., None]
     torch.testing.assert_close(near.influences[0], expected / in_reach[:, None, None], atol=1e-5, rtol=0)
+
+
+def test_in_a_small_radius_every_anchor_is_alone():
+    near = geometry(crop(half_a_cube(SPARSE), table(SPARSE)), radius=0.025)
+    assert ((near.influences > 0).any(dim=-1).sum(dim=-1) == 1).all()
+
+
+def test_positions_sines_and_mean_features_can_be_left_out():
+    samples = crop(half_a_cube(SPARSE), table(SPARSE))
+    whole, plain = encoder(), encoder(frequencies=0, means="none")
+    assert plain(samples).shape[-1] == plain.size == whole.size - FEATURES == WIDTH
+    assert whole.get_parameter("_points.0.weight").shape[1] - plain.get_parameter("_points.0.weight").shape[1] == 18
+    mean = samples.features.sum(dim=3) / samples.mask.sum(dim=3)[..., None]
+    torch.testing.assert_close(whole(samples)[..., WIDTH:], mean)
 
 
 def test_the_order_of_the_samples_does_not_matter():

@@ -6,7 +6,7 @@ from obpose.pose.where import Where
 from tests.obpose.pose.clouds import crop, half_a_cube, table
 
 LATENT = LatentConfig(where=6, hidden=8, encoder=10)
-CODE = ObjectEncoder(4, LATENT.encoder).size
+CODE = ObjectEncoder(4, LATENT).size
 
 
 def where(max_translation: float = 0.05) -> Where:
@@ -27,7 +27,7 @@ def test_a_small_latent_is_translated_in_proportion_to_the_maximum():
 
 def test_the_translation_trains_the_encoder():
     torch.manual_seed(0)
-    encoder, module = ObjectEncoder(4, LATENT.encoder), where()
+    encoder, module = ObjectEncoder(4, LATENT), where()
     latent = module(encoder(crop(half_a_cube(0.025), table(0.025))), "sample", torch.Generator().manual_seed(0))
     assert latent.z.shape == (1, 1, 1, 6)
     corrected = torch.zeros(3) + module.translation(latent.z)

@@ -15,7 +15,7 @@ def agreement(truth: np.ndarray, labels: np.ndarray) -> float:
 
 
 def losses(model: ToyModel, source: ToyClips, step: int = 5, **changes: object) -> dict[str, float]:
-    return validation_losses(model, source, toy_config(**changes).train, step=step, device=CPU)
+    return validation_losses(model, source, toy_config(**changes).train, step=step, fraction=0.5, device=CPU)
 
 
 def test_noise_is_the_same_every_time():
@@ -84,6 +84,7 @@ def test_the_model_trains_on_afterwards():
         ToyClips(clips=1, labels=True),
         toy_config().train,
         step=3,
+        fraction=0.5,
         seconds=2.0,
         device=CPU,
         score=agreement,

@@ -9,14 +9,14 @@ from torch import Tensor
 from benchmark.adapters.claims.shapes import measure_times, shape_errors
 from datagen.shapes.shape import Shape
 from obpose.nerf.field import Conditioning, Field
-from obpose.types import Segmentation
+from obpose.types import SceneSegmentation
 from tests.benchmark.adapters.claims.told import only_scene, true_account
 from tests.obpose.analytic_fields import SMALL, empty_field
 
 pytestmark = pytest.mark.usefixtures("short_clips")
 
 
-def only(segmentation: Segmentation, row: int) -> Segmentation:
+def only(segmentation: SceneSegmentation, row: int) -> SceneSegmentation:
     """Of one object."""
     return replace(segmentation, labels=segmentation.labels * (segmentation.labels == row + 1))
 

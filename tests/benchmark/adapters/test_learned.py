@@ -1,14 +1,17 @@
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from benchmark.adapters.obpose import ObPoseSegmenter
+from benchmark.adapters.learned import LearnedSegmenter
 from benchmark.failed_seeds import has_finite_loss
 from benchmark.interface import Clip, Segmenter
 from benchmark.registry import find_model
+from benchmark.watch import Watch
+from datagen.errors import UsageError
 from tests.chosen_scores import run_row
 from tests.sphere_clips import clip_and_truth, with_holes
 
@@ -19,10 +22,10 @@ def clips(count: int, **recipe: object) -> list[Clip]:
     return [clip_and_truth(seed, **{"frames": 2, "resolution": SIZE, **recipe})[0] for seed in range(count)]
 
 
-def fitted(options: dict[str, object], train: Sequence[Clip], *, seed: int = 0) -> ObPoseSegmenter:
+def fitted(options: dict[str, object], train: Sequence[Clip], *, seed: int = 0) -> LearnedSegmenter:
     model = find_model("obpose-loc").build({"slots": 4, "steps": 2, **options})
     model.fit(train, train[:1], seed=seed, budget=60.0)
-    assert isinstance(model, ObPoseSegmenter)
+    assert isinstance(model, LearnedSegmenter)
     return model
 
 
@@ -32,11 +35,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def model(folder: Path) -> ObPoseSegmenter:
+def model(folder: Path) -> LearnedSegmenter:
     return fitted({"folder": folder}, clips(2))
 
 
-def test_it_is_a_segmenter_of_as_many_slots_as_offered(model: ObPoseSegmenter):
+def test_it_is_a_segmenter_of_as_many_slots_as_offered(model: LearnedSegmenter):
     assert isinstance(model, Segmenter)
     clip = with_holes(clips(1)[0], 0.2)
     found = model.segment(clip)
@@ -47,7 +50,7 @@ def test_it_is_a_segmenter_of_as_many_slots_as_offered(model: ObPoseSegmenter):
         assert set(np.unique(labels)) <= set(range(4))
 
 
-def test_it_says_what_the_rows_need(model: ObPoseSegmenter):
+def test_it_says_what_the_rows_need(model: LearnedSegmenter):
     assert model.parameters > 10_000
     assert model.fit_seconds > 0
     assert model.learning_curve
@@ -56,7 +59,7 @@ def test_it_says_what_the_rows_need(model: ObPoseSegmenter):
     assert not has_finite_loss(run_row(learning_curve=[{**model.learning_curve[0], "air loss": float("nan")}]))
 
 
-def test_equal_clips_get_equal_labels_whatever_came_between(model: ObPoseSegmenter):
+def test_equal_clips_get_equal_labels_whatever_came_between(model: LearnedSegmenter):
     first, other = clips(2)
     before = model.segment(first)
     model.segment(other)
@@ -65,32 +68,67 @@ def test_equal_clips_get_equal_labels_whatever_came_between(model: ObPoseSegment
     np.testing.assert_array_equal(before.extra["att"], after.extra["att"])
 
 
-def test_a_run_that_is_made_again_goes_on_in_its_folder(model: ObPoseSegmenter, folder: Path):
+def test_a_run_that_is_made_again_goes_on_in_its_folder(model: LearnedSegmenter, folder: Path):
     again = fitted({"folder": folder}, clips(2))
     assert again.fit_seconds == model.fit_seconds
     assert again.learning_curve == model.learning_curve
     np.testing.assert_array_equal(again.segment(clips(1)[0]).labels, model.segment(clips(1)[0]).labels)
 
 
-def test_a_checkpoint_stands_in_for_training(model: ObPoseSegmenter, folder: Path):
-    loaded = ObPoseSegmenter("obpose-loc", slots=9, checkpoint=folder)
+def test_a_checkpoint_stands_in_for_training(model: LearnedSegmenter, folder: Path):
+    loaded = LearnedSegmenter("obpose-loc", slots=9, checkpoint=folder)
     loaded.fit([], [], seed=5, budget=0.0)
     assert loaded.parameters == model.parameters
     assert loaded.learning_curve is None
     np.testing.assert_array_equal(loaded.segment(clips(1)[0]).labels, model.segment(clips(1)[0]).labels)
 
 
-def test_clips_of_other_sizes_lengths_and_views_are_segmented(model: ObPoseSegmenter):
+def test_whoever_watches_sees_it_segment_while_it_learns(tmp_path: Path):
+    seen, truths = zip(*(clip_and_truth(seed, frames=2, resolution=SIZE) for seed in range(2)), strict=True)
+    watch = Watch(seen, truths, tmp_path / "seen.csv")
+    model = fitted({"watch": watch}, clips(2))
+    curve = watch.added_to(model.learning_curve or [])
+    assert [point["step"] for point in curve if "msc_fg" in point] == [1, 2]
+    watch(model.segment, step=2, seconds=0.0)
+    assert watch.added_to([{"step": 2.0}])[0]["msc_fg"] == curve[-1]["msc_fg"]
+
+
+def test_settings_are_changed_as_a_search_says():
+    model = fitted({"changes": {"model.object_field.width": 24}}, clips(2))
+    assert model.parameters < fitted({}, clips(2)).parameters
+
+
+def test_clips_of_other_sizes_lengths_and_views_are_segmented(model: LearnedSegmenter):
     clip = clips(1, frames=1, views=2, resolution=(48, 36))[0]
     assert model.segment(clip).labels.shape == clip.depth.shape
 
 
-def test_a_clip_without_any_depth_is_background(model: ObPoseSegmenter):
+def test_a_clip_without_any_depth_is_background(model: LearnedSegmenter):
     found = model.segment(with_holes(clips(1)[0], 1.0))
     assert not found.labels.any()
 
 
-def test_the_seed_decides(model: ObPoseSegmenter):
+def test_a_model_without_a_background_says_so_and_segments_each_view():
+    clip = with_holes(clips(1, views=2)[0], 0.2)
+    model = find_model("obsurf").build({"slots": 4, "steps": 2})
+    model.fit([clip], [clip], seed=0, budget=60.0)
+    found = model.segment(clip)
+    assert found.background_slot is None
+    assert found.labels.shape == found.extra["att"].shape == clip.depth.shape
+    assert not found.labels[~clip.valid].any()
+
+
+def test_a_model_that_learns_from_labels_gets_them_and_shows_no_masks_beside():
+    seen, truth = clip_and_truth(0, frames=2, resolution=SIZE)
+    clip = replace(seen, truth=truth)
+    model = find_model("supervised").build({"slots": 4, "steps": 2})
+    with pytest.raises(UsageError, match="learns from"):
+        model.fit([seen], [], seed=0, budget=60.0)
+    model.fit([clip], [clip], seed=0, budget=60.0)
+    assert model.segment(seen).extra == {}
+
+
+def test_the_seed_decides(model: LearnedSegmenter):
     mine = model._model.state_dict()
     others = [fitted({}, clips(2), seed=seed)._model.state_dict() for seed in (0, 1)]
     assert [all(torch.equal(mine[name], other[name]) for name in mine) for other in others] == [True, False]

@@ -1,0 +1,1 @@
+"""Other authors' models under the contracts of `obpose.trainable`, written anew from what they published."""

@@ -1,0 +1,1 @@
+"""ObSuRF: object slots from one image, decoded to neural fields (Stelzner, Kersting and Kosiorek 2021)."""

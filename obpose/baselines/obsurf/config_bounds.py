@@ -1,0 +1,36 @@
+"""Which values of ObSuRF's configuration make sense."""
+
+from obpose.baselines.obsurf.config import ObsurfConfig
+from obpose.config_bounds import TRAINING, Rule, between_0_and_1, check_values, counts, expect, not_negative, positive
+
+_RULES: tuple[Rule, ...] = (
+    counts(
+        """model.slots model.encoder.width model.attention.iterations model.attention.heads model.decoder.width
+        model.decoder.depth"""
+    ),
+    positive("model.sigma_max model.workspace_size loss.colour_std"),
+    not_negative("loss.colour loss.surface loss.air loss.overlap loss.overlap_start loss.jitter"),
+    between_0_and_1("loss.near_share"),
+    ("train.object_rays", lambda value: value == 0, "0, as ObSuRF has no pre-scope that says where objects are"),
+    ("train.warmup", lambda value: value == 0, "0, as ObSuRF has no background to warm up"),
+    ("train.views", lambda value: value != "together", "one or apart, as ObSuRF encodes single images"),
+)
+
+
+def check_obsurf_bounds(config: ObsurfConfig) -> None:
+    """Let a configuration pass only if a model can be made of it and trained.
+
+    Raises:
+        UsageError: names the first value that is out of bounds, and what is expected.
+    """
+    check_values(config, (*TRAINING, *_RULES))
+    model, loss = config.model, config.loss
+    heads = f"a multiple of 4 and of model.attention.heads, which is {model.attention.heads}"
+    divides = model.encoder.width % 4 == 0 and model.encoder.width % model.attention.heads == 0
+    expect(divides, "model.encoder.width", model.encoder.width, heads)
+    blocks = model.encoder.blocks
+    expect(blocks[0] >= 0 and blocks[1] >= 1, "model.encoder.blocks", blocks, "0 or more, and 1 or more")
+    more = f"more than loss.overlap_start, which is {loss.overlap_start}"
+    expect(loss.overlap_full > loss.overlap_start, "loss.overlap_full", loss.overlap_full, more)
+    octaves = f"at least model.first_octave, which is {model.first_octave}"
+    expect(model.last_octave >= model.first_octave, "model.last_octave", model.last_octave, octaves)

@@ -1,0 +1,69 @@
+"""From an image with its rays to a grid of features, the tokens of the slot attention."""
+
+import torch
+import torch.nn.functional as F
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from obpose.baselines.obsurf.config import ImageEncoderConfig
+
+_GROUPS = 4
+
+
+class ImageEncoder(nn.Module):
+    """A residual network without pooling and a head that works cell by cell.
+
+    As published but for two things. Norms are over groups of channels, theirs over batches, which here are of a few
+    images: so no image depends on the others. What is the same at every pixel, the code of the camera's position, is
+    added after the first convolution: which is what the convolution makes of it, but for the border.
+    """
+
+    def __init__(self, config: ImageEncoderConfig, *, camera_code: int):
+        super().__init__()
+        self.config = config
+        width = config.width
+        self.stem = nn.Conv2d(10 if config.points else 6, width, 7, stride=2, padding=3, bias=False)
+        self.camera = nn.Linear(camera_code, width)
+        self.norm = nn.GroupNorm(_GROUPS, width)
+        halves, quarters = config.blocks
+        self.blocks = nn.Sequential(
+            *(ResidualBlock(width, stride=1) for _ in range(halves)),
+            *(ResidualBlock(width, stride=2 if place == 0 else 1) for place in range(quarters)),
+        )
+        self.head = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
+
+    def forward(
+        self,
+        rgb: Float[Tensor, "image height width 3"],
+        rays: Float[Tensor, "image height width 3"],
+        points: Float[Tensor, "image height width 4"],
+        camera: Float[Tensor, "image code"],
+    ) -> Float[Tensor, "image rows columns feature"]:
+        """Features of cells of four by four pixels.
+
+        `rays` are unit vectors in the world, `points` what was seen there, in units, with a 1 where anything was and
+        zeros elsewhere; they are looked at only if the configuration says so.
+        """
+        seen = torch.cat([rgb, rays, points] if self.config.points else [rgb, rays], dim=-1)
+        features = self.stem(rearrange(seen, "image h w c -> image c h w")) + self.camera(camera)[..., None, None]
+        features = self.blocks(F.relu(self.norm(features)))
+        return self.head(rearrange(features, "image c rows columns -> image rows columns c"))
+
+
+class ResidualBlock(nn.Module):
+    """Two convolutions beside a skip."""
+
+    def __init__(self, width: int, *, stride: int):
+        super().__init__()
+        self.first = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
+        self.second = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.norms = nn.ModuleList(nn.GroupNorm(_GROUPS, width) for _ in range(2))
+        self.skip = nn.Conv2d(width, width, 1, stride=stride, bias=False) if stride > 1 else nn.Identity()
+
+    def forward(
+        self, features: Float[Tensor, "image channel height width"]
+    ) -> Float[Tensor, "image channel rows columns"]:
+        """The same at the same resolution, or at half of it."""
+        branch = F.relu(self.norms[0](self.first(features)))
+        return F.relu(self.norms[1](self.second(branch)) + self.skip(features))

@@ -1,0 +1,185 @@
+"""The systems that learn, by name: what each is configured by, how its model is made, and what tables say about it.
+
+    system = find_system("obsurf-no-overlap")
+    config = system.config("cpu", {"train.seed": 3})
+    model = build_model(config)
+
+PyTorch takes seconds to import, so that only building a model does it.
+"""
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from obpose.baselines.obsurf.config import OBSURF_PROFILES, OBSURF_VARIANTS, ObsurfConfig
+from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
+from obpose.config import PROFILES, VARIANTS, Config, SupervisedConfig, make_config, override
+from obpose.config_bounds import check_bounds
+from obpose.config_text import dotted_values
+from obpose.errors import UsageError
+
+if TYPE_CHECKING:
+    from obpose.trainable import Trainable
+
+Changes = Mapping[str, Any]
+"""Values of a configuration by dotted name."""
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """Systems that differ in nothing but the values of one kind of configuration."""
+
+    name: str
+    """Stands in checkpoints."""
+    config: type
+    """The kind of configuration, a dataclass whose defaults are the profile `cpu`."""
+    profiles: Mapping[str, Changes]
+    build: Callable[[Any], "Trainable"]
+    """Makes a model with fresh weights."""
+    check: Callable[[Any], None]
+    """Lets a configuration pass only if a model can be made of it and trained."""
+
+
+@dataclass(frozen=True)
+class System:
+    """One entry of the tables."""
+
+    architecture: Architecture
+    changes: Changes
+    """What it changes in the configuration, beside the profile."""
+    description: str
+    priors: tuple[str, ...]
+    """What it is told beyond the images, out of `benchmark.model_spec.PRIORS`."""
+    version: int = 1
+    """Rises when its results change."""
+    uses_labels: bool = False
+    """Whether it learns from labels."""
+    extra: tuple[str, ...] = ("att",)
+    """What tables show of it beside its labels: `att`, the attention masks."""
+
+    def config(self, profile: str = "cpu", changes: Changes | None = None) -> Any:
+        """Its configuration; the changes come last.
+
+        Raises:
+            KeyError: an unknown profile or name.
+        """
+        all_changes = {**self.architecture.profiles[profile], **self.changes, **(changes or {})}
+        return override(self.architecture.config(), all_changes)
+
+    def known(self, changes: Changes) -> dict[str, Any]:
+        """Those changes that its configuration has a value for: measures of the scene are not all for everybody."""
+        names = {name for name, _ in dotted_values(self.architecture.config())}
+        return {name: value for name, value in changes.items() if name in names}
+
+
+def _build_obpose(config: Config) -> "Trainable":
+    from obpose.model import ObPose
+
+    return ObPose(config)
+
+
+def _build_obsurf(config: ObsurfConfig) -> "Trainable":
+    from obpose.baselines.obsurf.model import Obsurf
+
+    return Obsurf(config)
+
+
+def _build_supervised(config: SupervisedConfig) -> "Trainable":
+    from obpose.supervised import Supervised
+
+    return Supervised(config)
+
+
+OBPOSE = Architecture("obpose", Config, PROFILES, _build_obpose, check_bounds)
+OBSURF = Architecture("obsurf", ObsurfConfig, OBSURF_PROFILES, _build_obsurf, check_obsurf_bounds)
+SUPERVISED = Architecture("supervised", SupervisedConfig, PROFILES, _build_supervised, check_bounds)
+ARCHITECTURES = {architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED)}
+
+DESCRIPTIONS = {
+    "obpose": "objects at their location and rotation",
+    "obpose-loc": "the same at their location only",
+    "obpose-none": "the same in the workspace's frame",
+    "obpose-as-published": "obpose without our additions",
+    "ic-sbp": "IC-SBP without background, poses or boxes",
+    "slot-attention": "slot attention without poses or boxes",
+    "slot-attention-as-published": "the same with two defects of the published code",
+    "obsurf": "ObSuRF with depth supervision and its overlap loss",
+    "obsurf-no-overlap": "the same without the overlap loss",
+    "obsurf-no-overlap-depth": "the same with depth as an input, too",
+    "supervised": "backbone and IC-SBP of obpose, trained with labels",
+}
+
+
+def _obpose_system(variant: str) -> System:
+    return System(OBPOSE, VARIANTS[variant], DESCRIPTIONS[variant], _priors(make_config(variant)), version=2)
+
+
+def _priors(config: Config) -> tuple[str, ...]:
+    """What a variant of ObPose is told."""
+    model = config.model
+    knows_plane = model.table is not None or (model.floor is not None and model.pose.conditioning in _ESTIMATE_SHAPE)
+    priors = {
+        "slots": True,
+        "background slot": model.background == "component",
+        "camera pose": True,
+        "plane": knows_plane,
+    }
+    return tuple(name for name, told in priors.items() if told)
+
+
+_ESTIMATE_SHAPE = ("location", "full")
+"""With these poses, shapes are estimated, which end at the floor."""
+
+
+SYSTEMS: dict[str, System] = {
+    **{variant: _obpose_system(variant) for variant in VARIANTS},
+    **{
+        variant: System(OBSURF, changes, DESCRIPTIONS[variant], ("slots", "camera pose"))
+        for variant, changes in OBSURF_VARIANTS.items()
+    },
+    "supervised": System(
+        SUPERVISED,
+        {},
+        DESCRIPTIONS["supervised"],
+        ("slots", "background slot", "camera pose"),
+        uses_labels=True,
+        extra=(),
+    ),
+}
+"""By the names of the benchmark's models and of `obpose-train --variant`."""
+
+
+def find_system(name: str) -> System:
+    """The system of that name.
+
+    Raises:
+        UsageError: there is none, and says which name is near.
+    """
+    if name not in SYSTEMS:
+        raise UsageError(f"Unknown variant {name!r}; {did_you_mean(name, SYSTEMS)}")
+    return SYSTEMS[name]
+
+
+def architecture_of(config: object) -> Architecture:
+    """The architecture that a configuration is of.
+
+    Raises:
+        TypeError: of none of these.
+    """
+    for architecture in ARCHITECTURES.values():
+        if type(config) is architecture.config:
+            return architecture
+    raise TypeError(f"No architecture is configured by {type(config).__name__}; see obpose/systems.py.")
+
+
+def build_model(config: Any) -> "Trainable":
+    """The model of a configuration, with fresh weights."""
+    return architecture_of(config).build(config)
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """The names there are, after the one that is near, if any is."""
+    near = difflib.get_close_matches(name, known := list(names), n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return f"{hint}There are: {', '.join(known)}."

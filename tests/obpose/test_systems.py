@@ -1,0 +1,72 @@
+import pytest
+import torch
+
+from obpose.baselines.obsurf.config import ObsurfConfig
+from obpose.baselines.obsurf.model import Obsurf
+from obpose.config import VARIANTS, Config, SupervisedConfig, make_config
+from obpose.config_text import from_plain, to_plain
+from obpose.errors import UsageError
+from obpose.measure import SceneMeasures
+from obpose.model import ObPose
+from obpose.supervised import Supervised
+from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model, find_system
+from obpose.types import LabelledObservation
+
+MEASURES = SceneMeasures(0.02, (0.1, 0.2, 0.3), 0.7, 1.9).changes()
+
+
+@pytest.mark.parametrize(("name", "profile"), [(n, p) for n, s in SYSTEMS.items() for p in s.architecture.profiles])
+def test_every_system_can_be_trained_in_every_profile_and_survives_as_text(name: str, profile: str):
+    system = SYSTEMS[name]
+    config = system.config(profile, {"train.steps": 1})
+    system.architecture.check(config)
+    assert architecture_of(config) is system.architecture
+    assert from_plain(to_plain(config), system.architecture.config) == config
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_variant_of_obpose_is_what_it_was(variant: str):
+    assert SYSTEMS[variant].config("gpu", {"train.seed": 3}) == make_config(variant, "gpu", **{"train.seed": 3})
+
+
+def test_every_name_says_what_it_is():
+    assert all(system.description for system in SYSTEMS.values())
+    assert len({system.description for system in SYSTEMS.values()}) == len(SYSTEMS)
+
+
+def test_the_measures_of_a_scene_reach_whoever_has_a_value_for_them():
+    obpose, obsurf = (SYSTEMS[name] for name in ("obpose", "obsurf"))
+    assert obpose.known(MEASURES) == MEASURES
+    config = obsurf.config("cpu", obsurf.known(MEASURES))
+    assert (config.model.workspace_center, config.model.workspace_size) == ((0.1, 0.2, 0.3), 0.7)
+
+
+def test_a_configuration_says_which_model_it_is_of():
+    torch.manual_seed(0)
+    assert isinstance(build_model(Config()), ObPose)
+    assert isinstance(build_model(ObsurfConfig()), Obsurf)
+    assert isinstance(build_model(SupervisedConfig()), Supervised)
+    assert {type(architecture.config()) for architecture in ARCHITECTURES.values()} == {
+        Config,
+        ObsurfConfig,
+        SupervisedConfig,
+    }
+    with pytest.raises(TypeError, match="configured by SceneMeasures"):
+        architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0))
+
+
+def test_a_system_that_uses_labels_is_one_whose_model_sees_them():
+    torch.manual_seed(0)
+    for name in ("obpose", "obsurf", "supervised"):
+        system = SYSTEMS[name]
+        assert (build_model(system.config()).sees is LabelledObservation) is system.uses_labels
+
+
+def test_a_misspelt_name_gets_a_hint():
+    with pytest.raises(UsageError, match=r"Unknown variant 'obsrf'; did you mean 'obsurf'\? There are: obpose, "):
+        find_system("obsrf")
+
+
+def test_what_a_system_is_told_follows_from_its_values():
+    assert SYSTEMS["obpose"].priors == ("slots", "background slot", "camera pose", "plane")
+    assert SYSTEMS["ic-sbp"].priors == SYSTEMS["obsurf"].priors == ("slots", "camera pose")
