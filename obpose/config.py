@@ -275,9 +275,10 @@ class TrainConfig:
     """Budget in minutes: of CPU time of the process on a CPU, of time of day on a GPU; only training steps count."""
     steps: int | None = None
     """Budget in steps, in the place of minutes."""
-    views: Views = "together"
+    views: Views = "one"
     """The views of a frame are one point cloud; or the model sees one of them, drawn at random, and rays of all of them
-    supervise it; or they are scenes of their own. Only the first segments them together. [code: apart; ObSuRF: one]"""
+    supervise it; or they are scenes of their own. Only the first segments them together. [ours, as in ObSuRF, so that
+    all systems see the same; code: apart]"""
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
     """Of the arithmetic in training; segmentations are always computed with 32 bits. [ours]"""
     seed: int = 0

@@ -35,6 +35,16 @@ def table_scene(
     return Observation(torch.stack(rgb, 1), torch.stack(depth, 1) * valid, valid, k, poses)
 
 
+def ball_scenes(count: int, *, size: int = 32, seed: int = 0) -> Observation:
+    """One ball of 7 to 12 cm radius each, half sunk into the table z = 0, anywhere in the middle of the image."""
+    draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
+    generator = torch.Generator().manual_seed(seed)
+    centers, radii = 0.3 * (draw(count, 1, 2) - 0.5), 0.07 + 0.05 * draw(count, 1)
+    k, poses = _cameras(count, 1, size, size)
+    rgb, depth = _trace(k, poses, centers, radii, draw(count, 1, 3), draw(count, 3), size, size)
+    return Observation(rgb[:, None], depth[:, None], depth[:, None] > 0, k, poses)
+
+
 def _cameras(batch: int, views: int, height: int, width: int) -> tuple[torch.Tensor, torch.Tensor]:
     focal = height / 2 / math.tan(math.radians(20))
     k = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]).expand(batch, views, 3, 3)

@@ -73,7 +73,7 @@ def scores(model: Trainable, clips: LabelledObservation) -> dict[str, float]:
     ("system", "changes", "many", "steps"),
     [
         ("supervised", {}, False, 200),
-        ("obpose", {"train.warmup": 100}, False, 250),
+        ("obpose", {"train.warmup": 100}, False, 300),
         ("slot-attention", {}, True, 800),
         ("ic-sbp", {}, True, 1200),
     ],

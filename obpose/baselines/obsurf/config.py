@@ -114,7 +114,6 @@ class ObsurfConfig:
             clip=1.0,
             skip=200.0,
             warmup=0,
-            views="one",
         )
     )
 

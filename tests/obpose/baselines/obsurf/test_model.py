@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from obpose.baselines.obsurf.config import OBSURF_VARIANTS
-from obpose.baselines.obsurf.model import Obsurf
+from obpose.baselines.obsurf.model import Encoded, Obsurf
 from obpose.clips import views_apart
 from obpose.geometry import sample_rays, unproject
 from obpose.systems import find_system
@@ -191,6 +191,23 @@ def test_a_scene_of_another_size_in_metres_is_the_same_in_units():
     one, other = made(DEPTH), made(DEPTH, **{"model.workspace_size": 2.0})
     for name, value in losses(one, small).items():
         torch.testing.assert_close(value, losses(other, large)[name], rtol=1e-3, atol=1e-4)
+
+
+def test_surfaces_are_looked_for_up_to_the_jitter_behind_them_in_units(monkeypatch: pytest.MonkeyPatch):
+    model, scene = made(**{"model.workspace_size": 2.0, "loss.jitter": 0.2, "train.rays": 0}), table_scene(frames=1)
+    points: list[Tensor] = []
+    densities = model._densities
+
+    def spy(encoded: Encoded, given: Tensor):
+        points.append(given)
+        return densities(encoded, given)
+
+    monkeypatch.setattr(model, "_densities", spy)
+    losses(model, scene)
+    rays = sample_rays(scene, 0, None)
+    behind = (points[0] - rays.origin).norm(dim=-1) / rays.direction.norm(dim=-1) - rays.depth
+    assert behind.min() >= -1e-5
+    assert 0.045 < behind.max() <= 0.2 * 2 / 8 + 1e-5
 
 
 def test_what_is_behind_the_input_camera_has_no_features_from_it(monkeypatch: pytest.MonkeyPatch):
