@@ -144,7 +144,8 @@ class LatentConfig:
     colours: Literal["given", "none"] = "given"
     """Whether the observed colours stand beside zeta_f. [ours; code: none]"""
     means: Literal["given", "none"] = "given"
-    """Whether the mean of the features under the mask ends the code of an object, as it is. [ours; code: none]"""
+    """Whether the mean of the features under the mask, for slot attention of positions too, ends an object's code as it
+    is. [ours; code: none]"""
     posterior_std: float = 0.01
     """Standard deviation typical of a fresh posterior. [ours; code: 0.7]"""
     posterior_input: Literal["state and code", "state"] = "state and code"
@@ -268,7 +269,8 @@ class TrainConfig:
     """Largest norm of the gradient; 0 for no clipping. [ours]"""
     skip: float = 0.0
     """After the first tenth of the budget, steps whose gradient has a larger norm than this, before clipping, change
-    nothing; 0 for none. [ObSuRF's code: 200, from a hundredth of its million steps on]"""
+    nothing; 0 for none. A run whose gradients stay larger stands still. [ObSuRF's code: 200, from a hundredth of its
+    million steps on, and weights of before where many are skipped in a row]"""
     warmup: int = 150
     """Steps that train the background and the pre-scope alone, first. [ours]"""
     minutes: float = 23.0

@@ -112,7 +112,6 @@ class ObsurfConfig:
             decay="halving",
             half_life=0.2,
             clip=1.0,
-            skip=200.0,
             warmup=0,
         )
     )

@@ -11,9 +11,9 @@ from obpose.config import Config, make_config, override
 from obpose.config_text import dotted_values
 
 PUBLISHED = {
-    "obpose": "68edaab80a593796",
-    "obpose-loc": "bf6c438b3c918371",
-    "obpose-none": "d5811777cd8fb408",
+    "obpose": "42a56234c85e9ada",
+    "obpose-loc": "2baae9f474e02c5c",
+    "obpose-none": "a37e320e7a004444",
 }
 """Of the rows in docs/results. A value that was added to obpose/config.py since goes into `LATER`, with what was done
 before; a default that was changed makes these rows invalid, and they have to be made anew."""

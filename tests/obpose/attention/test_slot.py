@@ -125,3 +125,12 @@ def test_what_is_not_valid_has_no_influence():
     )
     nothing = attend(net, (points, torch.zeros_like(valid), features))
     assert nothing.objects.isfinite().all()
+
+
+def test_orthogonal_weights_share_the_points_out_from_the_start():
+    largest = []
+    for weights in ("orthogonal", "uniform"):
+        torch.manual_seed(0)
+        net = SlotAttention(SlotAttentionConfig(), features=FEATURES, slots=SLOTS, background=True, weights=weights)
+        largest.append(attend(net.eval()).masks.log_masks.exp().amax(dim=2).mean())
+    assert largest[0] > largest[1] + 0.2

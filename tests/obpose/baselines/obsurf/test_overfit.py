@@ -1,6 +1,7 @@
-"""What ObSuRF learns in a minute: to tell a ball from the table that it lies on.
+"""What ObSuRF learns in half a minute: to tell a ball from the table that it lies on.
 
-Of two balls it makes one slot for far longer; what tells them apart has to be learned from many more scenes.
+Two balls share a slot for far longer than that; and without the overlap loss, or without depth, it takes longer to find
+even one, and is not sure.
 """
 
 from typing import Any
@@ -20,13 +21,15 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 SMALL: dict[str, Any] = {
     "model.slots": 1,
     "model.encoder.width": 32,
-    "model.decoder.width": 8,
+    "model.encoder.points": True,
+    "model.decoder.width": 16,
     "model.decoder.depth": 2,
     "model.decoder.pixel_features": False,
-    "model.last_octave": -3,
+    "model.last_octave": -2,
+    "loss.overlap": 0.02,
     "loss.colour_std": 0.1,
     "train.batch": 8,
-    "train.steps": 1500,
+    "train.steps": 500,
     "train.learning_rate": 2e-3,
 }
 """Fields so small that two slots describe a table with a ball on it better than one."""
@@ -48,12 +51,9 @@ class Balls:
         return {name: value[index] for name, value in vars(self.scenes).items()}
 
 
-@pytest.mark.parametrize("name", ["obsurf-no-overlap", "obsurf-no-overlap-depth"])
-def test_balls_are_told_from_the_table(name: str):
+def test_balls_are_told_from_the_table():
     balls = Balls(200)
-    model = train(balls, None, find_system(name).config("cpu", SMALL), device="cpu").model
+    model = train(balls, None, find_system("obsurf").config("cpu", SMALL), device="cpu").model
     labels = model.segment(balls.scenes).labels
-    scores = [
-        clip_scores(truth.numpy(), found.numpy(), 0)["ari"] for truth, found in zip(balls.labels, labels, strict=True)
-    ]
-    assert np.mean(scores) > 0.95
+    pairs = zip(balls.labels.numpy(), labels.numpy(), strict=True)
+    assert np.mean([clip_scores(truth, found, 0)["ari"] for truth, found in pairs]) > 0.97
