@@ -71,20 +71,24 @@ class Supervised(Perception):
 
 _IGNORED = -1
 """Label of pixels that do not count."""
+_FLOOR = -12.0
+"""Log of the likelihood of an outlier: a pixel far from the seed of its slot, of which a fresh model has many, stops
+pulling. Without it nothing else is learned for long. [ours]"""
 
 
 def matched_cross_entropy(
     log_masks: Float[Tensor, "batch frame component pixel"], labels: Int[Tensor, "batch frame pixel"]
 ) -> Float[Tensor, ""]:
-    """Mean of -log m of the component that each pixel's object is matched to, over all pixels that count.
+    """Mean of -log(m + e^floor) of the component that each pixel's object is matched to, over all pixels that count.
 
     Label 0 is component 0. The other labels of a clip are matched to the slots, one to one over the whole clip, so that
-    the sum is smallest (Kuhn 1955); which numbers they are does not matter. Objects that are left over where there are
-    more than slots do not count, nor do labels below 0.
+    masks and objects overlap most (Kuhn 1955); which numbers they are does not matter. Objects that are left over where
+    there are more than slots do not count, nor do labels below 0.
     """
     components = torch.stack([_matched(*clip) for clip in zip(log_masks.detach(), labels, strict=True)])
     chosen = log_masks.gather(2, components.clamp(min=0)[:, :, None])[:, :, 0]
-    return mean_over(-chosen, (components >= 0).to(log_masks.dtype))
+    unlikely = torch.logaddexp(chosen, chosen.new_tensor(_FLOOR))
+    return mean_over(-unlikely, (components >= 0).to(log_masks.dtype))
 
 
 def _matched(
@@ -95,8 +99,8 @@ def _matched(
     objects = names[names > 0]
     components = torch.where(labels == 0, 0, _IGNORED)
     mine = (labels[None] == objects[:, None, None]).to(log_masks.dtype)
-    costs = -torch.einsum("fsp,ofp->so", log_masks[:, 1:], mine)
-    slots, matched = linear_sum_assignment(costs.cpu().numpy())
+    overlap = torch.einsum("fsp,ofp->so", log_masks[:, 1:].exp(), mine)
+    slots, matched = linear_sum_assignment(overlap.cpu().numpy(), maximize=True)
     for slot, place in zip(slots, matched, strict=True):
         components = torch.where(labels == objects[place], int(slot) + 1, components)
     return components

@@ -55,7 +55,7 @@ def overfit(model: Trainable, clips: LabelledObservation, *, steps: int, batch: 
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(rates, step / steps)
         some = torch.randint(len(clips.depth), (batch,), generator=generator)
-        window = type(clips)(**{field.name: getattr(clips, field.name)[some] for field in fields(clips)})
+        window = model.sees(**{field.name: getattr(clips, field.name)[some] for field in fields(model.sees)})
         total = model.losses(window, step=step, fraction=step / steps, generator=generator)["total"]
         optimizer.zero_grad()
         total.backward()
@@ -75,9 +75,9 @@ def scores(model: Trainable, clips: LabelledObservation) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("system", "changes", "count", "steps"),
     [
-        ("supervised", {}, 1, 200),
+        ("supervised", {}, 1, 400),
         ("obpose", {"train.warmup": 100}, 1, 300),
-        ("slot-attention", {}, 8, 800),
+        ("slot-attention", {}, 16, 900),
         ("ic-sbp", {}, 8, 1000),
     ],
 )

@@ -63,6 +63,13 @@ def test_pixels_that_do_not_count_and_objects_beyond_the_slots_have_no_say():
     assert matched_cross_entropy(log_masks, torch.full((1, 1, 6), -1)) == 0
 
 
+def test_a_pixel_that_no_mask_explains_stops_pulling():
+    log_masks = torch.tensor([[-1.0, -60.0], [-2.0, -60.0]])[None, None].requires_grad_()
+    matched_cross_entropy(log_masks, torch.tensor([[[0, 0]]])).backward()
+    assert log_masks.grad is not None
+    torch.testing.assert_close(log_masks.grad[0, 0, 0], torch.tensor([-0.5, 0.0]), atol=1e-4, rtol=0)
+
+
 def test_every_weight_learns_and_labels_are_all_that_is_learned_from():
     model, labelled = _model().train(), _labelled()
     losses = model.losses(labelled, step=0, generator=torch.Generator().manual_seed(0))

@@ -97,7 +97,8 @@ class ObsurfLossConfig:
 class ObsurfConfig:
     """Everything that a run depends on, beside its data.
 
-    Of `train`, `object_rays` and `warmup` must be 0, and views are not together.
+    Of `train`, `object_rays` and `warmup` must be 0, and views are not together. Steps with large gradients are clipped
+    but not skipped as in the published code: here they all are large, and a run that skips them stands still.
     """
 
     model: ObsurfModelConfig = field(default_factory=ObsurfModelConfig)

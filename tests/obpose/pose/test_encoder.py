@@ -89,6 +89,7 @@ def test_neighbours_are_the_nearest_samples_and_those_in_reach_share_the_influen
 def test_in_a_small_radius_every_anchor_is_alone():
     near = geometry(crop(half_a_cube(SPARSE), table(SPARSE)), radius=0.025)
     assert ((near.influences > 0).any(dim=-1).sum(dim=-1) == 1).all()
+    torch.testing.assert_close(near.influences.sum(dim=(2, 3)), torch.ones(near.index.shape[:2]), atol=1e-4, rtol=0)
 
 
 def test_positions_sines_and_mean_features_can_be_left_out():
