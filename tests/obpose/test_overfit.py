@@ -2,7 +2,7 @@
 
 Boxes, or labels, tell two objects apart in a single scene. Fields that fill the world explain both of them at once
 just as well; only where they have to explain several scenes is there something to be gained by one slot for each. The
-IC-SBP, which has no background either, gets some of the objects' pixels wrong after a minute, other ones with every seed.
+IC-SBP, which has no background either, has some pixels of objects wrong after a minute, others with every seed.
 """
 
 from dataclasses import fields
