@@ -100,7 +100,7 @@ DESCRIPTIONS = {
     "obpose": "objects at their location and rotation",
     "obpose-loc": "the same at their location only",
     "obpose-none": "the same in the workspace's frame",
-    "obpose-as-published": "obpose without our additions",
+    "obpose-as-published": "obpose without most of our additions",
     "ic-sbp": "IC-SBP without background, poses or boxes",
     "slot-attention": "slot attention without poses or boxes",
     "slot-attention-as-published": "the same with two defects of the published code",
