@@ -9,6 +9,7 @@ stand in one row, image by image and row by row.
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
@@ -60,7 +61,8 @@ class Backbone(nn.Module):
 
     kernel: Tensor
 
-    def __init__(self, config: BackboneConfig):
+    def __init__(self, config: BackboneConfig, *, scene: Literal["coded", "left out"] = "coded"):
+        """With fresh weights; the code of the scene can be left out where nothing reads it."""
         super().__init__()
         self.config = config
         widths = config.widths
@@ -76,7 +78,7 @@ class Backbone(nn.Module):
         self.head = nn.Sequential(
             nn.Linear(last, last), nn.LayerNorm(last), nn.LeakyReLU(0.1), nn.Linear(last, config.embedding)
         )
-        self.scene = SceneCode(widths)
+        self.scene = SceneCode(widths) if scene == "coded" else NoSceneCode()
 
     def forward(
         self,
@@ -174,6 +176,17 @@ class SceneCode(nn.Module):
         means = [masked_mean(level, grid.valid) for level, grid in zip(features, grids, strict=True)]
         code = self.out(torch.cat([around, *means], dim=-1))
         return torch.cat([code, masked_mean(rgb, grids[0].valid)], dim=-1)
+
+
+class NoSceneCode(nn.Module):
+    """In its place where nothing reads it."""
+
+    size = 0
+
+    def forward(self, grids: list[Grid], *_: Any, **__: Any) -> Float[Tensor, "image 0"]:
+        """Of every image, nothing."""
+        points = grids[0].points
+        return points.new_zeros(len(points), 0)
 
 
 def masked_mean(

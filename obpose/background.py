@@ -3,13 +3,7 @@
 The paper has z^bg in its figure of the model alone and says nothing of its posterior and prior.
 """
 
-from typing import Any
-
-from jaxtyping import Float
-from torch import Tensor, nn
-
 from obpose.config import LatentConfig, Weights
-from obpose.layers.grid import Grid
 from obpose.layers.latent import RecurrentLatent
 
 
@@ -18,14 +12,3 @@ class BackgroundLatent(RecurrentLatent):
 
     def __init__(self, scene: int, latent: LatentConfig, weights: Weights = "orthogonal"):
         super().__init__(scene, latent.background, latent, weights=weights, start="learned")
-
-
-class NoSceneCode(nn.Module):
-    """In the place of the backbone's scene code, where no background reads it."""
-
-    size = 0
-
-    def forward(self, grids: list[Grid], *_: Any, **__: Any) -> Float[Tensor, "image 0"]:
-        """Of every image, nothing."""
-        points = grids[0].points
-        return points.new_zeros(len(points), 0)

@@ -1,7 +1,7 @@
 """Every constant of the model, the losses and the training, with where it comes from.
 
 `[paper]`: stated there; `[code]`: the authors' published code; `[ours]`: our addition or choice, see
-docs/paper_to_code.md. A variant is an entry in `VARIANTS`, a size an entry in `PROFILES`; nothing else differs.
+docs/paper_to_code.md. Variants and sizes, which change some of them, stand in `obpose/variants.py`.
 """
 
 import dataclasses
@@ -298,99 +298,6 @@ class Config:
 @dataclass(frozen=True)
 class SupervisedConfig(Config):
     """The same for `obpose.supervised`, for which many values have no meaning: those of latents, fields and losses."""
-
-
-_SLOT_ATTENTION: dict[str, Any] = {
-    "model.attention.kind": "slots",
-    "model.pose.conditioning": "world",
-    "train.object_rays": 0.0,
-    "train.warmup": 0,
-}
-
-VARIANTS: dict[str, dict[str, Any]] = {
-    "obpose": {},
-    "obpose-loc": {"model.pose.conditioning": "location"},
-    "obpose-none": {"model.pose.conditioning": "none"},
-    "obpose-as-published": {
-        "model.attention.semi_convolution": 0.0,
-        "model.attention.semi_colour": 0.0,
-        "model.attention.looks": 0,
-        "model.attention.evaluation_seeds": "greedy",
-        "model.attention.evaluation_division": "sticks",
-        "model.attention.idle_in_training": "bernoulli",
-        "model.table": None,
-        "model.pose.box_size": 0.4,
-        "model.pose.max_translation": 0.1,
-        "model.attention.mask_power": 1.0,
-        "model.pose.points": "all",
-        "model.latent.radius": 0.025,
-        "model.latent.frequencies": 0,
-        "model.latent.colours": "none",
-        "model.latent.means": "none",
-        "model.latent.posterior_std": 0.7,
-        "model.latent.posterior_input": "state",
-        "model.weights": "uniform",
-        "loss.attention_floor": -18.42,
-        "loss.translation": 1 / 4096,
-        "loss.air_saturation": None,
-        "train.object_rays": 0.0,
-        "train.learning_rate": 4e-4,
-        "train.decay": "none",
-        "train.clip": 0.0,
-        "train.warmup": 0,
-    },
-    "ic-sbp": {
-        "model.background": "none",
-        "model.attention.semi_convolution": 2.0,
-        "model.pose.conditioning": "world",
-        "model.table": None,
-        "train.object_rays": 0.0,
-        "train.warmup": 0,
-    },
-    "slot-attention": _SLOT_ATTENTION,
-    "slot-attention-as-published": {
-        **_SLOT_ATTENTION,
-        "model.slot_attention.distribution": "untrained",
-        "model.object_field.density": "squashed",
-        "model.background_field.density": "squashed",
-    },
-}
-"""What each variant changes, by dotted name. `obpose-as-published` leaves out what we added to help learning
-(docs/paper_to_code.md says what stays); the floor is log 1e-8, as in the authors' code. `ic-sbp` and `slot-attention`
-are the paper's ablations, with our additions where they apply; `slot-attention-as-published` has two mistakes of the
-authors' code, but the additions too."""
-
-PROFILES: dict[str, dict[str, Any]] = {
-    "cpu": {},
-    "gpu": {
-        "model.backbone.output_level": 1,
-        "model.backbone.blocks": (1, 2, 2, 2),
-        "model.object_field.width": 128,
-        "model.background_field.width": 96,
-        "model.voxels": 16,
-        "train.batch": 16,
-        "train.rays": 1024,
-    },
-    "paper": {
-        "model.backbone.output_level": 1,
-        "model.backbone.blocks": (1, 2, 2, 2),
-        "model.object_field": FieldConfig(128, 8, 10, 4),
-        "model.background_field": FieldConfig(128, 8, 10, 4),
-        "model.voxels": 24,
-        "model.latent.samples": 1024,
-        "train.rays": 0,
-    },
-}
-"""Sizes: minutes on a CPU core, 20 minutes on a large GPU, the authors'."""
-
-
-def make_config(variant: str = "obpose", profile: str = "cpu", **changes: Any) -> Config:
-    """The configuration of a variant in a profile; `changes` by dotted name come last.
-
-    Raises:
-        KeyError: an unknown variant, profile or name.
-    """
-    return override(Config(), {**PROFILES[profile], **VARIANTS[variant], **changes})
 
 
 def override(config: Any, changes: dict[str, Any]) -> Any:

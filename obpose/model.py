@@ -1,6 +1,6 @@
 """ObPose: from RGB-D clips to posed object fields and a background field (paper, sections Encoder and Decoder).
 
-The paper's ablations and the other systems of its tables but one are values of it (`obpose.config.VARIANTS`).
+The paper's ablations and the other systems of its tables but one are values of it (`obpose.variants.VARIANTS`).
 """
 
 from functools import partial

@@ -12,7 +12,6 @@ from obpose.attention.heads import Heads
 from obpose.attention.icsbp import ICSBP, whole_scope
 from obpose.attention.slot import SlotAttention, Slots
 from obpose.backbone import Backbone
-from obpose.background import NoSceneCode
 from obpose.clips import Observed, one_view
 from obpose.config import Config
 from obpose.trainable import Trainable
@@ -32,10 +31,9 @@ class Perception(Trainable):
         super().__init__()
         self.config = config
         model = config.model
-        self.backbone = Backbone(model.backbone)
         latents = encoded == "masks and latents"
-        if not latents or model.background == "none" or model.attention.kind == "slots":
-            self.backbone.scene = NoSceneCode()  # pyright: ignore[reportAttributeAccessIssue]
+        coded = latents and model.background == "component" and model.attention.kind == "icsbp"
+        self.backbone = Backbone(model.backbone, scene="coded" if coded else "left out")
         self.heads = Heads(model.backbone, model.attention, background=model.background, features=latents)
         self.feature_size = model.backbone.feature + (3 if model.latent.colours == "given" else 0)
         if model.attention.kind == "icsbp":

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 from obpose.baselines.obsurf.config import OBSURF_PROFILES, OBSURF_VARIANTS, ObsurfConfig
 from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
-from obpose.config import PROFILES, VARIANTS, Config, SupervisedConfig, make_config, override
+from obpose.config import Config, SupervisedConfig, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
 from obpose.errors import UsageError
+from obpose.variants import PROFILES, VARIANTS, make_config
 
 if TYPE_CHECKING:
     from obpose.trainable import Trainable

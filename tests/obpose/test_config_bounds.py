@@ -2,10 +2,10 @@ import re
 
 import pytest
 
-from obpose.config import PROFILES, VARIANTS, make_config
 from obpose.config_bounds import check_bounds
 from obpose.config_text import parse_changes
 from obpose.errors import UsageError
+from obpose.variants import PROFILES, VARIANTS, make_config
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

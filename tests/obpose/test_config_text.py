@@ -2,9 +2,10 @@ from typing import Any
 
 import pytest
 
-from obpose.config import PROFILES, VARIANTS, Config, make_config
+from obpose.config import Config
 from obpose.config_text import differences, from_plain, parse_changes, to_plain
 from obpose.errors import UsageError
+from obpose.variants import PROFILES, VARIANTS, make_config
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

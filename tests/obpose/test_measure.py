@@ -4,10 +4,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from obpose.config import make_config
 from obpose.errors import UsageError
 from obpose.measure import measure_scene, neighbour_distances
 from obpose.types import Observation
+from obpose.variants import make_config
 
 HEIGHT, WIDTH, FOCAL = 20, 30, 50.0
 

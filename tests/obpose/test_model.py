@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from obpose.attention.icsbp import ICSBP
-from obpose.config import VARIANTS, make_config
 from obpose.geometry import unproject
 from obpose.model import ObPose
 from obpose.types import Observation, SceneSegmentation
+from obpose.variants import VARIANTS, make_config
 from tests.obpose.scenes import table_scene
 
 CONDITIONED = ("obpose", "obpose-loc", "obpose-none", "ic-sbp", "slot-attention")

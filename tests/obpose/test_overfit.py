@@ -14,13 +14,14 @@ import torch
 from torch import Tensor
 
 from benchmark.metrics import clip_scores
-from obpose.config import SupervisedConfig, TrainConfig, make_config, override
+from obpose.config import SupervisedConfig, TrainConfig, override
 from obpose.config_bounds import check_bounds
 from obpose.model import ObPose
 from obpose.supervised import Supervised
 from obpose.trainable import Trainable
 from obpose.training.budget import learning_rate
 from obpose.types import LabelledObservation
+from obpose.variants import make_config
 from tests.obpose.scenes import table_scene
 
 SIZE, OBJECTS = 48, 2

@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from obpose.config import make_config
 from obpose.model import ObPose
 from obpose.resolution import TOLERANCE, fitting_model, surface_spacing
+from obpose.variants import make_config
 from tests.obpose.scenes import table_scene
 
 

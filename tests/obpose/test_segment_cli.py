@@ -9,10 +9,10 @@ import assets
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
 from obpose.checkpoint import save_model
 from obpose.clips import ArrayClips
-from obpose.config import make_config
 from obpose.measure import measure_scene
 from obpose.model import ObPose
 from obpose.segment_cli import main
+from obpose.variants import make_config
 from tests.sphere_clips import clip_and_truth
 
 WIDTH, HEIGHT, FRAMES = 32, 24, 2

@@ -3,7 +3,7 @@ import torch
 
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
-from obpose.config import VARIANTS, Config, SupervisedConfig, make_config
+from obpose.config import Config, SupervisedConfig
 from obpose.config_text import from_plain, to_plain
 from obpose.errors import UsageError
 from obpose.measure import SceneMeasures
@@ -11,6 +11,7 @@ from obpose.model import ObPose
 from obpose.supervised import Supervised
 from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model, find_system
 from obpose.types import LabelledObservation
+from obpose.variants import VARIANTS, make_config
 
 MEASURES = SceneMeasures(0.02, (0.1, 0.2, 0.3), 0.7, 1.9).changes()
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from obpose.config import Config, make_config
+from obpose.config import Config
 from obpose.trainable import Trainable
 from obpose.types import Boxes, Embeddings, Inference, Latent, Masks, Observation, SceneSegmentation
+from obpose.variants import make_config
 
 SIZE = 8
 SLOTS = 2

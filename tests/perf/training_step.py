@@ -23,13 +23,14 @@ from torch.autograd.graph import Node
 
 import obpose.encoder
 import obpose.model
-from obpose.config import Config, make_config
+from obpose.config import Config
 from obpose.model import ObPose
 from obpose.pose.encoder import ObjectEncoder
 from obpose.pose.what import What
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import Observation
+from obpose.variants import make_config
 from tests.obpose.scenes import table_scene
 
 ENCODERS = "where and what"

@@ -7,8 +7,9 @@ from benchmark.adapters.settings import LATER, settings_of
 from benchmark.registry import find_model
 from benchmark.results import digest
 from obpose.baselines.obsurf.config import ObsurfConfig
-from obpose.config import Config, make_config, override
+from obpose.config import Config, override
 from obpose.config_text import dotted_values
+from obpose.variants import make_config
 
 PUBLISHED = {
     "obpose": "42a56234c85e9ada",

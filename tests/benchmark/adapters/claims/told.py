@@ -6,9 +6,9 @@ from pathlib import Path
 import torch
 
 from benchmark.adapters.claims.scenes import Account, Scene, account, read_scenes
-from obpose.config import make_config
 from obpose.model import ObPose
 from obpose.types import Boxes
+from obpose.variants import make_config
 from tests import small
 
 
