@@ -43,6 +43,11 @@ def standard_colours(rgb: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"
     return (rgb - 0.5) * 5
 
 
+def plain_colours(standardised: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
+    """Back to 0..1."""
+    return standardised / 5 + 0.5
+
+
 @dataclass(frozen=True, eq=False)
 class Level:
     """A grid with its geometry."""

@@ -62,6 +62,9 @@ class AttentionConfig:
     mask_power: float = 3.0
     """Means over points, which are where seeds go and where objects are, weigh each by its mask to this power. [ours;
     code: 1]"""
+    evaluation_rounds: int = 1
+    """At evaluation masks are so often replaced by the posterior of which component a point is of, given the fields
+    that were read under them; poses and latents are then read anew. [ours; paper: 0]"""
     idle_in_training: Literal["never", "bernoulli"] = "never"
     """Whether a slot is left out when a draw of the remaining scope finds no point. [code: bernoulli]"""
     idle_points: int = 2
@@ -204,7 +207,7 @@ class ModelConfig:
     """sigma_T. [code]"""
     floor: float | None = -0.002
     """Voxels below this height above the world's z = 0 are not the object's, metres; None for no floor. [code]"""
-    table: float | None = 0.004
+    table: float | None = 0.001
     """Objects have no density below this height above the world's z = 0, metres; None for no such limit. Without it
     objects explain their shadows. [ours]"""
 

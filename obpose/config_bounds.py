@@ -51,7 +51,8 @@ _POSITIVE = """model.backbone.radius model.pose.box_size model.spacing model.wor
 loss.sigma_max loss.colour_std
 model.attention.mask_power model.latent.radius model.latent.posterior_std loss.air_saturation"""
 _NOT_NEGATIVE = """model.attention.semi_convolution model.attention.semi_colour model.attention.looks
-model.attention.idle_points model.pose.max_translation model.pose.min_points model.pose.min_pixels
+model.attention.idle_points model.attention.evaluation_rounds
+model.pose.max_translation model.pose.min_points model.pose.min_pixels
 model.pose.grid_level model.pose.refinements model.pose.tolerance model.object_field.position_frequencies
 model.object_field.direction_frequencies model.background_field.position_frequencies
 model.background_field.direction_frequencies loss.colour loss.surface loss.air loss.mask loss.scope loss.translation
@@ -129,6 +130,8 @@ def _check_parts(config: Config) -> None:
     if model.attention.kind == "slots":
         unposed = conditioning in ("none", "world")
         expect(unposed, "model.pose.conditioning", conditioning, "none or world, as slot attention has no boxes")
+        rounds, nothing = model.attention.evaluation_rounds, "0, as slot attention reads nothing from masks"
+        expect(rounds == 0, "model.attention.evaluation_rounds", rounds, nothing)
     if model.background == "none" or model.attention.kind == "slots":
         unknown = "0, as without a pre-scope nothing says where objects are"
         expect(train.object_rays == 0, "train.object_rays", train.object_rays, unknown)

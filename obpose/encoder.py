@@ -76,6 +76,16 @@ class SceneEncoder(Perception):
         else:
             masks = self.attend(embeddings, log_prescope, generator)
             codes = self._codes_of_masks(observation, points, embeddings, masks, draw, generator)
+        return self._latents(embeddings, codes, draw, generator)
+
+    def infer_under(self, observation: Observation, embeddings: Embeddings, masks: Masks) -> Inference:
+        """Poses and posterior means under given masks."""
+        codes = self._codes_of_masks(observation, unproject(observation), embeddings, masks, "mean", None)
+        return self._latents(embeddings, codes, "mean", None)
+
+    def _latents(
+        self, embeddings: Embeddings, codes: Codes, draw: Draw, generator: torch.Generator | None
+    ) -> Inference:
         what = self.what(codes.objects, draw, generator)
         background = None
         if self.background is not None and codes.background is not None:

@@ -8,21 +8,24 @@ from typing import Any
 
 import torch
 import torch.nn.functional as F
-from einops import rearrange
+from einops import rearrange, repeat
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.attention.posterior import posterior_masks
+from obpose.backbone import plain_colours
 from obpose.config import Config
 from obpose.encoder import SceneEncoder, fixed
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
 from obpose.losses.objective import Evidence, loss_terms
+from obpose.losses.observation import log_likelihood
 from obpose.nerf.along import Decode, FieldsAlongRays, fields_along
 from obpose.nerf.components import Colours, decode, decode_background
 from obpose.nerf.field import Field
 from obpose.nerf.voxels import estimate_shape
 from obpose.nerf.world import decode_world
 from obpose.perception import Prescope
-from obpose.types import Decoded, Inference, Latent, Observation, Rays, SceneSegmentation, Shape
+from obpose.types import Decoded, Inference, Latent, Masks, Observation, Rays, SceneSegmentation, Shape
 
 Points = Float[Tensor, "batch frame ray 3"]
 
@@ -52,15 +55,35 @@ class ObPose(SceneEncoder):
     @torch.no_grad()
     def segment(self, observation: Observation) -> SceneSegmentation:
         """Labels of every pixel, from posterior means: argmax of the composed density, 0 where there is no depth."""
-        inference = self.infer(observation)
+        first = inference = self.infer(observation)
+        for _ in range(self.config.model.attention.evaluation_rounds):
+            masks = self._posterior_masks(observation, inference)
+            inference = self.infer_under(observation, inference.embeddings, masks)
         size = observation.depth.shape
         rays = all_rays(observation)
         logits = self.decode(inference, rays.origin + rays.direction * rays.depth[..., None], rays.direction).logits
         return SceneSegmentation(
             labels=(logits.argmax(dim=2) * rays.valid).reshape(size),
-            attention=self.pixel_owners(inference.masks, observation),
+            attention=self.pixel_owners(first.masks, observation),
             inference=inference,
         )
+
+    def _posterior_masks(self, observation: Observation, inference: Inference) -> Masks:
+        """Which component each point of the grid is of, by density and colour of the fields there."""
+        embeddings, loss = inference.embeddings, self.config.loss
+        views = observation.depth.shape[2]
+        cameras = repeat(
+            observation.world_from_camera[..., :3, 3],
+            "b v c -> b f (v point) c",
+            f=embeddings.points.shape[1],
+            point=embeddings.points.shape[2] // views,
+        )
+        seen = self.decode(inference, embeddings.points, embeddings.points - cameras, "with")
+        assert seen.colours is not None
+        likelihood = log_likelihood(
+            seen.colours, plain_colours(embeddings.rgb), std=loss.colour_std, likelihood="joint"
+        )
+        return posterior_masks(inference.masks, seen.logits, likelihood[..., 0], embeddings.valid)
 
     def decode(self, inference: Inference, points: Points, directions: Points, colours: Colours = "without") -> Decoded:
         """Densities, and colours if asked for, of all components at world points; boxes are held fixed."""

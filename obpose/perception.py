@@ -79,7 +79,7 @@ class Perception(Trainable):
             # The observed colours stand beside zeta_f, so that the latents need not wait for the backbone.
             features = torch.cat([features, rgb], dim=-1)
         scene = rearrange(out.scene, "(b f v) c -> b f v c", **cells).mean(dim=2)
-        return Embeddings(grid, valid, colour, features, scene), log_prescope
+        return Embeddings(grid, valid, rgb, colour, features, scene), log_prescope
 
     def attend(self, embeddings: Embeddings, log_prescope: Prescope | None, generator: torch.Generator | None) -> Masks:
         """Masks of the IC-SBP; seeds and idle slots follow the rules for training in training mode."""

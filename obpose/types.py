@@ -52,6 +52,8 @@ class Embeddings:
     """World frame, metres; 0 where not valid."""
     valid: Bool[Tensor, "batch frame point"]
     """Whether the point was observed."""
+    rgb: Float[Tensor, "batch frame point 3"]
+    """Observed colour, standardised."""
     colour: Float[Tensor, "batch frame point colour"]
     """zeta_c, for the IC-SBP; without channels where there is none."""
     features: Float[Tensor, "batch frame point feature"]

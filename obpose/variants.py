@@ -6,6 +6,7 @@ from obpose.config import Config, FieldConfig, override
 
 _SLOT_ATTENTION: dict[str, Any] = {
     "model.attention.kind": "slots",
+    "model.attention.evaluation_rounds": 0,
     "model.pose.conditioning": "world",
     "train.object_rays": 0.0,
     "train.warmup": 0,
@@ -21,6 +22,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "model.attention.looks": 0,
         "model.attention.evaluation_seeds": "greedy",
         "model.attention.evaluation_division": "sticks",
+        "model.attention.evaluation_rounds": 0,
         "model.attention.idle_in_training": "bernoulli",
         "model.table": None,
         "model.pose.box_size": 0.4,

@@ -36,6 +36,7 @@ def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
         ("model.slot_attention.iterations=0", "model.slot_attention.iterations is 0; expected 1 or more"),
         ("model.background=none", "model.pose.conditioning is full; expected world"),
         ("model.attention.kind=slots", "model.pose.conditioning is full; expected none or world"),
+        ("model.attention.evaluation_rounds=-1", "model.attention.evaluation_rounds is -1; expected 0 or more"),
         ("model.backbone.widths=[]", "model.backbone.widths is (); expected positive numbers"),
         ("model.backbone.blocks=1", "model.backbone.blocks is (1,); expected 4 numbers"),
         ("model.backbone.output_level=4", "model.backbone.output_level is 4; expected 0 to 3"),
@@ -52,6 +53,11 @@ def test_values_of_which_nothing_can_be_made_are_named(change: str, message: str
         ("ic-sbp", "model.table=0.004", "model.table is 0.004; expected none"),
         ("ic-sbp", "train.warmup=5", "train.warmup is 5; expected 0, as there is no background to warm up"),
         ("ic-sbp", "train.object_rays=0.5", "train.object_rays is 0.5; expected 0, as without a pre-scope"),
+        (
+            "slot-attention",
+            "model.attention.evaluation_rounds=1",
+            "model.attention.evaluation_rounds is 1; expected 0, as slot attention",
+        ),
         ("slot-attention", "train.object_rays=0.5", "train.object_rays is 0.5; expected 0, as without a pre-scope"),
     ],
 )

@@ -157,7 +157,9 @@ def test_boxes_are_no_farther_from_the_observed_centers_than_t_max():
 
 
 def test_views_are_one_cloud_whose_order_does_not_matter():
-    model, scene = _model().eval(), table_scene(views=3, frames=1)
+    # Posteriors of fields of which nothing is learned are ties, which rounding decides.
+    model = _model(**{"model.attention.evaluation_rounds": 0}).eval()
+    scene = table_scene(views=3, frames=1)
     order = torch.tensor([2, 0, 1])
     images = {name: getattr(scene, name)[:, :, order] for name in ("rgb", "depth", "valid")}
     cameras = {name: getattr(scene, name)[:, order] for name in ("k", "world_from_camera")}
