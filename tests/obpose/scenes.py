@@ -35,6 +35,12 @@ def table_scene(
     return Observation(torch.stack(rgb, 1), torch.stack(depth, 1) * valid, valid, k, poses)
 
 
+def labels_by_colour(rgb: torch.Tensor) -> torch.Tensor:
+    """Which of the scene's colours each pixel of shape (..., 3) has; 0 is the most frequent, the table's."""
+    _, labels, counts = rgb.flatten(0, -2).unique(dim=0, return_inverse=True, return_counts=True)
+    return counts.argsort(descending=True).argsort()[labels].view(rgb.shape[:-1])
+
+
 def ball_scenes(count: int, *, size: int = 32, seed: int = 0) -> Observation:
     """One ball of 7 to 12 cm radius each, half sunk into the table z = 0, anywhere in the middle of the image."""
     draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from benchmark.metrics import clip_scores
 from obpose.config import SupervisedConfig, TrainConfig, override
@@ -22,7 +21,7 @@ from obpose.trainable import Trainable
 from obpose.training.budget import learning_rate
 from obpose.types import LabelledObservation
 from obpose.variants import make_config
-from tests.obpose.scenes import table_scene
+from tests.obpose.scenes import labels_by_colour, table_scene
 
 SIZE, OBJECTS = 48, 2
 SCENE = {
@@ -36,17 +35,9 @@ SCENE = {
 def scenes(count: int, frames: int) -> LabelledObservation:
     """Spheres on tables; colours say what is what, and what there is most of is the table."""
     seen = table_scene(batch=count, frames=frames, spheres=OBJECTS, height=SIZE, width=SIZE)
-    labels = torch.stack([_by_colour(rgb) for rgb in seen.rgb])
+    labels = torch.stack([labels_by_colour(rgb) for rgb in seen.rgb])
     parts = {field.name: getattr(seen, field.name) for field in fields(seen)}
     return LabelledObservation(**parts, segmentation=labels)
-
-
-def _by_colour(rgb: Tensor) -> Tensor:
-    _, labels, counts = rgb.flatten(0, -2).unique(dim=0, return_inverse=True, return_counts=True)
-    table = counts.argmax()
-    assert len(counts) == 1 + OBJECTS
-    swapped = torch.where(labels == table, 0, torch.where(labels == 0, table, labels))
-    return swapped.view(rgb.shape[:-1])
 
 
 def overfit(model: Trainable, clips: LabelledObservation, *, steps: int, batch: int) -> None:

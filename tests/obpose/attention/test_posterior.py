@@ -10,9 +10,9 @@ from obpose.attention.posterior import posterior_masks
 from obpose.geometry import unproject
 from obpose.model import ObPose
 from obpose.nerf.compose import OUTSIDE
-from obpose.types import Decoded, Masks, Observation
+from obpose.types import Decoded, Masks
 from obpose.variants import make_config
-from tests.obpose.scenes import table_scene
+from tests.obpose.scenes import labels_by_colour, table_scene
 
 POINTS, COMPONENTS = 5, 3
 
@@ -64,7 +64,7 @@ def test_a_round_puts_objects_where_fields_that_know_them_say_whatever_the_atten
     monkeypatch: pytest.MonkeyPatch,
 ):
     scene = table_scene(frames=1)
-    points, labels = unproject(scene).view(-1, 3), scene_labels(scene).view(-1)
+    points, labels = unproject(scene).view(-1, 3), labels_by_colour(scene.rgb).view(-1)
 
     def decode(_: Any, _inference: Any, at: Tensor, _directions: Tensor, colours: str = "without") -> Decoded:
         assert torch.equal(at.view(-1, 3), points)
@@ -79,10 +79,3 @@ def test_a_round_puts_objects_where_fields_that_know_them_say_whatever_the_atten
     torch.testing.assert_close(found.inference.observed_center[0, 0], means)
     assert (found.labels.view(-1) == labels).all()
     assert (found.attention.view(-1) != labels).any(), "An untrained attention knows nothing."
-
-
-def scene_labels(scene: Observation) -> Tensor:
-    """By colour; the table has most pixels."""
-    _, labels, counts = scene.rgb.flatten(0, -2).unique(dim=0, return_inverse=True, return_counts=True)
-    ranks = counts.argsort(descending=True).argsort()
-    return ranks[labels].view(scene.depth.shape)
