@@ -20,7 +20,7 @@ from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
 from obpose.losses.objective import Evidence, loss_terms
 from obpose.losses.observation import log_likelihood
 from obpose.nerf.along import Decode, FieldsAlongRays, fields_along
-from obpose.nerf.components import Colours, decode, decode_background
+from obpose.nerf.components import Background, Colours, decode, decode_background
 from obpose.nerf.field import Field
 from obpose.nerf.voxels import estimate_shape
 from obpose.nerf.world import decode_world
@@ -61,7 +61,8 @@ class ObPose(SceneEncoder):
             inference = self.infer_under(observation, inference.embeddings, masks)
         size = observation.depth.shape
         rays = all_rays(observation)
-        logits = self.decode(inference, rays.origin + rays.direction * rays.depth[..., None], rays.direction).logits
+        points = rays.origin + rays.direction * rays.depth[..., None]
+        logits = self.decode(inference, points, rays.direction, where_background="in boxes").logits
         return SceneSegmentation(
             labels=(logits.argmax(dim=2) * rays.valid).reshape(size),
             attention=self.pixel_owners(first.masks, observation),
@@ -78,15 +79,25 @@ class ObPose(SceneEncoder):
             f=embeddings.points.shape[1],
             point=embeddings.points.shape[2] // views,
         )
-        seen = self.decode(inference, embeddings.points, embeddings.points - cameras, "with")
+        seen = self.decode(inference, embeddings.points, embeddings.points - cameras, "with", "in boxes")
         assert seen.colours is not None
         likelihood = log_likelihood(
             seen.colours, plain_colours(embeddings.rgb), std=loss.colour_std, likelihood="joint"
         )
         return posterior_masks(inference.masks, seen.logits, likelihood[..., 0], embeddings.valid)
 
-    def decode(self, inference: Inference, points: Points, directions: Points, colours: Colours = "without") -> Decoded:
-        """Densities, and colours if asked for, of all components at world points; boxes are held fixed."""
+    def decode(
+        self,
+        inference: Inference,
+        points: Points,
+        directions: Points,
+        colours: Colours = "without",
+        where_background: Background = "everywhere",
+    ) -> Decoded:
+        """Densities, and colours if asked for, of all components at world points; boxes are held fixed.
+
+        Where the order of the components is all that counts, the background's field is wanted `in boxes` only.
+        """
         active, what = inference.masks.active, inference.what.z
         background = None if inference.background is None else inference.background.z
         options = self._world | {"colours": colours, "floor": self.config.model.table}
@@ -94,6 +105,7 @@ class ObPose(SceneEncoder):
         if self.config.model.pose.conditioning == "world":
             return decode_world(*fields, active, what, background, points, directions, **options)
         boxes = fixed(inference.boxes)
+        options |= {"where_background": where_background}
         return decode(*fields, boxes, active, what, background, points, directions, **options)
 
     @property

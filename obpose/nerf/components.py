@@ -1,6 +1,7 @@
 """The fields of all components at given points: the background's everywhere, an object's only within its box."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import torch
@@ -15,6 +16,7 @@ from obpose.nerf.field import Field
 from obpose.types import Boxes, Decoded
 
 Colours = Literal["with", "without"]
+Background = Literal["everywhere", "in boxes"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +47,12 @@ def decode(
     workspace_size: float,
     colours: Colours,
     floor: float | None = None,
+    where_background: Background = "everywhere",
 ) -> Decoded:
     """Density logits and colours of the components at world points seen along directions of any length.
+
+    Where only the order of the components counts, the background's field need not be evaluated outside the boxes: with
+    `in boxes` it has the logit 0 and black colours there.
 
     Addition: below the world's z = `floor`, where there is one, there are no objects. What lies on the table is the
     background's then, also in an object's shadow, which the object's field would explain better.
@@ -55,7 +61,8 @@ def decode(
     `workspace_size`, which holds the cameras as well, so that its encoding has the same meaning for every dataset.
     """
     directions = F.normalize(directions, dim=-1)
-    background = decode_background(
+    inside = points_in_boxes(points, boxes, active, floor=floor)
+    of_background = decode_background(
         background_field,
         z_background,
         points,
@@ -63,16 +70,16 @@ def decode(
         workspace_center=workspace_center,
         workspace_size=workspace_size,
         colours=colours,
+        only=None if where_background == "everywhere" else inside.ray.unique(),
     )
-    inside = points_in_boxes(points, boxes, active, floor=floor)
     codes = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).at(inside.owner)
     logits, hidden = object_field.density(inside.points, codes)
     shape = (*z_what.shape[:3], points.shape[2])
-    all_logits = torch.cat([background.logits, spread(logits, inside.index, shape, OUTSIDE)], dim=2)
-    if background.colours is None:
+    all_logits = torch.cat([of_background.logits, spread(logits, inside.index, shape, OUTSIDE)], dim=2)
+    if of_background.colours is None:
         return Decoded(logits=all_logits, colours=None)
     of_objects = object_field.colour(hidden, in_box_directions(directions, boxes, inside), codes)
-    all_colours = torch.cat([background.colours, spread(of_objects, inside.index, shape, 0.0)], dim=2)
+    all_colours = torch.cat([of_background.colours, spread(of_objects, inside.index, shape, 0.0)], dim=2)
     return Decoded(logits=all_logits, colours=all_colours)
 
 
@@ -85,18 +92,29 @@ def decode_background(
     workspace_center: Float[Tensor, "3"],
     workspace_size: float,
     colours: Colours,
+    only: Int[Tensor, " n"] | None = None,
 ) -> Decoded:
-    """The same for the background alone, as the only component; without one it is nowhere."""
+    """The same for the background alone, as the only component; without one it is nowhere.
+
+    With `only`, places among batch x frame x ray, it is evaluated at these points, and 0 at the others.
+    """
+    shape = (*points.shape[:2], 1, points.shape[2])
     if field is None or z_background is None:
-        nowhere = points.new_full((*points.shape[:2], 1, points.shape[2]), OUTSIDE)
-        return Decoded(logits=nowhere, colours=None if colours == "without" else points.new_zeros(*nowhere.shape, 3))
-    in_workspace = (points - workspace_center) * (2 / workspace_size)
-    codes = field.condition(z_background).of_all_points()
-    logits, hidden = field.density(in_workspace, codes)
-    if colours == "without":
-        return Decoded(logits=logits[:, :, None], colours=None)
-    of_background = field.colour(hidden, F.normalize(directions, dim=-1), codes)
-    return Decoded(logits=logits[:, :, None], colours=of_background[:, :, None])
+        nowhere = points.new_full(shape, OUTSIDE)
+        return Decoded(logits=nowhere, colours=None if colours == "without" else points.new_zeros(*shape, 3))
+    at, along = (points - workspace_center) * (2 / workspace_size), F.normalize(directions, dim=-1)
+    codes = field.condition(z_background)
+    if only is None:
+        codes = codes.of_all_points()
+    else:
+        at, along = at.flatten(0, 2)[only], along.flatten(0, 2)[only]
+        codes = codes.flatten().at(only // points.shape[2])
+    logits, hidden = field.density(at, codes)
+    of_background = None if colours == "without" else field.colour(hidden, along, codes)
+    if only is None:
+        return Decoded(logits[:, :, None], None if of_background is None else of_background[:, :, None])
+    everywhere = partial(spread, index=only, shape=shape, elsewhere=0.0)
+    return Decoded(everywhere(logits), None if of_background is None else everywhere(of_background))
 
 
 def points_in_boxes(

@@ -27,6 +27,10 @@ class Conditioning:
         """With an axis, before the last, for the points that share a code."""
         return Conditioning(self.first[..., None, :], self.again[..., None, :], self.colour[..., None, :])
 
+    def flatten(self) -> "Conditioning":
+        """Codes of batch x frame as a flat list."""
+        return Conditioning(self.first.flatten(0, 1), self.again.flatten(0, 1), self.colour.flatten(0, 1))
+
     def at(self, owner: Int[Tensor, " n"]) -> "Conditioning":
         """One for each of a flat list of points; `owner` is the place of a point's code."""
         return Conditioning(self.first[owner], self.again[owner], self.colour[owner])

@@ -66,7 +66,14 @@ def test_a_round_puts_objects_where_fields_that_know_them_say_whatever_the_atten
     scene = table_scene(frames=1)
     points, labels = unproject(scene).view(-1, 3), labels_by_colour(scene.rgb).view(-1)
 
-    def decode(_: Any, _inference: Any, at: Tensor, _directions: Tensor, colours: str = "without") -> Decoded:
+    def decode(
+        _: Any,
+        _inference: Any,
+        at: Tensor,
+        _directions: Tensor,
+        colours: str = "without",
+        where_background: str = "everywhere",
+    ) -> Decoded:
         assert torch.equal(at.view(-1, 3), points)
         logits = torch.where(torch.arange(3)[:, None] == labels, 5.0, OUTSIDE)[None, None]
         return Decoded(logits, torch.zeros(*logits.shape, 3) if colours == "with" else None)

@@ -1,4 +1,5 @@
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import pytest
 import torch
@@ -28,9 +29,9 @@ class World:
     points: torch.Tensor
     directions: torch.Tensor
 
-    def decode(self, colours: Colours = "with", *, floor: float | None = None) -> Decoded:
+    def decode(self, colours: Colours = "with", **options: Any) -> Decoded:
         parts = (getattr(self, field.name) for field in fields(self))
-        return decode(*parts, workspace_center=MIDDLE, workspace_size=1.0, colours=colours, floor=floor)
+        return decode(*parts, workspace_center=MIDDLE, workspace_size=1.0, colours=colours, **options)
 
     def scene(self, place: int) -> "World":
         one = slice(place, place + 1)
@@ -88,6 +89,18 @@ def test_the_background_is_evaluated_everywhere_in_workspace_coordinates(world: 
     torch.testing.assert_close(decoded.logits[:, :, 0], logits)
     assert decoded.colours is not None
     torch.testing.assert_close(decoded.colours[:, :, 0], field.colour(hidden, unit, codes))
+
+
+@pytest.mark.parametrize("colours", ["with", "without"])
+def test_where_only_order_counts_the_background_is_left_out_outside_the_boxes(world: World, colours: Colours):
+    whole, culled = world.decode(colours), world.decode(colours, where_background="in boxes")
+    contested = world.inside().any(dim=2)
+    torch.testing.assert_close(culled.logits[:, :, 0], torch.where(contested, whole.logits[:, :, 0], 0.0))
+    torch.testing.assert_close(culled.logits[:, :, 1:], whole.logits[:, :, 1:])
+    assert (culled.colours is None) == (colours == "without")
+    if culled.colours is not None and whole.colours is not None:
+        expected = torch.where(contested[..., None], whole.colours[:, :, 0], 0.0)
+        torch.testing.assert_close(culled.colours[:, :, 0], expected)
 
 
 def test_the_background_alone_is_the_first_component(world: World):
