@@ -94,8 +94,9 @@ def _read_npz(path: Path) -> tuple[np.ndarray, int | None]:
             if "labels" not in file:
                 raise UsageError(f"{path} has no array `labels`; expected [frame view height width].")
             return file["labels"], int(file["background_slot"]) if "background_slot" in file else None
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise CorruptFile(f"{path} is damaged or no NPZ file ({error}).") from None
+    except (OSError, ValueError, zipfile.BadZipFile):
+        # NumPy takes what it cannot read for a pickle and advises to load it: the last thing to do with a broken file.
+        raise CorruptFile(f"{path} is damaged or no NPZ file; write it anew, with `numpy.savez`.") from None
 
 
 def _read_png(folder: Path, view: int, frame: int) -> Integer[np.ndarray, "height width"]:
