@@ -1,0 +1,81 @@
+"""How much of a model's error is due to objects that adjoin each other in the image.
+
+python -m benchmark.adapters.claims.neighbours_cli RUN/labels/FILE.h5 [...]
+
+The label maps are of the test split; each line of the answer is of one file.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from jaxtyping import Bool, Float64, Integer
+
+from benchmark.labels import dataset_of, read_labels
+from benchmark.metrics import score
+from datagen.errors import EXIT_OK, DatagenError
+from datagen.storage import Dataset
+
+PROGRAM = "python -m benchmark.adapters.claims.neighbours_cli"
+SPLIT = "test"
+METRICS = ("ari_fg", "msc_fg")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options of the command."""
+
+    labels: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Label maps of a test split, as a run of obpose-bench leaves them."""
+    data: Path | None = None
+    """The dataset that the labels are of, if it has moved since."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; give the exit code."""
+    try:
+        return run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=__doc__))
+    except DatagenError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def run(values: Arguments) -> int:
+    """Every file in its turn."""
+    print("ARI-FG / MSC-FG in images where no objects adjoin, and where some do")
+    for path in values.labels:
+        adjoin, scores = images_of(path, values.data or dataset_of(path))
+        apart, near = (np.nanmean(scores[kind], axis=0) if kind.any() else [np.nan] * 2 for kind in (~adjoin, adjoin))
+        print(f"{path.name}: {apart[0]:.3f} / {apart[1]:.3f}, {near[0]:.3f} / {near[1]:.3f} ({adjoin.mean():.0%})")
+    return EXIT_OK
+
+
+def images_of(path: Path, data: Path) -> tuple[Bool[np.ndarray, " image"], Float64[np.ndarray, "image metric"]]:
+    """Of each image with two objects or more: whether some adjoin, and its scores."""
+    truths = Dataset(data).split(SPLIT)
+    adjoin, scores = [], []
+    for index, (labels, background_slot) in enumerate(read_labels(path)):
+        truth = truths.read(index, ("segmentation",))["segmentation"]
+        for true, found in zip(truth.reshape(-1, *truth.shape[2:]), labels.reshape(-1, *truth.shape[2:]), strict=True):
+            if len(np.unique(true[true > 0])) > 1:
+                adjoin.append(objects_adjoin(true))
+                scores.append([score(true[None], found[None], background_slot)[name] for name in METRICS])
+    return np.array(adjoin, dtype=bool), np.array(scores).reshape(-1, len(METRICS))
+
+
+def objects_adjoin(truth: Integer[np.ndarray, "height width"]) -> bool:
+    """Whether pixels of two objects lie side by side or one above the other.
+
+    >>> objects_adjoin(np.array([[1, 0, 2], [1, 0, 0]])), objects_adjoin(np.array([[1, 0, 2], [1, 2, 2]]))
+    (False, True)
+    """
+    pairs = (truth[:, 1:], truth[:, :-1]), (truth[1:], truth[:-1])
+    return any(bool(((one != other) & (one > 0) & (other > 0)).any()) for one, other in pairs)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

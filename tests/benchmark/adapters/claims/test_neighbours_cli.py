@@ -1,0 +1,47 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.adapters.claims.neighbours_cli import images_of, main, objects_adjoin
+from benchmark.interface import Prediction
+from benchmark.labels import write_labels
+from datagen.storage import Dataset
+from tests import small
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("neighbours") / "data"
+    small.make(folder, {"test": 4})
+    return folder
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_objects_adjoin_along_either_axis_and_not_across_a_corner(turns: int):
+    beside, corner = np.array([[0, 1, 2], [0, 0, 0]]), np.array([[0, 1, 0], [0, 0, 2]])
+    assert objects_adjoin(np.rot90(beside, turns))
+    assert not objects_adjoin(np.rot90(corner, turns))
+    assert not objects_adjoin(np.array([[0, 1, 1], [0, 0, 1]]))
+
+
+def test_every_image_with_several_objects_counts_in_one_of_the_two_kinds(
+    tmp_path: Path, data: Path, capsys: pytest.CaptureFixture[str]
+):
+    truths = [record["segmentation"] for record in Dataset(data).split("test")]
+    images = [image for truth in truths for image in truth.reshape(-1, *truth.shape[2:])]
+    with write_labels(tmp_path / "one.h5", len(truths), data) as writer:
+        for index, truth in enumerate(truths):
+            # All objects in one slot: ARI-FG is 0 wherever there are several.
+            writer.put(index, Prediction((truth > 0).astype(np.int64), 0))
+    adjoin, scores = images_of(tmp_path / "one.h5", data)
+    several = [image for image in images if len(np.unique(image[image > 0])) > 1]
+    assert adjoin.tolist() == [objects_adjoin(image) for image in several]
+    assert (scores[:, 0] == 0).all()
+    assert main([str(tmp_path / "one.h5")]) == 0
+    assert "one.h5: 0.000 / " in capsys.readouterr().out
+
+
+def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main([str(tmp_path / "none.h5")]) != 0
+    assert "none.h5" in capsys.readouterr().err
