@@ -26,7 +26,7 @@ from obpose.systems import build_model
 from obpose.trainable import Configuration, Trainable
 from obpose.training.batches import Sampling, Share, batches, readers_for
 from obpose.training.budget import Budget, Stopwatch, learning_rate
-from obpose.training.devices import keep_memory, make_fabric, mean_over_processes
+from obpose.training.devices import keep_memory, leave, make_fabric, mean_over_processes
 from obpose.training.learner import Learner
 from obpose.training.record import Record
 from obpose.training.signals import StopRequest, stop_on_signals
@@ -116,6 +116,23 @@ def train(
     keep_memory()
     fabric = make_fabric(device, config.train)
     fabric.launch()
+    try:
+        return _train(fabric, source, val_source, config, folder, report, look, tensorboard, build)
+    finally:
+        leave()
+
+
+def _train(
+    fabric: Fabric,
+    source: ClipSource,
+    val_source: ClipSource | None,
+    config: Configuration,
+    folder: Path | None,
+    report: Report,
+    look: Look,
+    tensorboard: bool,
+    build: Build,
+) -> Trained:
     learner = Learner(fabric, config, build)
     with claimed(folder) if folder and fabric.is_global_zero else nullcontext():
         progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()

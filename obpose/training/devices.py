@@ -42,6 +42,16 @@ def make_fabric(device: str, config: TrainConfig) -> Fabric:
     )
 
 
+def leave() -> None:
+    """Part from the other processes, if there are any.
+
+    What does that at the end of the interpreter comes too late for the threads of gloo: now and then they end a process
+    that has done its work with an abort.
+    """
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
+
+
 def keep_memory() -> None:
     """Let a GNU C library keep freed memory: to ask for it anew costs a tenth to a third of a step on a CPU."""
     try:
