@@ -4,7 +4,6 @@ python -m benchmark.adapters.claims.cli                                     with
 python -m benchmark.adapters.claims.cli --checkpoint none=DIR location=DIR full=DIR
 """
 
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, nan
@@ -12,14 +11,14 @@ from pathlib import Path
 from statistics import mean, median
 
 import torch
-import tyro
 
+from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.claims.figures import appearances, voxels_and_poses
 from benchmark.adapters.claims.frames import FRAMINGS, Framing, code_spread, codes_of, variance
 from benchmark.adapters.claims.scenes import Account, Found, Scene, account, read_scenes
 from benchmark.adapters.claims.shapes import FINE, estimate_voxels, measure_times, shape_errors
 from benchmark.tracks import DataFolder, Track, find_track
-from datagen.errors import EXIT_OK, DatagenError, UsageError
+from datagen.errors import EXIT_OK, UsageError
 from obpose.checkpoint import load_obpose
 from obpose.model import ObPose
 from obpose.shipped import find_shipped
@@ -50,11 +49,7 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and draw; give the exit code."""
-    try:
-        return run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=__doc__))
-    except DatagenError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
-        return error.exit_code
+    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
 
 
 def run(values: Arguments) -> int:

@@ -5,7 +5,6 @@ python -m benchmark.adapters.claims.neighbours_cli RUN/labels/FILE.h5 [...]
 The label maps are of the test split; each line of the answer is of one file.
 """
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,10 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, Float64, Integer
 
+from benchmark.adapters.claims.command import run_command
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
-from datagen.errors import EXIT_OK, DatagenError
+from datagen.errors import EXIT_OK
 from datagen.storage import Dataset
 
 PROGRAM = "python -m benchmark.adapters.claims.neighbours_cli"
@@ -37,11 +37,7 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; give the exit code."""
-    try:
-        return run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=__doc__))
-    except DatagenError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
-        return error.exit_code
+    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
 
 
 def run(values: Arguments) -> int:

@@ -6,7 +6,6 @@ DIR holds the same scenes rendered without shadows; a pixel of the background li
 dataset that the labels are of. `obpose-datagen --recipe R --lighting.no-shadows ...` makes such a dataset.
 """
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -16,9 +15,10 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, Integer, UInt8
 
+from benchmark.adapters.claims.command import run_command
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
-from datagen.errors import EXIT_OK, DatagenError, UsageError
+from datagen.errors import EXIT_OK, UsageError
 from datagen.storage import Dataset
 
 PROGRAM = "python -m benchmark.adapters.claims.shadows_cli"
@@ -58,11 +58,7 @@ class Shadows:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; give the exit code."""
-    try:
-        return run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=__doc__))
-    except DatagenError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
-        return error.exit_code
+    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
 
 
 def run(values: Arguments) -> int:
