@@ -261,7 +261,8 @@ class TrainConfig:
     rays: int = 256
     """Pixels a frame at which the fields are evaluated, over all views; 0 for all. [ours]"""
     object_rays: float = 0.5
-    """Share of the rays drawn where the pre-scope is large, less than 1; weights make up for it. [ours]"""
+    """Share of the rays drawn where objects are expected, less than 1; weights make up for it. The pre-scope says
+    where, and without one the largest component: where it is not. [ours]"""
     learning_rate: float = 1e-3
     """[paper: 4e-4]"""
     decay: Literal["cosine", "halving", "none"] = "cosine"

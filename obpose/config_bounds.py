@@ -132,6 +132,3 @@ def _check_parts(config: Config) -> None:
         expect(unposed, "model.pose.conditioning", conditioning, "none or world, as slot attention has no boxes")
         rounds, nothing = model.attention.evaluation_rounds, "0, as slot attention reads nothing from masks"
         expect(rounds == 0, "model.attention.evaluation_rounds", rounds, nothing)
-    if model.background == "none" or model.attention.kind == "slots":
-        unknown = "0, as without a pre-scope nothing says where objects are"
-        expect(train.object_rays == 0, "train.object_rays", train.object_rays, unknown)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.attention.posterior import posterior_masks
+from obpose.attention.summary import not_largest
 from obpose.backbone import plain_colours
 from obpose.config import Config
 from obpose.encoder import SceneEncoder, fixed
@@ -24,7 +25,6 @@ from obpose.nerf.components import Background, Colours, decode, decode_backgroun
 from obpose.nerf.field import Field
 from obpose.nerf.voxels import estimate_shape
 from obpose.nerf.world import decode_world
-from obpose.perception import Prescope
 from obpose.types import Decoded, Inference, Latent, Masks, Observation, Rays, SceneSegmentation, Shape
 
 Points = Float[Tensor, "batch frame ray 3"]
@@ -117,8 +117,13 @@ class ObPose(SceneEncoder):
         seen = self.seen(observation, generator)
         points = unproject(seen)
         embeddings, log_prescope = self.embed(seen, points)
-        rays = self._sample_rays(seen, log_prescope, self._rays_of(seen, observation), generator)
-        inference = self.infer_from(seen, points, embeddings, log_prescope, "sample", generator)
+        count = self._rays_of(seen, observation)
+        if log_prescope is not None:
+            rays = self._sample_rays(seen, log_prescope[..., 1].exp(), count, generator)
+            inference = self.infer_from(seen, points, embeddings, log_prescope, "sample", generator)
+        else:
+            inference = self.infer_from(seen, points, embeddings, log_prescope, "sample", generator)
+            rays = self._sample_rays(seen, not_largest(inference.masks.log_masks.detach()), count, generator)
         decode = partial(self.decode, inference)
         return Evidence(
             fields=fields_along(rays, decode, self.config.loss, generator),
@@ -133,17 +138,20 @@ class ObPose(SceneEncoder):
 
     @torch.no_grad()
     def _sample_rays(
-        self, observation: Observation, log_prescope: Prescope | None, count: int, generator: torch.Generator | None
+        self,
+        observation: Observation,
+        scope: Float[Tensor, "batch frame point"],
+        count: int,
+        generator: torch.Generator | None,
     ) -> Rays:
-        """More of them where objects are expected."""
-        train, (views, height, width) = self.config.train, observation.depth.shape[2:]
-        if log_prescope is None:
-            return sample_rays(observation, count, generator)
+        """More of them where objects are expected, which `scope` says of the embedding grid."""
+        views, height, width = observation.depth.shape[2:]
         rows, columns = self.backbone.grid_size(height, width)
-        scope = rearrange(log_prescope[..., 1].exp(), "b f (v h w) -> (b f) v h w", v=views, h=rows, w=columns)
+        scope = rearrange(scope, "b f (v h w) -> (b f) v h w", v=views, h=rows, w=columns)
         interest = F.interpolate(scope, size=(height, width), mode="nearest")
         interest = rearrange(interest, "(b f) v h w -> b f v h w", b=len(observation.depth))
-        return sample_rays_where(observation, count, interest, share=train.object_rays, generator=generator)
+        share = self.config.train.object_rays
+        return sample_rays_where(observation, count, interest, share=share, generator=generator)
 
     def _observe_background(self, observation: Observation, generator: torch.Generator | None) -> Evidence:
         """The same where the background has to explain everything."""

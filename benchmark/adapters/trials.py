@@ -11,6 +11,8 @@ _SLOWER: Options = {"train.learning_rate": 3e-4}
 """As published, for longer trainings."""
 _L2: Options = {"loss.attention": "l2", "loss.mask": 5.0}
 """The paper's other attention loss."""
+_OBJECT_RAYS: Options = {"train.object_rays": 0.5}
+"""More rays where the largest component is not, which the systems with a pre-scope have in any case."""
 
 _POSED: tuple[Options, ...] = ({}, _FASTER, _L2, {"train.batch": 2})
 _OBSURF: tuple[Options, ...] = ({}, _FASTER, _SLOWER, {"train.batch": 8})
@@ -19,10 +21,8 @@ TRIALS: dict[str, tuple[Options, ...]] = {
     "obpose-loc": _POSED,
     "obpose-none": _POSED,
     "obpose": _POSED,
-    # How far the table, which is a slot's like every object here, is torn apart by its extent.
-    "ic-sbp": ({}, _FASTER, _L2, {"model.attention.semi_convolution": 4.0}),
-    # As published, without an attention loss.
-    "slot-attention": ({}, _FASTER, _L2, {"loss.mask": 0.0}),
+    "ic-sbp": ({}, _FASTER, _L2, _OBJECT_RAYS),
+    "slot-attention": ({}, _FASTER, _L2, _OBJECT_RAYS),
     "obsurf": _OBSURF,
     "obsurf-no-overlap": _OBSURF,
     "obsurf-no-overlap-depth": _OBSURF,

@@ -1,4 +1,4 @@
-"""What lies under a mask, as one code: the mean of features and positions (GENESIS-V2; the paper's IC-SBP ablation)."""
+"""What masks say in short: the mean of what lies under one (GENESIS-V2), and where the largest component is not."""
 
 import torch
 from einops import rearrange
@@ -17,3 +17,10 @@ def mean_under(
     """Mean over the valid points, weighted by the mask, which has a gradient; 0 where there are none."""
     weights = log_masks.exp() * rearrange(valid, "b f point -> b f 1 point")
     return weights @ torch.where(valid[..., None], values, 0.0) / weights.sum(dim=-1, keepdim=True).clamp(min=_LITTLE)
+
+
+def not_largest(log_masks: Float[Tensor, "batch frame component point"]) -> Float[Tensor, "batch frame point"]:
+    """What the component with the largest mask of a clip leaves, 0..1: where objects are, if it is the background."""
+    masks = log_masks.exp()
+    largest = masks.sum(dim=(1, 3)).argmax(dim=1)
+    return (1 - masks[torch.arange(len(masks)), :, largest]).clamp(min=0.0)

@@ -52,13 +52,11 @@ def test_values_of_which_nothing_can_be_made_are_named(change: str, message: str
     [
         ("ic-sbp", "model.table=0.004", "model.table is 0.004; expected none"),
         ("ic-sbp", "train.warmup=5", "train.warmup is 5; expected 0, as there is no background to warm up"),
-        ("ic-sbp", "train.object_rays=0.5", "train.object_rays is 0.5; expected 0, as without a pre-scope"),
         (
             "slot-attention",
             "model.attention.evaluation_rounds=1",
             "model.attention.evaluation_rounds is 1; expected 0, as slot attention",
         ),
-        ("slot-attention", "train.object_rays=0.5", "train.object_rays is 0.5; expected 0, as without a pre-scope"),
     ],
 )
 def test_values_that_need_a_part_that_is_not_there_are_named(variant: str, change: str, message: str):

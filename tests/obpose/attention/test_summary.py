@@ -1,6 +1,6 @@
 import torch
 
-from obpose.attention.summary import mean_under
+from obpose.attention.summary import mean_under, not_largest
 
 
 def test_it_is_the_mean_of_the_valid_points_weighted_by_the_mask():
@@ -18,3 +18,13 @@ def test_masks_get_a_gradient_and_nothing_valid_is_zero():
     assert log_masks.grad is not None
     assert log_masks.grad.abs().sum() > 0
     assert (mean_under(log_masks, torch.zeros(1, 1, 6, dtype=torch.bool), torch.randn(1, 1, 6, 3)) == 0).all()
+
+
+def test_objects_are_where_the_largest_component_of_the_whole_clip_is_not():
+    # In the first frame the second component is larger, in both together the third.
+    first = [[0.0, 0.0, 0.0, 0.0], [1.0, 0.9, 0.8, 0.0], [0.0, 0.1, 0.2, 1.0]]
+    second = [[0.0, 0.2, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0], [1.0, 0.8, 1.0, 1.0]]
+    other_clip = [[0.7, 0.7, 0.7, 0.7], [0.3, 0.3, 0.3, 0.3], [0.0, 0.0, 0.0, 0.0]]
+    masks = torch.tensor([[first, second], [other_clip, other_clip]])
+    expected = [[[1.0, 0.9, 0.8, 0.0], [0.0, 0.2, 0.0, 0.0]], [[0.3] * 4, [0.3] * 4]]
+    torch.testing.assert_close(not_largest(masks.log()), torch.tensor(expected))
