@@ -6,11 +6,13 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Generator, Sequence
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+from datagen import interrupts
 from datagen.errors import EXIT_INCOMPLETE, DatagenError
 
 _PARENT_CHECK_SECONDS = 0.2
@@ -22,10 +24,13 @@ Made = TypeVar("Made")
 def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Place]], workers: int) -> Generator[Made]:
     """Call `make`, which can be sent to another process, on splits and indices; what it makes comes in their order."""
     if workers == 1 or len(scenes) < 3:
-        yield from (make(*scene) for scene in scenes)
+        for scene in scenes:
+            interrupts.check()
+            yield make(*scene)
         return
     # The first one compiles the renderer and stores it, so that the workers need not do so all at once.
     yield make(*scenes[0])
+    interrupts.check()
     with parallel_config(backend="loky", inner_max_num_threads=1, initializer=_become_worker, initargs=(os.getpid(),)):
         pool: Any = Parallel(
             n_jobs=min(workers, len(scenes) - 1),
@@ -33,9 +38,12 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
             return_as="generator",
             max_nbytes=None,
         )
-    made = pool(delayed(make)(*scene) for scene in scenes[1:])
+    resource_tracker.ensure_running()  # when it starts, it lets Ctrl-C through again
+    with interrupts.held():
+        made = pool(delayed(make)(*scene) for scene in scenes[1:])
     try:
-        for scene in made:  # noqa: UP028  # `yield from` would close it before the warnings are off
+        for scene in made:  # `yield from` would close it before the warnings are off
+            interrupts.check()
             yield scene
     except TerminatedWorkerError:
         raise DatagenError(

@@ -47,7 +47,7 @@ def hashes(folder: Path) -> dict[str, list[str]]:
 def command(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run `obpose-datagen` in its own process."""
     return subprocess.run(
-        [sys.executable, "-m", "datagen.cli", *map(str, arguments)],
+        [sys.executable, "-m", "datagen.command", *map(str, arguments)],
         cwd=cwd,
         env={"PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "200"},
         capture_output=True,

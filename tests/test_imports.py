@@ -24,6 +24,7 @@ ONLY_IN = {
 LAYERS = (
     {
         "errors",
+        "interrupts",
         "geometry",
         "scene",
         "schema",
@@ -38,7 +39,7 @@ LAYERS = (
     {"sampling", "physics", "render", "sensor", "storage", "shard", "folder", "manifest", "parallel"},
     {"simulate", "records", "maker", "stats", "card", "preview", "verify"},
     {"generate"},
-    {"options", "arguments", "cli"},
+    {"options", "arguments", "cli", "command"},
 )
 """Parts of `datagen` from the bottom up; none imports from a layer above its own."""
 

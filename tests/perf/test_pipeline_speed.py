@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
+from datagen.folder import write_whole
 from datagen.generate import Run, generate
 from datagen.maker import SceneMaker, renderer_identity
 from datagen.shard import shard_image
@@ -31,7 +32,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.benchmark(group="pipeline: 10 frames of 128x128, to the file", timer=time.process_time)
-def test_one_core(benchmark: Any):
+def test_one_core(benchmark: Any, tmp_path: Path):
     renderer = renderer_identity("raster")
     make = SceneMaker(make_spec(recipe_to_dict(MOVING), seed=0, splits={}, resolution=(128, 128), renderer=renderer))
     made = [make("val", 0)]
@@ -41,7 +42,7 @@ def test_one_core(benchmark: Any):
 
     benchmark.pedantic(next_scene, rounds=SCENES)
     start = time.process_time()
-    shard_image(made[1:], {})
+    write_whole(tmp_path / "shard.h5", shard_image(made[1:], {}))
     writing = (time.process_time() - start) / SCENES
     frames = MOVING.frames / (benchmark.stats.stats.mean + writing)
     print(
