@@ -71,6 +71,8 @@ class ModelSpec:
 
     profiles: Mapping[str, Options] = field(default_factory=dict)
     """The same in other profiles than `cpu`, where they differ."""
+    on_tracks: Mapping[str, Options] = field(default_factory=dict)
+    """Changes of its settings by dotted name where it is fitted on a track of this name, as an option `changes`."""
     views: Views | None = None
     """Which views it uses, if it says so."""
     trials: tuple[Options, ...] = ({},)

@@ -195,6 +195,7 @@ class _Way:
         # What is as ever is not named, so that rows that were made before there was a choice keep their keys.
         further = {
             "settings": self.spec.settings_in(self.profile),
+            "changes": dict(self.spec.on_tracks.get(self.fit.name, {})),
             "slots": self.own_slots(source),
             "profile": self.profile if self.spec.kind == "learned" and self.profile != "cpu" else None,
         }

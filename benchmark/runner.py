@@ -165,6 +165,8 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
         raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
     options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
     options |= {} if job.profile == "cpu" else {"profile": job.profile}
+    changes = spec.on_tracks.get(job.targets[0].key.fit_track)
+    options |= {"changes": dict(changes)} if changes else {}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
     watch = Watch(val, truths, job.out / WATCHED / f"{job.folder.name}.csv") if job.folder else None

@@ -27,6 +27,20 @@ def view_directions(observation: Observation) -> Float[Tensor, "batch view heigh
     return _camera_rays(observation)[0]
 
 
+def camera_rays(
+    k: Float[Tensor, "*view 3 3"], world_from_camera: Float[Tensor, "*view 4 4"], height: int, width: int
+) -> tuple[Float[Tensor, "*view height width 3"], Float[Tensor, "*view 3"]]:
+    """Directions through the middles of pixels, per metre of planar depth, and where they begin, world frame."""
+    u = torch.arange(width, dtype=k.dtype, device=k.device) + 0.5
+    v = torch.arange(height, dtype=k.dtype, device=k.device) + 0.5
+    focal, middle = torch.stack([k[..., 0, 0], k[..., 1, 1]], dim=-1), k[..., :2, 2]
+    x = ((u - middle[..., :1]) / focal[..., :1])[..., None, :].expand(*k.shape[:-2], height, width)
+    y = ((v - middle[..., 1:]) / focal[..., 1:])[..., :, None].expand(*k.shape[:-2], height, width)
+    in_camera = torch.stack([x, y, torch.ones_like(x)], dim=-1)
+    rotation, origin = world_from_camera[..., :3, :3], world_from_camera[..., :3, 3]
+    return torch.einsum("...ij,...hwj->...hwi", rotation, in_camera), origin
+
+
 def all_rays(observation: Observation) -> Rays:
     """Every pixel of every view."""
     batch, frame, view, height, width = observation.depth.shape
@@ -100,15 +114,7 @@ def from_box(
 def _camera_rays(
     observation: Observation,
 ) -> tuple[Float[Tensor, "batch view height width 3"], Float[Tensor, "batch view 3"]]:
-    height, width = observation.depth.shape[-2:]
-    k, pose = observation.k, observation.world_from_camera
-    u = torch.arange(width, dtype=k.dtype, device=k.device) + 0.5
-    v = torch.arange(height, dtype=k.dtype, device=k.device) + 0.5
-    focal, middle = k[:, :, (0, 1), (0, 1)], k[:, :, :2, 2]
-    x = ((u - middle[..., :1]) / focal[..., :1])[:, :, None, :].expand(-1, -1, height, -1)
-    y = ((v - middle[..., 1:]) / focal[..., 1:])[:, :, :, None].expand(-1, -1, -1, width)
-    in_camera = torch.stack([x, y, torch.ones_like(x)], dim=-1)
-    return torch.einsum("bvij,bvhwj->bvhwi", pose[..., :3, :3], in_camera), pose[..., :3, 3]
+    return camera_rays(observation.k, observation.world_from_camera, *observation.depth.shape[-2:])
 
 
 def _rays(observation: Observation, index: Tensor) -> Rays:

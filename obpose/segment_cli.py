@@ -16,7 +16,6 @@ import tyro
 from einops import rearrange
 from jaxtyping import Float, Float64, Int
 
-import assets
 from obpose.checkpoint import load_obpose
 from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError, is_out_of_memory
 from obpose.geometry import unproject
@@ -25,7 +24,7 @@ from obpose.recordings.reading import Recording, parse_intrinsics, read_recordin
 from obpose.recordings.world import FITTED, GIVEN, Pose, middle_of, pose_over_plane, read_pose
 from obpose.recordings.writing import Found, write_results
 from obpose.resolution import fitting_model, surface_spacing
-from obpose.shipped import list_shipped, shipped_names
+from obpose.shipped import find_checkpoint
 from obpose.types import Observation, SceneSegmentation, Segmentation
 
 PROGRAM = "obpose-segment"
@@ -64,7 +63,7 @@ def run(values: Arguments) -> int:
     if not 0 < values.depth_scale < math.inf:
         raise UsageError(f"--depth-scale is {values.depth_scale:g}; expected more than 0, and finite.")
     k = parse_intrinsics(values.intrinsics)
-    model = _load(values.checkpoint)
+    model = load_obpose(find_checkpoint(values.checkpoint))
     whole = read_recording(values.rgb, values.depth, k, depth_scale=values.depth_scale)
     recording = whole.every(values.every)
     pose = read_pose(values.camera_pose) if values.camera_pose else _pose_over_plane(recording, model)
@@ -83,17 +82,6 @@ def run(values: Arguments) -> int:
     print(f"Resolution: {note}.")
     print(f"Labels, overlays and poses of {len(labels)} frames: {page}")
     return EXIT_OK
-
-
-def _load(checkpoint: Path) -> ObPose:
-    if not checkpoint.exists() and str(checkpoint) in shipped_names():
-        checkpoint = assets.CHECKPOINTS / checkpoint
-    if not checkpoint.is_dir():
-        raise UsageError(
-            f"--checkpoint {checkpoint}: no such folder; expected one that obpose-train wrote, or the name of weights "
-            f"that ship with this package. {list_shipped()}"
-        )
-    return load_obpose(checkpoint)
 
 
 def _observation(recording: Recording, pose: Pose) -> Observation:

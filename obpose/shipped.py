@@ -43,10 +43,26 @@ def find_shipped(model: str, track: str, resolution: tuple[int, int]) -> Path:
     )
 
 
+def find_checkpoint(checkpoint: Path) -> Path:
+    """The folder of a model: the one that is named, or the weights that ship under this name.
+
+    Raises:
+        UsageError: there is neither; says what there is.
+    """
+    if not checkpoint.exists() and str(checkpoint) in shipped_names():
+        return assets.CHECKPOINTS / checkpoint
+    if not checkpoint.is_dir():
+        raise UsageError(
+            f"--checkpoint {checkpoint}: no such folder; expected one that obpose-train wrote, or the name of weights "
+            f"that ship with this package. {list_shipped()}"
+        )
+    return checkpoint
+
+
 def content_hash(folder: Path) -> str:
-    """SHA-256 of names and contents of the files in a folder that hold weights or their description."""
+    """SHA-256 of names and contents of the files in a folder that hold the model's weights and its configuration."""
     found = hashlib.sha256()
-    for path in sorted(folder.iterdir()):
-        if path.suffix in (".safetensors", ".json"):
+    for path in (folder / "config.json", folder / "model.safetensors"):
+        if path.exists():
             found.update(f"{path.name}|{hashlib.sha256(path.read_bytes()).hexdigest()}|".encode())
     return found.hexdigest()

@@ -59,7 +59,8 @@ def _trials(
         raise UsageError(f"{model!r} learns nothing that could be searched; its values are tuned when it is run.")
     if spec.uses_labels:
         raise UsageError(f"{model!r} learns from labels, and a search is decided without any; leave it out.")
-    for number, changes in enumerate(spec.trials):
+    for number, tried in enumerate(spec.trials):
+        changes = {**spec.on_tracks.get(source.name, {}), **tried}
         facts = _facts(spec, source, budget, profile) | {"changes": dict(changes)}
         key = digest(facts)
         yield Trial(model, number, changes, source.name, source.folder, source.slots, *budget, profile, key, out)

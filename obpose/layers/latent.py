@@ -78,6 +78,14 @@ class RecurrentLatent(nn.Module):
         parts = (z, mean, std, *self._priors(z, prior_start))
         return Latent(*(rearrange(_unfold(part, batch, slots), "f b ... z -> b f ... z") for part in parts))
 
+    @torch.no_grad()
+    def first(self) -> tuple[Float[Tensor, "latent"], Float[Tensor, "latent"]]:
+        """Mean and deviation of the prior of the first frame."""
+        empty = next(self.parameters()).new_zeros(1, 1, self._posterior.input_size)
+        latent = self._prior.input_size
+        mean, std = self._priors(empty.new_zeros(1, 1, latent), self._hidden(empty)[1])
+        return mean[0, 0], std[0, 0]
+
     def _hidden(self, sequence: Tensor) -> tuple[Tensor, Tensor]:
         count = sequence.shape[1]
         if self._starts is None:

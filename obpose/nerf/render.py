@@ -8,7 +8,7 @@ from einops import rearrange, repeat
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.nerf.compose import log_share
+from obpose.nerf.compose import solid_share
 from obpose.types import Decoded
 
 
@@ -33,6 +33,7 @@ def render(
     far: float,
     samples: int,
     sigma_max: float,
+    threshold: float = 0.0,
 ) -> Rendering:
     """Quadrature along rays (Mildenhall et al. 2020, eq. 3) of the composed density (paper, eq. apex_norm).
 
@@ -45,6 +46,7 @@ def render(
         samples: Points along a ray, in the middles of equal intervals.
         sigma_max: Density of an opaque point per metre of planar depth. The loss's 10 leaves objects of a few
             centimetres half transparent; pictures are sharp with some hundreds.
+        threshold: Density over sigma_max below which nothing is there (`obpose.nerf.compose.solid_share`).
     """
     edges = torch.linspace(near, far, samples + 1, dtype=origin.dtype, device=origin.device)
     depths = (edges[:-1] + edges[1:]) / 2
@@ -55,7 +57,7 @@ def render(
     )
     if decoded.colours is None:
         raise ValueError("Rendering needs colours, but `decode` gave none; let it decode with colours.")
-    shares = rearrange(log_share(decoded.logits), "b f c (r sample) -> b f c r sample", sample=samples).exp()
+    shares = rearrange(solid_share(decoded.logits, threshold), "b f c (r sample) -> b f c r sample", sample=samples)
     colours = rearrange(decoded.colours, "b f c (r sample) rgb -> b f c r sample rgb", sample=samples)
     weights = _light(sigma_max * (far - near) / samples * shares)
     through = 1 - weights.sum(dim=(2, 4))

@@ -93,6 +93,14 @@ def test_constants_of_a_model_are_part_of_the_key(register):
     assert not set(narrow) & set(plan().keys)
 
 
+def test_changes_on_a_track_are_part_of_the_key_there_and_nowhere_else(register):
+    before = {key.track: key.config_hash for key in plan(tracks=(MOVING, CLEVR)).keys}
+    register(on_tracks={"clevr3d": {"size": 2}})
+    after = {key.track: key.config_hash for key in plan(tracks=(MOVING, CLEVR)).keys}
+    assert after["moving"] == before["moving"]
+    assert after["clevr3d"] != before["clevr3d"]
+
+
 def test_further_segmentations_are_rows_of_the_same_work(register):
     register(extra=("att",))
     made = plan(seeds=2)

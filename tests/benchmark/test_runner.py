@@ -302,3 +302,14 @@ def test_weights_that_were_trained_before_need_no_clips(data: Path, tmp_path: Pa
     assert model.options == [{"slots": 5, "checkpoint": tmp_path / "scripted--data--64x48"}]
     assert model.fits == [(0, 0, 4, 0.0)]
     assert load_runs(tmp_path / "out")[0].pretrained == "scripted--data--64x48"
+
+
+def test_what_a_model_changes_on_a_track_reaches_it_and_its_row(data: Path, tmp_path: Path, register):
+    elsewhere = register(background, kind="learned", on_tracks={"other": {"size": 2}})
+    run_job(job(data, tmp_path / "out"))
+    there = register(background, kind="learned", on_tracks={data.name: {"size": 2}})
+    run_job(job(data, tmp_path / "again"))
+    assert "changes" not in elsewhere.options[-1]
+    assert there.options[-1]["changes"] == {"size": 2}
+    (row,) = load_runs(tmp_path / "again")
+    assert row.config["changes"] == {"size": 2}

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from obpose.config import LossConfig
-from obpose.nerf.compose import OUTSIDE, air_density, log_density, log_share, mean_colour
+from obpose.nerf.compose import OUTSIDE, air_density, log_density, log_share, mean_colour, solid_share
 
 SATURATION = LossConfig().air_saturation
 assert SATURATION is not None
@@ -104,3 +104,12 @@ def test_the_mean_colour_leans_to_the_densest_component():
     torch.testing.assert_close(even, torch.tensor([[0.5, 0.5, 0.0]]))
     faint = mean_colour(logits_of(-3.0, -3.0), colours)
     torch.testing.assert_close(faint.sum(), log_density(logits_of(-3.0, -3.0)).exp().sum())
+
+
+def test_what_is_thinner_than_the_threshold_is_not_there():
+    logits = torch.tensor([[0.0, -4.0, 0.5], [-1.0, -4.0, 0.5]])
+    share = log_share(logits).exp()
+    assert torch.equal(solid_share(logits, 0.0), share)
+    kept = share.sum(dim=0) >= 0.5
+    assert kept.tolist() == [True, False, True]
+    assert torch.equal(solid_share(logits, 0.5), share * kept)

@@ -1,0 +1,90 @@
+"""Edits of scenes: each takes scenes and gives a new one; nothing is changed in place.
+
+An edit is of all frames: an object that moves is displaced along its whole way.
+"""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.creation.scene import Scene
+from obpose.errors import UsageError
+
+
+def remove(scene: Scene, name: int) -> Scene:
+    """Without this object.
+
+    Raises:
+        UsageError: there is no such object, as in all edits.
+    """
+    place = scene.place(name)
+    rest = [other for other in range(len(scene.ids)) if other != place]
+    return replace(
+        scene,
+        ids=tuple(scene.ids[other] for other in rest),
+        what=scene.what[:, rest],
+        center=scene.center[:, rest],
+        rotation=scene.rotation[:, rest],
+    )
+
+
+def move(scene: Scene, name: int, by: Float[Tensor, "3"]) -> Scene:
+    """With the object displaced, world frame, metres."""
+    center = scene.center.clone()
+    center[:, scene.place(name)] += by
+    return replace(scene, center=center)
+
+
+def move_to(scene: Scene, name: int, to: Float[Tensor, "3"]) -> Scene:
+    """With the middle of the object's box there in the first frame, and its way beyond shifted by as much."""
+    return move(scene, name, to - scene.center[0, scene.place(name)])
+
+
+def rotate(scene: Scene, name: int, by: Float[Tensor, "3 3"]) -> Scene:
+    """With the object turned about the middle of its box by a rotation of the world."""
+    rotation, place = scene.rotation.clone(), scene.place(name)
+    rotation[:, place] = by @ rotation[:, place]
+    return replace(scene, rotation=rotation)
+
+
+def swap(scene: Scene, one: int, other: int) -> Scene:
+    """With two objects in each other's places; what they are and how they are turned goes along with them."""
+    a, b = scene.place(one), scene.place(other)
+    center = scene.center.clone()
+    center[:, [a, b]] = scene.center[:, [b, a]]
+    return replace(scene, center=center)
+
+
+def duplicate(scene: Scene, name: int, by: Float[Tensor, "3"]) -> Scene:
+    """With a copy of the object beside it, displaced; its name is `scene.new_id()`."""
+    return transfer(scene, name, scene, by)
+
+
+def transfer(source: Scene, name: int, target: Scene, by: Float[Tensor, "3"] | None = None) -> Scene:
+    """The target with a copy of the source's object, where it is in the source or displaced from there.
+
+    Where the source has fewer frames its last one stays; its name is `target.new_id()`.
+
+    Raises:
+        UsageError: no such object, or the scenes are of different models, whose latents mean different things.
+    """
+    if source.model != target.model:
+        raise UsageError(
+            "The scenes are of different models; an object of one means nothing to the other. Infer both with one."
+        )
+    place = source.place(name)
+    frames = torch.arange(target.frames).clamp(max=source.frames - 1)
+    center = source.center[frames, place] + (0.0 if by is None else by)
+    return replace(
+        target,
+        ids=(*target.ids, target.new_id()),
+        what=_with(target.what, source.what[frames, place]),
+        center=_with(target.center, center),
+        rotation=_with(target.rotation, source.rotation[frames, place]),
+    )
+
+
+def _with(values: Tensor, one: Tensor) -> Tensor:
+    return torch.cat([values, one[:, None]], dim=1)

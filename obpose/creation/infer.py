@@ -1,0 +1,52 @@
+"""From RGB-D frames to a scene."""
+
+from obpose.creation.origin import Origin
+from obpose.creation.scene import Camera, Scene
+from obpose.resolution import fitting_model
+from obpose.types import Inference, Observation
+
+
+def infer_scene(origin: Origin, observation: Observation) -> Scene:
+    """The scene of a batch of one clip, with the posterior means of its latents, as it is segmented.
+
+    Of several views the model gets what it was trained with, all or the first; the scene has the cameras of all.
+    """
+    cameras = cameras_of(observation)
+    if origin.model.config.train.views != "together" and observation.depth.shape[2] > 1:
+        observation = first_view(observation)
+    model = fitting_model(origin.model, observation)
+    return scene_of(model.segment(observation).inference, cameras, origin)
+
+
+def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) -> Scene:
+    """The objects in use of a batch of one clip; they have the names that they have as labels."""
+    slots = [slot for slot, active in enumerate(inference.masks.active[0].tolist()) if active]
+    assert inference.background is not None
+    return Scene(
+        ids=tuple(slot + 1 for slot in slots),
+        what=inference.what.z[0, :, slots].detach(),
+        center=inference.boxes.center[0, :, slots].detach(),
+        rotation=inference.boxes.rotation[0, :, slots].detach(),
+        background=inference.background.z[0].detach(),
+        cameras=cameras,
+        model=origin.hash,
+        checkpoint=origin.name,
+    )
+
+
+def cameras_of(observation: Observation) -> tuple[Camera, ...]:
+    """Of the first clip."""
+    height, width = observation.depth.shape[-2:]
+    pairs = zip(observation.k[0], observation.world_from_camera[0], strict=True)
+    return tuple(Camera(k, pose, width, height) for k, pose in pairs)
+
+
+def first_view(observation: Observation) -> Observation:
+    """As if there were no other."""
+    return Observation(
+        rgb=observation.rgb[:, :, :1],
+        depth=observation.depth[:, :, :1],
+        valid=observation.valid[:, :, :1],
+        k=observation.k[:, :1],
+        world_from_camera=observation.world_from_camera[:, :1],
+    )

@@ -1,0 +1,63 @@
+"""Which model a scene's latents are of."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from obpose.checkpoint import MODEL, load_obpose
+from obpose.creation.scene import Scene
+from obpose.errors import UsageError
+from obpose.model import ObPose
+from obpose.shipped import find_checkpoint
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """A model whose objects have poses, and its names."""
+
+    model: ObPose
+    folder: Path
+    name: str
+    """As it was called."""
+    hash: str
+    """SHA-256 of the file of its weights."""
+
+
+def load_origin(checkpoint: str) -> Origin:
+    """The model of a folder, or of weights that ship under this name.
+
+    Raises:
+        UsageError: there is none, or its objects have no poses that could be edited.
+        CorruptFile: a file is damaged.
+    """
+    folder = find_checkpoint(Path(checkpoint))
+    model = load_obpose(folder)
+    conditioning = model.config.model.pose.conditioning
+    if conditioning not in ("location", "full"):
+        raise UsageError(
+            f"{checkpoint} holds a model with model.pose.conditioning={conditioning}, whose objects have no pose that "
+            "could be edited; give one of obpose or obpose-loc."
+        )
+    return Origin(model, folder, checkpoint, hashlib.sha256((folder / MODEL).read_bytes()).hexdigest())
+
+
+def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
+    """The model that the scene is of, from where it was or from `checkpoint`.
+
+    Raises:
+        UsageError: as `load_origin`, or the weights there are others.
+        CorruptFile: a file is damaged.
+    """
+    place = checkpoint or scene.checkpoint
+    try:
+        found = load_origin(place)
+    except UsageError as error:
+        if checkpoint is not None:
+            raise
+        raise UsageError(f"The scene's model is not where it was: {error} Say with --checkpoint where it is.") from None
+    if found.hash != scene.model:
+        raise UsageError(
+            f"The scene was made with other weights than those in {place}, to which its objects mean nothing. Give "
+            "--checkpoint with the right ones, or infer the scene again."
+        )
+    return found

@@ -1,0 +1,114 @@
+"""Pictures of scenes: colour, depth and soft segmentation from any camera."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from obpose.creation.scene import Camera, Scene
+from obpose.geometry import camera_rays
+from obpose.model import ObPose
+from obpose.nerf.marching import Component, make_component, march, moved
+
+_OPAQUE = 5.0
+"""Optical thickness of as much of an opaque thing as lies between the surface points of neighbouring pixels. The
+fields were trained with such a spacing, and are no sharper."""
+_STEPS = 2.5
+"""Samples over that length."""
+_KEPT = 256
+"""Components that are remembered."""
+_OBJECT_CELLS = 16
+_BACKGROUND_CELLS = 48
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """What a camera sees of one frame."""
+
+    rgb: Float[Tensor, "height width 3"]
+    """0..1; black where nothing is."""
+    depth: Float[Tensor, "height width"]
+    """Mean planar depth at which light comes from, metres."""
+    shares: Float[Tensor, "component height width"]
+    """Soft segmentation: share of the light from the background (first) and each object, in the scene's order."""
+
+    @property
+    def nearest(self) -> Int[Tensor, "height width"]:
+        """Place of the component that most light comes from; 0 is the background."""
+        return self.shares.argmax(dim=0)
+
+
+class Renderer:
+    """Renders scenes of one model; what does not change between edits is kept."""
+
+    def __init__(self, model: ObPose):
+        """Only models with a background and posed objects have scenes (`obpose.creation.infer.require_poses`)."""
+        self.model = model.eval()
+        self._known: dict[bytes, Component] = {}
+
+    def render(self, scene: Scene, frame: int = 0, camera: Camera | None = None) -> Image:
+        """One frame, from the first camera that the scene was seen with where no other is given."""
+        camera = scene.cameras[0] if camera is None else camera
+        settings = self.model.config.model
+        components = self.components(scene, frame)
+        direction, origin = camera_rays(camera.k, camera.world_from_camera, camera.height, camera.width)
+        near, far = _reach(camera, self.model)
+        picture = march(
+            components,
+            origin.expand_as(direction).flatten(0, 1),
+            direction.flatten(0, 1),
+            near=near,
+            far=far,
+            samples=max(1, round((far - near) / settings.spacing * _STEPS)),
+            sigma_max=_OPAQUE / settings.spacing,
+            floor=settings.table,
+            threshold=settings.voxel_threshold,
+        )
+        size = (camera.height, camera.width)
+        return Image(
+            rgb=picture.colour.clamp(0, 1).unflatten(0, size),
+            depth=picture.depth.unflatten(0, size),
+            shares=picture.weights.unflatten(1, size),
+        )
+
+    def components(self, scene: Scene, frame: int) -> list[Component]:
+        """The background, then the objects."""
+        model, settings = self.model, self.model.config.model
+        field = model.background_field
+        assert field is not None
+        fixed = {"center": model.center, "rotation": torch.eye(3), "size": settings.background_size}
+        fixed |= {"threshold": settings.voxel_threshold}
+        code = scene.background[frame]
+        background = self._keep(
+            code,
+            lambda: make_component(field, code, **fixed, bounded=False, resolution=_BACKGROUND_CELLS),
+        )
+        return [background, *(self._object(scene, frame, place) for place in range(len(scene.ids)))]
+
+    def _object(self, scene: Scene, frame: int, place: int) -> Component:
+        model, code = self.model, scene.what[frame, place]
+        center, rotation = scene.center[frame, place], scene.rotation[frame, place]
+        box = {"center": center, "rotation": rotation, "size": model.config.model.pose.box_size}
+        box |= {"threshold": model.config.model.voxel_threshold}
+        known = self._keep(
+            code, lambda: make_component(model.object_field, code, **box, bounded=True, resolution=_OBJECT_CELLS)
+        )
+        return moved(known, center, rotation)
+
+    def _keep(self, code: Float[Tensor, "latent"], make: Callable[[], Component]) -> Component:
+        """Components by their codes, as edits leave most of them as they were."""
+        name = code.numpy().tobytes()
+        if name not in self._known:
+            if len(self._known) >= _KEPT:
+                self._known.clear()
+            self._known[name] = make()
+        return self._known[name]
+
+
+def _reach(camera: Camera, model: ObPose) -> tuple[float, float]:
+    """Planar depths between which the workspace and what stands around it lie, metres."""
+    pose, reach = camera.world_from_camera, model.config.model.workspace_size
+    middle = float((model.center - pose[:3, 3]) @ pose[:3, 2])
+    return max(reach / 100, middle - reach), max(reach, middle + reach)

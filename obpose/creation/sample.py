@@ -1,0 +1,89 @@
+"""Scenes that were never seen: latents from a prior, objects on the table beside each other."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.creation.origin import Origin
+from obpose.creation.prior import ScenePrior
+from obpose.creation.scene import Camera, Scene, upright
+from obpose.errors import UsageError
+from obpose.geometry import from_box
+from obpose.model import ObPose
+from obpose.nerf.voxels import lattice_points, occupancy
+
+_TRIES = 200
+_CELLS = 16
+
+
+@torch.no_grad()
+def sample_scene(
+    origin: Origin,
+    prior: ScenePrior,
+    *,
+    objects: int,
+    cameras: tuple[Camera, ...],
+    generator: torch.Generator,
+) -> Scene:
+    """A scene of one frame with so many objects, turned about the vertical at random, their lowest voxel on the table.
+
+    The paper leaves the poses of sampled objects to the user; these are drawn such that no two objects' voxels, seen
+    from above, come nearer to each other than both reach from their middles.
+
+    Raises:
+        UsageError: there is no room for so many.
+    """
+    what = prior.what.draw(objects, generator)
+    center, rotation = torch.zeros(objects, 3), torch.zeros(objects, 3, 3)
+    reaches: list[float] = []
+    for place in range(objects):
+        turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, what)
+        extent = shape_extent(origin.model, what[place], turn)
+        reach = float(extent[:, :2].norm(dim=-1).max())
+        middle = _free_place(prior, center[:place, :2], reaches, reach, generator)
+        center[place, :2] = middle
+        center[place, 2] = -extent[:, 2].min()
+        rotation[place] = turn
+        reaches.append(reach)
+    return Scene(
+        ids=tuple(range(1, objects + 1)),
+        what=what[None],
+        center=center[None],
+        rotation=rotation[None],
+        background=prior.background.draw(1, generator),
+        cameras=cameras,
+        model=origin.hash,
+        checkpoint=origin.name,
+    )
+
+
+@torch.no_grad()
+def shape_extent(
+    model: ObPose, what: Float[Tensor, "latent"], rotation: Float[Tensor, "3 3"]
+) -> Float[Tensor, "corner 3"]:
+    """Occupied voxels of an object relative to the middle of its box, world axes, metres; the middle if none is."""
+    settings = model.config.model
+    lattice = lattice_points(_CELLS, None, what)
+    logits, _ = model.object_field.density(lattice, model.object_field.condition(what))
+    occupied = occupancy(logits) > settings.voxel_threshold
+    voxels = lattice[occupied] if occupied.any() else lattice.new_zeros(1, 3)
+    return from_box(voxels, torch.zeros(3), rotation, settings.pose.box_size)
+
+
+def _free_place(
+    prior: ScenePrior,
+    taken: Float[Tensor, "object 2"],
+    reaches: list[float],
+    reach: float,
+    generator: torch.Generator,
+) -> Float[Tensor, "2"]:
+    for _ in range(_TRIES):
+        place = prior.low + (prior.high - prior.low) * torch.rand(2, generator=generator)
+        away = (taken - place).norm(dim=-1)
+        if bool((away > reach + torch.tensor(reaches)).all()):
+            return place
+    raise UsageError(
+        f"There is no room for object {len(reaches) + 1} beside the others; sample fewer, or with another --seed."
+    )

@@ -1,0 +1,151 @@
+"""Flags of `obpose-edit`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+SceneFolder = Annotated[Path, tyro.conf.Positional]
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What is drawn of the result."""
+
+    out: Path
+    """Folder for the new scene and its picture; it must not hold anything yet."""
+    resolution: str | None = None
+    """Of the picture, such as 128x128 (width x height); that of the camera if left out."""
+    checkpoint: str | None = None
+    """Folder of the model, or the name of weights that ship with this package; the scene knows it by itself unless it
+    was moved."""
+
+
+@dataclass(frozen=True)
+class Infer:
+    """Infer a scene from a clip of a dataset."""
+
+    checkpoint: str
+    """Folder of a trained model, or the name of weights that ship with this package."""
+    data: Path
+    """Folder of a dataset with images."""
+    out: Path
+    """Folder for the scene and its picture; it must not hold anything yet."""
+    split: Literal["train", "val", "test"] = "test"
+    scene: int = 0
+    """Which of the split's scenes."""
+    resolution: str | None = None
+    """Of the picture, such as 128x128; that of the data if left out."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Sample a scene that was never seen."""
+
+    checkpoint: str
+    """Folder of a trained model, or the name of weights that ship with this package."""
+    out: Path
+    """Folder for the scene and its picture; it must not hold anything yet."""
+    camera: Path
+    """Folder of a scene whose cameras are used."""
+    objects: int = 3
+    seed: int = 0
+    prior: Literal["fitted", "learned"] = "fitted"
+    """`fitted`: Gaussians of what the model infers from training clips, which `obpose-edit fit` made and shipped
+    weights have; `learned`: the model's own priors."""
+    resolution: str | None = None
+    """Of the picture, such as 128x128; that of the camera if left out."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Fit the Gaussians that scenes are sampled from, beside a model's weights."""
+
+    checkpoint: str
+    """Folder of a trained model."""
+    data: Path
+    """Folder of the dataset that it was trained on."""
+    clips: int = 500
+    """How many of the training split."""
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render a scene from one of its cameras, or all around it."""
+
+    scene: SceneFolder
+    """Folder of a scene."""
+    out: Path
+    """PNG, or GIF of a turn or of all frames; must not exist yet."""
+    frame: int = 0
+    view: int = 0
+    """Which of the scene's cameras."""
+    turntable: int = 0
+    """Pictures of a whole turn around the scene, as a GIF."""
+    clip: Switch = False
+    """All frames, as a GIF."""
+    resolution: str | None = None
+    """Such as 128x128; that of the camera if left out."""
+    checkpoint: str | None = None
+    """Where the scene's model is, if it was moved."""
+
+
+@dataclass(frozen=True)
+class _Edit(_Shown):
+    scene: SceneFolder = field(kw_only=True)
+    """Folder of a scene."""
+
+
+@dataclass(frozen=True)
+class Remove(_Edit):
+    """Remove an object."""
+
+    object: int = field(kw_only=True)
+    """Its number, as printed and coloured."""
+
+
+@dataclass(frozen=True)
+class Move(_Edit):
+    """Move an object by a distance, or to a place."""
+
+    object: int = field(kw_only=True)
+    """Its number, as printed and coloured."""
+    by: str | None = None
+    """x,y,z in metres, world frame, such as 0.1,0,0."""
+    to: str | None = None
+    """x,y,z in metres: of the middle of its box in the first frame."""
+
+
+@dataclass(frozen=True)
+class Rotate(_Edit):
+    """Turn an object about its middle."""
+
+    object: int = field(kw_only=True)
+    """Its number, as printed and coloured."""
+    degrees: float = field(kw_only=True)
+    """Counterclockwise, seen from above or against the axis."""
+    axis: Literal["x", "y", "z"] = "z"
+    """Of the world."""
+
+
+@dataclass(frozen=True)
+class Swap(_Edit):
+    """Let two objects change places."""
+
+    objects: tuple[int, int] = field(kw_only=True)
+
+
+@dataclass(frozen=True)
+class Add(_Edit):
+    """Add a copy of an object, of the same scene or of another of the same model."""
+
+    object: int = field(kw_only=True)
+    """Its number in the scene that it comes from."""
+    source: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """Folder of the scene that it comes from; the same if left out."""
+    by: str | None = None
+    """x,y,z in metres that it is displaced by."""
+    to: str | None = None
+    """x,y,z in metres: where the middle of its box is in the first frame."""

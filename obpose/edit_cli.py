@@ -1,0 +1,259 @@
+"""The command `obpose-edit`: infer, sample, change and render scenes of a trained model.
+
+obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what is in test scene 0
+obpose-edit sample --checkpoint obpose--moving--64x64 --camera a --out b    a scene that was never seen
+obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
+obpose-edit render c --turntable 24 --out turn.gif
+"""
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.creation import edit
+from obpose.creation.infer import infer_scene
+from obpose.creation.origin import Origin, load_origin, origin_of
+from obpose.creation.pictures import strip, turntable, write_gif, write_png
+from obpose.creation.prior import fit_prior, learned_prior, load_prior, save_prior
+from obpose.creation.rendering import Renderer
+from obpose.creation.sample import sample_scene
+from obpose.creation.scene import Camera, Scene, axis_rotation
+from obpose.creation.storage import load_scene, save_scene
+from obpose.data import SceneDataset
+from obpose.edit_arguments import Add, Fit, Infer, Move, Remove, Render, Rotate, Sample, Swap
+from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError
+from obpose.types import Observation
+
+PROGRAM = "obpose-edit"
+PICTURE = "picture.png"
+FPS = 8.0
+MOST_OBJECTS = 100
+LARGEST = 2048
+"""Pixels along a side of a picture."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one subcommand and give its exit code; every failure that a user can mend ends in one line on stderr."""
+    try:
+        return _run(list(sys.argv[1:] if arguments is None else arguments))
+    except DatagenError as error:
+        return _fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return _fail("Interrupted; nothing was changed.", EXIT_INTERRUPTED)
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
+
+
+def _run(arguments: list[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(f"{__doc__}\nSubcommands, each with a --help of its own: {', '.join(COMMANDS)}.")
+        return EXIT_OK
+    name = arguments.pop(0)
+    if name not in COMMANDS:
+        raise UsageError(f"Unknown subcommand {name!r}; expected one of {', '.join(COMMANDS)}.")
+    kind, command = COMMANDS[name]
+    command(tyro.cli(kind, args=arguments, prog=f"{PROGRAM} {name}"))
+    return EXIT_OK
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"{PROGRAM}: {message}", file=sys.stderr)
+    return code
+
+
+def _infer(values: Infer) -> None:
+    _check_free(values.out)
+    origin = load_origin(values.checkpoint)
+    _show(infer_scene(origin, _clip(values.data, values.split, values.scene)), origin, values.out, values.resolution)
+
+
+def _sample(values: Sample) -> None:
+    _check_free(values.out)
+    if not 0 <= values.objects <= MOST_OBJECTS:
+        raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
+    if values.seed < 0:
+        raise UsageError(f"--seed {values.seed}: expected 0 or more.")
+    origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
+    prior = load_prior(origin.folder, origin.model) if values.prior == "fitted" else learned_prior(origin.model)
+    generator = torch.Generator().manual_seed(values.seed)
+    scene = sample_scene(origin, prior, objects=values.objects, cameras=cameras, generator=generator)
+    _show(scene, origin, values.out, values.resolution)
+
+
+def _fit(values: Fit) -> None:
+    origin = load_origin(values.checkpoint)
+    count = min(values.clips, len(SceneDataset(values.data, "train")))
+    if count < 2:
+        raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
+    model = origin.model
+    save_prior(origin.folder, fit_prior(model, (_first(_clip(values.data, "train", i)) for i in range(count))))
+    print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
+
+
+def _render(values: Render) -> None:
+    if values.out.exists():
+        raise UsageError(f"{values.out} is there already; give another --out.")
+    moving = values.turntable > 0 or values.clip
+    if values.out.suffix != (".gif" if moving else ".png"):
+        raise UsageError(f"--out {values.out}: expected a name that ends with {'.gif' if moving else '.png'}.")
+    scene = load_scene(values.scene)
+    frame = _one_of("--frame", values.frame, scene.frames)
+    camera = scene.cameras[_one_of("--view", values.view, len(scene.cameras))]
+    camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
+    renderer = Renderer(origin.model)
+    if values.turntable > 0:
+        around = turntable(camera, origin.model.center, values.turntable)
+        write_gif(values.out, (strip(renderer.render(scene, frame, each), scene.ids) for each in around), fps=FPS)
+    elif values.clip:
+        frames = range(scene.frames)
+        write_gif(values.out, (strip(renderer.render(scene, each, camera), scene.ids) for each in frames), fps=FPS)
+    else:
+        write_png(values.out, strip(renderer.render(scene, frame, camera), scene.ids))
+    print(values.out)
+
+
+def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:
+    """A command that loads a scene, changes it, and writes what comes of it."""
+
+    def command(values: Any) -> None:
+        _check_free(values.out)
+        scene = load_scene(values.scene)
+        changed = change(values, scene)
+        _show(changed, origin_of(scene, values.checkpoint), values.out, values.resolution)
+
+    return command
+
+
+def _remove(values: Remove, scene: Scene) -> Scene:
+    return edit.remove(scene, values.object)
+
+
+def _move(values: Move, scene: Scene) -> Scene:
+    if (values.by is None) == (values.to is None):
+        raise UsageError("Give either --by or --to.")
+    if values.by is not None:
+        return edit.move(scene, values.object, _vector("--by", values.by))
+    return edit.move_to(scene, values.object, _vector("--to", values.to))
+
+
+def _rotate(values: Rotate, scene: Scene) -> Scene:
+    if not math.isfinite(values.degrees):
+        raise UsageError(f"--degrees {values.degrees}: expected a finite number.")
+    return edit.rotate(scene, values.object, axis_rotation(values.axis, math.radians(values.degrees), scene.center))
+
+
+def _swap(values: Swap, scene: Scene) -> Scene:
+    return edit.swap(scene, *values.objects)
+
+
+def _add(values: Add, scene: Scene) -> Scene:
+    source = scene if values.source is None else load_scene(values.source)
+    if values.by is not None and values.to is not None:
+        raise UsageError("Give --by or --to, not both.")
+    if values.source is None and values.by is None and values.to is None:
+        raise UsageError("A copy in the same place would not be seen; give --by or --to.")
+    added = edit.transfer(source, values.object, scene)
+    name = added.ids[-1]
+    if values.by is not None:
+        return edit.move(added, name, _vector("--by", values.by))
+    return added if values.to is None else edit.move_to(added, name, _vector("--to", values.to))
+
+
+def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> None:
+    """Check, render, write and describe a scene."""
+    _check_inside(scene, origin)
+    camera = _sized(scene.cameras[0], resolution)
+    picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
+    save_scene(out, scene)
+    write_png(out / PICTURE, picture)
+    print(f"{out}: {scene.frames} frames, {len(scene.ids)} objects; {out / PICTURE}")
+    for place, name in enumerate(scene.ids):
+        x, y, z = scene.center[0, place].tolist()
+        print(f"  object {name} at {x:.3f}, {y:.3f}, {z:.3f} m in the first frame")
+
+
+def _check_free(out: Path) -> None:
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{out} is there already and not empty; give another --out, nothing was changed.")
+
+
+def _check_inside(scene: Scene, origin: Origin) -> None:
+    """Fields know nothing of the world outside the cube of the background, which holds workspace and cameras."""
+    half = origin.model.config.model.background_size / 2
+    outside = ((scene.center - origin.model.center).abs() > half).any(dim=(0, 2)).tolist()
+    names = [str(name) for name, out in zip(scene.ids, outside, strict=True) if out]
+    if names:
+        x, y, z = origin.model.center.tolist()
+        raise UsageError(
+            f"Object {', '.join(names)} would be outside the world that the model knows, a cube of {2 * half:.2f} m "
+            f"around {x:.2f}, {y:.2f}, {z:.2f}."
+        )
+
+
+def _clip(data: Path, split: str, index: int) -> Observation:
+    """A clip as a batch of one."""
+    scenes = SceneDataset(data, split)
+    item = scenes[_one_of("--scene", index, len(scenes))]
+    names = ("rgb", "depth", "valid", "k", "world_from_camera")
+    return Observation(**{name: item[name][None] for name in names})
+
+
+def _first(clip: Observation) -> Observation:
+    """The first frame of the first view."""
+    return Observation(
+        clip.rgb[:, :1, :1], clip.depth[:, :1, :1], clip.valid[:, :1, :1], clip.k[:, :1], clip.world_from_camera[:, :1]
+    )
+
+
+def _one_of(flag: str, value: int, count: int) -> int:
+    if not 0 <= value < count:
+        raise UsageError(f"{flag} {value}: expected {'0' if count == 1 else f'0 to {count - 1}'}.")
+    return value
+
+
+def _vector(flag: str, text: str | None) -> Float[Tensor, "3"]:
+    try:
+        numbers = [float(part) for part in (text or "").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise UsageError(f"{flag} {text}: expected x,y,z in metres, such as 0.1,0,0.")
+    return torch.tensor(numbers)
+
+
+def _sized(camera: Camera, resolution: str | None) -> Camera:
+    if resolution is None:
+        return camera
+    try:
+        width, height = (int(part) for part in resolution.lower().split("x"))
+    except ValueError:
+        width = height = 0
+    if not (0 < width <= LARGEST and 0 < height <= LARGEST):
+        raise UsageError(f"--resolution {resolution}: expected WIDTHxHEIGHT, such as 128x128, at most {LARGEST}.")
+    return camera.resized(width, height)
+
+
+Command = tuple[type, Callable[[Any], None]]
+
+COMMANDS: dict[str, Command] = {
+    "infer": (Infer, _infer),
+    "sample": (Sample, _sample),
+    "fit": (Fit, _fit),
+    "render": (Render, _render),
+    "remove": (Remove, _edited(_remove)),
+    "move": (Move, _edited(_move)),
+    "rotate": (Rotate, _edited(_rotate)),
+    "swap": (Swap, _edited(_swap)),
+    "add": (Add, _edited(_add)),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())

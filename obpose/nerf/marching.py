@@ -1,0 +1,200 @@
+"""Volume rendering that leaves out empty space: the picture of `obpose.nerf.render`, of far fewer points.
+
+Each component has a grid of cells that may hold something, made from its field once. Rays are marched front to back,
+some samples at a time; a component is evaluated only at samples in such cells (an object's within its box), colours
+only where light comes from, and rays that nothing shines through any more stop.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from obpose.geometry import to_box
+from obpose.nerf.compose import OUTSIDE, log_density, solid_share
+from obpose.nerf.field import Conditioning, Field
+from obpose.nerf.voxels import lattice_points
+
+_AT_ONCE = 16
+"""Samples of a ray that are evaluated before it is asked whether it goes on."""
+_DARK = 1e-3
+"""A ray that lets through less than this stops; light below a tenth of it has no colour."""
+_LEAST, _LESS = 1e-3, 0.25
+"""Cells in and around which the density over sigma_max is less than this, or than this share of the threshold, are
+empty."""
+_CHUNK = 1 << 17
+"""Points of a grid that are evaluated at once, so that memory does not grow with it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """The field of one object or of the background, and where it may be dense."""
+
+    field: Field
+    codes: Conditioning
+    """Of a single code."""
+    center: Float[Tensor, "3"]
+    rotation: Float[Tensor, "3 3"]
+    """World from the box's frame."""
+    size: float
+    """Edge of the field's cube, metres."""
+    bounded: bool
+    """Whether the field ends with its cube, as an object's does."""
+    cells: Bool[Tensor, "x y z"]
+    """Which cells of the cube may hold something."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What a camera sees; light that meets nothing is black, and its depth that of the far end."""
+
+    colour: Float[Tensor, "ray 3"]
+    """0..1."""
+    depth: Float[Tensor, "ray"]
+    """Mean planar depth at which light comes from, metres."""
+    weights: Float[Tensor, "component ray"]
+    """Share of the light that comes from each component; together the opacity."""
+
+
+@torch.no_grad()
+def make_component(
+    field: Field,
+    code: Float[Tensor, "latent"],
+    *,
+    center: Float[Tensor, "3"],
+    rotation: Float[Tensor, "3 3"],
+    size: float,
+    bounded: bool,
+    resolution: int,
+    threshold: float = 0.0,
+) -> Component:
+    """Look for the cells of the field's cube, `resolution` along each edge, that are not empty for this threshold."""
+    codes = field.condition(code)
+    lattice = lattice_points(resolution, None, code)
+    logits = torch.cat([field.density(part, codes)[0] for part in lattice.split(_CHUNK)])
+    dense = log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)
+    grid = dense.view(1, 1, resolution, resolution, resolution).to(code.dtype)
+    cells = F.max_pool3d(grid, 3, stride=1, padding=1)[0, 0] > 0
+    return Component(field, codes, center, rotation, size, bounded, cells)
+
+
+def moved(component: Component, center: Float[Tensor, "3"], rotation: Float[Tensor, "3 3"]) -> Component:
+    """The same elsewhere; nothing has to be looked for again."""
+    return replace(component, center=center, rotation=rotation)
+
+
+@torch.no_grad()
+def march(
+    components: list[Component],
+    origin: Float[Tensor, "ray 3"],
+    direction: Float[Tensor, "ray 3"],
+    *,
+    near: float,
+    far: float,
+    samples: int,
+    sigma_max: float,
+    floor: float | None,
+    threshold: float = 0.0,
+) -> Picture:
+    """Render the composed components; the values are those of `obpose.nerf.render.render`.
+
+    Args:
+        components: The background first, if there is one.
+        origin: Camera centres, world frame, metres.
+        direction: Per metre of planar depth.
+        near: Planar depth to begin at, metres.
+        far: Planar depth to end at, metres.
+        samples: Points along a ray, in the middles of equal intervals.
+        sigma_max: Density of an opaque point per metre of planar depth.
+        floor: Bounded components are nowhere below this height in the world, metres; None for no floor.
+        threshold: Density over sigma_max below which nothing is there; no more than that of the components.
+    """
+    rays, length = len(origin), (far - near) / samples
+    colour = origin.new_zeros(rays, 3)
+    depth = origin.new_zeros(rays)
+    weights = origin.new_zeros(len(components), rays)
+    passed = origin.new_ones(rays)
+    alive = torch.arange(rays, device=origin.device)
+    for first in range(0, samples, _AT_ONCE):
+        count = min(_AT_ONCE, samples - first)
+        depths = near + (first + torch.arange(count, dtype=origin.dtype, device=origin.device) + 0.5) * length
+        points = origin[alive, None] + direction[alive, None] * depths[:, None]
+        lit = _evaluate(components, points, direction[alive], passed[alive], sigma_max * length, floor, threshold)
+        if lit is None:
+            continue
+        colour[alive] += lit.colour
+        depth[alive] += (lit.weights.sum(dim=0) * depths).sum(dim=-1)
+        weights[:, alive] += lit.weights.sum(dim=-1)
+        passed[alive] = lit.passed
+        alive = alive[lit.passed > _DARK]
+        if not len(alive):
+            break
+    return Picture(colour, depth + (1 - weights.sum(dim=0)) * far, weights)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lit:
+    colour: Float[Tensor, "ray 3"]
+    weights: Float[Tensor, "component ray sample"]
+    passed: Float[Tensor, "ray"]
+
+
+def _evaluate(
+    components: list[Component],
+    points: Float[Tensor, "ray sample 3"],
+    direction: Float[Tensor, "ray 3"],
+    passed: Float[Tensor, "ray"],
+    thickness: float,
+    floor: float | None,
+    threshold: float,
+) -> _Lit | None:
+    """Light from the next samples of each ray; None where there is nothing."""
+    flat, (rays, count, _) = points.flatten(0, 1), points.shape
+    logits = points.new_full((len(components), rays * count), OUTSIDE)
+    found: list[tuple[Int[Tensor, " n"], Float[Tensor, "n width"]]] = []
+    for place, component in enumerate(components):
+        index, at = _inside(component, flat, floor)
+        logits[place, index], hidden = component.field.density(at, component.codes)
+        found.append((index, hidden))
+    if not any(len(index) for index, _ in found):
+        return None
+    optical = thickness * solid_share(logits, threshold).unflatten(1, (rays, count))
+    weights = passed[:, None] * _light(optical)
+    colour = points.new_zeros(rays, 3)
+    unit = F.normalize(direction, dim=-1)
+    for component, light, (index, hidden) in zip(components, weights.flatten(1), found, strict=True):
+        bright = light[index] > _DARK / 10
+        index = index[bright]
+        ray = index // count
+        seen = component.field.colour(hidden[bright], unit[ray] @ component.rotation, component.codes)
+        colour.index_add_(0, ray, light[index, None] * seen)
+    return _Lit(colour, weights, passed * torch.exp(-optical.sum(dim=(0, 2))))
+
+
+def _inside(
+    component: Component, points: Float[Tensor, "n 3"], floor: float | None
+) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
+    """Which points lie in cells that may hold something, and where in the component's cube."""
+    at = to_box(points, component.center, component.rotation, component.size)
+    resolution = len(component.cells)
+    within = (at.abs() <= 1).all(dim=-1)
+    cell = ((at + 1) * (resolution / 2)).floor().long().clamp(0, resolution - 1)
+    there = component.cells[cell[:, 0], cell[:, 1], cell[:, 2]]
+    if component.bounded:
+        there = there & within
+        if floor is not None:
+            there = there & (points[:, 2] > floor)
+    else:
+        there = there | ~within
+    index = there.nonzero()[:, 0]
+    return index, at[index]
+
+
+def _light(optical: Float[Tensor, "component ray sample"]) -> Float[Tensor, "component ray sample"]:
+    """Share of the light from each sample and component, given their optical thickness."""
+    total = optical.sum(dim=0)
+    transmitted = torch.exp(total - total.cumsum(dim=-1))
+    stopped = -torch.expm1(-total) * transmitted
+    return (stopped / total.clamp(min=1e-12)) * optical

@@ -1,0 +1,43 @@
+"""Small scenes and an untrained model, for tests of edits and pictures."""
+
+import torch
+
+from obpose.creation.scene import Camera, Scene
+from obpose.model import ObPose
+from obpose.variants import make_config
+
+CAMERA = Camera(
+    torch.tensor([[24.0, 0.0, 8.0], [0.0, 24.0, 6.0], [0.0, 0.0, 1.0]]),
+    torch.tensor([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1], [0, 0, 0, 1]]),
+    width=16,
+    height=12,
+)
+"""A metre above the origin, looking down."""
+
+
+def some_model(**changes: object) -> ObPose:
+    """With fresh weights; all of its slots are in use."""
+    torch.manual_seed(0)
+    sizes = {"model.workspace_size": 1.0, "model.background_size": 2.5, "model.attention.idle_points": 0}
+    return ObPose(make_config(**sizes, **changes)).eval()
+
+
+def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str = "abc") -> Scene:
+    generator = torch.Generator().manual_seed(seed)
+    draw = lambda *shape: torch.randn(shape, generator=generator)  # noqa: E731
+    rotation = torch.linalg.qr(draw(frames, objects, 3, 3))[0]
+    return Scene(
+        ids=tuple(range(1, objects + 1)),
+        what=draw(frames, objects, 32),
+        center=0.2 * draw(frames, objects, 3).clamp(-1, 1),
+        rotation=rotation * torch.linalg.det(rotation)[..., None, None],
+        background=draw(frames, 32),
+        cameras=(CAMERA,),
+        model=model,
+        checkpoint="somewhere",
+    )
+
+
+def equal(one: Scene, other: Scene) -> bool:
+    names = ("what", "center", "rotation", "background")
+    return one.ids == other.ids and all(torch.equal(getattr(one, name), getattr(other, name)) for name in names)

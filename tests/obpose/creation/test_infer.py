@@ -1,0 +1,30 @@
+from pathlib import Path
+
+import torch
+
+from obpose.creation.infer import infer_scene
+from obpose.creation.origin import Origin
+from tests.obpose.creation.scenes import some_model
+from tests.obpose.scenes import table_scene
+
+
+def test_a_scene_holds_the_posterior_means_of_the_objects_in_use():
+    origin = Origin(some_model(), Path("folder"), "name", "hash")
+    clip = table_scene(batch=1, frames=3)
+    scene = infer_scene(origin, clip)
+    inference = origin.model.segment(clip).inference
+    assert scene.ids == (1, 2, 3, 4)
+    assert torch.equal(scene.what, inference.what.mean[0])
+    assert torch.equal(scene.center, inference.boxes.center[0])
+    assert (scene.model, scene.checkpoint, scene.frames) == ("hash", "name", 3)
+    assert torch.equal(scene.cameras[0].world_from_camera, clip.world_from_camera[0, 0])
+
+
+def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cameras():
+    origin = Origin(some_model(**{"train.views": "one"}), Path("folder"), "name", "hash")
+    clip = table_scene(batch=1, frames=1, views=3)
+    scene = infer_scene(origin, clip)
+    assert len(scene.cameras) == 3
+    alone = table_scene(batch=1, frames=1, views=3)
+    alone.rgb[:, :, 1:] = 0
+    torch.testing.assert_close(infer_scene(origin, alone).what, scene.what)

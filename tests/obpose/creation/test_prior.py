@@ -1,0 +1,60 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from obpose.creation.prior import Gaussian, fit_prior, learned_prior, load_prior, save_prior
+from obpose.errors import CorruptFile, UsageError
+from tests.obpose.creation.scenes import some_model
+from tests.obpose.scenes import table_scene
+
+
+def test_a_gaussian_draws_with_its_mean_and_covariance():
+    factor = torch.tensor([[2.0, 0.0], [1.0, 0.5]])
+    drawn = Gaussian(torch.tensor([3.0, -1.0]), factor).draw(20000, torch.Generator().manual_seed(0))
+    torch.testing.assert_close(drawn.mean(dim=0), torch.tensor([3.0, -1.0]), atol=0.05, rtol=0)
+    torch.testing.assert_close(drawn.T.cov(), factor @ factor.T, atol=0.1, rtol=0)
+
+
+def test_the_first_learned_prior_is_that_of_training():
+    model = some_model()
+    prior = learned_prior(model)
+    inference = model.infer(table_scene(batch=1))
+    assert inference.background is not None
+    torch.testing.assert_close(prior.background.mean, inference.background.prior_mean[0, 0])
+    torch.testing.assert_close(prior.background.factor.diag(), inference.background.prior_std[0, 0])
+    torch.testing.assert_close(prior.what.mean, inference.what.prior_mean[0, 0, 0])
+    torch.testing.assert_close(prior.what.factor, torch.diag(inference.what.prior_std[0, 0, 0]))
+
+
+def test_a_fitted_prior_has_the_moments_of_what_was_inferred():
+    model = some_model()
+    clips = [table_scene(batch=1, frames=1, seed=seed) for seed in range(6)]
+    prior = fit_prior(model, clips)
+    seen = torch.stack([model.segment(clip).inference.background.mean[0, 0] for clip in clips])  # pyright: ignore
+    torch.testing.assert_close(prior.background.mean, seen.mean(dim=0))
+    torch.testing.assert_close(prior.background.factor @ prior.background.factor.T, seen.T.cov(), atol=1e-5, rtol=1e-4)
+    assert (prior.low <= prior.high).all()
+
+
+def test_it_needs_two_clips():
+    with pytest.raises(UsageError, match="in 1 clips; expected at least 2"):
+        fit_prior(some_model(), [table_scene(batch=1, frames=1)])
+
+
+def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
+    model = some_model()
+    with pytest.raises(UsageError, match="make one with obpose-edit fit, or give --prior learned"):
+        load_prior(tmp_path, model)
+    prior = learned_prior(model)
+    save_prior(tmp_path, prior)
+    found = load_prior(tmp_path, model)
+    assert torch.equal(found.what.factor, prior.what.factor)
+    assert torch.equal(found.high, prior.high)
+    short = Gaussian(torch.zeros(3), torch.eye(3))
+    save_prior(tmp_path, type(prior)(short, prior.background, prior.low, prior.high))
+    with pytest.raises(CorruptFile, match="of another model"):
+        load_prior(tmp_path, model)
+    (tmp_path / "prior.safetensors").write_bytes(b"other")
+    with pytest.raises(CorruptFile, match="is damaged"):
+        load_prior(tmp_path, model)

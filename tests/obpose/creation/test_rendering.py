@@ -1,0 +1,34 @@
+import torch
+
+from obpose.creation import edit
+from obpose.creation.rendering import Renderer
+from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
+
+
+def test_an_image_has_the_cameras_size_and_a_share_for_each_component():
+    renderer, scene = Renderer(some_model()), some_scene(objects=2)
+    image = renderer.render(scene)
+    assert image.rgb.shape == (12, 16, 3)
+    assert image.depth.shape == (12, 16)
+    assert image.shares.shape == (3, 12, 16)
+    assert float(image.shares.sum(dim=0).max()) <= 1 + 1e-5
+    assert renderer.render(scene, camera=CAMERA.resized(8, 6)).rgb.shape == (6, 8, 3)
+
+
+def test_what_is_remembered_changes_no_picture():
+    model, scene = some_model(), some_scene()
+    renderer = Renderer(model)
+    renderer.render(scene)
+    for changed in (edit.move(scene, 1, torch.tensor([0.1, 0.0, 0.1])), edit.remove(scene, 2)):
+        again, anew = renderer.render(changed, 1), Renderer(model).render(changed, 1)
+        assert torch.equal(again.rgb, anew.rgb)
+        assert torch.equal(again.depth, anew.depth)
+
+
+def test_the_order_of_objects_does_not_matter():
+    scene = some_scene(objects=2, frames=1)
+    other = edit.remove(edit.transfer(scene, 1, scene), 1)
+    renderer = Renderer(some_model())
+    one, two = renderer.render(scene), renderer.render(other)
+    torch.testing.assert_close(two.rgb, one.rgb, atol=1e-4, rtol=0)
+    torch.testing.assert_close(two.shares[[0, 2, 1]], one.shares, atol=1e-4, rtol=0)

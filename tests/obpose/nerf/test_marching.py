@@ -1,0 +1,121 @@
+import pytest
+import torch
+
+from obpose.geometry import camera_rays
+from obpose.nerf.components import decode
+from obpose.nerf.field import Field
+from obpose.nerf.marching import Component, Picture, make_component, march, moved
+from obpose.nerf.render import render
+from obpose.types import Boxes
+from tests.obpose.analytic_fields import SMALL, BallField, empty_field
+
+WORLD = {"center": torch.tensor([0.0, 0.1, 0.0]), "rotation": torch.eye(3), "size": 2.0}
+BOX = {"center": torch.tensor([0.1, 0.0, 0.05]), "rotation": torch.eye(3), "size": 0.3}
+NEAR, FAR, SAMPLES, SIGMA = 0.4, 1.6, 100, 60.0
+
+
+def rays(pixels: int = 12) -> tuple[torch.Tensor, torch.Tensor]:
+    """Those of a camera one metre above the origin that looks down."""
+    k = torch.tensor([[1.5 * pixels, 0, pixels / 2], [0, 1.5 * pixels, pixels / 2], [0, 0, 1]])
+    pose = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))
+    pose[2, 3] = 1.0
+    direction, origin = camera_rays(k, pose, pixels, pixels)
+    return origin.expand_as(direction).flatten(0, 1), direction.flatten(0, 1)
+
+
+def objects(count: int, seed: int = 0) -> tuple[torch.Tensor, Boxes]:
+    generator = torch.Generator().manual_seed(seed)
+    center = 0.3 * torch.rand(count, 3, generator=generator) - 0.15
+    rotation = torch.linalg.qr(torch.randn(count, 3, 3, generator=generator))[0]
+    rotation = rotation * torch.linalg.det(rotation)[:, None, None]
+    return torch.randn(count, 2, generator=generator), Boxes(center[None, None], rotation[None, None], 0.3)
+
+
+def both(
+    object_field: Field, background_field: Field, *, floor: float | None, threshold: float = 0.0
+) -> tuple[Picture, Picture]:
+    """The scene marched, and rendered densely."""
+    codes, boxes = objects(3)
+    background_code = torch.tensor([0.5, -1.0])
+    components = [
+        make_component(background_field, background_code, **WORLD, bounded=False, resolution=24, threshold=threshold)
+    ]
+    for place in range(3):
+        box = {"center": boxes.center[0, 0, place], "rotation": boxes.rotation[0, 0, place], "size": boxes.size}
+        components.append(
+            make_component(object_field, codes[place], **box, bounded=True, resolution=24, threshold=threshold)
+        )
+    origin, direction = rays()
+    along = {"near": NEAR, "far": FAR, "samples": SAMPLES, "sigma_max": SIGMA, "threshold": threshold}
+    fast = march(components, origin, direction, **along, floor=floor)
+
+    def everywhere(points: torch.Tensor, directions: torch.Tensor):
+        frame = {"workspace_center": WORLD["center"], "workspace_size": WORLD["size"], "colours": "with"}
+        active, z, background = torch.ones(1, 3, dtype=torch.bool), codes[None, None], background_code[None, None]
+        return decode(
+            object_field, background_field, boxes, active, z, background, points, directions, **frame, floor=floor
+        )
+
+    dense = render(everywhere, origin[None, None], direction[None, None], **along)
+    return fast, Picture(dense.colour[0, 0], dense.depth[0, 0], dense.weights[0, 0])
+
+
+@pytest.mark.parametrize(("floor", "threshold"), [(None, 0.0), (0.02, 0.0), (None, 0.6)])
+def test_the_picture_is_that_of_dense_rendering(floor: float | None, threshold: float):
+    torch.manual_seed(0)
+    with torch.no_grad():
+        fast, dense = both(Field(SMALL, 2), Field(SMALL, 2), floor=floor, threshold=threshold)
+    assert dense.weights.sum(dim=0).max() > 0.2
+    # Rays stop where less than a thousandth of the light gets through.
+    torch.testing.assert_close(fast.colour, dense.colour, atol=2e-3, rtol=0)
+    torch.testing.assert_close(fast.depth, dense.depth, atol=2e-3, rtol=0)
+    torch.testing.assert_close(fast.weights, dense.weights, atol=2e-3, rtol=0)
+
+
+def test_so_it_is_where_most_of_the_world_is_empty():
+    fast, dense = both(BallField(0.6), BallField(0.2), floor=None)
+    assert 0.02 < float((fast.weights[1:].sum(dim=0) > 0.5).float().mean()) < 0.9
+    torch.testing.assert_close(fast.colour, dense.colour, atol=2e-3, rtol=0)
+    torch.testing.assert_close(fast.weights, dense.weights, atol=2e-3, rtol=0)
+
+
+def test_fields_are_evaluated_in_few_places():
+    class Counting(BallField):
+        evaluated = 0
+
+        def density(self, points: torch.Tensor, codes) -> tuple[torch.Tensor, torch.Tensor]:
+            self.evaluated += len(points)
+            return super().density(points, codes)
+
+    field = Counting(0.3)
+    component = make_component(field, torch.zeros(2), **BOX, bounded=True, resolution=16)
+    field.evaluated = 0
+    origin, direction = rays()
+    march([component], origin, direction, near=NEAR, far=FAR, samples=SAMPLES, sigma_max=SIGMA, floor=None)
+    assert 0 < field.evaluated < 0.01 * len(origin) * SAMPLES
+
+
+def test_nothing_is_black_and_as_far_as_can_be_seen():
+    component = make_component(empty_field(), torch.zeros(2), **BOX, bounded=True, resolution=8)
+    assert not component.cells.any()
+    origin, direction = rays()
+    seen = march([component], origin, direction, near=NEAR, far=FAR, samples=10, sigma_max=SIGMA, floor=None)
+    assert (seen.colour == 0).all()
+    assert (seen.weights == 0).all()
+    torch.testing.assert_close(seen.depth, torch.full_like(seen.depth, FAR))
+
+
+def test_a_component_that_is_moved_is_as_if_it_had_been_made_there():
+    made = make_component(BallField(0.5), torch.zeros(2), **BOX, bounded=True, resolution=16)
+    turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    there = moved(made, torch.tensor([-0.1, 0.1, 0.0]), turn)
+    anew = make_component(
+        BallField(0.5), torch.zeros(2), center=there.center, rotation=turn, size=0.3, bounded=True, resolution=16
+    )
+    torch.testing.assert_close(seen_of(there).colour, seen_of(anew).colour)
+    assert not torch.equal(seen_of(there).colour, seen_of(made).colour)
+
+
+def seen_of(component: Component) -> Picture:
+    along = {"near": NEAR, "far": FAR, "samples": SAMPLES, "sigma_max": SIGMA}
+    return march([component], *rays(), **along, floor=None)

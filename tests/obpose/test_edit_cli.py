@@ -1,0 +1,122 @@
+"""The whole command, with the weights that ship."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from datagen.errors import EXIT_OK, EXIT_USAGE
+from obpose.creation.origin import origin_of
+from obpose.creation.rendering import Renderer
+from obpose.creation.storage import load_scene
+from obpose.data import SceneDataset
+from obpose.edit_cli import main
+
+MODEL = "obpose--moving--64x64"
+
+
+@pytest.fixture(scope="module")
+def inferred(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("scenes") / "inferred"
+    assert main(["infer", "--checkpoint", MODEL, "--data", str(tiny_dataset), "--out", str(out)]) == EXIT_OK
+    return out
+
+
+def run(command: str, *arguments: object) -> int:
+    return main([command, *map(str, arguments)])
+
+
+def test_what_is_inferred_looks_like_the_clip(inferred: Path, tiny_dataset: Path, capsys):
+    scene = load_scene(inferred)
+    assert scene.frames == 10
+    assert 1 <= len(scene.ids) <= 4
+    with Image.open(inferred / "picture.png") as picture:
+        assert picture.size == (768, 256)
+    clip = tiny_dataset_clip(tiny_dataset)
+    assert run("render", inferred, "--out", inferred.parent / "frame.png") == EXIT_OK
+    image = Renderer(origin_of(scene).model).render(scene)
+    assert (image.rgb - clip["rgb"][0, 0]).square().mean() < 0.02
+    table = clip["segmentation"][0, 0] == 0
+    assert (image.depth - clip["depth"][0, 0])[table].abs().median() < 0.01
+
+
+def tiny_dataset_clip(folder: Path) -> dict[str, torch.Tensor]:
+    return SceneDataset(folder, "test", extra=["segmentation"])[0]
+
+
+def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):
+    before = load_scene(inferred)
+    name = before.ids[0]
+    assert run("move", inferred, "--object", name, "--by", "0.05,0,0", "--out", tmp_path / "moved") == EXIT_OK
+    moved = load_scene(tmp_path / "moved")
+    torch.testing.assert_close(moved.center[:, 0, 0], before.center[:, 0, 0] + 0.05)
+    assert run("add", tmp_path / "moved", "--object", name, "--by=-0.1,0,0", "--out", tmp_path / "added") == EXIT_OK
+    assert load_scene(tmp_path / "added").ids == (*before.ids, max(before.ids) + 1)
+    assert run("remove", tmp_path / "added", "--object", name, "--out", tmp_path / "removed") == EXIT_OK
+    assert name not in load_scene(tmp_path / "removed").ids
+    assert run("rotate", inferred, "--object", name, "--degrees", 90, "--out", tmp_path / "turned") == EXIT_OK
+    pair = ["--objects", name, max(before.ids) + 1]
+    assert run("swap", tmp_path / "added", *pair, "--out", tmp_path / "swapped") == EXIT_OK
+    other = ["--object", name, "--from", inferred, "--to", "0,0,0.05"]
+    assert run("add", tmp_path / "removed", *other, "--out", tmp_path / "put") == EXIT_OK
+    torch.testing.assert_close(load_scene(tmp_path / "put").center[0, -1], torch.tensor([0.0, 0.0, 0.05]))
+
+
+@pytest.mark.parametrize("prior", ["learned", "fitted"])
+def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, tmp_path: Path, prior: str):
+    for out in ("one", "again"):
+        flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", prior, "--seed", 3, "--objects", 2]
+        assert run("sample", *flags, "--out", tmp_path / out) == EXIT_OK
+    one, again = load_scene(tmp_path / "one"), load_scene(tmp_path / "again")
+    assert one.ids == (1, 2)
+    assert torch.equal(one.what, again.what)
+    assert (tmp_path / "one" / "picture.png").read_bytes() == (tmp_path / "again" / "picture.png").read_bytes()
+
+
+def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path):
+    assert run("render", inferred, "--turntable", 3, "--resolution", "16x16", "--out", tmp_path / "turn.gif") == EXIT_OK
+    assert run("render", inferred, "--clip", "--resolution", "16x16", "--out", tmp_path / "clip.gif") == EXIT_OK
+    for name, frames in (("turn.gif", 3), ("clip.gif", 10)):
+        with Image.open(tmp_path / name) as animation:
+            assert animation.n_frames == frames  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["remove", "SCENE", "--object", "9", "--out", "new"], "no object 9. There are"),
+        (["move", "SCENE", "--object", "1", "--out", "new"], "Give either --by or --to"),
+        (["move", "SCENE", "--object", "1", "--by", "1,2", "--out", "new"], "expected x,y,z in metres"),
+        (["move", "SCENE", "--object", "1", "--by", "5,0,0", "--out", "new"], "outside the world that the model knows"),
+        (["move", "SCENE", "--object", "1", "--by", "nan,0,0", "--out", "new"], "expected x,y,z in metres"),
+        (["move", "nowhere", "--object", "1", "--by", "0,0,0", "--out", "new"], "holds no scene"),
+        (["remove", "SCENE", "--object", "1", "--out", "SCENE"], "is there already and not empty"),
+        (["render", "SCENE", "--out", "SCENE/picture.png"], "is there already"),
+        (["render", "SCENE", "--out", "a.jpg"], "expected a name that ends with .png"),
+        (["render", "SCENE", "--frame", "10", "--out", "a.png"], "--frame 10: expected 0 to 9"),
+        (["render", "SCENE", "--view", "1", "--out", "a.png"], "--view 1: expected 0"),
+        (["render", "SCENE", "--resolution", "9999x2", "--out", "a.png"], "expected WIDTHxHEIGHT"),
+        (["render", "SCENE", "--checkpoint", "obpose--mixed--64x64", "--out", "a.png"], "made with other weights"),
+        (["sample", "--checkpoint", "none", "--camera", "SCENE", "--out", "new"], "--checkpoint none: no such folder"),
+        (["paint", "SCENE"], "Unknown subcommand 'paint'"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(
+    inferred: Path, tmp_path: Path, monkeypatch, capsys, command: list[str], message: str
+):
+    monkeypatch.chdir(tmp_path)
+    before = {path: path.read_bytes() for path in inferred.iterdir()}
+    assert main([part.replace("SCENE", str(inferred)) for part in command]) == EXIT_USAGE
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+    assert {path: path.read_bytes() for path in inferred.iterdir()} == before
+
+
+def test_a_damaged_scene_is_named(inferred: Path, tmp_path: Path, capsys):
+    (tmp_path / "scene.json").write_bytes((inferred / "scene.json").read_bytes())
+    (tmp_path / "scene.safetensors").write_bytes(b"something else")
+    assert run("render", tmp_path, "--out", tmp_path / "a.png") != EXIT_OK
+    assert "is damaged; make it again" in capsys.readouterr().err
