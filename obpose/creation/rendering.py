@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -44,7 +45,7 @@ class Renderer:
     """Renders scenes of one model; what does not change between edits is kept."""
 
     def __init__(self, model: ObPose):
-        """Only models with a background and posed objects have scenes (`obpose.creation.infer.require_poses`)."""
+        """Only models with a background and posed objects have scenes (`obpose.creation.origin.load_origin`)."""
         self.model = model.eval()
         self._known: dict[bytes, Component] = {}
 
@@ -54,17 +55,12 @@ class Renderer:
         settings = self.model.config.model
         components = self.components(scene, frame)
         direction, origin = camera_rays(camera.k, camera.world_from_camera, camera.height, camera.width)
-        near, far = _reach(camera, self.model)
         picture = march(
             components,
             origin.expand_as(direction).flatten(0, 1),
             direction.flatten(0, 1),
-            near=near,
-            far=far,
-            samples=max(1, round((far - near) / settings.spacing * _STEPS)),
-            sigma_max=_OPAQUE / settings.spacing,
             floor=settings.table,
-            threshold=settings.voxel_threshold,
+            **self.quadrature(camera),
         )
         size = (camera.height, camera.width)
         return Image(
@@ -72,6 +68,19 @@ class Renderer:
             depth=picture.depth.unflatten(0, size),
             shares=picture.weights.unflatten(1, size),
         )
+
+    def quadrature(self, camera: Camera) -> dict[str, Any]:
+        """Between which depths rays are sampled, how densely, and what counts as opaque, for a camera."""
+        config, spacing = self.model.config, self.model.config.model.spacing
+        near, far = _reach(camera, self.model)
+        return {
+            "near": near,
+            "far": far,
+            "samples": max(1, round((far - near) / spacing * _STEPS)),
+            "sigma_max": _OPAQUE / spacing,
+            "threshold": config.model.voxel_threshold,
+            "behind": config.loss.jitter,
+        }
 
     def components(self, scene: Scene, frame: int) -> list[Component]:
         """The background, then the objects."""

@@ -97,6 +97,7 @@ def march(
     sigma_max: float,
     floor: float | None,
     threshold: float = 0.0,
+    behind: float = 0.0,
 ) -> Picture:
     """Render the composed components; the values are those of `obpose.nerf.render.render`.
 
@@ -110,6 +111,7 @@ def march(
         sigma_max: Density of an opaque point per metre of planar depth.
         floor: Bounded components are nowhere below this height in the world, metres; None for no floor.
         threshold: Density over sigma_max below which nothing is there; no more than that of the components.
+        behind: Colours are those of so much more planar depth, metres (`obpose.nerf.render.render`).
     """
     rays, length = len(origin), (far - near) / samples
     colour = origin.new_zeros(rays, 3)
@@ -121,7 +123,8 @@ def march(
         count = min(_AT_ONCE, samples - first)
         depths = near + (first + torch.arange(count, dtype=origin.dtype, device=origin.device) + 0.5) * length
         points = origin[alive, None] + direction[alive, None] * depths[:, None]
-        lit = _evaluate(components, points, direction[alive], passed[alive], sigma_max * length, floor, threshold)
+        look = _Look(sigma_max * length, floor, threshold, behind)
+        lit = _evaluate(components, points, direction[alive], passed[alive], look)
         if lit is None:
             continue
         colour[alive] += lit.colour
@@ -132,6 +135,17 @@ def march(
         if not len(alive):
             break
     return Picture(colour, depth + (1 - weights.sum(dim=0)) * far, weights)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How fields are seen; see `march`."""
+
+    thickness: float
+    """Optical thickness of a sample of density 1."""
+    floor: float | None
+    threshold: float
+    behind: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,29 +160,28 @@ def _evaluate(
     points: Float[Tensor, "ray sample 3"],
     direction: Float[Tensor, "ray 3"],
     passed: Float[Tensor, "ray"],
-    thickness: float,
-    floor: float | None,
-    threshold: float,
+    look: _Look,
 ) -> _Lit | None:
     """Light from the next samples of each ray; None where there is nothing."""
     flat, (rays, count, _) = points.flatten(0, 1), points.shape
     logits = points.new_full((len(components), rays * count), OUTSIDE)
-    found: list[tuple[Int[Tensor, " n"], Float[Tensor, "n width"]]] = []
+    found: list[Int[Tensor, " n"]] = []
     for place, component in enumerate(components):
-        index, at = _inside(component, flat, floor)
-        logits[place, index], hidden = component.field.density(at, component.codes)
-        found.append((index, hidden))
-    if not any(len(index) for index, _ in found):
+        index, at = _inside(component, flat, look.floor)
+        logits[place, index] = component.field.density(at, component.codes)[0]
+        found.append(index)
+    if not any(map(len, found)):
         return None
-    optical = thickness * solid_share(logits, threshold).unflatten(1, (rays, count))
+    optical = look.thickness * solid_share(logits, look.threshold).unflatten(1, (rays, count))
     weights = passed[:, None] * _light(optical)
     colour = points.new_zeros(rays, 3)
     unit = F.normalize(direction, dim=-1)
-    for component, light, (index, hidden) in zip(components, weights.flatten(1), found, strict=True):
-        bright = light[index] > _DARK / 10
-        index = index[bright]
+    for component, light, index in zip(components, weights.flatten(1), found, strict=True):
+        index = index[light[index] > _DARK / 10]
         ray = index // count
-        seen = component.field.colour(hidden[bright], unit[ray] @ component.rotation, component.codes)
+        at = flat[index] + look.behind * direction[ray]
+        _, hidden = component.field.density(in_box(component, at), component.codes)
+        seen = component.field.colour(hidden, unit[ray] @ component.rotation, component.codes)
         colour.index_add_(0, ray, light[index, None] * seen)
     return _Lit(colour, weights, passed * torch.exp(-optical.sum(dim=(0, 2))))
 
@@ -177,7 +190,7 @@ def _inside(
     component: Component, points: Float[Tensor, "n 3"], floor: float | None
 ) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
     """Which points lie in cells that may hold something, and where in the component's cube."""
-    at = to_box(points, component.center, component.rotation, component.size)
+    at = in_box(component, points)
     resolution = len(component.cells)
     within = (at.abs() <= 1).all(dim=-1)
     cell = ((at + 1) * (resolution / 2)).floor().long().clamp(0, resolution - 1)
@@ -190,6 +203,11 @@ def _inside(
         there = there | ~within
     index = there.nonzero()[:, 0]
     return index, at[index]
+
+
+def in_box(component: Component, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """World points in the coordinates of the component's field, -1..1 in its cube."""
+    return to_box(points, component.center, component.rotation, component.size)
 
 
 def _light(optical: Float[Tensor, "component ray sample"]) -> Float[Tensor, "component ray sample"]:
