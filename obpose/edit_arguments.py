@@ -93,6 +93,23 @@ class Render:
 
 
 @dataclass(frozen=True)
+class Mesh:
+    """Write an object's surface as a coloured triangle mesh, world frame, metres."""
+
+    scene: SceneFolder
+    """Folder of a scene."""
+    object: int
+    """Its number, as printed and coloured."""
+    out: Path
+    """PLY or GLB; must not exist yet."""
+    frame: int = 0
+    cells: int = 48
+    """Points along each edge of its box at which its field is looked at."""
+    checkpoint: str | None = None
+    """Where the scene's model is, if it was moved."""
+
+
+@dataclass(frozen=True)
 class _Edit(_Shown):
     scene: SceneFolder = field(kw_only=True)
     """Folder of a scene."""

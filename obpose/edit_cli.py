@@ -4,6 +4,7 @@ obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what
 obpose-edit sample --checkpoint obpose--moving--64x64 --camera a --out b    a scene that was never seen
 obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
 obpose-edit render c --turntable 24 --out turn.gif
+obpose-edit mesh c --object 2 --out object.glb
 """
 
 import math
@@ -19,6 +20,7 @@ from torch import Tensor
 
 from obpose.creation import edit
 from obpose.creation.infer import infer_scene
+from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import strip, turntable, write_gif, write_png
 from obpose.creation.prior import fit_prior, learned_prior, load_prior, save_prior
@@ -27,7 +29,7 @@ from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Camera, Scene, axis_rotation
 from obpose.creation.storage import load_scene, save_scene
 from obpose.data import SceneDataset
-from obpose.edit_arguments import Add, Fit, Infer, Move, Remove, Render, Rotate, Sample, Swap
+from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError
 from obpose.types import Observation
 
@@ -35,6 +37,7 @@ PROGRAM = "obpose-edit"
 PICTURE = "picture.png"
 FPS = 8.0
 MOST_OBJECTS = 100
+MOST_CELLS = 256
 LARGEST = 2048
 """Pixels along a side of a picture."""
 
@@ -118,6 +121,22 @@ def _render(values: Render) -> None:
     else:
         write_png(values.out, strip(renderer.render(scene, frame, camera), scene.ids))
     print(values.out)
+
+
+def _mesh(values: Mesh) -> None:
+    if values.out.exists():
+        raise UsageError(f"{values.out} is there already; give another --out.")
+    if values.out.suffix not in FORMATS:
+        raise UsageError(f"--out {values.out}: expected a name that ends with {' or '.join(FORMATS)}.")
+    if not 2 <= values.cells <= MOST_CELLS:
+        raise UsageError(f"--cells {values.cells}: expected 2 to {MOST_CELLS}.")
+    scene = load_scene(values.scene)
+    frame = _one_of("--frame", values.frame, scene.frames)
+    model = origin_of(scene, values.checkpoint).model
+    mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
+    write_mesh(values.out, mesh)
+    sides = " x ".join(f"{100 * side:.1f}" for side in mesh.extents)
+    print(f"{values.out}: {len(mesh.faces)} triangles, {sides} cm along the world's axes")
 
 
 def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:
@@ -248,6 +267,7 @@ COMMANDS: dict[str, Command] = {
     "sample": (Sample, _sample),
     "fit": (Fit, _fit),
     "render": (Render, _render),
+    "mesh": (Mesh, _mesh),
     "remove": (Remove, _edited(_remove)),
     "move": (Move, _edited(_move)),
     "rotate": (Rotate, _edited(_rotate)),

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
 from datagen.errors import EXIT_OK, EXIT_USAGE
@@ -82,6 +83,13 @@ def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path):
             assert animation.n_frames == frames  # pyright: ignore[reportAttributeAccessIssue]
 
 
+def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
+    name = load_scene(inferred).ids[0]
+    assert run("mesh", inferred, "--object", name, "--out", tmp_path / "object.glb") == EXIT_OK
+    assert "triangles" in capsys.readouterr().out
+    assert trimesh.load(tmp_path / "object.glb", force="mesh").extents.max() < 0.4  # pyright: ignore
+
+
 @pytest.mark.parametrize(
     ("command", "message"),
     [
@@ -99,6 +107,8 @@ def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path):
         (["render", "SCENE", "--resolution", "9999x2", "--out", "a.png"], "expected WIDTHxHEIGHT"),
         (["render", "SCENE", "--checkpoint", "obpose--mixed--64x64", "--out", "a.png"], "made with other weights"),
         (["sample", "--checkpoint", "none", "--camera", "SCENE", "--out", "new"], "--checkpoint none: no such folder"),
+        (["mesh", "SCENE", "--object", "1", "--out", "a.obj"], "expected a name that ends with .ply or .glb"),
+        (["mesh", "SCENE", "--object", "1", "--cells", "1", "--out", "a.ply"], "--cells 1: expected 2 to 256"),
         (["paint", "SCENE"], "Unknown subcommand 'paint'"),
     ],
 )

@@ -1,0 +1,63 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from obpose.creation import edit
+from obpose.creation.meshes import object_mesh, write_mesh
+from obpose.creation.scene import Scene
+from obpose.errors import UsageError
+from obpose.model import ObPose
+from tests.obpose.analytic_fields import BallField
+from tests.obpose.creation.scenes import some_model, some_scene
+
+
+def ball_scene(radius: float) -> tuple[ObPose, Scene]:
+    """Objects that are balls; the radius in half edges of their boxes of 20 cm."""
+    model = some_model()
+    model.object_field = BallField(radius, latent=32)
+    return model, some_scene()
+
+
+def test_a_ball_is_a_closed_ball_of_its_colour():
+    model, scene = ball_scene(0.5)
+    mesh = object_mesh(model, scene, 2, frame=1)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.02)
+    away = np.linalg.norm(mesh.vertices - scene.center[1, 1].numpy(), axis=1)
+    np.testing.assert_allclose(away, 0.05, atol=2.2e-3)  # half a cell: the field is a step
+    assert np.unique(mesh.visual.vertex_colors, axis=0).tolist() == [[255, 128, 64, 255]]
+
+
+def test_what_reaches_beyond_the_box_is_closed_by_its_faces():
+    model, scene = ball_scene(1.2)
+    mesh = object_mesh(model, scene, 1)
+    assert mesh.is_watertight
+    in_box = (mesh.vertices - scene.center[0, 0].numpy()) @ scene.rotation[0, 0].numpy()
+    assert np.abs(in_box).max() == pytest.approx(0.1, abs=1e-6)
+
+
+def test_it_moves_with_the_object():
+    model, scene = ball_scene(0.5)
+    by = torch.tensor([0.1, 0.0, 0.2])
+    before, after = object_mesh(model, scene, 1), object_mesh(model, edit.move(scene, 1, by), 1)
+    np.testing.assert_allclose(after.vertices - before.vertices, by.expand(len(before.vertices), 3), atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["ball.ply", "ball.glb"])
+def test_files_are_read_again(tmp_path: Path, name: str):
+    model, scene = ball_scene(0.5)
+    mesh = object_mesh(model, scene, 1, resolution=16)
+    write_mesh(tmp_path / name, mesh)
+    found = trimesh.load(tmp_path / name, force="mesh")
+    assert len(found.faces) == len(mesh.faces)  # pyright: ignore[reportAttributeAccessIssue]
+    assert found.bounds == pytest.approx(mesh.bounds, abs=1e-5)
+
+
+def test_nothing_and_other_endings_are_told(tmp_path: Path):
+    with pytest.raises(UsageError, match="Object 1 is nowhere dense"):
+        object_mesh(*ball_scene(-10.0), 1)
+    with pytest.raises(UsageError, match=r"ends with \.ply or \.glb"):
+        write_mesh(tmp_path / "ball.obj", object_mesh(*ball_scene(0.5), 1, resolution=8))
