@@ -9,6 +9,7 @@ import trimesh
 from jaxtyping import Float
 from skimage.measure import marching_cubes
 from torch import Tensor
+from trimesh.visual import ColorVisuals
 
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
@@ -48,7 +49,7 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
     mesh.fix_normals()
     outwards = torch.from_numpy(np.array(mesh.vertex_normals)).to(lattice.dtype) @ rotation
     colours = _colours(model, codes, in_box, outwards, behind=2 * model.config.loss.jitter / settings.pose.box_size)
-    mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_bytes(colours))
+    mesh.visual = ColorVisuals(mesh, vertex_colors=_bytes(colours))
     return mesh
 
 
