@@ -70,7 +70,7 @@ def run(values: Train) -> int:
     source = SceneDataset(folder, extra=["segmentation"] if system.uses_labels else ())
     val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
     measured = system.known(measure_scene(source).changes())
-    config = system.config(values.profile, _chosen(values, data) | measured | changes)
+    config = system.config(values.profile, _chosen(values, data, system) | measured | changes)
     system.architecture.check(config)
     console.print(f"Training {values.variant} on {data.name}, {_in_words(config.train)}, into {out}", markup=False)
     with progress_bar(console) as report:
@@ -116,10 +116,11 @@ def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
     return data.prepare(splits, workers=values.workers, progress=lambda total: scene_bar(console, data.name, total))
 
 
-def _chosen(values: Train, data: Track | DataFolder) -> dict[str, Any]:
+def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:
     """What the flags say, as changes of a configuration. Slots do not count the background here."""
+    own = system.on_tracks.get(values.track or "", {})
     budget = {} if values.minutes is None else {"train.minutes": values.minutes}
-    return {"model.slots": data.slots - 1, "train.seed": values.seed, "train.steps": values.steps, **budget}
+    return {**own, "model.slots": data.slots - 1, "train.seed": values.seed, "train.steps": values.steps, **budget}
 
 
 def _in_words(settings: TrainConfig) -> str:

@@ -9,7 +9,7 @@ PyTorch takes seconds to import, so that only building a model does it.
 
 import difflib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from obpose.baselines.obsurf.config import OBSURF_PROFILES, OBSURF_VARIANTS, ObsurfConfig
@@ -58,6 +58,8 @@ class System:
     """Whether it learns from labels."""
     extra: tuple[str, ...] = ("att",)
     """What tables show of it beside its labels: `att`, the attention masks."""
+    on_tracks: Mapping[str, Changes] = field(default_factory=dict)
+    """What it changes besides where it is trained on a track of this name."""
 
     def config(self, profile: str = "cpu", changes: Changes | None = None) -> Any:
         """Its configuration; the changes come last.
@@ -112,8 +114,14 @@ DESCRIPTIONS = {
 }
 
 
+_LARGER_BOXES: dict[str, Changes] = {"multishape": {"model.pose.box_size": 0.35}}
+"""Objects are up to 28 cm long there, and at most 18 cm on the other tracks; elsewhere boxes have edges of 20 cm."""
+
+
 def _obpose_system(variant: str) -> System:
-    return System(OBPOSE, VARIANTS[variant], DESCRIPTIONS[variant], _priors(make_config(variant)), version=2)
+    on_tracks = _LARGER_BOXES if variant in ("obpose", "obpose-loc") else {}
+    facts = (VARIANTS[variant], DESCRIPTIONS[variant], _priors(make_config(variant)))
+    return System(OBPOSE, *facts, version=2, on_tracks=on_tracks)
 
 
 def _priors(config: Config) -> tuple[str, ...]:

@@ -12,9 +12,6 @@ from benchmark.interface import Segmenter
 from benchmark.model_spec import ModelSpec, Options, Views
 from obpose.systems import SYSTEMS, System
 
-_LARGER_BOXES: dict[str, Options] = {"multishape": {"model.pose.box_size": 0.35}}
-"""Objects are up to 28 cm long there, and at most 18 cm on the other tracks; elsewhere boxes have edges of 20 cm."""
-
 
 def _build(name: str, options: Options) -> Segmenter:
     from benchmark.adapters.learned import LearnedSegmenter
@@ -38,7 +35,7 @@ def _spec(name: str, system: System) -> ModelSpec:
         profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
         views=_views(config),
         trials=TRIALS.get(name, ({},)),
-        on_tracks=_LARGER_BOXES if name in ("obpose", "obpose-loc") else {},
+        on_tracks=system.on_tracks,
     )
 
 

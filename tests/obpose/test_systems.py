@@ -1,6 +1,8 @@
 import pytest
 import torch
 
+from benchmark.tracks import all_tracks
+from datagen.config import load_recipe
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.config import Config, SupervisedConfig
@@ -71,3 +73,11 @@ def test_a_misspelt_name_gets_a_hint():
 def test_what_a_system_is_told_follows_from_its_values():
     assert SYSTEMS["obpose"].priors == ("slots", "background slot", "camera pose", "plane")
     assert SYSTEMS["ic-sbp"].priors == SYSTEMS["obsurf"].priors == ("slots", "camera pose")
+
+
+@pytest.mark.parametrize("track", [track.name for track in all_tracks() if track.name != "mixed"])
+@pytest.mark.parametrize("name", ["obpose", "obpose-loc"])
+def test_boxes_are_longer_than_the_objects_of_a_track(name: str, track: str):
+    system = find_system(name)
+    box = system.config("cpu", system.on_tracks.get(track, {})).model.pose.box_size
+    assert box > load_recipe(track).objects.size[1] * 1.1
