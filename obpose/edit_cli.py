@@ -38,6 +38,7 @@ PICTURE = "picture.png"
 FPS = 8.0
 MOST_OBJECTS = 100
 MOST_CELLS = 256
+MOST_TURNS = 360
 LARGEST = 2048
 """Pixels along a side of a picture."""
 
@@ -104,6 +105,8 @@ def _fit(values: Fit) -> None:
 def _render(values: Render) -> None:
     if values.out.exists():
         raise UsageError(f"{values.out} is there already; give another --out.")
+    if not 0 <= values.turntable <= MOST_TURNS:
+        raise UsageError(f"--turntable {values.turntable}: expected 0 to {MOST_TURNS}.")
     moving = values.turntable > 0 or values.clip
     if values.out.suffix != (".gif" if moving else ".png"):
         raise UsageError(f"--out {values.out}: expected a name that ends with {'.gif' if moving else '.png'}.")
@@ -220,6 +223,8 @@ def _check_inside(scene: Scene, origin: Origin) -> None:
 def _clip(data: Path, split: str, index: int) -> Observation:
     """A clip as a batch of one."""
     scenes = SceneDataset(data, split)
+    if not len(scenes):
+        raise UsageError(f"The split {split} of {data} has no scenes; give another --split.")
     item = scenes[_one_of("--scene", index, len(scenes))]
     names = ("rgb", "depth", "valid", "k", "world_from_camera")
     return Observation(**{name: item[name][None] for name in names})

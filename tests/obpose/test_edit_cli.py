@@ -102,6 +102,7 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["remove", "SCENE", "--object", "1", "--out", "SCENE"], "is there already and not empty"),
         (["render", "SCENE", "--out", "SCENE/picture.png"], "is there already"),
         (["render", "SCENE", "--out", "a.jpg"], "expected a name that ends with .png"),
+        (["render", "SCENE", "--turntable", "999", "--out", "a.gif"], "--turntable 999: expected 0 to 360"),
         (["render", "SCENE", "--frame", "10", "--out", "a.png"], "--frame 10: expected 0 to 9"),
         (["render", "SCENE", "--view", "1", "--out", "a.png"], "--view 1: expected 0"),
         (["render", "SCENE", "--resolution", "9999x2", "--out", "a.png"], "expected WIDTHxHEIGHT"),
@@ -123,6 +124,12 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     assert errors.count("\n") == 1
     assert not list(tmp_path.iterdir())
     assert {path: path.read_bytes() for path in inferred.iterdir()} == before
+
+
+def test_a_scene_that_the_split_has_not_is_named(tiny_dataset: Path, tmp_path: Path, capsys):
+    flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--split", "val", "--out", tmp_path / "new"]
+    assert run("infer", *flags, "--scene", 2) == EXIT_USAGE
+    assert "--scene 2: expected 0 to 1" in capsys.readouterr().err
 
 
 def test_a_damaged_scene_is_named(inferred: Path, tmp_path: Path, capsys):
