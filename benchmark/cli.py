@@ -19,36 +19,25 @@ import tyro
 from benchmark import commands
 from benchmark.arguments import Compare, Report, Rescore, Run, Search, Selftest
 from benchmark.search.command import search
-from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, DatagenError
+from datagen.errors import run_program
 
 PROGRAM = "obpose-bench"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script; leaves with an exit code of `datagen.errors`."""
-    sys.exit(_guarded(list(sys.argv[1:] if arguments is None else arguments)))
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    kept = "Interrupted; finished rows are kept, the same command again goes on."
+    sys.exit(run_program(PROGRAM, lambda: _run(given), interrupted=kept))
 
 
-def _guarded(arguments: list[str]) -> int:
+def _run(arguments: list[str]) -> int:
     name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "run"
     kind, command = COMMANDS[name]
     program = PROGRAM if name == "run" else f"{PROGRAM} {name}"
-    try:
-        # The help printer keeps empty lines only.
-        description = "\n\n".join(filter(None, __doc__.split("\n"))) if name == "run" and __doc__ else None
-        return command(tyro.cli(kind, prog=program, args=arguments, description=description))
-    except DatagenError as error:
-        return _fail(str(error), error.exit_code)
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
-    except KeyboardInterrupt:
-        return _fail("Interrupted; finished rows are kept, the same command again goes on.", EXIT_INTERRUPTED)
-
-
-def _fail(message: str, code: int) -> int:
-    print(f"{PROGRAM}: {message}", file=sys.stderr)
-    return code
+    # The help printer keeps empty lines only.
+    description = "\n\n".join(filter(None, __doc__.split("\n"))) if name == "run" and __doc__ else None
+    return command(tyro.cli(kind, prog=program, args=arguments, description=description))
 
 
 COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {

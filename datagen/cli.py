@@ -17,7 +17,7 @@ import tyro
 from datagen import options
 from datagen.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
 from datagen.config import Recipe, recipe_names
-from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, EXIT_VERIFICATION, DatagenError, UsageError
+from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError, run_program
 from datagen.spec import read_spec, rendered_recipe_of
 from datagen.storage import Dataset
 
@@ -43,16 +43,10 @@ Make images of it:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and give its exit code; every failure that a user can mend ends in one line on stderr."""
-    try:
-        return _run(list(sys.argv[1:] if arguments is None else arguments))
-    except DatagenError as error:
-        return _fail(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _fail("Interrupted; finished shards are kept, the same command again goes on.", EXIT_INTERRUPTED)
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
+    """Run one command and give its exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    kept = "Interrupted; finished shards are kept, the same command again goes on."
+    return run_program(PROGRAM, lambda: _run(given), interrupted=kept)
 
 
 def _run(arguments: list[str]) -> int:
@@ -61,11 +55,6 @@ def _run(arguments: list[str]) -> int:
     defaults = {"generate": _default_generate, "render": _default_render}.get(name, _no_default)
     program = PROGRAM if name == "generate" else f"{PROGRAM} {name}"
     return command(tyro.cli(kind, args=arguments, prog=program, **defaults(arguments)))
-
-
-def _fail(message: str, code: int) -> int:
-    print(f"{PROGRAM}: {message}", file=sys.stderr)
-    return code
 
 
 def _no_default(_arguments: list[str]) -> dict[str, Any]:

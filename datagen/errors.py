@@ -1,10 +1,16 @@
-"""What can go wrong in a way the user can mend, and the exit code that says so."""
+"""What can go wrong in a way the user can mend, the exit code that says so, and how every command ends with it."""
+
+import sys
+from collections.abc import Callable
 
 EXIT_OK = 0
 EXIT_USAGE = 2
 EXIT_INCOMPLETE = 3
 EXIT_VERIFICATION = 4
 EXIT_INTERRUPTED = 130
+
+
+_OUT_OF_MEMORY = ("out of memory", "not enough memory", "can't allocate memory")
 
 
 class DatagenError(Exception):
@@ -31,3 +37,37 @@ class VerificationFailed(DatagenError):
     """The dataset's content contradicts itself."""
 
     exit_code = EXIT_VERIFICATION
+
+
+def run_program(
+    program: str, run: Callable[[], int], *, interrupted: str = "Interrupted.", out_of_memory: str | None = None
+) -> int:
+    """Run a command and give its exit code; every failure that a user can mend ends in one line on stderr.
+
+    Args:
+        program: What the user called.
+        run: Gives the exit code of success.
+        interrupted: What to say after Ctrl-C.
+        out_of_memory: What to say when there is no more memory; None lets that pass.
+    """
+    try:
+        return run()
+    except DatagenError as error:
+        said, code = str(error), error.exit_code
+    except KeyboardInterrupt:
+        said, code = interrupted, EXIT_INTERRUPTED
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        said, code = f"{place}{error.strerror or error}.", EXIT_INCOMPLETE
+    except (MemoryError, RuntimeError) as error:
+        if out_of_memory is None or not is_out_of_memory(error):
+            raise
+        said, code = out_of_memory, EXIT_INCOMPLETE
+    sys.stderr.write(f"{program}: {said}\n")
+    return code
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether that is what an error of Python or PyTorch says; on a CPU PyTorch has no class of its own for it."""
+    said = str(error).lower()
+    return isinstance(error, MemoryError) or any(words in said for words in _OUT_OF_MEMORY)

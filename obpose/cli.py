@@ -20,7 +20,7 @@ from benchmark.tracks import DataFolder, Track, find_track
 from obpose.arguments import Train
 from obpose.config import TrainConfig
 from obpose.config_text import parse_changes
-from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError, is_out_of_memory
+from obpose.errors import EXIT_OK, UsageError, run_program
 from obpose.scene_bar import scene_bar
 from obpose.systems import System, did_you_mean, find_system
 
@@ -30,22 +30,15 @@ MOST_THREADS = 1024
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Train and give the exit code; every failure that a user can mend ends in one line on stderr."""
-    try:
-        # The help printer keeps empty lines only.
-        description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
-        return run(tyro.cli(Train, prog=PROGRAM, args=arguments, description=description))
-    except DatagenError as error:
-        return _fail(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _fail("Interrupted; the same command goes on from the last checkpoint.", EXIT_INTERRUPTED)
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
-    except (MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
-            raise
-        return _fail("Out of memory; give smaller --set train.batch, train.frames or train.rays.", EXIT_INCOMPLETE)
+    """Train and give the exit code."""
+    # The help printer keeps empty lines only.
+    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
+    return run_program(
+        PROGRAM,
+        lambda: run(tyro.cli(Train, prog=PROGRAM, args=arguments, description=description)),
+        interrupted="Interrupted; the same command goes on from the last checkpoint.",
+        out_of_memory="Out of memory; give smaller --set train.batch, train.frames or train.rays.",
+    )
 
 
 def run(values: Train) -> int:
@@ -80,11 +73,6 @@ def run(values: Train) -> int:
     if _process() == 0:
         print(f"{out.resolve()}: {trained.steps} steps in {trained.seconds / 60:.1f} minutes.")
     return EXIT_OK
-
-
-def _fail(message: str, code: int) -> int:
-    print(f"{PROGRAM}: {message}", file=sys.stderr)
-    return code
 
 
 def _check(values: Train, system: System) -> None:

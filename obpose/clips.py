@@ -162,3 +162,15 @@ def views_apart(observation: Observed) -> Observed:
         observation,
         **{name: rearrange(getattr(observation, name), cameras if name in _CAMERAS else images) for name in names},
     )
+
+
+def clip_part(observation: Observed, *, frames: int | None = None, views: int | None = None) -> Observed:
+    """The first frames and views, as if there were no others; None for all."""
+    names = [field.name for field in fields(observation)]
+    parts = {
+        name: getattr(observation, name)[:, :views]
+        if name in _CAMERAS
+        else getattr(observation, name)[:, :frames, :views]
+        for name in names
+    }
+    return replace(observation, **parts)

@@ -18,6 +18,7 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.clips import clip_part, observation_of
 from obpose.creation import edit
 from obpose.creation.infer import infer_scene
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
@@ -30,7 +31,7 @@ from obpose.creation.scene import Camera, Scene, axis_rotation
 from obpose.creation.storage import load_scene, save_scene
 from obpose.data import SceneDataset
 from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
-from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError
+from obpose.errors import EXIT_OK, UsageError, run_program
 from obpose.types import Observation
 
 PROGRAM = "obpose-edit"
@@ -44,16 +45,14 @@ LARGEST = 2048
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one subcommand and give its exit code; every failure that a user can mend ends in one line on stderr."""
-    try:
-        return _run(list(sys.argv[1:] if arguments is None else arguments))
-    except DatagenError as error:
-        return _fail(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _fail("Interrupted; nothing was changed.", EXIT_INTERRUPTED)
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
+    """Run one subcommand and give its exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    return run_program(
+        PROGRAM,
+        lambda: _run(given),
+        interrupted="Interrupted; nothing was changed.",
+        out_of_memory="Out of memory; give a smaller --resolution.",
+    )
 
 
 def _run(arguments: list[str]) -> int:
@@ -66,11 +65,6 @@ def _run(arguments: list[str]) -> int:
     kind, command = COMMANDS[name]
     command(tyro.cli(kind, args=arguments, prog=f"{PROGRAM} {name}"))
     return EXIT_OK
-
-
-def _fail(message: str, code: int) -> int:
-    print(f"{PROGRAM}: {message}", file=sys.stderr)
-    return code
 
 
 def _infer(values: Infer) -> None:
@@ -98,7 +92,8 @@ def _fit(values: Fit) -> None:
     if count < 2:
         raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
     model = origin.model
-    save_prior(origin.folder, fit_prior(model, (_first(_clip(values.data, "train", i)) for i in range(count))))
+    clips = (clip_part(_clip(values.data, "train", i), frames=1, views=1) for i in range(count))
+    save_prior(origin.folder, fit_prior(model, clips))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
 
 
@@ -225,16 +220,7 @@ def _clip(data: Path, split: str, index: int) -> Observation:
     scenes = SceneDataset(data, split)
     if not len(scenes):
         raise UsageError(f"The split {split} of {data} has no scenes; give another --split.")
-    item = scenes[_one_of("--scene", index, len(scenes))]
-    names = ("rgb", "depth", "valid", "k", "world_from_camera")
-    return Observation(**{name: item[name][None] for name in names})
-
-
-def _first(clip: Observation) -> Observation:
-    """The first frame of the first view."""
-    return Observation(
-        clip.rgb[:, :1, :1], clip.depth[:, :1, :1], clip.valid[:, :1, :1], clip.k[:, :1], clip.world_from_camera[:, :1]
-    )
+    return observation_of([scenes[_one_of("--scene", index, len(scenes))]])
 
 
 def _one_of(flag: str, value: int, count: int) -> int:

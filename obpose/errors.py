@@ -7,6 +7,8 @@ from datagen.errors import (
     CorruptFile,
     DatagenError,
     UsageError,
+    is_out_of_memory,
+    run_program,
 )
 
 __all__ = [
@@ -19,15 +21,8 @@ __all__ = [
     "Interrupted",
     "UsageError",
     "is_out_of_memory",
+    "run_program",
 ]
-
-_OUT_OF_MEMORY = ("out of memory", "not enough memory", "can't allocate memory")
-
-
-def is_out_of_memory(error: Exception) -> bool:
-    """Whether that is what an error of Python or PyTorch says; on a CPU PyTorch has no class of its own for it."""
-    said = str(error).lower()
-    return isinstance(error, MemoryError) or any(words in said for words in _OUT_OF_MEMORY)
 
 
 class Diverged(DatagenError):

@@ -17,7 +17,7 @@ from einops import rearrange
 from jaxtyping import Float, Float64, Int
 
 from obpose.checkpoint import load_obpose
-from obpose.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK, DatagenError, UsageError, is_out_of_memory
+from obpose.errors import EXIT_OK, UsageError, run_program
 from obpose.geometry import unproject
 from obpose.model import ObPose
 from obpose.recordings.reading import Recording, parse_intrinsics, read_recording
@@ -55,7 +55,13 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script; leaves with an exit code of `obpose.errors`."""
-    sys.exit(_guarded(list(sys.argv[1:] if arguments is None else arguments)))
+    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
+    code = run_program(
+        PROGRAM,
+        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=description)),
+        out_of_memory="Out of memory; give fewer frames at a time, or a larger --every.",
+    )
+    sys.exit(code)
 
 
 def run(values: Arguments) -> int:
@@ -167,28 +173,6 @@ def _objects(
 
 def _array(values: Float[torch.Tensor, "1 frame slot ..."]) -> Float[np.ndarray, "frame slot ..."]:
     return values[0].detach().cpu().numpy().astype(np.float64)
-
-
-def _guarded(arguments: list[str]) -> int:
-    try:
-        description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
-        return run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=description))
-    except DatagenError as error:
-        return _fail(str(error), error.exit_code)
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)
-    except (MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
-            raise
-        return _fail("Out of memory; give fewer frames at a time, or a larger --every.", EXIT_INCOMPLETE)
-    except KeyboardInterrupt:
-        return _fail("Interrupted.", EXIT_INTERRUPTED)
-
-
-def _fail(message: str, code: int) -> int:
-    print(f"{PROGRAM}: {message}", file=sys.stderr)
-    return code
 
 
 if __name__ == "__main__":

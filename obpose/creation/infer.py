@@ -1,5 +1,6 @@
 """From RGB-D frames to a scene."""
 
+from obpose.clips import clip_part
 from obpose.creation.origin import Origin
 from obpose.creation.scene import Camera, Scene
 from obpose.resolution import fitting_model
@@ -13,7 +14,7 @@ def infer_scene(origin: Origin, observation: Observation) -> Scene:
     """
     cameras = cameras_of(observation)
     if origin.model.config.train.views != "together" and observation.depth.shape[2] > 1:
-        observation = first_view(observation)
+        observation = clip_part(observation, views=1)
     model = fitting_model(origin.model, observation)
     return scene_of(model.segment(observation).inference, cameras, origin)
 
@@ -39,14 +40,3 @@ def cameras_of(observation: Observation) -> tuple[Camera, ...]:
     height, width = observation.depth.shape[-2:]
     pairs = zip(observation.k[0], observation.world_from_camera[0], strict=True)
     return tuple(Camera(k, pose, width, height) for k, pose in pairs)
-
-
-def first_view(observation: Observation) -> Observation:
-    """As if there were no other."""
-    return Observation(
-        rgb=observation.rgb[:, :, :1],
-        depth=observation.depth[:, :, :1],
-        valid=observation.valid[:, :, :1],
-        k=observation.k[:, :1],
-        world_from_camera=observation.world_from_camera[:, :1],
-    )

@@ -2,7 +2,7 @@
 
 The learned priors hardly weigh in training (`loss.kl`), and latents of real scenes fill only a few of their directions.
 Gaussians that are fitted afterwards to the posterior means of training clips (ex-post density estimation, Ghosh et al.
-2020) stay nearer to them. Both are labels' work nowhere.
+2020) stay nearer to them. Neither uses labels.
 """
 
 from collections.abc import Iterable

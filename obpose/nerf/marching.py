@@ -15,6 +15,7 @@ from torch import Tensor
 from obpose.geometry import to_box
 from obpose.nerf.compose import OUTSIDE, log_density, solid_share
 from obpose.nerf.field import Conditioning, Field
+from obpose.nerf.render import light_from
 from obpose.nerf.voxels import lattice_points
 
 _AT_ONCE = 16
@@ -173,7 +174,7 @@ def _evaluate(
     if not any(map(len, found)):
         return None
     optical = look.thickness * solid_share(logits, look.threshold).unflatten(1, (rays, count))
-    weights = passed[:, None] * _light(optical)
+    weights = passed[:, None] * light_from(optical)
     colour = points.new_zeros(rays, 3)
     unit = F.normalize(direction, dim=-1)
     for component, light, index in zip(components, weights.flatten(1), found, strict=True):
@@ -208,11 +209,3 @@ def _inside(
 def in_box(component: Component, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     """World points in the coordinates of the component's field, -1..1 in its cube."""
     return to_box(points, component.center, component.rotation, component.size)
-
-
-def _light(optical: Float[Tensor, "component ray sample"]) -> Float[Tensor, "component ray sample"]:
-    """Share of the light from each sample and component, given their optical thickness."""
-    total = optical.sum(dim=0)
-    transmitted = torch.exp(total - total.cumsum(dim=-1))
-    stopped = -torch.expm1(-total) * transmitted
-    return (stopped / total.clamp(min=1e-12)) * optical

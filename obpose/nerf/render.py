@@ -62,7 +62,7 @@ def render(
         raise ValueError("Rendering needs colours, but `decode` gave none; let it decode with colours.")
     shares = rearrange(solid_share(decoded.logits, threshold), "b f c (r sample) -> b f c r sample", sample=samples)
     colours = rearrange(coloured.colours, "b f c (r sample) rgb -> b f c r sample rgb", sample=samples)
-    weights = _light(sigma_max * (far - near) / samples * shares)
+    weights = light_from(sigma_max * (far - near) / samples * shares)
     through = 1 - weights.sum(dim=(2, 4))
     return Rendering(
         colour=(weights[..., None] * colours).sum(dim=(2, 4)),
@@ -71,11 +71,9 @@ def render(
     )
 
 
-def _light(
-    thickness: Float[Tensor, "batch frame component ray sample"],
-) -> Float[Tensor, "batch frame component ray sample"]:
-    """Light from each sample and component, given their optical thickness."""
-    total = thickness.sum(dim=2)
+def light_from(thickness: Float[Tensor, "*batch component ray sample"]) -> Float[Tensor, "*batch component ray sample"]:
+    """Share of a ray's light from each sample and component, given their optical thickness."""
+    total = thickness.sum(dim=-3)
     transmitted = torch.exp(total - total.cumsum(dim=-1))
     stopped = -torch.expm1(-total) * transmitted
-    return (stopped / total.clamp(min=1e-12))[:, :, None] * thickness
+    return (stopped / total.clamp(min=1e-12))[..., None, :, :] * thickness

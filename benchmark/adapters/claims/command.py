@@ -1,12 +1,11 @@
 """What the commands of this folder have in common."""
 
-import sys
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import tyro
 
-from datagen.errors import DatagenError
+from datagen.errors import run_program
 
 Options = TypeVar("Options")
 
@@ -19,9 +18,5 @@ def run_command(
     program: str,
     about: str | None,
 ) -> int:
-    """Read the options, run, and say in one line what went wrong; the exit code."""
-    try:
-        return run(tyro.cli(options, prog=program, args=arguments, description=about))
-    except DatagenError as error:
-        sys.stderr.write(f"{program}: {error}\n")
-        return error.exit_code
+    """Read the options and run; the exit code."""
+    return run_program(program, lambda: run(tyro.cli(options, prog=program, args=arguments, description=about)))
