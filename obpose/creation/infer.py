@@ -13,7 +13,7 @@ def infer_scene(origin: Origin, observation: Observation) -> Scene:
     """
     cameras = cameras_of(observation)
     if origin.model.config.train.views != "together" and observation.depth.shape[2] > 1:
-        observation = first_view(observation)
+        observation = only_view(observation, 0)
     model = fitting_model(origin.model, observation)
     return scene_of(model.segment(observation).inference, cameras, origin)
 
@@ -41,12 +41,13 @@ def cameras_of(observation: Observation) -> tuple[Camera, ...]:
     return tuple(Camera(k, pose, width, height) for k, pose in pairs)
 
 
-def first_view(observation: Observation) -> Observation:
+def only_view(observation: Observation, view: int) -> Observation:
     """As if there were no other."""
+    only = slice(view, view + 1)
     return Observation(
-        rgb=observation.rgb[:, :, :1],
-        depth=observation.depth[:, :, :1],
-        valid=observation.valid[:, :, :1],
-        k=observation.k[:, :1],
-        world_from_camera=observation.world_from_camera[:, :1],
+        rgb=observation.rgb[:, :, only],
+        depth=observation.depth[:, :, only],
+        valid=observation.valid[:, :, only],
+        k=observation.k[:, only],
+        world_from_camera=observation.world_from_camera[:, only],
     )
