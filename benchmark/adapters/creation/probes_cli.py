@@ -1,0 +1,113 @@
+"""What an object's latent holds: linear probes of z_what for shape, colour and size, and for its place, which it should not.
+
+python -m benchmark.adapters.creation.probes_cli --track clevr3d
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from benchmark.adapters.claims.command import run_command
+from benchmark.adapters.creation.objects import Objects, infer_objects
+from benchmark.adapters.creation.probes import Inputs, Probe, Values, probe_names, probe_numbers
+from benchmark.adapters.creation.subject import Subject
+from datagen.errors import EXIT_OK, UsageError
+
+PROGRAM = "python -m benchmark.adapters.creation.probes_cli"
+LEARNED_FROM = "train"
+LEAST_OBJECTS = 20
+"""Of each split, for a probe to say anything."""
+MOST_COLOURS = 16
+"""Up to so many colours have names, beyond which they are numbers only."""
+
+
+@dataclass(frozen=True)
+class Arguments(Subject):
+    """Options of the command."""
+
+    learn_scenes: int = 400
+    """Training scenes on whose objects the probes learn."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One question to the latents."""
+
+    what: str
+    measure: str
+    by_latent: Probe
+    by_place: Probe
+    """From T_hat in place of z_what."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; give the exit code."""
+    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
+
+
+def run(values: Arguments) -> int:
+    """Of one model and dataset."""
+    origin = values.origin()
+    if values.split == LEARNED_FROM:
+        raise UsageError(f"--split {LEARNED_FROM}: probes learn on it; expected val or test.")
+    folder = values.folder((LEARNED_FROM,))
+    learned = infer_objects(origin, folder, LEARNED_FROM, values.learn_scenes)
+    tested = infer_objects(origin, folder, values.split, values.scenes)
+    for name, objects in {LEARNED_FROM: learned, values.split: tested}.items():
+        if len(objects.scene) < LEAST_OBJECTS:
+            raise UsageError(f"{len(objects.scene)} objects of {name} were found; expected {LEAST_OBJECTS} or more.")
+    print(
+        f"{origin.name}: {len(learned.scene)} objects of {values.learn_scenes} training scenes, {len(tested.scene)} of "
+        f"{values.scenes} scenes of the split {values.split}; {tested.missed} others of these were not found.\n"
+    )
+    for line in table(rows(learned, tested)):
+        print(line)
+    return EXIT_OK
+
+
+def rows(learned: Objects, tested: Objects) -> Iterator[Row]:
+    """All questions."""
+    yield _row("shape", "right", learned, tested, learned.shape, tested.shape)
+    plain, plain_tested = _only(learned, learned.plain), _only(tested, tested.plain)
+    colours = plain.colour, plain_tested.colour
+    if len(np.unique(plain.colour, axis=0)) <= MOST_COLOURS:
+        yield _row("colour, of a palette", "right", plain, plain_tested, *map(_names, colours))
+    yield _row("colour", "R²", plain, plain_tested, *colours)
+    yield _row("size", "R²", learned, tested, learned.size, tested.size)
+    for axis, name in enumerate("xyz"):
+        yield _row(f"position, {name}", "R²", learned, tested, learned.position[:, axis], tested.position[:, axis])
+
+
+def table(found: Iterator[Row]) -> Iterator[str]:
+    """As Markdown."""
+    yield "| what | measure | from z_what (95 % over scenes) | from T_hat | without either | objects learned from, tested |"
+    yield "|---|---|---:|---:|---:|---:|"
+    for row in found:
+        latent, place = row.by_latent, row.by_place
+        yield (
+            f"| {row.what} | {row.measure} | {latent.score:.2f} ({latent.low:.2f} to {latent.high:.2f}) | "
+            f"{place.score:.2f} | {latent.baseline:z.2f} | {latent.trained}, {latent.tested} |"
+        )
+
+
+def _row(what: str, measure: str, learned: Objects, tested: Objects, values: Values, test_values: Values) -> Row:
+    probe = probe_numbers if measure == "R²" else probe_names
+
+    def of(inputs: Inputs, test_inputs: Inputs) -> Probe:
+        return probe(inputs, values, test_inputs, test_values, tested.scene)
+
+    return Row(what, measure, of(learned.what, tested.what), of(learned.place, tested.place))
+
+
+def _only(objects: Objects, kept: np.ndarray) -> Objects:
+    arrays = {field.name: getattr(objects, field.name) for field in fields(objects) if field.name != "missed"}
+    return replace(objects, **{name: array[kept] for name, array in arrays.items()})
+
+
+def _names(colours: np.ndarray) -> np.ndarray:
+    return np.array([" ".join(f"{channel:.3f}" for channel in colour) for colour in colours])
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
