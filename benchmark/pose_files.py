@@ -1,6 +1,6 @@
 """Poses on disk, in a group `poses` of the file of the label maps: one row a pose, as there may be few in any image."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -55,28 +55,34 @@ def read_poses(path: Path) -> list[Poses] | None:
     Raises:
         CorruptFile: the file is missing or damaged.
     """
+    return _read(path, None)
+
+
+def read_scene_poses(path: Path, scene: int) -> Poses | None:
+    """The same of one scene."""
+    found = _read(path, scene)
+    return found[0] if found else None
+
+
+def _read(path: Path, only: int | None) -> list[Poses] | None:
     try:
         with h5py.File(path, "r", locking=False) as file:
             if GROUP not in file:
                 return None
             scenes, frames, views = file["labels"].shape[:3]  # pyright: ignore[reportAttributeAccessIssue]
-            rows = {name: np.asarray(file[f"{GROUP}/{name}"]) for name in (INDEX, *_given(file))}
-        return list(_scenes(rows, scenes, frames, views))
+            names = (INDEX, *(name for name in _ARRAYS if f"{GROUP}/{name}" in file))
+            rows = {name: np.asarray(file[f"{GROUP}/{name}"]) for name in names}
+        return [_scene(rows, scene, frames, views) for scene in (range(scenes) if only is None else (only,))]
     except (OSError, KeyError, IndexError, ValueError) as error:
         raise CorruptFile(f"{path} is missing or damaged ({error}); delete its row in runs/ and run again.") from None
 
 
-def _given(file: h5py.File) -> list[str]:
-    return [name for name in _ARRAYS if f"{GROUP}/{name}" in file]
-
-
-def _scenes(rows: Mapping[str, np.ndarray], scenes: int, frames: int, views: int) -> Iterator[Poses]:
-    for scene in range(scenes):
-        mine = rows[INDEX][:, 0] == scene
-        place = rows[INDEX][mine, 1:]
-        labels = int(place[:, 2].max(initial=0)) + 1
-        arrays = {name: _filled(rows[name][mine], place, (frames, views, labels)) for name in rows if name != INDEX}
-        yield Poses(**arrays)
+def _scene(rows: Mapping[str, np.ndarray], scene: int, frames: int, views: int) -> Poses:
+    mine = rows[INDEX][:, 0] == scene
+    place = rows[INDEX][mine, 1:]
+    labels = int(place[:, 2].max(initial=0)) + 1
+    arrays = {name: _filled(rows[name][mine], place, (frames, views, labels)) for name in rows if name != INDEX}
+    return Poses(**arrays)
 
 
 def _filled(

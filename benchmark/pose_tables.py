@@ -32,17 +32,18 @@ COLUMNS = (
 )
 
 NOTES = (
-    "Poses, in the second table of a track, rank nothing. *Found* is the share of the objects in view that a slot with a "
-    "pose covers by more than half (IoU of their pixels); errors are of these, box IoU is of all, 0 where none was found.",
-    "Translation: from the middle of the object's true box of least volume; *from visible points*: from their mean, where "
-    "a model that only averages what it sees is good. Medians are of a scene, and means over scenes follow.",
-    "Orientation: modulo the object's exact symmetries and the 24 ways of naming a box's axes, which no image tells; *axes "
-    "named*: modulo the symmetries alone. Random orientations of what has no symmetry have 41° and 126°. Balls are left out.",
+    "Poses, in the second table of a track, rank nothing. *Found* is the share of the objects in view that a slot with "
+    "a pose covers by more than half (IoU of pixels); errors are of these, box IoU is of all, 0 where none was found.",
+    "Translation: from the middle of the object's true box of least volume; *from visible points*: from their mean, "
+    "where a model that only averages what it sees is good. Medians are of a scene, and means over scenes follow.",
+    "Orientation: modulo the object's exact symmetries and the 24 ways of naming a box's axes, which no image tells; "
+    "*axes named*: modulo the symmetries alone. Random orientations of what has no symmetry have 41° and 126°. Balls "
+    "are left out.",
 )
 
 
 def pose_rows(field: Iterable[Entry]) -> list[tuple[str, ...]]:
-    """Model, seeds and scores of those that give poses, the worst first as in the tables above; the first is a header."""
+    """Header, and model, seeds and scores of those that give poses, the worst first as in the tables above."""
     posed = [entry for entry in best_first(field)[::-1] if entry.has_poses]
     if not posed:
         return []

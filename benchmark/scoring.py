@@ -62,7 +62,8 @@ def segment_split(
 def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
     """Score stored label maps, and poses where the file has some, and write the scene table.
 
-    Returns the number of frames, views counted apart. Pixels without depth are left out: nothing can be known of them from geometry.
+    Returns the number of frames, views counted apart. Pixels without depth are left out: nothing can be known of them
+    from geometry.
 
     Raises:
         CorruptFile: the label maps do not fit the scenes.

@@ -9,7 +9,7 @@ from benchmark.interface import Poses
 from obpose.geometry import unproject
 from obpose.model import ObPose
 from obpose.trainable import Trainable
-from obpose.types import Boxes, Observation, Segmentation, SceneSegmentation
+from obpose.types import Boxes, Observation, SceneSegmentation, Segmentation
 
 
 def poses_of(model: Trainable, found: Segmentation, observation: Observation) -> Poses | None:

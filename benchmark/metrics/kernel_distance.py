@@ -39,7 +39,9 @@ def kernel_distance(
     groups = np.concatenate([one_groups, other_groups + one_groups.max(initial=-1) + 1])
     names, member = np.unique(groups, return_inverse=True)
     of_one = len(np.unique(one_groups))
-    drawn = np.array([squared_discrepancy(kernel, _division(len(names), of_one, rng)[member]) for _ in range(divisions)])
+    drawn = np.array(
+        [squared_discrepancy(kernel, _division(len(names), of_one, rng)[member]) for _ in range(divisions)]
+    )
     return KernelDistance(found, float((1 + np.sum(drawn >= found)) / (1 + divisions)))
 
 

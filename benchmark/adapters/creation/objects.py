@@ -56,11 +56,15 @@ def infer_objects(origin: Origin, folder: Path, split: str, scenes: int) -> Obje
         found = fitting_model(origin.model, observation).segment(observation)
         record = records[index]
         truth, labels = record["segmentation"][:, 0], found.labels[0, :, 0].numpy()
-        what, place = (values[0].numpy().astype(np.float64) for values in (found.inference.what.z, found.inference.boxes.center))
+        what, place = (
+            values[0].numpy().astype(np.float64) for values in (found.inference.what.z, found.inference.boxes.center)
+        )
         followed = dict(_middle_frames(truth, labels))
         missed += len(set(np.unique(truth)) - {0}) - len(followed)
         for row, (frame, slot) in followed.items():
-            rows.append({"scene": index, "what": what[frame, slot], "place": place[frame, slot], **facts(record, row, frame)})
+            rows.append(
+                {"scene": index, "what": what[frame, slot], "place": place[frame, slot], **facts(record, row, frame)}
+            )
     return Objects(missed=missed, **{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
 

@@ -1,4 +1,6 @@
-"""What an object's latent holds: linear probes of z_what for shape, colour and size, and for its place, which it should not.
+"""What an object's latent holds: linear probes of z_what for shape, colour and size.
+
+And for the object's place, which the latent should not hold.
 
 python -m benchmark.adapters.creation.probes_cli --track clevr3d
 """
@@ -81,7 +83,7 @@ def rows(learned: Objects, tested: Objects) -> Iterator[Row]:
 
 def table(found: Iterator[Row]) -> Iterator[str]:
     """As Markdown."""
-    yield "| what | measure | from z_what (95 % over scenes) | from T_hat | without either | objects learned from, tested |"
+    yield "| what | measure | from z_what (95 % over scenes) | from T_hat | without either | learned from, tested |"
     yield "|---|---|---:|---:|---:|---:|"
     for row in found:
         latent, place = row.by_latent, row.by_place

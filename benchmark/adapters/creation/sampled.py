@@ -54,9 +54,7 @@ def real_scenes(scenes: Split, count: int) -> list[Labelled]:
     return [_first_image(clips[i], truths[i].astype(np.int64)) for i in range(min(count, len(clips)))]
 
 
-def sampled_scenes(
-    origin: Origin, prior_name: PriorName, like: Sequence[Labelled], *, seed: int
-) -> Iterator[Labelled]:
+def sampled_scenes(origin: Origin, prior_name: PriorName, like: Sequence[Labelled], *, seed: int) -> Iterator[Labelled]:
     """One for each real scene, with its camera and as many objects as are in view there."""
     prior = load_prior(origin.folder, origin.model) if prior_name == "fitted" else learned_prior(origin.model)
     renderer, generator = Renderer(origin.model), torch.Generator().manual_seed(seed)

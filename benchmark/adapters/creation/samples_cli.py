@@ -4,7 +4,7 @@ python -m benchmark.adapters.creation.samples_cli --track moving --picture docs/
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +48,9 @@ def run(values: Arguments) -> int:
     """Of one model and dataset."""
     origin = values.origin()
     if values.split == TUNED_ON:
-        raise UsageError(f"--split {TUNED_ON}: real scenes are compared with those of {TUNED_ON}; expected test or train.")
+        raise UsageError(
+            f"--split {TUNED_ON}: real scenes are compared with those of {TUNED_ON}; expected test or train."
+        )
     dataset = Dataset(values.folder((TUNED_ON,)))
     real, others = (real_scenes(dataset.split(name), values.scenes) for name in (values.split, TUNED_ON))
     kinds = {f"real ({values.split})": real, f"real ({TUNED_ON})": others}
@@ -93,9 +95,7 @@ def _clustering(scenes: Sequence[Labelled], slots: int) -> Segmenter:
     return segmenter
 
 
-def _print(
-    kinds: Mapping[str, Sequence[Labelled]], segmenters: Mapping[str, Segmenter], seed: int
-) -> None:
+def _print(kinds: Mapping[str, Sequence[Labelled]], segmenters: Mapping[str, Segmenter], seed: int) -> None:
     """A row for each kind of scenes, distances being those from the first."""
     (first, real), *_ = kinds.items()
     heading = [f"ARI-FG of {name}" for name in segmenters]
