@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 from scipy.spatial.distance import cdist
 
 
@@ -34,26 +34,33 @@ def kernel_distance(
     both = np.concatenate([one, other])
     scale = both.std(axis=0)
     kernel = _gaussian((both - both.mean(axis=0)) / np.where(scale > 0, scale, 1.0))
-    first = np.arange(len(both)) < len(one)
-    found = squared_discrepancy(kernel, first)
     groups = np.concatenate([one_groups, other_groups + one_groups.max(initial=-1) + 1])
     names, member = np.unique(groups, return_inverse=True)
     of_one = len(np.unique(one_groups))
-    drawn = np.array(
-        [squared_discrepancy(kernel, _division(len(names), of_one, rng)[member]) for _ in range(divisions)]
-    )
-    return KernelDistance(found, float((1 + np.sum(drawn >= found)) / (1 + divisions)))
+    drawn = np.stack([_division(len(names), of_one, rng)[member] for _ in range(divisions)])
+    first = np.arange(len(both)) < len(one)
+    found, *others = squared_discrepancies(kernel, np.concatenate([first[None], drawn]))
+    return KernelDistance(float(found), float((1 + np.sum(np.array(others) >= found)) / (1 + divisions)))
 
 
-def squared_discrepancy(kernel: Float[np.ndarray, "n n"], first: np.ndarray) -> float:
-    """The unbiased estimate (their eq. 3): means over pairs of different members within samples, less those across.
+def squared_discrepancies(
+    kernel: Float[np.ndarray, "n n"], first: Bool[np.ndarray, "division n"]
+) -> Float[np.ndarray, "division"]:
+    """The unbiased estimate (their eq. 3) for divisions of all members into the `first` sample and the other.
 
-    >>> squared_discrepancy(np.ones((4, 4)), np.array([True, True, False, False]))
-    0.0
+    Means over pairs of different members within the samples, less twice the mean over pairs across.
+
+    >>> squared_discrepancies(np.ones((4, 4)), np.array([[True, True, False, False]]))
+    array([0.])
     """
-    second = ~first
-    within = [_mean_of_pairs(kernel[np.ix_(part, part)]) for part in (first, second)]
-    return float(sum(within) - 2 * kernel[np.ix_(first, second)].mean())
+    of_first = first.astype(np.float64)
+    of_other, diagonal = 1 - of_first, np.diag(kernel)
+    within = [
+        (np.sum((part @ kernel) * part, axis=1) - part @ diagonal) / (part.sum(axis=1) * (part.sum(axis=1) - 1))
+        for part in (of_first, of_other)
+    ]
+    across = np.sum((of_first @ kernel) * of_other, axis=1) / (of_first.sum(axis=1) * of_other.sum(axis=1))
+    return within[0] + within[1] - 2 * across
 
 
 def _gaussian(points: Float[np.ndarray, "n feature"]) -> Float[np.ndarray, "n n"]:
@@ -62,12 +69,7 @@ def _gaussian(points: Float[np.ndarray, "n feature"]) -> Float[np.ndarray, "n n"
     return np.exp(-squares / (width if width > 0 else 1.0))
 
 
-def _mean_of_pairs(kernel: Float[np.ndarray, "n n"]) -> float:
-    count = len(kernel)
-    return float((kernel.sum() - np.trace(kernel)) / (count * (count - 1)))
-
-
-def _division(groups: int, of_one: int, rng: np.random.Generator) -> np.ndarray:
+def _division(groups: int, of_one: int, rng: np.random.Generator) -> Bool[np.ndarray, "group"]:
     chosen = np.zeros(groups, bool)
     chosen[rng.permutation(groups)[:of_one]] = True
     return chosen

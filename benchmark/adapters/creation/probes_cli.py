@@ -5,14 +5,15 @@ And for the object's place, which the latent should not hold.
 python -m benchmark.adapters.creation.probes_cli --track clevr3d
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 
 from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.creation.objects import Objects, infer_objects
-from benchmark.adapters.creation.probes import Inputs, Probe, Values, probe_names, probe_numbers
+from benchmark.adapters.creation.probes import Probe, Sample, probe_names, probe_numbers
 from benchmark.adapters.creation.subject import Subject
 from datagen.errors import EXIT_OK, UsageError
 
@@ -70,15 +71,14 @@ def run(values: Arguments) -> int:
 
 def rows(learned: Objects, tested: Objects) -> Iterator[Row]:
     """All questions."""
-    yield _row("shape", "right", learned, tested, learned.shape, tested.shape)
+    yield _row("shape", "right", learned, tested, lambda objects: objects.shape)
     plain, plain_tested = _only(learned, learned.plain), _only(tested, tested.plain)
-    colours = plain.colour, plain_tested.colour
     if len(np.unique(plain.colour, axis=0)) <= MOST_COLOURS:
-        yield _row("colour, of a palette", "right", plain, plain_tested, *map(_names, colours))
-    yield _row("colour", "R²", plain, plain_tested, *colours)
-    yield _row("size", "R²", learned, tested, learned.size, tested.size)
+        yield _row("colour, of a palette", "right", plain, plain_tested, lambda objects: _names(objects.colour))
+    yield _row("colour", "R²", plain, plain_tested, lambda objects: objects.colour)
+    yield _row("size", "R²", learned, tested, lambda objects: objects.size)
     for axis, name in enumerate("xyz"):
-        yield _row(f"position, {name}", "R²", learned, tested, learned.position[:, axis], tested.position[:, axis])
+        yield _row(f"position, {name}", "R²", learned, tested, partial(_coordinate, axis))
 
 
 def table(found: Iterator[Row]) -> Iterator[str]:
@@ -93,13 +93,17 @@ def table(found: Iterator[Row]) -> Iterator[str]:
         )
 
 
-def _row(what: str, measure: str, learned: Objects, tested: Objects, values: Values, test_values: Values) -> Row:
+def _row(what: str, measure: str, learned: Objects, tested: Objects, asked: Callable[[Objects], np.ndarray]) -> Row:
     probe = probe_numbers if measure == "R²" else probe_names
+    by_latent, by_place = (
+        probe(*(Sample(known(objects), asked(objects), objects.scene) for objects in (learned, tested)))
+        for known in (lambda objects: objects.what, lambda objects: objects.place)
+    )
+    return Row(what, measure, by_latent, by_place)
 
-    def of(inputs: Inputs, test_inputs: Inputs) -> Probe:
-        return probe(inputs, values, test_inputs, test_values, tested.scene)
 
-    return Row(what, measure, of(learned.what, tested.what), of(learned.place, tested.place))
+def _coordinate(axis: int, objects: Objects) -> np.ndarray:
+    return objects.position[:, axis]
 
 
 def _only(objects: Objects, kept: np.ndarray) -> Objects:

@@ -55,7 +55,7 @@ class Likeness:
     ssim: float
     depth_errors: Float[np.ndarray, "pixel"]
     """Metres, of all pixels."""
-    depth_errors_objects: Float[np.ndarray, "pixel"]
+    depth_errors_objects: Float[np.ndarray, "object_pixel"]
 
 
 def measure_views(origin: Origin, folder: Path, split: str, *, scenes: int, frames: int) -> Iterator[Likeness]:

@@ -48,6 +48,7 @@ def test_views_are_apart(told):
     both = replace(
         told.segmentation,
         labels=twice(told.segmentation.labels),
+        attention=twice(told.segmentation.attention),
         inference=replace(inference, boxes=boxes),
     )
     observation = told.scene.observation

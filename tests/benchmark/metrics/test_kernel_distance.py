@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from benchmark.metrics.kernel_distance import KernelDistance, kernel_distance, squared_discrepancy
+from benchmark.metrics.kernel_distance import KernelDistance, kernel_distance, squared_discrepancies
 
 
 def distance(one: np.ndarray, other: np.ndarray, *, group: int = 1, divisions: int = 200) -> KernelDistance:
@@ -47,5 +47,6 @@ def test_a_feature_that_never_changes_says_nothing():
 
 def test_the_estimate_by_hand():
     kernel = np.array([[1.0, 0.5, 0.1, 0.2], [0.5, 1.0, 0.3, 0.4], [0.1, 0.3, 1.0, 0.6], [0.2, 0.4, 0.6, 1.0]])
-    first = np.array([True, True, False, False])
-    assert squared_discrepancy(kernel, first) == pytest.approx(0.5 + 0.6 - 2 * 0.25)
+    first = np.array([[True, True, False, False], [True, False, True, False]])
+    expected = [0.5 + 0.6 - 2 * 0.25, 0.1 + 0.4 - 2 * (0.5 + 0.2 + 0.3 + 0.6) / 4]
+    assert squared_discrepancies(kernel, first) == pytest.approx(expected)

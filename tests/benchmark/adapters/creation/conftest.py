@@ -1,12 +1,13 @@
 from pathlib import Path
 
 import pytest
+import torch
 
 from obpose.checkpoint import save_model
 from obpose.creation.origin import Origin, load_origin
 from obpose.model import ObPose
+from obpose.variants import make_config
 from tests import small, staged
-from tests.benchmark.adapters.claims import told
 
 
 @pytest.fixture(scope="session")
@@ -26,9 +27,11 @@ def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of an untrained model."""
+    """Of an untrained model; its objects are small, so that there is room for some beside each other."""
     folder = tmp_path_factory.mktemp("creation") / "model"
-    model: ObPose = told.untrained()
+    torch.manual_seed(0)
+    sizes = {"model.pose.box_size": 0.05, "model.workspace_size": 1.5, "model.attention.idle_points": 0}
+    model = ObPose(make_config(**sizes)).eval()
     save_model(folder, model.state_dict(), model.config, {})
     return folder
 

@@ -1,27 +1,32 @@
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmark.adapters.creation.objects import Objects, _middle_frames, facts
-from benchmark.adapters.creation.probes import probe_names, probe_numbers
+from benchmark.adapters.creation.probes import Probe, Sample, probe_names, probe_numbers
 from benchmark.adapters.creation.probes_cli import main, rows, table
 from datagen.storage import Dataset
 
 RNG = np.random.default_rng(0)
 INPUTS = RNG.normal(size=(300, 8))
-SCENES = np.arange(100) // 4
-LEARN, TEST = slice(200), slice(200, None)
+SCENES = np.arange(300) // 4
+
+
+def asked(probe: Callable[[Sample, Sample], Probe], values: np.ndarray) -> Probe:
+    """Learned from the first 200 objects and tested on the others."""
+    return probe(*(Sample(INPUTS[part], values[part], SCENES[part]) for part in (slice(200), slice(200, None))))
 
 
 def test_a_planted_number_is_found_and_noise_is_not():
     planted = INPUTS @ RNG.normal(size=8) + 3.0
-    found = probe_numbers(INPUTS[LEARN], planted[LEARN], INPUTS[TEST], planted[TEST], SCENES)
+    found = asked(probe_numbers, planted)
     assert found.score > 0.999
     assert found.low <= found.score <= found.high
     assert (found.trained, found.tested) == (200, 100)
     noise = RNG.normal(size=300)
-    nothing = probe_numbers(INPUTS[LEARN], noise[LEARN], INPUTS[TEST], noise[TEST], SCENES)
+    nothing = asked(probe_numbers, noise)
     assert abs(nothing.score) < 0.15
     assert -0.1 < nothing.baseline <= 0
 
@@ -29,18 +34,18 @@ def test_a_planted_number_is_found_and_noise_is_not():
 def test_several_numbers_share_a_score():
     known = INPUTS[:, :1]
     both = np.column_stack([known, 10 * RNG.normal(size=(300, 1))])
-    found = probe_numbers(INPUTS[LEARN], both[LEARN], INPUTS[TEST], both[TEST], SCENES)
+    found = asked(probe_numbers, both)
     assert -0.2 < found.score < 0.15
 
 
 def test_planted_names_are_found_and_the_baseline_is_the_most_frequent():
     names = np.where(INPUTS[:, 0] > 0.5, "ball", np.where(INPUTS[:, 1] > 0, "cube", "cone"))
-    found = probe_names(INPUTS[LEARN], names[LEARN], INPUTS[TEST], names[TEST], SCENES)
+    found = asked(probe_names, names)
     assert found.score > 0.85
-    most = max(set(names[LEARN]), key=names[LEARN].tolist().count)
-    assert found.baseline == np.mean(names[TEST] == most)
+    most = max(set(names[:200]), key=names[:200].tolist().count)
+    assert found.baseline == np.mean(names[200:] == most)
     shuffled = RNG.permutation(names)
-    assert probe_names(INPUTS[LEARN], shuffled[LEARN], INPUTS[TEST], shuffled[TEST], SCENES).score < 0.6
+    assert asked(probe_names, shuffled).score < 0.6
 
 
 def objects(seed: int, count: int = 120) -> Objects:
