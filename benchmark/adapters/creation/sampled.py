@@ -78,9 +78,10 @@ def labelled(image: Image, camera: Camera) -> Labelled:
 
 
 def mean_ari_fg(segmenter: Segmenter, scenes: Sequence[Labelled]) -> float:
-    """Of a segmentation of each image, over those with objects."""
-    scores = [ari_fg(segmenter.segment(scene.clip), scene) for scene in scenes]
-    return float(np.nanmean(scores))
+    """Of a segmentation of each image, over those with objects; nan where none has any."""
+    scores = np.array([ari_fg(segmenter.segment(scene.clip), scene) for scene in scenes])
+    defined = scores[~np.isnan(scores)]
+    return float(defined.mean()) if len(defined) else np.nan
 
 
 def ari_fg(found: Prediction, scene: Labelled) -> float:

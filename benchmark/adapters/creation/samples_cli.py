@@ -113,13 +113,16 @@ def _print(kinds: Mapping[str, Sequence[Labelled]], segmenters: Mapping[str, Seg
         print(f"| {name} | {len(found.scene)} | {' | '.join(cells)} |")
 
 
-def _distance(feature: str, one: Looks, other: Looks, seed: int) -> KernelDistance:
+def _distance(feature: str, one: Looks, other: Looks, seed: int) -> KernelDistance | None:
+    """None where there is no more than an object to compare."""
+    if min(len(one.scene), len(other.scene)) < 2:
+        return None
     values = (getattr(one, feature), getattr(other, feature))
     return kernel_distance(*values, one.scene, other.scene, rng=np.random.default_rng(seed))
 
 
-def _cell(distance: KernelDistance) -> str:
-    return f"{distance.squared:z.4f} ({distance.p_value:.3f})"
+def _cell(distance: KernelDistance | None) -> str:
+    return f"{distance.squared:z.4f} ({distance.p_value:.3f})" if distance else "–"
 
 
 if __name__ == "__main__":

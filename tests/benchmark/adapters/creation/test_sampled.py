@@ -85,6 +85,7 @@ def test_the_command_prints_and_draws(
     printed = capsys.readouterr().out
     assert all(f"| {name} |" in printed for name in ("real (test)", "real (val)", "sampled, prior fitted"))
     width = 2 * (96 + 2 * GAP)
-    assert Pillow.open(tmp_path / "grid.png").size == (width, 3 * (96 + 2 * GAP))
+    with Pillow.open(tmp_path / "grid.png") as picture:
+        assert picture.size == (width, 3 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
