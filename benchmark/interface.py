@@ -50,6 +50,21 @@ class Clip:
 
 
 @dataclass(frozen=True, eq=False)
+class Poses:
+    """Where the objects are and how they are turned, one row a label: row 3 is of what has label 3 in that image.
+
+    World frame, metres. Rows of labels that have no pose, such as the background's, are nan.
+    """
+
+    center: Float[np.ndarray, "frame view label 3"]
+    """Middle of the whole object, and of its box: not of its visible side alone."""
+    rotation: Float[np.ndarray, "frame view label 3 3"] | None = None
+    """World from box; None if the model says nothing of orientations. How the box's axes are named does not matter."""
+    size: Float[np.ndarray, "frame view label 3"] | None = None
+    """Side lengths of the box along its axes; None if the model says nothing of sizes. It needs `rotation`."""
+
+
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """One segmentation of a clip."""
 
@@ -60,6 +75,8 @@ class Prediction:
     extra: Mapping[str, Integer[np.ndarray, "frame view height width"]] = field(default_factory=dict)
     """Other segmentations of the clip that came of the same work, with the same background slot, by the names that the
     model declares (`ModelSpec.extra`); each gets a row of its own, MODEL-NAME."""
+    poses: Poses | None = None
+    """Of the objects behind `labels`, if the model has such; they are scored beside the labels and rank nothing."""
 
     @property
     def background(self) -> int:

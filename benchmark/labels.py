@@ -1,4 +1,4 @@
-"""Label maps on disk: one HDF5 file a run, from which every score can be computed again without the model."""
+"""Label maps on disk, and poses beside them: one HDF5 file a run, from which every score can be computed again."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +10,7 @@ from jaxtyping import UInt8
 
 from benchmark.files import replacing
 from benchmark.interface import Prediction
+from benchmark.pose_files import PoseRows
 from datagen.errors import CorruptFile
 
 LARGEST = 255
@@ -23,9 +24,10 @@ class LabelWriter:
     def __init__(self, file: h5py.File, scenes: int):
         self._file, self._scenes = file, scenes
         self._slots = file.create_dataset("background_slots", (scenes,), np.uint8)
+        self.poses = PoseRows()
 
     def put(self, scene: int, prediction: Prediction) -> None:
-        """Store one scene's labels, 0 to 255, and its background slot."""
+        """Store one scene's labels, 0 to 255, and its background slot; poses are written when all are there."""
         labels = np.asarray(prediction.labels).astype(np.uint8)
         if "labels" not in self._file:
             shape, chunks = (self._scenes, *labels.shape), (1, *labels.shape)
@@ -33,6 +35,8 @@ class LabelWriter:
             self._file.create_dataset("labels", shape, np.uint8, chunks=chunks, **options)
         self._dataset("labels")[scene] = labels
         self._slots[scene] = prediction.background
+        if prediction.poses is not None:
+            self.poses.put(scene, prediction.poses)
 
     def _dataset(self, name: str) -> h5py.Dataset:
         dataset = self._file[name]
@@ -45,7 +49,9 @@ def write_labels(path: Path, scenes: int, data: Path) -> Iterator[LabelWriter]:
     """Write the label maps of that many scenes of the dataset `data`; the file is there only if all went well."""
     with replacing(path) as partial, h5py.File(partial, "w", libver=("v110", "v110")) as file:
         file.attrs["data"] = str(data.resolve())
-        yield LabelWriter(file, scenes)
+        writer = LabelWriter(file, scenes)
+        yield writer
+        writer.poses.write(file)
 
 
 def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view height width"], int]]:

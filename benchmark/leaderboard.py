@@ -18,6 +18,7 @@ import numpy as np
 
 from benchmark import tables
 from benchmark.files import write_whole
+from benchmark.metrics.poses import POSE_METRICS
 from benchmark.results import COUNTS, RunRow, SceneTable
 from benchmark.standings import ALL_METRICS, RANKED_METRICS, SWITCHES, Entry, load_standings
 from benchmark.statistics import Summary
@@ -59,7 +60,7 @@ def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
             "marks": entry.marks,
             "rank": rank_in_words(entry),
             "mean_rank": entry.mean_rank,
-            **_metric_columns(entry),
+            **_metric_columns(entry, SUMMARISED),
             **{f"{name}_group": letters for name, letters in zip(RANKED_METRICS, entry.groups, strict=True)},
             **{name: _mean(values) for name, values in _counts(entry).items()},
             "n_seeds": len(entry.rows),
@@ -80,6 +81,7 @@ def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
             "commit": _distinct(row.commit for row in entry.rows),
             **_measured(entry.rows),
             **({"views": entry.views} if entry.views else {}),
+            **(_metric_columns(entry, POSE_METRICS) if entry.has_poses else {}),
         }
         for entry in entries
     ]
@@ -105,9 +107,9 @@ def to_csv(lines: Sequence[Line]) -> str:
     return text.getvalue()
 
 
-def _metric_columns(entry: Entry) -> dict[str, float]:
+def _metric_columns(entry: Entry, names: Iterable[str]) -> dict[str, float]:
     columns: dict[str, float] = {}
-    for name in SUMMARISED:
+    for name in names:
         summary = entry.summary(name)
         kept = entry.summary(name, without_failed=True) if entry.n_failed else summary
         columns |= _summary_columns(name, summary)
@@ -127,6 +129,7 @@ def _summary_columns(name: str, summary: Summary) -> dict[str, float]:
 
 def _seed_lines(entry: Entry) -> Iterator[Line]:
     means = {name: entry.seed_means(name) for name in SUMMARISED}
+    poses = {name: entry.seed_means(name) for name in POSE_METRICS} if entry.has_poses else {}
     counts = _counts(entry)
     for index, (row, cause) in enumerate(_by_seed(entry)):
         yield {
@@ -142,6 +145,7 @@ def _seed_lines(entry: Entry) -> Iterator[Line]:
             "device": row.device,
             "commit": row.commit,
             **_measured([row]),
+            **{name: float(values[index]) for name, values in poses.items()},
         }
 
 

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 from benchmark import plugins
 from benchmark.adapters import LEARNED
-from benchmark.baselines import CLASSICAL, FLOORS, ORACLES
+from benchmark.baselines import CLASSICAL, FLOORS, ORACLES, POSED
 from benchmark.model_spec import ModelSpec
 from benchmark.plugins import Problem
 from datagen.errors import UsageError
 
 __all__ = ["GROUPS", "MODELS", "Group", "ModelSpec", "Problem", "budget_of", "discover", "expand", "find_model"]
 
-MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **LEARNED}
+MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **POSED, **LEARNED}
 """The models of this package; those of others come from `discover`."""
 
 
@@ -32,27 +32,21 @@ MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **LEARNED}
 class Group:
     """A name that stands for several models."""
 
-    kinds: tuple[str, ...] = ()
-    """All models in `MODELS` of these kinds,"""
-    names: tuple[str, ...] = ()
-    """and these."""
+    members: tuple[str, ...]
+    """Names of its models."""
     budget: float | None = None
     """Seconds of one core that all models of a command with this group may train for, so that none has more than
     another; None: what each declares."""
 
-    @property
-    def members(self) -> list[str]:
-        """Names of its models."""
-        return [*(model for model, spec in MODELS.items() if spec.kind in self.kinds), *self.names]
-
 
 GROUPS: dict[str, Group] = {
-    "floors": Group(("floor",)),
-    "classical": Group(("classical",)),
-    "oracles": Group(("oracle",)),
-    "training-free": Group(("floor", "classical", "oracle")),
+    "floors": Group(tuple(FLOORS)),
+    "classical": Group(tuple(CLASSICAL)),
+    "oracles": Group(tuple(ORACLES)),
+    "training-free": Group((*FLOORS, *CLASSICAL, *ORACLES)),
+    "poses": Group(tuple(POSED)),
     "paper": Group(
-        names=(
+        (
             "obpose-loc",
             "obpose",
             "ic-sbp",

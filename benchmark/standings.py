@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float64
 from benchmark import statistics
 from benchmark.failed_seeds import HEADLINE, cause_of_failure, has_finite_loss
 from benchmark.metrics import CLIP_METRICS, METRICS
+from benchmark.metrics.poses import POSE_METRICS
 from benchmark.results import RunRow, SceneTable, load_runs, load_scenes
 from benchmark.statistics import Difference, Resamples, Summary
 
@@ -78,6 +79,12 @@ class Entry:
         return next((row.views for row in self.rows if row.views), "")
 
     @property
+    def has_poses(self) -> bool:
+        """Whether its runs gave poses, as far as they gave anything."""
+        tables = [table for table in self.tables if table is not None]
+        return bool(tables) and all(POSE_METRICS[0] in table for table in tables)
+
+    @property
     def is_ranked(self) -> bool:
         """Whether the model may stand in a ranking: it knows no labels, and not every seed failed."""
         knows = self.row.kind in ("floor", "oracle") or self.row.uses_labels
@@ -117,7 +124,7 @@ class Entry:
             if table is not None and not (without_failed and cause)
         ]
         shape = (len(tables), self.n_scenes)
-        if not tables or metric not in tables[0]:
+        if not tables or any(metric not in table for table in tables):
             return np.full(shape, np.nan), np.zeros(shape)
         return np.stack([table[metric] for table in tables]), np.stack([_weights(table, metric) for table in tables])
 

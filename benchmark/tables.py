@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmark import statistics
+from benchmark import pose_tables, statistics
 from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
 from benchmark.standings import (
     ORACLE_METRICS,
@@ -121,8 +121,9 @@ def markdown(entries: Iterable[Entry]) -> str:
     """All tables as one Markdown page."""
     entries = list(entries)
     parts = ["# Leaderboard", "\n".join(f"- {note}" for note in _notes(entries))]
-    for board in boards(entries):
-        parts += [f"## {board.title}", "\n".join(_markdown_rows(board))]
+    for field in fields(entries):
+        board = _board(field)
+        parts += [f"## {board.title}", "\n".join(_markdown_rows(board)), *pose_tables.markdown(field)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -130,7 +131,12 @@ def latex(entries: Iterable[Entry]) -> str:
     """All tables as LaTeX, for documents that load booktabs, adjustbox and xcolor."""
     entries = list(entries)
     notes = [f"% {note}" for note in (*_notes(entries), "Needs booktabs, adjustbox and xcolor.")]
-    return "\n".join(notes) + "\n\n" + "\n".join(_latex_table(board) for board in boards(entries))
+    tables = [
+        table
+        for field in fields(entries)
+        for table in (_latex_table(_board(field)), *pose_tables.latex(field, _board(field).title, _escaped))
+    ]
+    return "\n".join(notes) + "\n\n" + "\n".join(tables)
 
 
 def mean_and_std(mean: float, std: float) -> str:
@@ -148,6 +154,8 @@ def _notes(entries: Sequence[Entry]) -> Iterator[str]:
     if once:
         yield f"Run once, as seeds make no difference to them: {once}."
     yield from NOTES
+    if any(entry.has_poses for entry in entries):
+        yield from pose_tables.NOTES
     yield from filter(None, (views_explained(entries), free_of_slots(entries), without_floor(entries)))
 
 

@@ -16,6 +16,7 @@ from obpose.types import Observation
 Observed = TypeVar("Observed", bound=Observation)
 
 _CAMERAS = ("k", "world_from_camera")
+_ALL = slice(None)
 
 
 @runtime_checkable
@@ -164,13 +165,11 @@ def views_apart(observation: Observed) -> Observed:
     )
 
 
-def clip_part(observation: Observed, *, frames: int | None = None, views: int | None = None) -> Observed:
-    """The first frames and views, as if there were no others; None for all."""
+def clip_part(observation: Observed, *, frames: slice = _ALL, views: slice = _ALL) -> Observed:
+    """Some frames and views, as if there were no others."""
     names = [field.name for field in fields(observation)]
-    parts = {
-        name: getattr(observation, name)[:, :views]
-        if name in _CAMERAS
-        else getattr(observation, name)[:, :frames, :views]
-        for name in names
-    }
-    return replace(observation, **parts)
+    values = {name: getattr(observation, name) for name in names}
+    return replace(
+        observation,
+        **{name: value[:, views] if name in _CAMERAS else value[:, frames, views] for name, value in values.items()},
+    )

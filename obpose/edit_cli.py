@@ -93,7 +93,7 @@ def _fit(values: Fit) -> None:
     if count < 2:
         raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
     model = origin.model
-    clips = (clip_part(read_clip(values.data, "train", i), frames=1, views=1) for i in range(count))
+    clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1), views=slice(1)) for i in range(count))
     save_prior(origin.folder, fit_prior(model, clips))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
 

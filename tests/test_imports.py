@@ -45,7 +45,7 @@ LAYERS = (
 
 DATAGEN_FOR = {
     "obpose": {"schema", "storage", "errors"},
-    "benchmark": {"config", "generate", "schema", "storage", "geometry", "preview", "verify", "errors"},
+    "benchmark": {"config", "generate", "schema", "storage", "geometry", "preview", "shapes", "verify", "errors"},
 }
 """What the other packages may use of `datagen`; of `obpose`, only `data.py` does, and `errors.py` its errors."""
 

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from einops import rearrange
 
+from benchmark.adapters.poses import poses_of
 from benchmark.interface import Clip, Prediction
 from benchmark.watch import Watch
 from obpose.checkpoint import load
@@ -60,7 +61,10 @@ class LearnedSegmenter:
         self.parameters = sum(parameter.numel() for parameter in self._model.parameters())
 
     def segment(self, clip: Clip) -> Prediction:
-        """Slots count from 0, which is the background where the model has one. `att` are the attention masks."""
+        """Slots count from 0, which is the background where the model has one. `att` are the attention masks.
+
+        Poses are given where objects have some and each view is segmented by itself.
+        """
         return self._segment(self._model, clip)
 
     def _segment(self, model: Trainable, clip: Clip) -> Prediction:
@@ -69,11 +73,14 @@ class LearnedSegmenter:
         model = fitting_model(model, observation) if isinstance(model, ObPose) else model
         if self._views == "together":
             found, axes = model.segment(observation), "1 frame view h w -> frame view h w"
+            poses = None
         else:
-            found, axes = model.segment(views_apart(observation)), "view frame 1 h w -> frame view h w"
+            apart = views_apart(observation)
+            found, axes = model.segment(apart), "view frame 1 h w -> frame view h w"
+            poses = poses_of(model, found, apart)
         labels, attention = (rearrange(maps, axes).cpu().numpy() for maps in (found.labels, found.attention))
         extra = {ATTENTION: attention} if ATTENTION in self._system.extra else {}
-        return Prediction(labels, model.background_slot, extra)
+        return Prediction(labels, model.background_slot, extra, poses)
 
     def _train(self, clips: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> Trainable:
         kind = LabelledArrayClips if self._system.uses_labels else ArrayClips

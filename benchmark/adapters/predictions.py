@@ -3,6 +3,9 @@
 DIR/test/00017.npz ..................... `labels` [frame view height width], and `background_slot` if there is one
 DIR/test/00017/view0_frame003.png ...... eight bits, grey or palette: a pixel's number is its label
 DIR/labels.h5 .......................... `labels` [scene frame view height width], `background_slots` [scene]
+
+The first and the last may hold poses: arrays `center`, `rotation` and `size` of `benchmark.interface.Poses` beside the
+labels of a scene, or what `benchmark.pose_files` writes.
 """
 
 import hashlib
@@ -15,7 +18,8 @@ import numpy as np
 from jaxtyping import Integer
 from PIL import Image, UnidentifiedImageError
 
-from benchmark.interface import Clip, Prediction
+from benchmark.interface import Clip, Poses, Prediction
+from benchmark.pose_files import read_scene_poses
 from datagen.errors import CorruptFile, UsageError
 
 SPLIT = "test"
@@ -60,15 +64,16 @@ class PredictionFolder:
             UsageError: they are not there, or not of the layout.
             CorruptFile: a file is damaged.
         """
+        poses = None
         if (path := self.folder / HDF5).exists():
-            labels, slot = _read_hdf5(path, scene)
+            (labels, slot), poses = _read_hdf5(path, scene), read_scene_poses(path, scene)
         elif (path := self._npz(scene)).exists():
-            labels, slot = _read_npz(path)
+            labels, slot, poses = _read_npz(path)
         else:
             frames, views = clip.depth.shape[:2]
             images = [[_read_png(self._images(scene), view, frame) for view in range(views)] for frame in range(frames)]
             labels, slot = _stack(images, self._images(scene)), None
-        return Prediction(labels, self.background_slot if slot is None else slot)
+        return Prediction(labels, self.background_slot if slot is None else slot, poses=poses)
 
     def _npz(self, scene: int) -> Path:
         return self.folder / SPLIT / f"{scene:05d}.npz"
@@ -88,12 +93,14 @@ def _read_hdf5(path: Path, scene: int) -> tuple[np.ndarray, int | None]:
         raise CorruptFile(f"{path} is damaged or no HDF5 file ({error}).") from None
 
 
-def _read_npz(path: Path) -> tuple[np.ndarray, int | None]:
+def _read_npz(path: Path) -> tuple[np.ndarray, int | None, Poses | None]:
     try:
         with np.load(path, allow_pickle=False) as file:
             if "labels" not in file:
                 raise UsageError(f"{path} has no array `labels`; expected [frame view height width].")
-            return file["labels"], int(file["background_slot"]) if "background_slot" in file else None
+            slot = int(file["background_slot"]) if "background_slot" in file else None
+            arrays = {name: file[name] for name in ("center", "rotation", "size") if name in file}
+            return file["labels"], slot, Poses(**arrays) if "center" in arrays else None
     except (OSError, ValueError, zipfile.BadZipFile):
         # NumPy takes what it cannot read for a pickle and advises to load it: the last thing to do with a broken file.
         raise CorruptFile(f"{path} is damaged or no NPZ file; write it anew, with `numpy.savez`.") from None

@@ -5,6 +5,7 @@ A grid holds few values, each with a reason to be the best on some data; labels 
 
 from itertools import product
 
+from benchmark.baselines.boxes import OracleVisibleBoxes, OracleVisibleMeans, PlaneHdbscanBoxes
 from benchmark.baselines.floors import AllBackground, ConstantGrid, OneCluster, RandomSlots
 from benchmark.baselines.kmeans import KMeansXyzRgb
 from benchmark.baselines.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground
@@ -111,3 +112,33 @@ ORACLES = {
         priors=("background slot",),
     ),
 }
+
+POSED = {
+    "plane-hdbscan-boxes": ModelSpec(
+        Builder(PlaneHdbscanBoxes),
+        1,
+        "plane-hdbscan, with the smallest box around each segment as its pose",
+        "classical",
+        HDBSCAN,
+        priors=PLANE,
+    ),
+    "oracle-visible-boxes": ModelSpec(
+        Builder(OracleVisibleBoxes),
+        1,
+        "the truth, with the smallest box around an object's visible points as its pose",
+        "oracle",
+        random=False,
+        uses_labels=True,
+        priors=("background slot", "camera pose"),
+    ),
+    "oracle-visible-means": ModelSpec(
+        Builder(OracleVisibleMeans),
+        1,
+        "the truth, with the mean of an object's visible points as its place",
+        "oracle",
+        random=False,
+        uses_labels=True,
+        priors=("background slot", "camera pose"),
+    ),
+}
+"""What poses of models are to be held against; apart from the others, whose segmentations they repeat."""

@@ -25,7 +25,7 @@ class OracleKSlots(Untrained):
 
     def segment(self, clip: Clip) -> Prediction:
         """Objects are counted over the clip, and keep their labels in it."""
-        return Prediction(keep_largest(_truth(clip), self.slots - 1), background_slot=0)
+        return Prediction(keep_largest(truth_of(clip), self.slots - 1), background_slot=0)
 
 
 class OracleQuarterResolution(Untrained):
@@ -33,7 +33,7 @@ class OracleQuarterResolution(Untrained):
 
     def segment(self, clip: Clip) -> Prediction:
         """In each block of 4x4 pixels the most frequent label, the lowest of equally frequent ones."""
-        truth = _truth(clip)
+        truth = truth_of(clip)
         return Prediction(coarsen(truth, QUARTER), background_slot=0)
 
 
@@ -42,7 +42,7 @@ class OracleSplitBackground(Untrained):
 
     def segment(self, clip: Clip) -> Prediction:
         """Slots 0 to 3 are the quadrants, the first of them declared as background; objects follow."""
-        truth = _truth(clip)
+        truth = truth_of(clip)
         *_, height, width = truth.shape
         quadrants = grid_cells(height, width, PIECES)
         return Prediction(np.where(truth > 0, truth + PIECES - 1, quadrants), background_slot=0)
@@ -65,7 +65,8 @@ def _votes(mask: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
     return np.add.reduceat(images[:, order], starts, axis=1).reshape(*mask.shape[:-2], blocks)
 
 
-def _truth(clip: Clip) -> Int64[np.ndarray, "frame view height width"]:
+def truth_of(clip: Clip) -> Int64[np.ndarray, "frame view height width"]:
+    """Labels of a clip that carries them."""
     if clip.truth is None:
         raise ValueError("An oracle needs clips that carry the truth; register it with uses_labels=True.")
     return clip.truth.astype(np.int64)

@@ -14,7 +14,7 @@ def infer_scene(origin: Origin, observation: Observation) -> Scene:
     """
     cameras = cameras_of(observation)
     if origin.model.config.train.views != "together" and observation.depth.shape[2] > 1:
-        observation = clip_part(observation, views=1)
+        observation = clip_part(observation, views=slice(1))
     model = fitting_model(origin.model, observation)
     return scene_of(model.segment(observation).inference, cameras, origin)
 

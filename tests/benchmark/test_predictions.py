@@ -10,7 +10,8 @@ from PIL import Image
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.cli import main
 from benchmark.clips import ClipSequence
-from benchmark.interface import Clip
+from benchmark.interface import Clip, Poses, Prediction
+from benchmark.labels import write_labels
 from benchmark.results import load_runs, load_scenes, pooled
 from benchmark.standings import load_standings
 from datagen.errors import CorruptFile, DatagenError, UsageError
@@ -230,3 +231,22 @@ def test_maps_of_another_size_are_a_failed_row(data: Path, tmp_path: Path, monke
     (row,) = load_runs(tmp_path / "out")
     assert row.status == "failed"
     assert "expected integers of shape (2, 2, 48, 64)" in row.reason
+
+
+def test_poses_may_lie_beside_the_labels(clip: Clip, truths: list[np.ndarray], tmp_path: Path):
+    center = np.random.default_rng(0).normal(size=(*clip.depth.shape[:2], 4, 3))
+    write_npz(tmp_path / "plain", truths)
+    assert PredictionFolder(tmp_path / "plain").read(0, clip).poses is None
+    (tmp_path / "npz" / "test").mkdir(parents=True)
+    np.savez(tmp_path / "npz" / "test" / "00000.npz", labels=truths[0], center=center)
+    found = PredictionFolder(tmp_path / "npz").read(0, clip).poses
+    assert found is not None
+    np.testing.assert_array_equal(found.center, center)
+    assert found.rotation is None
+    (tmp_path / "own").mkdir()
+    with write_labels(tmp_path / "own" / "labels.h5", 2, tmp_path) as writer:
+        writer.put(0, Prediction(truths[0], 0))
+        writer.put(1, Prediction(truths[1], 0, poses=Poses(center)))
+    again = PredictionFolder(tmp_path / "own").read(1, clip).poses
+    assert again is not None
+    np.testing.assert_array_equal(again.center, center)

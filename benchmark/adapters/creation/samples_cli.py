@@ -1,0 +1,129 @@
+"""How like real scenes sampled ones are: to segmenters that know the real ones, by sizes and colours, and to the eye.
+
+python -m benchmark.adapters.creation.samples_cli --track moving --picture docs/images/sampled_moving.png
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.adapters.claims.command import run_command
+from benchmark.adapters.creation.sampled import Labelled, Looks, looks, mean_ari_fg, real_scenes, sampled_scenes
+from benchmark.adapters.creation.subject import Subject
+from benchmark.adapters.learned import LearnedSegmenter
+from benchmark.interface import Segmenter
+from benchmark.metrics.kernel_distance import KernelDistance, kernel_distance
+from benchmark.registry import find_model
+from benchmark.tuning import choose
+from datagen.errors import EXIT_OK, UsageError
+from datagen.storage import Dataset
+from obpose.creation.origin import Origin
+from obpose.creation.pictures import enlarged, write_png
+
+PROGRAM = "python -m benchmark.adapters.creation.samples_cli"
+TUNED_ON = "val"
+CLUSTERING = "plane-hdbscan"
+COLUMNS, TILE, GAP = 10, 96, 2
+"""Of the picture: scenes a row, least pixels a scene, white pixels between."""
+
+
+@dataclass(frozen=True)
+class Arguments(Subject):
+    """Options of the command."""
+
+    seed: int = 0
+    """Of the samples."""
+    picture: Path | None = None
+    """PNG to write: real scenes, beneath them some of the fitted prior, and then of the learned one."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print and draw; give the exit code."""
+    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
+
+
+def run(values: Arguments) -> int:
+    """Of one model and dataset."""
+    origin = values.origin()
+    if values.split == TUNED_ON:
+        raise UsageError(
+            f"--split {TUNED_ON}: real scenes are compared with those of {TUNED_ON}; expected test or train."
+        )
+    dataset = Dataset(values.folder((TUNED_ON,)))
+    real, others = (real_scenes(dataset.split(name), values.scenes) for name in (values.split, TUNED_ON))
+    kinds = {f"real ({values.split})": real, f"real ({TUNED_ON})": others}
+    for prior in ("fitted", "learned"):
+        kinds[f"sampled, prior {prior}"] = list(sampled_scenes(origin, prior, real, seed=values.seed))
+    print(f"{origin.name}, {len(real)} scenes of {values.source.name}, first view and frame, seed {values.seed}:\n")
+    _print(kinds, {"ObPose": _model(origin), CLUSTERING: _clustering(others, values.source.slots)}, values.seed)
+    if values.picture is not None:
+        rows = [kind for name, kind in kinds.items() if name != f"real ({TUNED_ON})"]
+        write_png(values.picture, grid(rows))
+        print(values.picture)
+    return EXIT_OK
+
+
+def grid(rows: Sequence[Sequence[Labelled]]) -> np.ndarray:
+    """Images in rows, each enlarged by a whole number."""
+    lines = []
+    for scenes in rows:
+        images = [scene.clip.rgb[0, 0] for scene in scenes[:COLUMNS]]
+        tiles = [enlarged(image, max(1, TILE // image.shape[0])) for image in images]
+        lines.append(np.concatenate([_framed(tile) for tile in tiles], axis=1))
+    return np.concatenate(lines)
+
+
+def _framed(tile: np.ndarray) -> np.ndarray:
+    return np.pad(tile, ((GAP, GAP), (GAP, GAP), (0, 0)), constant_values=255)
+
+
+def _model(origin: Origin) -> Segmenter:
+    model = LearnedSegmenter("obpose", slots=origin.model.config.model.slots + 1, checkpoint=origin.folder)
+    model.fit([], [], seed=0, budget=0.0)
+    return model
+
+
+def _clustering(scenes: Sequence[Labelled], slots: int) -> Segmenter:
+    """Tuned on these."""
+    spec = find_model(CLUSTERING)
+    clips, labels = [scene.clip for scene in scenes], [scene.labels for scene in scenes]
+    chosen = choose(spec, {"slots": slots}, [], clips, labels, seed=0, budget=0.0).options
+    segmenter = spec.build(chosen)
+    segmenter.fit([], clips, seed=0, budget=0.0)
+    return segmenter
+
+
+def _print(kinds: Mapping[str, Sequence[Labelled]], segmenters: Mapping[str, Segmenter], seed: int) -> None:
+    """A row for each kind of scenes, distances being those from the first."""
+    (first, real), *_ = kinds.items()
+    heading = [f"ARI-FG of {name}" for name in segmenters]
+    distances = [f"MMD² of {name} from {first} (p)" for name in ("sizes", "colours")]
+    print(f"| scenes | objects | {' | '.join(heading)} | {' | '.join(distances)} |")
+    print(f"|---|{'---:|' * (1 + len(heading) + len(distances))}")
+    seen = looks(real)
+    for name, scenes in kinds.items():
+        found = looks(scenes)
+        cells = [f"{mean_ari_fg(segmenter, scenes):.3f}" for segmenter in segmenters.values()]
+        if name == first:
+            cells += ["", ""]
+        else:
+            cells += [_cell(_distance(feature, found, seen, seed)) for feature in ("size", "colour")]
+        print(f"| {name} | {len(found.scene)} | {' | '.join(cells)} |")
+
+
+def _distance(feature: str, one: Looks, other: Looks, seed: int) -> KernelDistance | None:
+    """None where there is no more than an object to compare."""
+    if min(len(one.scene), len(other.scene)) < 2:
+        return None
+    values = (getattr(one, feature), getattr(other, feature))
+    return kernel_distance(*values, one.scene, other.scene, rng=np.random.default_rng(seed))
+
+
+def _cell(distance: KernelDistance | None) -> str:
+    return f"{distance.squared:z.4f} ({distance.p_value:.3f})" if distance else "–"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,45 @@
+"""Which model is measured on which scenes: options that the commands of this folder share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from benchmark.tracks import DataFolder, Source, find_track
+from obpose.creation.origin import Origin, load_origin
+from obpose.shipped import shipped_name
+from obpose.training.devices import keep_memory
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model, by default the one that ships for the track, and scenes."""
+
+    track: str = "moving"
+    """Track to look at."""
+    data: Path | None = None
+    """A dataset folder in the track's place."""
+    checkpoint: str = ""
+    """Folder of a trained model, or the name of weights that ship; by default those of the track."""
+    split: Literal["train", "val", "test"] = "test"
+    """Whose scenes are measured."""
+    scenes: int = 100
+    """How many of them, from the first on."""
+
+    @property
+    def source(self) -> Source:
+        """The dataset."""
+        return DataFolder(self.data) if self.data is not None else find_track(self.track)
+
+    def folder(self, others: Sequence[str] = ()) -> Path:
+        """Of the dataset, with its split and others made where they are missing."""
+        return self.source.prepare((self.split, *others))
+
+    def origin(self) -> Origin:
+        """The model, in a process that is set up for it."""
+        torch.set_num_threads(1)
+        keep_memory()
+        source = self.source
+        return load_origin(self.checkpoint or shipped_name("obpose", source.name, source.resolution))

@@ -1,0 +1,141 @@
+"""Scores of poses: where a model puts the objects that it has found, how it turns them, and how large their boxes are.
+
+An object is found by the slot that has more than half of the union of their pixels in an image. Such pairs are one to
+one without any matching (Kirillov et al., Panoptic Segmentation, 2019), and what overlaps less is not the same thing,
+so that a distance between the two would mean nothing.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+
+from benchmark.interface import Poses
+from benchmark.metrics.box_overlap import Box, box_overlap
+from benchmark.metrics.contingency import contingency
+from benchmark.metrics.orientation import box_orientation_error, orientation_error
+from benchmark.metrics.overlap import intersection_over_union
+
+LEAST_IOU = 0.5
+"""Of an object's pixels and a slot's, above which the slot has found the object."""
+
+POSE_METRICS = (
+    "posed",
+    "translation_error",
+    "translation_median",
+    "translation_error_visible",
+    "orientation_error",
+    "orientation_median",
+    "orientation_error_named",
+    "box_iou",
+)
+"""In the order in which tables show them; see `pose_scores`. Errors are better the smaller they are."""
+
+_ERRORS = ("translation_error", "translation_error_visible", "orientation_error", "orientation_error_named")
+_MEDIANS = {"translation_median": "translation_error", "orientation_median": "orientation_error"}
+
+
+@dataclass(frozen=True, eq=False)
+class TruePoses:
+    """Of the objects of a clip, in the generator's order: object i has id i + 1. World frame, metres."""
+
+    rotation: Float[np.ndarray, "frame object 3 3"]
+    """World from object."""
+    symmetry: tuple[str, ...]
+    """Name of each object's exact rotation group, in its own frame."""
+    box_center: Float[np.ndarray, "frame object 3"]
+    """Of the box of least volume around the whole object."""
+    box_rotation: Float[np.ndarray, "object 3 3"]
+    """Object from box."""
+    box_size: Float[np.ndarray, "object 3"]
+    visible_center: Float[np.ndarray, "frame view object 3"]
+    """Mean of the surface points of its pixels; nan where it has none."""
+
+    def box(self, frame: int, row: int) -> Box:
+        """Box of an object."""
+        rotation = self.rotation[frame, row] @ self.box_rotation[row]
+        return self.box_center[frame, row], rotation, self.box_size[row]
+
+
+def pose_scores(
+    true: TruePoses,
+    found: Poses,
+    truth: Integer[np.ndarray, "frame view height width"],
+    labels: Integer[np.ndarray, "frame view height width"],
+    background_slot: int,
+    ignore: Bool[np.ndarray, "frame view height width"] | None = None,
+) -> dict[str, np.ndarray]:
+    """Score the poses of a clip: one value a frame and view, means over its objects; medians one for the clip.
+
+    - `posed`: share of the objects in view that a slot with a pose has found; what follows but `box_iou` is of them.
+    - `translation_error`: metres from the middle of the object's true box, `translation_median` of all in the clip.
+    - `translation_error_visible`: metres from the mean of its visible points, which are on the side of the camera. A
+      model that only averages what it sees is good at this and not at the former.
+    - `orientation_error`: degrees modulo the object's exact symmetries and the names of the box's axes, which nothing
+      in images says: the fair one. `orientation_median` is of all in the clip.
+    - `orientation_error_named`: degrees modulo the symmetries alone, from the frame in which the generator defines the
+      object. Only a model that is told of these frames can know them.
+    - `box_iou`: of the box with the true one; an object that was not found counts 0.
+
+    Objects that look the same however they are turned (balls) have no orientation and are left out of its errors. nan
+    where nothing is to be measured: no object in view, none found, or the model gives no such thing.
+    """
+    frames, views, *image = truth.shape
+    flat = [array.reshape(-1, *image) for array in (truth, labels)]
+    tables, slot = contingency(*flat, background_slot, None if ignore is None else ignore.reshape(-1, *image))
+    overlap = intersection_over_union(tables)
+    overlap[:, :, slot] = 0.0
+    every = [
+        _image_errors(true, found, *divmod(index, views), overlap=overlap[index], seen=tables[index].sum(axis=1) > 0)
+        for index in range(frames * views)
+    ]
+    scores = {name: np.array([_mean(errors[name]) for errors in every]) for name in (*_ERRORS, "posed", "box_iou")}
+    medians = {name: np.concatenate([errors[of] for errors in every]) for name, of in _MEDIANS.items()}
+    scores |= {name: np.array([np.median(all_) if len(all_) else np.nan]) for name, all_ in medians.items()}
+    return {name: scores[name] for name in POSE_METRICS}
+
+
+def _image_errors(
+    true: TruePoses,
+    found: Poses,
+    frame: int,
+    view: int,
+    *,
+    overlap: Float[np.ndarray, "truth slot"],
+    seen: Bool[np.ndarray, "truth"],
+) -> dict[str, np.ndarray]:
+    """Of one image, a value an object: those that were found, or for `posed` and `box_iou` all that are in view."""
+    pairs = list(_pairs(overlap, found.center[frame, view]))
+    missed = [0.0] * (int(seen[1:].sum()) - len(pairs))
+    errors: dict[str, list[float]] = {name: [] for name in _ERRORS}
+    errors |= {"posed": [1.0] * len(pairs) + missed, "box_iou": [] if found.size is None else missed}
+    for row, label in pairs:
+        center = found.center[frame, view, label]
+        errors["translation_error"].append(float(np.linalg.norm(center - true.box_center[frame, row])))
+        visible = true.visible_center[frame, view, row]
+        errors["translation_error_visible"].append(float(np.linalg.norm(center - visible)))
+        if found.rotation is None:
+            continue
+        rotation = found.rotation[frame, view, label]
+        if true.symmetry[row] != "SO3":
+            pose, symmetry = true.rotation[frame, row], true.symmetry[row]
+            errors["orientation_error"].append(box_orientation_error(rotation, pose, symmetry, true.box_rotation[row]))
+            errors["orientation_error_named"].append(orientation_error(rotation, pose, symmetry))
+        if found.size is not None:
+            box = center, rotation, found.size[frame, view, label]
+            errors["box_iou"].append(box_overlap(box, true.box(frame, row)))
+    return {name: np.array(values) for name, values in errors.items()}
+
+
+def _pairs(
+    overlap: Float[np.ndarray, "truth slot"], centers: Float[np.ndarray, "label 3"]
+) -> Iterator[tuple[int, int]]:
+    """Rows of objects and the labels that have found them, of those that have a pose."""
+    for row, label in np.argwhere(overlap[1:] > LEAST_IOU).tolist():
+        if label < len(centers) and np.isfinite(centers[label]).all():
+            yield row, label
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if len(values) else np.nan

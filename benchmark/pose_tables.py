@@ -1,0 +1,93 @@
+"""The tables of poses, beneath the leaderboard's own: only of models that give poses, and of no influence on ranks."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from benchmark import statistics
+from benchmark.standings import Entry, best_first
+from benchmark.wording import seeds_covered
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a score of poses is shown."""
+
+    name: str
+    title: str
+    per_unit: float = 1.0
+    """Factor from the stored unit to the shown one."""
+    digits: int = 2
+
+
+COLUMNS = (
+    Column("posed", "found"),
+    Column("translation_median", "translation, median (mm)", 1000.0, 1),
+    Column("translation_error", "mean (mm)", 1000.0, 1),
+    Column("translation_error_visible", "from visible points (mm)", 1000.0, 1),
+    Column("orientation_median", "orientation, median (°)", 1.0, 1),
+    Column("orientation_error", "mean (°)", 1.0, 1),
+    Column("orientation_error_named", "axes named (°)", 1.0, 1),
+    Column("box_iou", "box IoU"),
+)
+
+NOTES = (
+    "Poses, in the second table of a track, rank nothing. *Found* is the share of the objects in view that a slot with "
+    "a pose covers by more than half (IoU of pixels); errors are of these, box IoU is of all, 0 where none was found.",
+    "Translation: from the middle of the object's true box of least volume; *from visible points*: from their mean, "
+    "where a model that only averages what it sees is good. Medians are of a scene, and means over scenes follow.",
+    "Orientation: modulo the object's exact symmetries and the 24 ways of naming a box's axes, which no image tells; "
+    "*axes named*: modulo the symmetries alone. Random orientations of what has no symmetry have 41° and 126°. Balls "
+    "are left out.",
+)
+
+
+def pose_rows(field: Iterable[Entry]) -> list[tuple[str, ...]]:
+    """Header, and model, seeds and scores of those that give poses, the worst first as in the tables above."""
+    posed = [entry for entry in best_first(field)[::-1] if entry.has_poses]
+    if not posed:
+        return []
+    return [("model", "seeds", *(column.title for column in COLUMNS)), *map(_row, posed)]
+
+
+def markdown(field: Sequence[Entry]) -> list[str]:
+    """The table of one track, with its heading; nothing where no model gives poses."""
+    rows = pose_rows(field)
+    if not rows:
+        return []
+    lines = [f"| {' | '.join(cells)} |" for cells in rows]
+    return ["### Poses", "\n".join([lines[0], f"|---|{'---:|' * (len(rows[0]) - 1)}", *lines[1:]])]
+
+
+def latex(field: Sequence[Entry], title: str, escaped: Callable[[str], str]) -> list[str]:
+    """The same, `escaped` for LaTeX."""
+    rows = [" & ".join(escaped(cell).replace("°", r"$^\circ$") for cell in cells) for cells in pose_rows(field)]
+    if not rows:
+        return []
+    lines = [
+        r"\begin{table*}",
+        r"    \centering",
+        r"    \begin{adjustbox}{max width=1.0\textwidth}",
+        rf"    \begin{{tabular}}{{l {'r ' * (len(COLUMNS) + 1)}}}",
+        r"        \toprule",
+        rf"        {rows[0]} \\",
+        r"        \midrule",
+        *(rf"        {row} \\" for row in rows[1:]),
+        r"        \bottomrule",
+        r"    \end{tabular}",
+        r"    \end{adjustbox}",
+        rf"    \caption{{Poses of {escaped(title)}.}}",
+        r"\end{table*}",
+        "",
+    ]
+    return ["\n".join(lines)]
+
+
+def _row(entry: Entry) -> tuple[str, ...]:
+    label = f"{entry.row.key.model} {entry.marks}".strip()
+    return label, seeds_covered(entry), *(_cell(entry, column) for column in COLUMNS)
+
+
+def _cell(entry: Entry, column: Column) -> str:
+    mean, std = (value * column.per_unit for value in statistics.spread(entry.seed_means(column.name))[:2])
+    return "–" if math.isnan(mean) else f"{mean:z.{column.digits}f}±{std:.{column.digits}f}"

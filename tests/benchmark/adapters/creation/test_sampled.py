@@ -1,0 +1,91 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image as Pillow
+
+from benchmark.adapters.creation.sampled import ari_fg, labelled, looks, mean_ari_fg, real_scenes, sampled_scenes
+from benchmark.adapters.creation.samples_cli import COLUMNS, GAP, main
+from benchmark.interface import Prediction
+from datagen.storage import Dataset
+from obpose.creation.origin import Origin
+from obpose.creation.prior import learned_prior, save_prior
+from obpose.creation.rendering import Image
+from tests.obpose.creation.scenes import CAMERA
+
+
+def image() -> Image:
+    """Two objects before a wall a metre away; in the first row there is nothing."""
+    shares = torch.zeros(3, 12, 16)
+    shares[0, 1:] = 1.0
+    for component, columns in ((1, slice(4)), (2, slice(8, 16))):
+        shares[:, 3:9, columns] = 0.0
+        shares[component, 3:9, columns] = 0.9
+    rgb = torch.einsum("chw,cj->hwj", shares, torch.tensor([[0.5, 0.5, 0.5], [1.0, 0, 0], [0, 0, 1.0]]))
+    return Image(rgb, torch.full((12, 16), 1.0), shares)
+
+
+def test_a_rendered_image_is_labelled_by_what_is_seen():
+    scene = labelled(image(), CAMERA)
+    assert set(np.unique(scene.labels)) == {0, 1, 2}
+    assert not scene.clip.valid[0, 0, 0].any()
+    assert scene.clip.valid[0, 0, 1:].all()
+    assert not scene.labels[0, 0, 0].any()
+    assert not scene.clip.depth[0, 0, 0].any()
+    assert scene.clip.rgb[0, 0, 5, 0].tolist() == [round(0.9 * 255), 0, 0]
+
+
+def test_looks_are_metres_and_colours():
+    found = looks([labelled(image(), CAMERA)] * 2)
+    assert found.scene.tolist() == [0, 0, 1, 1]
+    # The camera looks down with 24 pixels a metre; points are those of pixels' middles.
+    assert found.size[0] == pytest.approx([5 / 24, 3 / 24, 0], abs=1e-6)
+    assert found.size[1] == pytest.approx([7 / 24, 5 / 24, 0], abs=1e-6)
+    assert found.colour[1] == pytest.approx([0, 0, 0.9], abs=0.01)
+
+
+def test_agreement_is_of_the_labels():
+    scene = labelled(image(), CAMERA)
+    assert ari_fg(Prediction(scene.labels, 0), scene) == 1
+    assert ari_fg(Prediction(np.minimum(scene.labels, 1), 0), scene) == 0
+
+    class Right:
+        def fit(self, train, val, *, seed, budget): ...
+
+        def segment(self, clip):
+            return Prediction(scene.labels, 0)
+
+    assert mean_ari_fg(Right(), [scene, scene]) == 1
+
+
+def test_real_scenes_are_the_first_image_of_each(clips: Path):
+    scenes = Dataset(clips).split("test")
+    real = real_scenes(scenes, 9)
+    assert len(real) == 2
+    np.testing.assert_array_equal(real[1].labels[0, 0], scenes[1]["segmentation"][0, 0])
+
+
+def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(clips: Path, origin: Origin):
+    real = real_scenes(Dataset(clips).split("test"), 2)
+    one, same, other = (list(sampled_scenes(origin, "learned", real, seed=seed)) for seed in (0, 0, 1))
+    for scene, like in zip(one, real, strict=True):
+        assert scene.clip.rgb.shape == like.clip.rgb.shape
+        np.testing.assert_allclose(scene.clip.world_from_camera, like.clip.world_from_camera, atol=1e-6)
+    np.testing.assert_array_equal(one[1].clip.rgb, same[1].clip.rgb)
+    assert not np.array_equal(one[0].clip.rgb, other[0].clip.rgb)
+
+
+def test_the_command_prints_and_draws(
+    clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    save_prior(checkpoint, learned_prior(origin.model))
+    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2"]
+    assert main([*flags, "--picture", str(tmp_path / "grid.png")]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"| {name} |" in printed for name in ("real (test)", "real (val)", "sampled, prior fitted"))
+    width = 2 * (96 + 2 * GAP)
+    with Pillow.open(tmp_path / "grid.png") as picture:
+        assert picture.size == (width, 3 * (96 + 2 * GAP))
+    assert COLUMNS >= 2
+    assert main([*flags, "--split", "val"]) == 2

@@ -1,0 +1,97 @@
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmark.adapters.creation.views import (
+    CARRIED,
+    COPIED,
+    MEAN,
+    MODEL,
+    Picture,
+    View,
+    carried,
+    likeness,
+    mean_pictures,
+    measure_views,
+    read_views,
+    spread,
+)
+from benchmark.adapters.creation.views_cli import main
+from datagen.storage import Dataset, Split
+from obpose.creation.origin import Origin
+
+NOTHING = Picture(np.zeros((32, 32, 3)), np.zeros((32, 32)))
+
+
+@pytest.fixture(scope="module")
+def scenes(stills: Path) -> Split:
+    return Dataset(stills).split("train")
+
+
+@pytest.fixture(scope="module")
+def views(scenes: Split) -> list[View]:
+    return read_views(scenes, 0, 0)
+
+
+def test_the_truth_is_like_itself_and_unlike_another_view(views: list[View]):
+    same = likeness(MODEL, views[1].picture, views, 0, 1)
+    assert (same.psnr, same.ssim, same.same_view) == (math.inf, pytest.approx(1), False)
+    assert not same.depth_errors.any()
+    assert len(same.depth_errors_objects) == views[1].objects.sum() > 0
+    other = likeness(COPIED, views[0].picture, views, 0, 1)
+    assert other.psnr < 40
+    assert np.median(other.depth_errors_objects) > 0.003
+
+
+def test_points_carried_into_their_own_view_stay_where_they_are(views: list[View]):
+    back = carried(views[0], views[0], NOTHING)
+    np.testing.assert_array_equal(back.rgb, views[0].picture.rgb * (views[0].picture.depth > 0)[..., None])
+    assert back.depth == pytest.approx(views[0].picture.depth, abs=1e-9)
+
+
+def test_points_carried_into_another_view_lie_on_its_surfaces(views: list[View]):
+    there = carried(views[0], views[1], NOTHING)
+    errors = np.abs(there.depth - views[1].picture.depth)[there.depth > 0]
+    # What hides them from the other view is not known: some lie behind its surfaces.
+    assert len(errors) > 300
+    assert np.median(errors) < 0.01
+
+
+def test_nearer_points_hide_farther_ones(views: list[View]):
+    """Seen from far away all points fall into a few pixels."""
+    away = views[0].world_from_camera.copy()
+    away[:3, 3] -= 50 * away[:3, 2]
+    far = replace(views[0], world_from_camera=away)
+    there = carried(views[0], far, NOTHING)
+    assert 0 < (there.depth > 0).sum() < 40
+    assert there.depth[there.depth > 0].min() == pytest.approx(views[0].picture.depth.min() + 50, abs=0.05)
+
+
+def test_the_mean_of_equal_scenes_is_the_scene(scenes: Split, views: list[View]):
+    mean = mean_pictures(scenes, 5)
+    assert len(mean) == 2
+    assert mean[1].rgb == pytest.approx(views[1].picture.rgb)
+
+
+def test_every_view_is_once_the_input(stills: Path, origin: Origin):
+    found = list(measure_views(origin, stills, "train", scenes=1, frames=3))
+    makers = [(one.maker, one.same_view) for one in found]
+    assert makers.count((MODEL, True)) == makers.count((MODEL, False)) == 2
+    assert all(makers.count((maker, False)) == 2 for maker in (CARRIED, COPIED, MEAN))
+    assert all(math.isfinite(one.ssim) for one in found)
+
+
+def test_indices_are_spread():
+    assert spread(10, 3) == [1, 5, 8]
+    assert spread(2, 3) == [0, 1]
+
+
+def test_the_command_prints_a_table(clips: Path, checkpoint: Path, capsys: pytest.CaptureFixture[str]):
+    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "1", "--frames", "2"]
+    assert main(flags) == 0
+    printed = capsys.readouterr().out
+    assert "| the input view | the model | 2 |" in printed
+    assert "another view" not in printed

@@ -1,0 +1,135 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmark.interface import Poses
+from benchmark.metrics.poses import POSE_METRICS, TruePoses, pose_scores
+
+SIZE = np.array([0.1, 0.06, 0.04])
+NAN = np.full(3, np.nan)
+
+
+def world(symmetry: tuple[str, ...] = ("C1", "C1")) -> tuple[TruePoses, np.ndarray]:
+    """Two objects in one frame of one view; the first covers 8 pixels, the second 4, of 24."""
+    truth = np.zeros((1, 1, 4, 6), np.int64)
+    truth[0, 0, :2, :4], truth[0, 0, 3, :4] = 1, 2
+    rotation = Rotation.random(2, random_state=0).as_matrix()
+    center = np.array([[0.1, 0.2, 0.05], [-0.1, 0.0, 0.03]])
+    box = Rotation.random(2, random_state=1).as_matrix()
+    visible = center + np.array([0.0, 0.0, 0.03])
+    return TruePoses(rotation[None], symmetry, center[None], box, np.stack([SIZE, SIZE]), visible[None, None]), truth
+
+
+def right(true: TruePoses) -> Poses:
+    """What is true, with the background's row first."""
+    center = np.concatenate([NAN[None], true.box_center[0]])
+    rotation = np.concatenate([np.full((1, 3, 3), np.nan), true.rotation[0] @ true.box_rotation])
+    size = np.concatenate([NAN[None], true.box_size])
+    return Poses(center[None, None], rotation[None, None], size[None, None])
+
+
+def scores(true: TruePoses, found: Poses, truth: np.ndarray, labels: np.ndarray | None = None, **more: object) -> dict:
+    values = pose_scores(true, found, truth, truth if labels is None else labels, 0, **more)
+    assert tuple(values) == POSE_METRICS
+    return {name: float(array[0]) for name, array in values.items()}
+
+
+def test_the_truth_has_no_error():
+    true, truth = world()
+    found = scores(true, right(true), truth)
+    assert (found["posed"], found["box_iou"]) == (1.0, pytest.approx(1))
+    for name in ("translation_error", "translation_median", "orientation_error", "orientation_median"):
+        assert found[name] == pytest.approx(0, abs=1e-5)
+    assert found["translation_error_visible"] == pytest.approx(0.03)
+    assert found["orientation_error_named"] > 10
+
+
+def test_places_are_measured_in_metres():
+    true, truth = world()
+    off = right(true)
+    off.center[0, 0, 1] += [0.03, 0.0, 0.04]
+    found = scores(true, off, truth)
+    assert found["translation_error"] == pytest.approx(0.025)
+    assert found["translation_median"] == pytest.approx(0.025)
+    assert found["box_iou"] < 1
+
+
+def test_labels_may_be_named_anyhow():
+    true, truth = world()
+    given = right(true)
+    swapped = Poses(*(array[:, :, [0, 2, 1]] for array in (given.center, given.rotation, given.size)))
+    labels = np.array([0, 2, 1])[truth]
+    assert scores(true, swapped, truth, labels) == scores(true, given, truth)
+
+
+def test_an_object_that_is_not_found_counts_for_the_boxes_alone():
+    true, truth = world()
+    split = truth.copy()
+    split[0, 0, 0, :4] = 3
+    found = scores(true, right(true), truth, split)
+    assert found["posed"] == 0.5
+    assert found["box_iou"] == pytest.approx(0.5)
+    assert found["translation_error"] == pytest.approx(0, abs=1e-9)
+    nothing = scores(true, right(true), truth, np.zeros_like(truth))
+    assert (nothing["posed"], nothing["box_iou"]) == (0, 0)
+    assert np.isnan(nothing["translation_error"])
+
+
+def test_the_background_slot_finds_nothing():
+    true, truth = world()
+    labels = np.where(truth == 1, 0, 3)
+    center = np.broadcast_to(true.box_center[:, None, :1], (1, 1, 4, 3)).copy()
+    assert scores(true, Poses(center), truth, labels)["posed"] == 0
+
+
+def test_slots_without_a_pose_have_found_nothing():
+    true, truth = world()
+    given = right(true)
+    given.center[0, 0, 2] = np.nan
+    assert scores(true, given, truth)["posed"] == 0.5
+    few = Poses(given.center[:, :, :1])
+    assert scores(true, few, truth)["posed"] == 0
+
+
+def test_what_a_model_does_not_give_is_not_scored():
+    true, truth = world()
+    found = scores(true, Poses(right(true).center), truth)
+    assert found["translation_error"] == 0
+    assert all(np.isnan(found[name]) for name in ("orientation_error", "orientation_error_named", "box_iou"))
+
+
+def test_balls_have_no_orientation():
+    true, truth = world(("SO3", "C1"))
+    given = right(true)
+    given.rotation[0, 0, 1] = np.eye(3)
+    assert scores(true, given, truth)["orientation_error"] == pytest.approx(0, abs=1e-5)
+    balls = replace(true, symmetry=("SO3", "SO3"))
+    assert np.isnan(scores(balls, given, truth)["orientation_error"])
+
+
+def test_pixels_that_are_ignored_find_nothing():
+    true, truth = world()
+    labels = np.where(truth == 2, 0, truth)
+    ignored = truth == 2
+    assert scores(true, right(true), truth, labels)["posed"] == 0.5
+    assert scores(true, right(true), truth, labels, ignore=ignored)["posed"] == 1
+
+
+def test_images_have_values_of_their_own():
+    true, truth = world()
+    twice = TruePoses(
+        np.repeat(true.rotation, 2, axis=0),
+        true.symmetry,
+        np.repeat(true.box_center, 2, axis=0),
+        true.box_rotation,
+        true.box_size,
+        np.repeat(true.visible_center, 2, axis=0),
+    )
+    given = right(true)
+    found = Poses(*(np.concatenate([array, array]) for array in (given.center, given.rotation, given.size)))
+    found.center[1] += 0.01
+    values = pose_scores(twice, found, np.concatenate([truth, truth]), np.concatenate([truth, truth]), 0)
+    assert values["translation_error"] == pytest.approx([0, 0.01 * np.sqrt(3)])
+    assert values["translation_median"].shape == (1,)
