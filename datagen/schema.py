@@ -61,7 +61,17 @@ _PIXELS = "frame view height width"
 
 
 def _edit(kind: EditKind, edited: str, transform: str | None, ids: str) -> list[tuple[str, ...]]:
-    rows = [(f"edits/{kind}/object", "uint8", "", "id", "-", f"{edited}; 0 = none, and the images are the scene's own", kind)]
+    rows = [
+        (
+            f"edits/{kind}/object",
+            "uint8",
+            "",
+            "id",
+            "-",
+            f"{edited}; 0 = none, and the images are the scene's own",
+            kind,
+        )
+    ]
     if transform:
         rows.append((f"edits/{kind}/transform", "float64", "4 4", "m", "world", transform, kind))
     return [
