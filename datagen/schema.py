@@ -31,6 +31,10 @@ EditKind = Literal["remove", "move", "add"]
 EDITS: tuple[EditKind, ...] = get_args(EditKind)
 """Counterfactual edits that a dataset may hold beside its scenes, each a group of fields."""
 
+LEAST_EFFECT = 24
+"""Difference of a pixel's summed channels, of 765, from which on it counts as changed by an edit. Removals also brighten
+the ambient light around an object, by no more than 16, and change the rims of other shadows in their maps."""
+
 SceneRecord = dict[str, np.ndarray]
 
 
@@ -211,6 +215,12 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 def decode_depth(stored: np.ndarray) -> np.ndarray:
     """Stored units to metres, float32."""
     return (stored * np.float64(DEPTH_SCALE)).astype(np.float32)
+
+
+def effect_mask(effects: np.ndarray, name: int) -> np.ndarray:
+    """Of `edits/remove/effects`, the pixels that the object of this id has an effect on."""
+    byte, bit = divmod(name - 1, 8)
+    return (effects[..., byte] >> bit & 1).astype(bool)
 
 
 def axis_sizes(record: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -1,1 +1,1 @@
-"""Edits of scenes that models infer, scored against edits that the generator rendered (`obpose-bench --task editing`)."""
+"""Edits of scenes that models infer, scored against edits that the generator rendered."""

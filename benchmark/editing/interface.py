@@ -41,8 +41,10 @@ class EditableScene(Protocol):
         ...
 
     def edited(self, kind: EditKind, label: int, transform: Float[np.ndarray, "4 4"], frames: Sequence[int]) -> Picture:
-        """The same after an edit of one object: removed; carried along by a rigid transform of the world (metres); or
-        left where it is, with a copy that is carried along."""
+        """The same after an edit of one object.
+
+        It is removed, or carried along by a rigid transform of the world (metres), or left with a copy that is carried.
+        """
         ...
 
 

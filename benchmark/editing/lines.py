@@ -59,8 +59,11 @@ def load_lines(path: Path) -> list[Line]:
         return []
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            return list(_typed(csv.DictReader(file)))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != COLUMNS:
+                raise ValueError(f"its columns are {reader.fieldnames}")
+            return list(_typed(reader))
+    except (OSError, ValueError, TypeError, csv.Error) as error:
         raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
 
 

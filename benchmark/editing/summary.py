@@ -37,8 +37,8 @@ NOTES = (
     "true one before the edit, in the same regions: as good as it draws what is there.",
     "*no-edit*: the true picture before the edit. *true-pixels*: the same with the true pixels of the region inside "
     "pasted in, so that shadows alone are wrong. Both are told the truth.",
-    "*not found*: scenes in which no label of the model has more than half of the union with the object. It cannot edit "
-    "them, and its unedited picture is scored.",
+    "*not found*: scenes in which no label of the model has more than half of the union with the object. It cannot "
+    "edit them, and its unedited picture is scored.",
 )
 
 
@@ -72,7 +72,8 @@ def summaries(lines: Sequence[Line]) -> list[Entry]:
 
 
 def _place(line: Line) -> tuple[str, int, str, str]:
-    return str(line["track"]), list(EDITS).index(line["edit"]), str(line["model"]), str(line["answer"])  # type: ignore
+    order = [*EDITS].index(line["edit"]) if line["edit"] in EDITS else len(EDITS)
+    return str(line["track"]), order, str(line["model"]), str(line["answer"])
 
 
 def _entry(lines: list[Line]) -> Entry:

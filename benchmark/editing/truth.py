@@ -8,11 +8,8 @@ from jaxtyping import Bool, Float, Integer
 
 from benchmark.editing.interface import Picture
 from datagen.errors import UsageError
-from datagen.schema import EditKind, SceneRecord, decode_depth
+from datagen.schema import LEAST_EFFECT, EditKind, SceneRecord, decode_depth
 from datagen.storage import Dataset, Split
-
-SHADOW = 24
-"""Difference of the summed channels, of 765, from which on a pixel counts as changed: as in `edits/remove/effects`."""
 
 _IMAGES = ("rgb", "depth", "segmentation")
 
@@ -40,7 +37,7 @@ class Pair:
     def shadow(self) -> Mask:
         """Pixels that show the same object, or the table, in another colour."""
         change = np.abs(self.before.rgb - self.after.rgb).sum(axis=-1) * 255
-        return ~self.inside & (np.rint(change) >= SHADOW)
+        return ~self.inside & (np.rint(change) >= LEAST_EFFECT)
 
     @property
     def outside(self) -> Mask:

@@ -31,9 +31,9 @@ class Edit:
 def choose_edit(kind: EditKind, recipe: Recipe, stage: Stage, rng: np.random.Generator) -> Edit:
     """An edit of an object that is drawn evenly from those that can be edited.
 
-    All can be removed that show enough pixels. What is moved stays as it is turned, a copy is turned about the vertical.
-    Both come to a place in the region where the recipe's objects start, with the recipe's gap to all others and to where
-    the object was, in all frames; the rules about pixels and the workspace hold for the new scene too.
+    All can be removed that show enough pixels. What is moved stays as it is turned, a copy is turned about the
+    vertical. Both come to a place in the region where the recipe's objects start, with the recipe's gap to all others
+    and to where the object was, in all frames; the rules about pixels and the workspace hold for the new scene too.
 
     Args:
         kind: `remove`, `move` or `add`.

@@ -8,11 +8,7 @@ from jaxtyping import Bool, UInt8
 from datagen.edits.stage import Stage
 from datagen.records import render_clip, stack_images
 from datagen.render.renderer import Renderer
-from datagen.schema import SceneRecord
-
-LEAST_CHANGE = 24
-"""Of the summed channels, of 765, that counts as an effect. Removals also brighten the ambient light around an object, by
-no more than 16, and shift the texels of shadow maps, by which rims of other shadows change."""
+from datagen.schema import LEAST_EFFECT, SceneRecord
 
 _FINER = 3
 """An object shows in a pixel if it is hit at one of so many by so many points: those of the rasteriser."""
@@ -34,16 +30,10 @@ def changed(
     rgb: UInt8[np.ndarray, "frame view height width 3"], other: UInt8[np.ndarray, "frame view height width 3"]
 ) -> Mask:
     """Where two clips differ visibly."""
-    return np.sum(np.abs(rgb.astype(np.int16) - other), axis=-1) >= LEAST_CHANGE
+    return np.sum(np.abs(rgb.astype(np.int16) - other), axis=-1) >= LEAST_EFFECT
 
 
 def packed(masks: Sequence[Mask], shape: tuple[int, ...]) -> UInt8[np.ndarray, "frame view height width byte"]:
     """One bit an object, eight to a byte; one byte of zeros where there are no objects."""
     bits = np.stack(masks, axis=-1) if masks else np.zeros((*shape, 1), bool)
     return np.packbits(bits, axis=-1, bitorder="little")
-
-
-def unpacked(effects: UInt8[np.ndarray, "*image byte"], name: int) -> Bool[np.ndarray, "*image"]:
-    """The effect mask of one object, by its id."""
-    byte, bit = divmod(name - 1, 8)
-    return (effects[..., byte] >> bit & 1).astype(bool)
