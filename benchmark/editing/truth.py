@@ -53,8 +53,10 @@ class EditedScene:
     """Ids of the unedited scene, all frames."""
     frames: tuple[int, ...]
     """Those that are scored."""
+    before: Picture
+    """The unedited scene, these frames."""
     pairs: tuple[Pair, ...]
-    """Of these frames; without edits for which there was no object or no place."""
+    """Of the same; without edits for which there was no object or no place."""
 
 
 def read_edits(scenes: Split, index: int, kinds: Sequence[EditKind]) -> EditedScene:
@@ -62,7 +64,8 @@ def read_edits(scenes: Split, index: int, kinds: Sequence[EditKind]) -> EditedSc
     record = scenes.read(index, _IMAGES)
     frames = frames_scored(len(record["rgb"]))
     before = _picture(record, "", frames)
-    return EditedScene(record["segmentation"], frames, tuple(_pairs(scenes, index, kinds, before, frames)))
+    pairs = tuple(_pairs(scenes, index, kinds, before, frames))
+    return EditedScene(record["segmentation"], frames, before, pairs)
 
 
 def frames_scored(count: int) -> tuple[int, ...]:

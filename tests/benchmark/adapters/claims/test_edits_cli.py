@@ -20,7 +20,8 @@ def edits(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_picture_has_a_column_for_each_edit_and_three_rows_a_scene(edits: Path, tmp_path: Path):
     wanted = ("--data", str(edits), "--checkpoint", "obpose--moving--64x64", "--out", str(tmp_path / "edits.png"))
     assert main(wanted) == EXIT_OK
-    assert Image.open(tmp_path / "edits.png").size == (4 * 160, 3 * 160)
+    with Image.open(tmp_path / "edits.png") as picture:
+        assert picture.size == (4 * 160, 3 * 160)
 
 
 def test_scenes_that_are_not_there_are_refused(edits: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
