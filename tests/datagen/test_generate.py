@@ -294,7 +294,7 @@ def test_edits_need_images(tmp_path):
 
 def test_edits_are_the_same_in_one_stage_or_two_and_made_anew(whole, edited, tmp_path):
     render(whole, tmp_path / "all", edits=schema.EDITS)
-    assert shards(tmp_path / "all") == shards(edited)
+    assert hashes(tmp_path / "all") == hashes(edited)
     assert regenerate(edited, "train", 1) == []
 
 
