@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
 from benchmark.tracks import Profile
 
+Task = Literal["segmentation", "editing"]
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 DEFAULT_OUT = Path("results")
 DEFAULT_SEARCH = Path("search")
@@ -21,6 +22,11 @@ class Run:
     """Names of models and groups, such as training-free or paper; the latter sets an equal budget of 12 minutes."""
     track: tuple[str, ...] = ()
     """Names of tracks and groups, such as paper; moving if left out. Their datasets are made on first use."""
+    task: Task = "segmentation"
+    """`editing` scores removed, moved and copied objects of inferred scenes against the generator's, with --pretrained;
+    docs/creating.md says how."""
+    scenes: int | None = None
+    """Test scenes whose edits are scored, from the first on; all if left out."""
     profile: Profile = "cpu"
     """Size of the tracks' images, and of the networks of models that learn: for a CPU core, or for a GPU."""
     slots: tuple[int, ...] = ()

@@ -3,6 +3,7 @@
 obpose-bench --model training-free --track moving static      compare models
 obpose-bench --model plane-dbscan --data DIR                   on a dataset of your own
 obpose-bench --predictions DIR --track moving                  score label maps made elsewhere
+obpose-bench --task editing --model obpose --pretrained --track clevr3d     score edits of inferred scenes
 obpose-bench search --model obpose --track moving              choose settings by validation losses
 obpose-bench rescore RUN                                       compute all scores anew from stored label maps
 obpose-bench compare A B                                       is A better than B, and what could be seen at all?

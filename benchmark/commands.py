@@ -11,6 +11,7 @@ from benchmark import rescore as rescoring
 from benchmark import selftest as golden_cases
 from benchmark.console import prepare, progress_bar, status
 from benchmark.duration import estimate, in_words, time_limit
+from benchmark.editing.command import score_edits
 from benchmark.files import remove_abandoned
 from benchmark.isolation import Limits, limits
 from benchmark.plan import Plan, Request, check_places, make_plan, superseded
@@ -29,6 +30,8 @@ def run(values: arguments.Run) -> int:
         _print_lists(values.profile)
         return EXIT_OK
     request = request_of(values)
+    if values.task == "editing":
+        return score_edits(values, request)
     remove_abandoned(values.out)
     rows = load_runs(values.out)
     plan = make_plan(request, rows, values.out)

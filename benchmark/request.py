@@ -25,6 +25,8 @@ def request_of(values: arguments.Run) -> Request:
     _check(values)
     names = values.track or (values.fit_track or DEFAULT,)
     sources: list[Source] = [_data_folder(values.data)] if values.data else [*find_tracks(names, values.profile)]
+    if values.predictions and values.task == "editing":
+        raise UsageError("--task editing is for models; label maps cannot be edited.")
     if values.predictions:
         return _predictions_request(values, sources)
     models = tuple(expand(values.model))
@@ -57,6 +59,8 @@ def _check(values: arguments.Run) -> None:
             "Name what to score and where: --model NAME [NAME ...] or --predictions DIR, and --track NAME [NAME ...] "
             f"or --data DIR (models are scored on the track {DEFAULT!r} if left out); --list shows models and tracks."
         )
+    if values.scenes is not None and values.task != "editing":
+        raise UsageError("--scenes is for --task editing; segmentations are scored on all test scenes.")
     for flag, number in (
         ("seeds", values.seeds),
         ("workers", values.workers),

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 
 from datagen.config import load_recipe, recipe_names
 from datagen.errors import DatagenError, UsageError
+from datagen.schema import EditKind
 from datagen.storage import Dataset
 
 CACHE = "OBPOSE_CACHE"
@@ -48,6 +49,8 @@ class Track:
     name: str
     """Of the track and of its recipe."""
     profile: Profile = "cpu"
+    edits: tuple[EditKind, ...] = ()
+    """Counterfactual edits beside its scenes; with some it has another dataset, of the same scenes."""
 
     @property
     def resolution(self) -> tuple[int, int]:
@@ -103,7 +106,7 @@ class Track:
         return self.folder
 
     def _sizes(self) -> dict[str, Any]:
-        return {"splits": SIZES, "seed": SEED, "resolution": self.resolution}
+        return {"splits": SIZES, "seed": SEED, "resolution": self.resolution, "edits": self.edits}
 
     def _spec(self) -> dict[str, Any]:
         from datagen.generate import dataset_spec

@@ -57,6 +57,8 @@ class Generate:
     """`raster`, the default, needs no GL library; `pyrender` uses EGL."""
     simulate_only: _Flag = False
     """Store scenes and trajectories without images, to be rendered later with `render`."""
+    edits: str | None = None
+    """Counterfactual edits that are rendered beside each scene: some of remove,move,add."""
     shard: str | None = None
     """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs can share the work."""
     overwrite: _Flag = False
@@ -78,6 +80,8 @@ class Render:
     """`raster` needs no GL library; `pyrender` uses EGL."""
     views: int = 1
     """Cameras; more than one are spread evenly around the world's z axis."""
+    edits: str | None = None
+    """Counterfactual edits that are rendered beside each scene: some of remove,move,add."""
     workers: int | None = None
     """Processes; default one a core."""
     shard: str | None = None

@@ -103,6 +103,9 @@ def _generate(values: Generate) -> int:
         raise UsageError("--video contradicts --frames 1; leave one of them out.")
     if values.simulate_only and (values.resolution or values.renderer):
         raise UsageError("--simulate-only makes no images; give --resolution and --renderer to `render` instead.")
+    edits = options.parse_edits(values.edits)
+    if values.simulate_only and edits:
+        raise UsageError("--simulate-only makes no images, so that there is nothing to edit; give --edits to `render`.")
     size = None
     if not values.simulate_only:
         size = options.parse_resolution(values.resolution) if values.resolution else recipe.resolution
@@ -112,7 +115,8 @@ def _generate(values: Generate) -> int:
     from datagen.generate import generate
 
     renderer = None if values.simulate_only else values.renderer or "raster"
-    report = generate(folder, recipe, splits=splits, seed=values.seed, resolution=size, renderer=renderer, run=run)
+    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits}
+    report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
     return EXIT_OK
 
@@ -122,6 +126,7 @@ def _render(values: Render) -> int:
     recipe = rendered_recipe_of(spec)
     wanted = dataclasses.replace(recipe, rig=values.rig, views=values.views)
     size = options.parse_resolution(values.resolution) if values.resolution else None
+    edits = options.parse_edits(values.edits)
     folder = values.out or options.default_folder(
         recipe.name + "-rig" * (wanted != recipe), size or spec["resolution"] or recipe.resolution, spec["seed"]
     )
@@ -130,7 +135,7 @@ def _render(values: Render) -> int:
     from datagen.generate import render
 
     rig = wanted if wanted != recipe else None
-    report = render(values.source, folder, resolution=size, renderer=values.renderer, rig=rig, run=run)
+    report = render(values.source, folder, resolution=size, renderer=values.renderer, rig=rig, edits=edits, run=run)
     _print_report(folder, report, spec["splits"])
     return EXIT_OK
 

@@ -3,7 +3,7 @@
 import itertools
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +17,9 @@ from datagen.maker import SceneMaker, make_scene, renderer_identity
 from datagen.manifest import make_manifest
 from datagen.parallel import make_all
 from datagen.progress import Advance, Progress, no_progress
-from datagen.schema import DATA_VERSION, FIELDS, SPLITS, array_hash
+from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, array_hash
 from datagen.shard import PackedScene, Shard, shard_image
-from datagen.spec import MANIFEST_FILE, Spec, make_spec, settings_hash, shard_name, shard_ranges
+from datagen.spec import MANIFEST_FILE, Spec, groups_of, make_spec, settings_hash, shard_name, shard_ranges
 from datagen.storage import Dataset
 
 
@@ -59,6 +59,7 @@ def generate(
     seed: int = 0,
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
+    edits: Collection[EditKind] = (),
     run: Run = Run(),
 ) -> Report:
     """Make a dataset, complete it, or extend it.
@@ -70,13 +71,14 @@ def generate(
         seed: Any non-negative integer.
         resolution: Width and height of the images, the recipe's if None.
         renderer: Name of the renderer; None stores scenes and trajectories without images.
+        edits: Counterfactual edits that are rendered beside each scene.
         run: How to go about it.
 
     Raises:
         UsageError: the request contradicts itself or what is in the folder.
         DatagenError: it could not be completed; running it again goes on.
     """
-    spec = dataset_spec(recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer)
+    spec = dataset_spec(recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer, edits=edits)
     return _fill(folder, spec, None, run)
 
 
@@ -87,14 +89,22 @@ def dataset_spec(
     seed: int = 0,
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
+    edits: Collection[EditKind] = (),
 ) -> Spec:
-    """The spec of the dataset that `generate` makes of these arguments in a new folder."""
+    """The spec of the dataset that `generate` makes of these arguments in a new folder.
+
+    Raises:
+        UsageError: edits are asked for where there are no images.
+    """
+    if edits and not renderer:
+        raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
     return make_spec(
         recipe_to_dict(recipe),
         seed=seed,
         splits=splits,
         resolution=(resolution or recipe.resolution) if renderer else None,
         renderer=renderer_identity(renderer),
+        edits=edits,
     )
 
 
@@ -105,6 +115,7 @@ def render(
     resolution: tuple[int, int] | None = None,
     renderer: str = "raster",
     rig: Recipe | None = None,
+    edits: Collection[EditKind] = (),
     run: Run = Run(),
 ) -> Report:
     """Make images of the scenes of another dataset; needs no physics engine.
@@ -115,6 +126,7 @@ def render(
         resolution: Width and height of the images, the source's or its recipe's if None.
         renderer: Name of the renderer.
         rig: A recipe whose cameras (`rig`, `views`) replace the source's; None keeps these.
+        edits: Counterfactual edits that are rendered beside each scene.
         run: How to go about it.
 
     Raises:
@@ -131,11 +143,17 @@ def render(
             f"{DATA_VERSION}; render it with the program that made it, or make it anew."
         )
     dataset.check_complete()
-    return _fill(folder, render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig), source, run)
+    spec = render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig, edits=edits)
+    return _fill(folder, spec, source, run)
 
 
 def render_spec(
-    source: Spec, *, resolution: tuple[int, int] | None = None, renderer: str = "raster", rig: Recipe | None = None
+    source: Spec,
+    *,
+    resolution: tuple[int, int] | None = None,
+    renderer: str = "raster",
+    rig: Recipe | None = None,
+    edits: Collection[EditKind] = (),
 ) -> Spec:
     """The spec of a dataset that `render` makes of the scenes of another."""
     width, height = resolution or source["resolution"] or source["recipe"]["resolution"]
@@ -147,6 +165,7 @@ def render_spec(
         resolution=(width, height),
         renderer=renderer_identity(renderer),
         rig=cameras or source["rig"],
+        edits=edits,
     )
 
 
@@ -238,10 +257,7 @@ def _usable_scenes(path: Path, spec: Spec) -> int:
 
 
 def _fields(spec: Spec) -> set[str]:
-    groups = {"simulation"}
-    if spec["renderer"]:
-        groups |= {"pixels", "sensor"} if spec["recipe"]["sensor"]["enabled"] else {"pixels"}
-    return {name for name, field in FIELDS.items() if field.group in groups}
+    return {name for name, field in FIELDS.items() if field.group in groups_of(spec)}
 
 
 def _write_shard(folder: Path, spec: Spec, task: _Task, new: list[PackedScene]) -> None:

@@ -8,19 +8,22 @@ from pathlib import Path
 import numpy as np
 
 from datagen.config import Recipe
+from datagen.edits import edits_record
+from datagen.edits.stage import stage_of
 from datagen.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Scene
-from datagen.schema import FIELDS, SPLITS, SceneRecord
+from datagen.schema import FIELDS, SPLITS, EditKind, SceneRecord
 from datagen.shapes import build
 from datagen.shard import PackedScene, pack
-from datagen.spec import Spec, recipe_of, rendered_recipe_of
+from datagen.spec import Spec, edits_of, recipe_of, rendered_recipe_of
 from datagen.storage import Dataset, Split
 
 _SENSOR_STREAM = 1
 _RIG_STREAM = 2
+_EDIT_STREAMS: dict[EditKind, int] = {"remove": 3, "move": 4, "add": 5}
 
 
 @dataclass(frozen=True)
@@ -65,18 +68,27 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
         record = with_scene(record, scene)
     if not spec["renderer"]:
         return record
+    shapes = tuple(build(body.shape) for body in scene.bodies)
+    renderer = _renderer(spec["renderer"]["name"])
     width, height = spec["resolution"]
     pixels = pixel_record(
         scene,
-        [build(body.shape) for body in scene.bodies],
+        shapes,
         trajectory,
-        _renderer(spec["renderer"]["name"]),
+        renderer,
         resolution=(width, height),
         rows=object_rows(recipe),
         sensor=recipe.sensor,
         rng=_rng(spec, split, index, _SENSOR_STREAM),
     )
-    return {**record, **pixels}
+    edits = edits_record(
+        stage_of(scene, shapes, trajectory),
+        pixels,
+        recipe.for_scene(index),
+        renderer,
+        {kind: _rng(spec, split, index, _EDIT_STREAMS[kind]) for kind in edits_of(spec)},
+    )
+    return {**record, **pixels, **edits}
 
 
 def object_rows(recipe: Recipe) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from datagen.config import Recipe, constant_names, load_recipe
 from datagen.errors import UsageError
-from datagen.schema import SPLITS
+from datagen.schema import EDITS, SPLITS, EditKind
 from datagen.spec import split_sizes
 
 
@@ -48,6 +48,18 @@ def parse_splits(scenes: int | None, split: str | None) -> dict[str, int]:
     if not any(sizes.values()):
         raise UsageError(f"--split {split}: expected at least one scene.")
     return sizes
+
+
+def parse_edits(text: str | None) -> tuple[EditKind, ...]:
+    """The edits of `remove,move,add` or some of them; none if None.
+
+    Raises:
+        UsageError: there is no such edit.
+    """
+    names = [] if text is None else text.split(",")
+    if text is not None and (unknown := [name for name in names if name not in EDITS]):
+        raise UsageError(f"--edits {text}: unknown {unknown[0]!r}; expected some of {','.join(EDITS)}.")
+    return tuple(kind for kind in EDITS if kind in names)
 
 
 def parse_share(text: str | None) -> tuple[int, int]:

@@ -127,15 +127,15 @@ def pixel_record(
     Raises:
         UsageError: a depth is farther than the format can hold.
     """
-    images = _render(scene, shapes, trajectory, renderer, resolution)
+    images = render_clip(scene, shapes, trajectory.world_from_object, renderer, resolution)
     k = np.stack([camera.k(*resolution) for camera in scene.cameras])
-    segmentation = _stack(images, "segmentation")
+    segmentation = stack_images(images, "segmentation")
     visible = _visible_pixels(segmentation, len(shapes))
-    amodal = _stack(images, "amodal_pixels").astype(np.uint32)
+    amodal = stack_images(images, "amodal_pixels").astype(np.uint32)
     fraction = (visible / np.maximum(amodal, 1)).astype(np.float32)
     return {
-        "rgb": _stack(images, "rgb"),
-        "depth": _encoded(_stack(images, "depth")),
+        "rgb": stack_images(images, "rgb"),
+        "depth": stored_depth(stack_images(images, "depth")),
         "segmentation": segmentation,
         **(_sensed(images, k, sensor, rng) if sensor.enabled else {}),
         "camera/K": k,
@@ -147,19 +147,29 @@ def pixel_record(
     }
 
 
-def _render(
-    scene: Scene, shapes: Sequence[Shape], trajectory: Trajectory, renderer: Renderer, resolution: tuple[int, int]
+def render_clip(
+    scene: Scene,
+    shapes: Sequence[Shape],
+    world_from_object: Float[np.ndarray, "frame object 4 4"],
+    renderer: Renderer,
+    resolution: tuple[int, int],
 ) -> list[list[Image]]:
+    """Images by frame and view, of a width and height."""
     renderer.load(scene, shapes)
-    poses = trajectory.world_from_object
-    return [[renderer.render(pose, camera, *resolution) for camera in scene.cameras] for pose in poses]
+    return [[renderer.render(pose, camera, *resolution) for camera in scene.cameras] for pose in world_from_object]
 
 
-def _stack(images: list[list[Image]], name: str) -> np.ndarray:
+def stack_images(images: list[list[Image]], name: str) -> np.ndarray:
+    """One of the arrays of images by frame and view."""
     return np.array([[getattr(image, name) for image in views] for views in images])
 
 
-def _encoded(depth: np.ndarray) -> np.ndarray:
+def stored_depth(depth: np.ndarray) -> np.ndarray:
+    """Metres as the format holds them.
+
+    Raises:
+        UsageError: a depth is farther than the format can hold.
+    """
     try:
         return encode_depth(depth)
     except ValueError as error:
@@ -172,7 +182,7 @@ def _sensed(images: list[list[Image]], k: np.ndarray, sensor: Sensor, rng: np.ra
     ]
     depth = np.array([[depth for depth, _ in views] for views in pairs])
     valid = np.array([[valid for _, valid in views] for views in pairs], np.uint8)
-    return {"sensor_depth": _encoded(depth), "sensor_valid": valid}
+    return {"sensor_depth": stored_depth(depth), "sensor_valid": valid}
 
 
 def _visible_pixels(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:

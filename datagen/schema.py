@@ -6,7 +6,7 @@ A `SceneRecord` is a dict from field names to arrays of one scene. Shards stack 
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -26,6 +26,15 @@ GENERATOR = "obpose-datagen"
 
 SPLITS = ("train", "val", "test")
 
+EditKind = Literal["remove", "move", "add"]
+
+EDITS: tuple[EditKind, ...] = get_args(EditKind)
+"""Counterfactual edits that a dataset may hold beside its scenes, each a group of fields."""
+
+LEAST_EFFECT = 24
+"""Difference of a pixel's summed channels, of 765, from which on it counts as changed by an edit. Removals also brighten
+the ambient light around an object, by no more than 16, and change the rims of other shadows in their maps."""
+
 SceneRecord = dict[str, np.ndarray]
 
 
@@ -44,7 +53,8 @@ class Field:
     """Frame of reference, `-` where it has none."""
     description: str
     group: str = "simulation"
-    """`simulation`: always there; `pixels`: there once rendered; `sensor`: there where the recipe has a depth sensor."""
+    """`simulation`: always there; `pixels`: there once rendered; `sensor`: there where the recipe has a depth sensor;
+    `remove`, `move`, `add`: there where the dataset was made with this edit."""
 
 
 def _field(name: str, dtype: str, axes: str, unit: str, frame: str, description: str, group: str) -> Field:
@@ -52,6 +62,30 @@ def _field(name: str, dtype: str, axes: str, unit: str, frame: str, description:
 
 
 _PIXELS = "frame view height width"
+
+
+def _edit(kind: EditKind, edited: str, transform: str | None, ids: str) -> list[tuple[str, ...]]:
+    rows = [
+        (
+            f"edits/{kind}/object",
+            "uint8",
+            "",
+            "id",
+            "-",
+            f"{edited}; 0 = none, and the images are the scene's own",
+            kind,
+        )
+    ]
+    if transform:
+        rows.append((f"edits/{kind}/transform", "float64", "4 4", "m", "world", transform, kind))
+    return [
+        *rows,
+        (f"edits/{kind}/rgb", "uint8", f"{_PIXELS} channel", "sRGB 0-255", "image", "colour of the edited scene", kind),
+        (f"edits/{kind}/depth", "uint16", _PIXELS, "0.1 mm", "camera", "depth of the edited scene, exact", kind),
+        (f"edits/{kind}/segmentation", "uint8", _PIXELS, "id", "image", ids, kind),
+    ]  # fmt: skip
+
+
 _FIELDS = [
     ("rgb", "uint8", f"{_PIXELS} channel", "sRGB 0-255", "image", "colour, anti-aliased", "pixels"),
     ("depth", "uint16", _PIXELS, "0.1 mm", "camera", "planar z at the pixel's centre, 0 = no return", "pixels"),
@@ -103,6 +137,10 @@ _FIELDS = [
     ("scene/description", "S", "", "-", "-", "the scene before time starts, JSON", "simulation"),
     ("scene/attempts", "uint16", "", "1", "-", "samples drawn until one met the recipe's rules", "simulation"),
     ("scene/rejections", "S", "", "-", "-", "how many of these samples failed for which reason, JSON", "simulation"),
+    *_edit("remove", "object that is gone", None, "ids of the edited scene; the others keep theirs"),
+    ("edits/remove/effects", "uint8", f"{_PIXELS} byte", "bits", "image", "objects whose removal changes the pixel's colour although they do not show in it; bit k - 1 (bit 0 the lowest of byte 0) is object k", "remove"),
+    *_edit("move", "object that is elsewhere", "where it was to where it is, the same in all frames", "ids of the edited scene, as in the scene itself"),
+    *_edit("add", "object that there is a copy of", "where the object is to where its copy is, the same in all frames", "ids of the edited scene; the copy's is objects/count plus 1"),
 ]  # fmt: skip
 
 FIELDS: dict[str, Field] = {row[0]: _field(*row) for row in _FIELDS}
@@ -177,6 +215,12 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 def decode_depth(stored: np.ndarray) -> np.ndarray:
     """Stored units to metres, float32."""
     return (stored * np.float64(DEPTH_SCALE)).astype(np.float32)
+
+
+def effect_mask(effects: np.ndarray, name: int) -> np.ndarray:
+    """Of `edits/remove/effects`, the pixels that the object of this id has an effect on."""
+    byte, bit = divmod(name - 1, 8)
+    return (effects[..., byte] >> bit & 1).astype(bool)
 
 
 def axis_sizes(record: Mapping[str, np.ndarray]) -> dict[str, Any]:

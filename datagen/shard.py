@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from datagen.errors import CorruptFile, DatagenError, UsageError
-from datagen.schema import DEPTH_SCALE, FIELDS, FORMAT_VERSION, GENERATOR, SceneRecord, scene_hash
+from datagen.schema import DEPTH_SCALE, EDITS, FIELDS, FORMAT_VERSION, GENERATOR, SceneRecord, scene_hash
 
 CONVENTIONS = (
     "Metres, seconds, kilograms, radians. World: right-handed, z up. Camera: OpenCV (x right, y down, z forward); "
@@ -23,6 +23,9 @@ CONVENTIONS = (
     "return. segmentation: 0 = table and backdrop, else row in objects/ plus 1, constant over frames and views. Poses "
     "a_from_b are 4x4 matrices that take points of frame b to frame a; quaternions are (w, x, y, z)."
 )
+
+_HINTS = {"pixels": " Render it first.", **{kind: f" Make them with --edits {kind}." for kind in EDITS}}
+"""What to do where a field of a group is not there."""
 
 _PIXEL_AXES = ("frame", "view", "height", "width")
 _GZIP_LEVEL = 4
@@ -216,7 +219,7 @@ class Shard:
     def _dataset(self, name: str) -> h5py.Dataset:
         if name not in self._datasets:
             if name not in self._file:
-                hint = "" if name not in FIELDS or FIELDS[name].group != "pixels" else " Render it first."
+                hint = _HINTS.get(FIELDS[name].group, "") if name in FIELDS else ""
                 raise UsageError(f"{self.path} holds no field {name!r}.{hint} It has: {', '.join(self.fields)}.")
             dataset = self._file[name]
             assert isinstance(dataset, h5py.Dataset)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from datagen import shapes as shape_families
 from datagen.config import Recipe
@@ -95,7 +96,7 @@ def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Tr
                 raise Rejected("unmet")
     if not recipe.motion.moving and np.max(_surface_speed(start, shapes)) > recipe.motion.rest_speed:
         raise Rejected("restless")
-    if np.min(visible_pixels(recipe, scene, shapes, start)) < recipe.least_visible_pixels:
+    if np.min(visible_pixels(recipe, scene, shapes, start.world_from_object[0])) < recipe.least_visible_pixels:
         raise Rejected("hidden")
 
 
@@ -131,14 +132,16 @@ def _surface_speed(start: Trajectory, shapes: Sequence[Shape]) -> np.ndarray:
     return linear + angular * np.array([shape.radius for shape in shapes])
 
 
-def visible_pixels(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Trajectory) -> np.ndarray:
-    """Pixels that each object shows in frame 0 in its worst view."""
+def visible_pixels(
+    recipe: Recipe, scene: Scene, shapes: Sequence[Shape], world_from_object: Float[np.ndarray, "object 4 4"]
+) -> Int[np.ndarray, "object"]:
+    """Pixels that each object shows at these poses in its worst view."""
     renderer = make_renderer("raster")
     renderer.load(scene, shapes)
     width, height = recipe.visibility_resolution
     counts = []
     for camera in scene.cameras:
-        image = renderer.render(start.world_from_object[0], camera, width, height)
+        image = renderer.render(world_from_object, camera, width, height)
         counts.append(np.bincount(image.segmentation.ravel(), minlength=len(shapes) + 1)[1:])
     return np.min(counts, axis=0)
 

@@ -7,6 +7,7 @@ The spec is a plain dict:
     resolution ...... width and height of the images, null where there are none
     renderer ........ name and version, null where there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
+    edits ........... counterfactual edits, in the order of `schema.EDITS`; not there where there are none
     scenes_per_shard
     splits .......... number of scenes of each split
     spec_hash ....... SHA-256 of all this: the dataset's identity
@@ -14,13 +15,13 @@ The spec is a plain dict:
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
-from datagen.schema import DATA_VERSION, FORMAT_VERSION, GENERATOR, SPLITS
+from datagen.schema import DATA_VERSION, EDITS, FORMAT_VERSION, GENERATOR, SPLITS, EditKind
 
 SPEC_FILE = "dataset.json"
 MANIFEST_FILE = "manifest.json"
@@ -29,6 +30,7 @@ CARD_FILE = "README.md"
 _MOST_SCENES_PER_SHARD = 64
 _MOST_BYTES_PER_SHARD = 2**30
 _BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
+_BYTES_PER_EDITED_PIXEL = 7  # rgb, depth, segmentation, effects
 
 Spec = dict[str, Any]
 
@@ -41,11 +43,13 @@ def make_spec(
     resolution: tuple[int, int] | None,
     renderer: Mapping[str, Any] | None,
     rig: Mapping[str, Any] | None = None,
+    edits: Collection[EditKind] = (),
 ) -> Spec:
     """The spec of a dataset; `recipe` and `rig` as plain values."""
     views = rig["views"] if rig else recipe["views"]
     width, height = resolution or (0, 0)
-    scene_bytes = recipe["frames"] * views * width * height * _BYTES_PER_PIXEL
+    pixel_bytes = _BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL
+    scene_bytes = recipe["frames"] * views * width * height * pixel_bytes
     spec = {
         "format_version": FORMAT_VERSION,
         "data_version": DATA_VERSION,
@@ -58,6 +62,9 @@ def make_spec(
         "scenes_per_shard": max(1, min(_MOST_SCENES_PER_SHARD, _MOST_BYTES_PER_SHARD // max(1, scene_bytes))),
         "splits": {name: int(splits.get(name, 0)) for name in SPLITS},
     }
+    if edits:
+        # Datasets without edits keep the identity that they had before there were any.
+        spec["edits"] = [kind for kind in EDITS if kind in edits]
     spec = json.loads(json.dumps(spec))
     return {**spec, "spec_hash": _digest(spec)}
 
@@ -133,6 +140,19 @@ def read_spec(folder: Path) -> Spec:
     return spec
 
 
+def edits_of(spec: Spec) -> tuple[EditKind, ...]:
+    """The counterfactual edits of a dataset, in the order of `schema.EDITS`."""
+    return tuple(kind for kind in EDITS if kind in spec.get("edits", ()))
+
+
+def groups_of(spec: Spec) -> tuple[str, ...]:
+    """Groups of fields that a dataset of this spec has."""
+    if not spec["renderer"]:
+        return ("simulation",)
+    sensor = ("sensor",) if spec["recipe"]["sensor"]["enabled"] else ()
+    return "simulation", "pixels", *sensor, *edits_of(spec)
+
+
 def recipe_of(spec: Spec) -> Recipe:
     """The recipe of a spec.
 
@@ -174,6 +194,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "rig": lambda rig: rig is None or _has_views(rig),
     "scenes_per_shard": lambda scenes: _is_number(scenes, 1),
     "splits": lambda splits: all(_is_number(splits[name]) for name in SPLITS),
+    "edits": lambda edits: edits is None or set(edits) <= set(EDITS),
 }
 """What reading a dataset relies on, key by key."""
 

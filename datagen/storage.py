@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, SupportsIndex, overload
 
 from datagen.errors import DatagenError, UsageError
-from datagen.schema import SPLITS, SceneRecord
+from datagen.schema import SPLITS, EditKind, SceneRecord
 from datagen.shard import PackedScene, Shard
-from datagen.spec import Spec, read_spec, settings_hash, shard_name, shard_ranges
+from datagen.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges
 
 _MOST_OPEN_FILES = 64
 
@@ -37,6 +37,16 @@ class Dataset:
     def splits(self) -> dict[str, int]:
         """Number of scenes of each split."""
         return {name: self.spec["splits"][name] for name in SPLITS}
+
+    @property
+    def edits(self) -> tuple[EditKind, ...]:
+        """Counterfactual edits that its scenes have."""
+        return edits_of(self.spec)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups of fields that its scenes have; see `schema.Field.group`."""
+        return groups_of(self.spec)
 
     def split(self, name: str) -> "Split":
         """The scenes of one split.

@@ -60,7 +60,8 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         Raises:
             UsageError: the dataset, the split, a view or a field does not exist, or windows are longer than clips.
         """
-        self._scenes = storage.Dataset(folder).split(split)
+        dataset = storage.Dataset(folder)
+        self._scenes = dataset.split(split)
         spec = self._scenes.spec
         if spec["resolution"] is None:
             raise UsageError(f"{folder} holds no images; make them with: obpose-datagen render.")
@@ -70,7 +71,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._views = _chosen_views(views, (spec["rig"] or spec["recipe"])["views"], folder)
         sensor: bool = spec["recipe"]["sensor"]["enabled"]
         self._sensor = _one_of(depth, ("observed", "clean"), "depth") == "observed" and sensor
-        self._extra = tuple(_one_of(name, _numeric_fields(sensor), "field") for name in extra)
+        self._extra = tuple(_one_of(name, _numeric_fields(dataset.groups), "field") for name in extra)
         self._seed = seed
         # In shared memory, so that workers that outlive an epoch see the number of the next one.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
@@ -162,9 +163,8 @@ def _chosen_views(views: int | Sequence[int] | None, available: int, folder: str
     return chosen
 
 
-def _numeric_fields(sensor: bool) -> list[str]:
-    fields = schema.FIELDS.values()
-    return [field.name for field in fields if field.dtype != "S" and (sensor or field.group != "sensor")]
+def _numeric_fields(groups: Sequence[str]) -> list[str]:
+    return [field.name for field in schema.FIELDS.values() if field.dtype != "S" and field.group in groups]
 
 
 def _one_of(name: str, names: Sequence[str], kind: str) -> str:

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from datagen import config, manifest, records, shapes, shard, spec, storage
+from datagen.edits import edits_record
+from datagen.edits.stage import stage_of
 from datagen.render import Renderer, make_renderer
 from datagen.scene import Body, Camera, Light, Material, Scene, ShapeSpec, Table, Trajectory
-from datagen.schema import SceneRecord
+from datagen.schema import EditKind, SceneRecord
 
 ROWS = 4
 GROUPS = ("simulation", "pixels")
@@ -19,6 +21,9 @@ BOX = ShapeSpec("box", {"size": [0.12, 0.08, 0.06]})
 CYLINDER = ShapeSpec("cylinder", {"radius": 0.03, "height": 0.1})
 SPHERE = ShapeSpec("sphere", {"radius": 0.04})
 STANDING = [(BOX, (0.2, -0.05, 0.03)), (CYLINDER, (0.3, 0.08, 0.05)), (SPHERE, (0.36, -0.1, 0.04))]
+
+RECIPE = config.Recipe(name="staged", layout=config.Layout(center=(0.28, 0.0), half_extent=(0.12, 0.12), tries=200))
+"""Where objects may be put."""
 
 Standing = Sequence[tuple[ShapeSpec, tuple[float, float, float]]]
 
@@ -66,22 +71,26 @@ def record(
     sensor: bool = False,
     renderer: Renderer | None = None,
     motion: Callable[[Scene], Trajectory] = trajectory,
+    edits: Sequence[EditKind] = (),
 ) -> SceneRecord:
     """All arrays of a staged scene."""
     built = [shapes.build(body.shape) for body in world.bodies]
     path = motion(world)
     simulated = records.simulation_record(world, built, path, rows=ROWS, attempts=1, rejections={})
+    renderer = renderer or make_renderer("raster")
     pixels = records.pixel_record(
         world,
         built,
         path,
-        renderer or make_renderer("raster"),
+        renderer,
         resolution=resolution,
         rows=ROWS,
         sensor=config.Sensor(enabled=sensor),
         rng=np.random.default_rng(0),
     )
-    return {**simulated, **pixels}
+    rngs = {kind: np.random.default_rng(number) for number, kind in enumerate(edits)}
+    edited = edits_record(stage_of(world, tuple(built), path), pixels, RECIPE, renderer, rngs)
+    return {**simulated, **pixels, **edited}
 
 
 def write_dataset(folder: Path, scenes: Sequence[SceneRecord], *, sensor: bool = False, **settings: Any) -> Path:

@@ -37,7 +37,7 @@ LAYERS = (
         "progress",
     },
     {"sampling", "physics", "render", "sensor", "storage", "shard", "folder", "manifest", "parallel"},
-    {"simulate", "records", "maker", "stats", "card", "preview", "verify"},
+    {"simulate", "records", "edits", "maker", "stats", "card", "preview", "verify"},
     {"generate"},
     {"options", "arguments", "cli", "command"},
 )

@@ -17,7 +17,7 @@ from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError
 from datagen.manifest import make_manifest, read_manifest
 from datagen.parallel import make_all
 from datagen.shard import Shard
-from datagen.spec import MANIFEST_FILE, Spec, recipe_of, shard_name, shard_ranges
+from datagen.spec import MANIFEST_FILE, groups_of, recipe_of, shard_name, shard_ranges
 from datagen.storage import Dataset
 from datagen.verify.finding import Finding
 from datagen.verify.record import verify_record
@@ -101,19 +101,12 @@ def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
             continue
         if schema.scene_hash(record) != stored:
             findings.append(Finding("hash", f"the arrays' SHA-256 is not the stored {stored[:16]}...", **place))
-        found = verify_record(record, groups(dataset.spec), recipe.for_scene(scene).physics)
+        found = verify_record(record, groups_of(dataset.spec), recipe.for_scene(scene).physics)
         findings.extend(dataclasses.replace(finding, **place) for finding in found)
         if "scene/description" in record:
             text = bytes(record["scene/description"].item())
             contents[f"{split} scene {scene}"] = hashlib.sha256(text).hexdigest()
     return Checked(findings, contents)
-
-
-def groups(spec: Spec) -> tuple[str, ...]:
-    """Groups of fields that a dataset of this spec must have."""
-    if spec["resolution"] is None:
-        return ("simulation",)
-    return ("simulation", "pixels", "sensor") if spec["recipe"]["sensor"]["enabled"] else ("simulation", "pixels")
 
 
 def _check_files(dataset: Dataset) -> Iterator[Finding]:

@@ -140,7 +140,8 @@ def check_order(case: Case) -> Iterator[Finding]:
         near, far = clip_to_box(case.shapes[row].minimum_box, rays.origins, rays.directions, SHELL)
         hit, closest = trace(case.shapes[row].signed_distance, rays.origins, rays.directions, near, far, SHELL)
         yield from _in_front(rays, hit, row)
-        yield from _amodal(case, rays, np.isfinite(hit), closest <= NEAR_MISS, row)
+        if "visibility/amodal_pixels" in case.record:
+            yield from _amodal(case, rays, np.isfinite(hit), closest <= NEAR_MISS, row)
 
 
 def _in_front(rays: Rays, hit: Float[np.ndarray, "ray"], row: int) -> Iterator[Finding]:

@@ -1,6 +1,7 @@
 """All checks of one scene."""
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from datagen.config import Physics
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
 from datagen.verify.case import DEFAULT_PHYSICS, Case, make_case
+from datagen.verify.edits import check_edit, check_effects
 from datagen.verify.finding import Finding
 from datagen.verify.pixels import check_order, check_surfaces, check_table
 from datagen.verify.views import check_views
@@ -18,6 +20,9 @@ CHECKS: dict[str, tuple[Check, ...]] = {
     "simulation": (check_description, check_poses, check_overlap),
     "pixels": (check_counts, check_boxes, check_surfaces, check_table, check_order, check_views),
     "sensor": (check_sensor,),
+    "remove": (partial(check_edit, kind="remove"), check_effects),
+    "move": (partial(check_edit, kind="move"),),
+    "add": (partial(check_edit, kind="add"),),
 }
 """What is checked, by the group of fields that it needs."""
 
@@ -49,4 +54,8 @@ def _findings(check: Check, case: Case) -> list[Finding]:
     try:
         return list(check(case))
     except (ValueError, IndexError, ArithmeticError) as error:
-        return [Finding(check.__name__, f"cannot be checked: {type(error).__name__} {error}")]
+        return [Finding(_name(check), f"cannot be checked: {type(error).__name__} {error}")]
+
+
+def _name(check: Check) -> str:
+    return check.func.__name__ if isinstance(check, partial) else check.__name__

@@ -49,6 +49,14 @@ def rotate(scene: Scene, name: int, by: Float[Tensor, "3 3"]) -> Scene:
     return replace(scene, rotation=rotation)
 
 
+def carry(scene: Scene, name: int, by: Float[Tensor, "4 4"]) -> Scene:
+    """With the object carried along by a rigid transform of the world, metres."""
+    center, rotation, place = scene.center.clone(), scene.rotation.clone(), scene.place(name)
+    center[:, place] = center[:, place] @ by[:3, :3].T + by[:3, 3]
+    rotation[:, place] = by[:3, :3] @ rotation[:, place]
+    return replace(scene, center=center, rotation=rotation)
+
+
 def swap(scene: Scene, one: int, other: int) -> Scene:
     """With two objects in each other's places; what they are and how they are turned goes along with them."""
     a, b = scene.place(one), scene.place(other)

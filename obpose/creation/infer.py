@@ -1,5 +1,10 @@
 """From RGB-D frames to a scene."""
 
+from dataclasses import dataclass
+
+from jaxtyping import Int
+from torch import Tensor
+
 from obpose.clips import clip_part
 from obpose.creation.origin import Origin
 from obpose.creation.scene import Camera, Scene
@@ -7,16 +12,31 @@ from obpose.resolution import fitting_model
 from obpose.types import Inference, Observation
 
 
+@dataclass(frozen=True, eq=False)
+class Inferred:
+    """A scene, and where its objects are seen."""
+
+    scene: Scene
+    labels: Int[Tensor, "frame seen height width"]
+    """Name of the object of every pixel in the views that the model got, 0 = background."""
+
+
 def infer_scene(origin: Origin, observation: Observation) -> Scene:
     """The scene of a batch of one clip, with the posterior means of its latents, as it is segmented.
 
     Of several views the model gets what it was trained with, all or the first; the scene has the cameras of all.
     """
+    return infer_labelled(origin, observation).scene
+
+
+def infer_labelled(origin: Origin, observation: Observation) -> Inferred:
+    """The same with its segmentation."""
     cameras = cameras_of(observation)
     if origin.model.config.train.views != "together" and observation.depth.shape[2] > 1:
         observation = clip_part(observation, views=slice(1))
     model = fitting_model(origin.model, observation)
-    return scene_of(model.segment(observation).inference, cameras, origin)
+    found = model.segment(observation)
+    return Inferred(scene_of(found.inference, cameras, origin), found.labels[0])
 
 
 def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) -> Scene:

@@ -264,6 +264,40 @@ def test_sensor_noise_is_the_same_in_one_stage_or_two(tmp_path):
     schema.validate(Dataset(tmp_path / "one").split("train")[0], ("simulation", "pixels", "sensor"))
 
 
+@pytest.fixture(scope="module")
+def edited(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("edited") / "set"
+    generate(folder, recipe(), splits=SIZES, resolution=(32, 32), edits=schema.EDITS)
+    return folder
+
+
+def test_edits_stand_beside_arrays_that_stay_as_they_are(whole, edited):
+    for split, size in SIZES.items():
+        for index in range(size):
+            plain, more = Dataset(whole).split(split)[index], Dataset(edited).split(split)[index]
+            assert {schema.FIELDS[name].group for name in set(more) - set(plain)} == set(schema.EDITS)
+            for name, array in plain.items():
+                assert schema.array_hash(name, array) == schema.array_hash(name, more[name]), name
+
+
+def test_edits_are_part_of_a_dataset_s_identity_and_none_are_not(whole, edited, tmp_path):
+    assert "edits" not in Dataset(whole).spec
+    assert Dataset(edited).edits == schema.EDITS
+    with pytest.raises(UsageError, match=r"other settings \(edits: null"):
+        generate(whole, recipe(), splits=SIZES, resolution=(32, 32), edits=("move",))
+
+
+def test_edits_need_images(tmp_path):
+    with pytest.raises(UsageError, match="Edits are pictures"):
+        generate(tmp_path, recipe(), splits={"train": 1}, renderer=None, edits=("move",))
+
+
+def test_edits_are_the_same_in_one_stage_or_two_and_made_anew(whole, edited, tmp_path):
+    render(whole, tmp_path / "all", edits=schema.EDITS)
+    assert hashes(tmp_path / "all") == hashes(edited)
+    assert regenerate(edited, "train", 1) == []
+
+
 def test_the_simulation_does_not_depend_on_the_resolution(whole, tmp_path):
     generate(tmp_path, recipe(), splits={"train": 1}, resolution=(48, 24))
     small, large = Dataset(tmp_path).split("train")[0], Dataset(whole).split("train")[0]

@@ -82,3 +82,11 @@ def test_mixed_notes_what_the_command_line_names():
 
 def test_recipes_without_parts_note_nothing():
     assert options.with_overrides(load_recipe("moving"), ["--frames", "10"]) == load_recipe("moving")
+
+
+def test_edits_have_one_order_and_no_others_are_known():
+    assert options.parse_edits("add,remove") == ("remove", "add")
+    assert options.parse_edits(None) == ()
+    for text in ("", "remove,", "recolour", "remove move"):
+        with pytest.raises(UsageError, match=r"expected some of remove,move,add"):
+            options.parse_edits(text)

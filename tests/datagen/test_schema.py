@@ -4,7 +4,7 @@ import pytest
 from datagen import schema
 from tests.small import random_record
 
-ALL = ("simulation", "pixels", "sensor")
+ALL = ("simulation", "pixels", "sensor", *schema.EDITS)
 
 
 def test_a_record_with_every_field_is_valid():
@@ -62,6 +62,14 @@ def test_depth_survives_within_half_a_unit():
 def test_a_depth_that_does_not_fit_is_an_error(depth: float):
     with pytest.raises(ValueError, match="do not fit"):
         schema.encode_depth(np.array([1.0, depth]))
+
+
+def test_effects_are_read_bit_by_bit():
+    masks = np.random.default_rng(0).random((10, 2, 1, 3, 4)) < 0.5
+    effects = np.packbits(np.moveaxis(masks, 0, -1), axis=-1, bitorder="little")
+    assert effects.shape == (2, 1, 3, 4, 2)
+    for row, mask in enumerate(masks):
+        np.testing.assert_array_equal(schema.effect_mask(effects, row + 1), mask)
 
 
 def test_the_hash_does_not_depend_on_the_order_of_fields_or_the_padding_of_text():

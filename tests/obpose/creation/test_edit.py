@@ -37,6 +37,17 @@ def test_turning_turns_the_world_under_the_object():
     assert torch.equal(turned.center, scene.center)
 
 
+def test_what_is_carried_along_keeps_its_corners_in_their_places():
+    scene, transform = some_scene(), torch.eye(4)
+    transform[:3, :3], transform[:3, 3] = upright(0.7, scene.center), BY
+    carried = edit.carry(scene, 2, transform)
+    corner = torch.tensor([0.1, 0.2, 0.3])
+    before, after = (each.rotation[:, 1] @ corner + each.center[:, 1] for each in (scene, carried))
+    torch.testing.assert_close(after, before @ transform[:3, :3].T + transform[:3, 3])
+    assert torch.equal(carried.center[:, [0, 2]], scene.center[:, [0, 2]])
+    assert equal(edit.carry(scene, 2, torch.eye(4)), scene)
+
+
 def test_what_is_undone_is_as_before():
     scene = some_scene()
     quarter = upright(math.pi / 2, scene.center)

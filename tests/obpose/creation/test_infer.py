@@ -2,7 +2,7 @@ from pathlib import Path
 
 import torch
 
-from obpose.creation.infer import infer_scene
+from obpose.creation.infer import infer_labelled, infer_scene
 from obpose.creation.origin import Origin
 from tests.obpose.creation.scenes import some_model
 from tests.obpose.scenes import table_scene
@@ -28,3 +28,10 @@ def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cam
     alone = table_scene(batch=1, frames=1, views=3)
     alone.rgb[:, :, 1:] = 0
     torch.testing.assert_close(infer_scene(origin, alone).what, scene.what)
+
+
+def test_labels_are_of_the_views_that_the_model_got_and_name_the_objects():
+    origin = Origin(some_model(**{"train.views": "one"}), Path("folder"), "name", "hash")
+    inferred = infer_labelled(origin, table_scene(batch=1, frames=2, views=3))
+    assert inferred.labels.shape[:2] == (2, 1)
+    assert set(inferred.labels.unique().tolist()) <= {0, *inferred.scene.ids}

@@ -1,0 +1,102 @@
+"""`obpose-bench --task editing`: scores the edits of models that ship, and writes the tables."""
+
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+
+from benchmark import arguments
+from benchmark.console import prepare, progress_bar, status
+from benchmark.duration import GRACE_SECONDS
+from benchmark.editing import summary
+from benchmark.editing.job import REFERENCES, VERSION, EditJob
+from benchmark.editing.lines import FOLDER
+from benchmark.editing.truth import kinds_in
+from benchmark.files import remove_abandoned
+from benchmark.isolation import LOGS, limits, run_isolated
+from benchmark.outputs import wide_console
+from benchmark.plan import PRETRAINED, Request
+from benchmark.results import digest
+from benchmark.runner import SPLIT
+from benchmark.schedule import side_by_side
+from benchmark.tracks import Source, Track
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
+from datagen.schema import EDITS
+from datagen.storage import Dataset
+from obpose.shipped import content_hash, find_shipped
+
+
+def score_edits(values: arguments.Run, request: Request) -> int:
+    """Score what is missing, then write the tables."""
+    if not request.pretrained:
+        raise UsageError("--task editing scores weights that ship with the package; add --pretrained.")
+    if values.scenes is not None and values.scenes < 1:
+        raise UsageError(f"--scenes {values.scenes}: expected 1 or more.")
+    sources = [_with_edits(source) for source in request.sources]
+    jobs = [job for source in sources for job in _jobs(request, source, values)]
+    remove_abandoned(values.out)
+    _make_room(jobs, overwrite=values.overwrite)
+    prepare(dict.fromkeys(sources, (SPLIT,)), workers=values.workers)
+    reasons = _run([job for job in jobs if job.missing()], values)
+    console = wide_console()
+    console.print(summary.screen_table(summary.write(values.out)))
+    console.print(f"\nTable: {values.out.resolve() / summary.FILES[1]}", soft_wrap=True, highlight=False)
+    return EXIT_INCOMPLETE if reasons else EXIT_OK
+
+
+def _with_edits(source: Source) -> Source:
+    """A track with all edits; of a dataset, those that it has."""
+    if isinstance(source, Track):
+        return replace(source, edits=EDITS)
+    kinds_in(Dataset(source.folder))
+    return source
+
+
+def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJob]:
+    fit = request.fit_source or source
+    scenes = min(values.scenes or source.size(SPLIT), source.size(SPLIT))
+    checkpoints = {model + PRETRAINED: find_shipped(model, fit.name, fit.resolution) for model in request.models}
+    return [
+        EditJob(
+            track=source.name,
+            model=model,
+            data=source.folder,
+            checkpoint=checkpoint,
+            scenes=scenes,
+            digest=digest({"facts": [VERSION, source.spec_hash, checkpoint and content_hash(checkpoint)]}),
+            out=values.out,
+        )
+        for model, checkpoint in {REFERENCES: None, **checkpoints}.items()
+    ]
+
+
+def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
+    """Let go of lines in the places of wanted ones that are of other weights or another dataset."""
+    for job in jobs:
+        place = f"{job.track}--{job.model}--????????.csv"
+        for other in (path for path in (job.out / FOLDER).glob(place) if path != job.path):
+            if not overwrite:
+                raise UsageError(
+                    f"{other} has edits of other weights, or of another dataset of that name. Give another folder with "
+                    "--out, or --overwrite to replace them."
+                )
+            other.unlink()
+
+
+def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
+    """Do the jobs side by side; why some of them failed."""
+    console, reasons = status(), []
+    with progress_bar(console, "scenes", sum(len(job.missing()) for job in jobs)) as advance:
+
+        def do(job: EditJob, stop: threading.Event) -> list[EditJob]:
+            seconds = 60 * values.time_limit if values.time_limit else GRACE_SECONDS
+            share = limits(seconds, workers=values.workers, memory_mib=values.memory_limit)
+            ending = run_isolated(job, share, job.out / LOGS / f"{job.name}.log", stop, lambda event: advance())
+            if job.name in ending.events:
+                console.print(f"{job.track}, {job.model}: {job.scenes} scenes", markup=False)
+            elif not stop.is_set():
+                console.print(f"{job.track}, {job.model}: FAILED, {ending.reason}", markup=False)
+                reasons.append(ending.reason)
+            return []
+
+        side_by_side(jobs, do, values.workers)
+    return reasons

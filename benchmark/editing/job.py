@@ -1,0 +1,88 @@
+"""One job: a model's edits of the test scenes of a track, scored and stored scene by scene."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmark.clips import ClipSequence
+from benchmark.editing.answers import Answer, answers_of, reference_answers
+from benchmark.editing.interface import Editor
+from benchmark.editing.lines import line_of, load_lines, path_of, save_lines
+from benchmark.editing.truth import EditedScene, Pair, kinds_in, read_edits
+from benchmark.interface import Clip
+from benchmark.runner import SPLIT
+from datagen.storage import Dataset
+
+VERSION = 1
+"""Rises when the scores of equal pictures change."""
+
+REFERENCES = "references"
+"""In the place of a model's name: answers that need none."""
+
+Scored = Iterator[tuple[Pair, Answer]]
+
+
+@dataclass(frozen=True)
+class EditJob:
+    """What is to be scored."""
+
+    track: str
+    model: str
+    """As tables call it."""
+    data: Path
+    """Dataset with edits."""
+    checkpoint: Path | None
+    """Of the model; None for the references."""
+    scenes: int
+    """How many test scenes, from the first on."""
+    digest: str
+    """Of weights, dataset and version."""
+    out: Path
+    """The run folder."""
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"{self.track}--{self.model}--{self.digest[:8]}"
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """It has one."""
+        return (self.name,)
+
+    @property
+    def path(self) -> Path:
+        """Of its lines."""
+        return path_of(self.out, self.name)
+
+    def missing(self) -> list[int]:
+        """Scenes that have no line yet."""
+        done = {line["scene"] for line in load_lines(self.path)}
+        return [scene for scene in range(self.scenes) if scene not in done]
+
+    def run(self, announce: Callable[[str], None]) -> None:
+        """Score what is missing; `announce` hears of every scene, and the job's name at the end.
+
+        Raises:
+            DatagenError: the dataset or the weights are damaged.
+        """
+        dataset = Dataset(self.data)
+        scenes, kinds = dataset.split(SPLIT), kinds_in(dataset)
+        clips, answer = ClipSequence(scenes), self._answer()
+        lines = load_lines(self.path)
+        for index in self.missing():
+            truth = read_edits(scenes, index, kinds)
+            scored = answer(truth, lambda index=index: clips[index])
+            lines += [line_of(self.track, self.model, index, pair, found) for pair, found in scored]
+            save_lines(self.path, lines)
+            announce(f"scene {index}")
+        announce(self.name)
+
+    def _answer(self) -> Callable[[EditedScene, Callable[[], Clip]], Scored]:
+        if self.checkpoint is None:
+            return lambda truth, clip: reference_answers(truth.pairs)
+        # PyTorch takes seconds to import.
+        from benchmark.adapters.editor import SceneEditor
+
+        editor: Editor = SceneEditor(self.checkpoint)
+        return lambda truth, clip: answers_of(editor.infer(clip()), truth)

@@ -1,0 +1,78 @@
+"""Scores of edits on disk: one CSV file for each model and track, a line for each scene, edit and answer.
+
+A file grows while its job runs, scene by scene, so that a job that was stopped goes on.
+"""
+
+import csv
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from benchmark.editing.answers import Answer
+from benchmark.editing.scores import METRICS
+from benchmark.editing.truth import Pair
+from benchmark.files import write_whole
+from benchmark.leaderboard import Line, to_csv
+from datagen.errors import CorruptFile
+
+FOLDER = "editing"
+"""In the run folder."""
+
+COLUMNS = ("track", "model", "scene", "edit", "answer", "object", "iou", "found", *METRICS)
+"""Of a line. `object`: its id in the truth; `iou` of the label that was taken for it; `found`: whether that was enough,
+empty for answers that need not find it."""
+
+
+def line_of(track: str, model: str, scene: int, pair: Pair, answer: Answer) -> Line:
+    """One line."""
+    found = answer.match
+    return {
+        "track": track,
+        "model": model,
+        "scene": scene,
+        "edit": pair.kind,
+        "answer": answer.name,
+        "object": pair.object,
+        "iou": found.iou if found else "",
+        "found": ("" if found is None else "no" if found.label is None else "yes"),
+        **answer.scores,
+    }
+
+
+def path_of(folder: Path, name: str) -> Path:
+    """Where the lines of a job are or will be."""
+    return folder / FOLDER / f"{name}.csv"
+
+
+def save_lines(path: Path, lines: Iterable[Line]) -> None:
+    """Write all lines of a job."""
+    write_whole(path, to_csv(list(lines)).encode())
+
+
+def load_lines(path: Path) -> list[Line]:
+    """The lines of a job; none where it has not begun.
+
+    Raises:
+        CorruptFile: the file is damaged.
+    """
+    if not path.exists():
+        return []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != COLUMNS:
+                raise ValueError(f"its columns are {reader.fieldnames}")
+            return list(_typed(reader))
+    except (OSError, ValueError, TypeError, csv.Error) as error:
+        raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
+
+
+def load_all(folder: Path) -> list[Line]:
+    """The lines of all jobs of a run folder."""
+    return [line for path in sorted((folder / FOLDER).glob("*.csv")) for line in load_lines(path)]
+
+
+def _typed(rows: Iterable[dict[str, str]]) -> Iterator[Line]:
+    for row in rows:
+        numbers = {name: float(row[name]) if row[name] else math.nan for name in METRICS}
+        yield {**{name: row[name] for name in COLUMNS}, "scene": int(row["scene"]), **numbers}

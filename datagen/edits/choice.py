@@ -1,0 +1,106 @@
+"""rng -> Edit: which object is edited, and where it goes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from datagen.config import Recipe
+from datagen.edits.stage import Stage, displaced, with_copy, without
+from datagen.sampling.poses import Stance, about_vertical
+from datagen.schema import EditKind
+from datagen.simulate import visible_pixels
+
+GROUNDED = 0.01
+"""An object whose lowest point comes this near to the table in some frame is one that stands on it, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edit:
+    """What is done to a scene; nothing where no object could be edited."""
+
+    row: int | None
+    """Of the object; None: of none."""
+    transform: Float[np.ndarray, "4 4"]
+    """Of the world, metres: from where the object is to where it, or its copy, comes."""
+    stage: Stage
+    """What comes of it."""
+
+
+def choose_edit(kind: EditKind, recipe: Recipe, stage: Stage, rng: np.random.Generator) -> Edit:
+    """An edit of an object that is drawn evenly from those that can be edited.
+
+    All can be removed that show enough pixels. What is moved stays as it is turned, a copy is turned about the
+    vertical. Both come to a place in the region where the recipe's objects start, with the recipe's gap to all others
+    and to where the object was, in all frames; the rules about pixels and the workspace hold for the new scene too.
+
+    Args:
+        kind: `remove`, `move` or `add`.
+        recipe: Of the scene.
+        stage: The scene.
+        rng: Draws objects and places.
+    """
+    seen = _least_visible(recipe, stage) >= recipe.least_visible_pixels if stage.ids else np.zeros(0, bool)
+    for row in rng.permutation(np.flatnonzero(seen)):
+        if kind == "remove":
+            return Edit(int(row), np.eye(4), without(stage, int(row)))
+        if edit := _placed(kind, recipe, stage, int(row), rng):
+            return edit
+    return Edit(None, np.eye(4), stage)
+
+
+def _placed(kind: EditKind, recipe: Recipe, stage: Stage, row: int, rng: np.random.Generator) -> Edit | None:
+    change: Callable[..., Stage] = displaced if kind == "move" else with_copy
+    around = _Surroundings(recipe, stage, row)
+    if around.lowest > GROUNDED:
+        return None
+    for _ in range(recipe.layout.tries):
+        transform = around.draw(rng, turned=kind == "add")
+        if not around.is_free(transform):
+            continue
+        edited = change(stage, row, transform)
+        if np.min(_least_visible(recipe, edited)) >= recipe.least_visible_pixels:
+            return Edit(row, transform, edited)
+    return None
+
+
+class _Surroundings:
+    """Where an object could go: every object as an upright cylinder around its centre of mass, in every frame."""
+
+    def __init__(self, recipe: Recipe, stage: Stage, row: int):
+        frames, objects = stage.world_from_object.shape[:2]
+        stances = [
+            [Stance(stage.shapes[other], stage.world_from_object[frame, other, :3, :3]) for other in range(objects)]
+            for frame in range(frames)
+        ]
+        self._layout = recipe.layout
+        self._centers = stage.world_from_object[:, :, :2, 3]
+        self._own = self._centers[:, row]
+        reach = np.array([[stance.reach for stance in frame] for frame in stances])
+        self._apart = reach + reach[:, [row]] + recipe.layout.gap
+        heights = stage.world_from_object[:, row, 2, 3]
+        self.lowest = min(float(z) + frame[row].bottom for z, frame in zip(heights, stances, strict=True))
+        """Height of the object's lowest point in any frame, metres."""
+
+    def draw(self, rng: np.random.Generator, *, turned: bool) -> Float[np.ndarray, "4 4"]:
+        """A transform that brings the object to a random place in frame 0."""
+        layout, transform = self._layout, np.eye(4)
+        target = np.array(layout.center) + np.array(layout.half_extent) * rng.uniform(-1, 1, 2)
+        if turned:
+            transform[:3, :3] = about_vertical(rng.uniform(0, 2 * np.pi))
+        transform[:2, 3] = target - transform[:2, :2] @ self._own[0]
+        return transform
+
+    def is_free(self, transform: Float[np.ndarray, "4 4"]) -> bool:
+        """Whether the object keeps its distance from all objects, itself as it was included, in the workspace."""
+        layout = self._layout
+        centers = self._own @ transform[:2, :2].T + transform[:2, 3]
+        distance = np.sqrt(np.sum((centers[:, None] - self._centers) ** 2, axis=-1))
+        away = np.abs(centers - np.array(layout.center))
+        return bool(np.all(distance >= self._apart) and np.all(away < np.array(layout.workspace_half_extent)))
+
+
+def _least_visible(recipe: Recipe, stage: Stage) -> Int[np.ndarray, "object"]:
+    """Pixels that each object shows in frame 0 in its worst view, as the recipe's rules count them."""
+    return visible_pixels(recipe, stage.scene, stage.shapes, stage.world_from_object[0])

@@ -1,0 +1,62 @@
+"""A scene with its poses as one value, and the edits of it.
+
+Edits are kinematic: an object goes, or is elsewhere, in all frames, and nothing else changes; physics is not run again.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from datagen.scene import Scene, Trajectory
+from datagen.shapes.shape import Shape
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """All that a renderer needs to know; rows of bodies, shapes and poses follow each other."""
+
+    scene: Scene
+    shapes: tuple[Shape, ...]
+    world_from_object: Float[np.ndarray, "frame object 4 4"]
+    """Metres."""
+    ids: tuple[int, ...]
+    """What each row is called in segmentations; 0 is the table's."""
+
+    def named(self, segmentation: UInt8[np.ndarray, "*image"]) -> UInt8[np.ndarray, "*image"]:
+        """A renderer's rows, counted from 1, as ids."""
+        return np.array([0, *self.ids], np.uint8)[segmentation]
+
+
+def stage_of(scene: Scene, shapes: tuple[Shape, ...], trajectory: Trajectory) -> Stage:
+    """The scene as it was generated."""
+    return Stage(scene, shapes, trajectory.world_from_object, tuple(range(1, len(shapes) + 1)))
+
+
+def without(stage: Stage, row: int) -> Stage:
+    """As if the object had never been there; the others keep their ids."""
+    rest = [other for other in range(len(stage.ids)) if other != row]
+    return Stage(
+        replace(stage.scene, bodies=tuple(stage.scene.bodies[other] for other in rest)),
+        tuple(stage.shapes[other] for other in rest),
+        stage.world_from_object[:, rest],
+        tuple(stage.ids[other] for other in rest),
+    )
+
+
+def displaced(stage: Stage, row: int, transform: Float[np.ndarray, "4 4"]) -> Stage:
+    """With the object's whole way carried along by a rigid transform of the world."""
+    poses = stage.world_from_object.copy()
+    poses[:, row] = transform @ poses[:, row]
+    return replace(stage, world_from_object=poses)
+
+
+def with_copy(stage: Stage, row: int, transform: Float[np.ndarray, "4 4"]) -> Stage:
+    """With a copy of the object, carried away by a rigid transform of the world; it has the next free id."""
+    copy = transform @ stage.world_from_object[:, [row]]
+    return Stage(
+        replace(stage.scene, bodies=(*stage.scene.bodies, stage.scene.bodies[row])),
+        (*stage.shapes, stage.shapes[row]),
+        np.concatenate([stage.world_from_object, copy], axis=1),
+        (*stage.ids, max(stage.ids) + 1),
+    )

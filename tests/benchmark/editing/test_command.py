@@ -1,0 +1,71 @@
+from pathlib import Path
+
+import pytest
+
+from benchmark.cli import main
+from datagen.errors import EXIT_OK, EXIT_USAGE
+from datagen.generate import generate
+from datagen.schema import EDITS
+from tests import small
+
+MODEL = ("--task", "editing", "--model", "obpose", "--pretrained", "--fit-track", "moving")
+
+
+def run_cli(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as exit_:
+        main([str(argument) for argument in arguments])
+    return int(exit_.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def fitting(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One scene and frame with all edits."""
+    folder = tmp_path_factory.mktemp("fitting") / "scenes"
+    generate(folder, small.recipe(frames=1), splits={"test": 1}, resolution=(32, 32), edits=EDITS)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--task", "editing", "--model", "obpose"), "add --pretrained"),
+        ((*MODEL, "--scenes", 0), "--scenes 0: expected 1 or more"),
+        (("--model", "obpose", "--pretrained", "--scenes", 3), "--scenes is for --task editing"),
+        (("--task", "editing", "--model", "supervised", "--pretrained"), "No weights of 'supervised'"),
+        (("--task", "editing", "--predictions", "maps", "--track", "moving"), "label maps cannot be edited"),
+        (("--task", "drawing", "--model", "obpose"), "drawing"),
+    ],
+)
+def test_a_bad_request_is_one_clear_message(arguments: tuple, message: str, tmp_path: Path, capsys):
+    assert run_cli(*arguments, "--out", tmp_path / "out") == EXIT_USAGE
+    said = capsys.readouterr()
+    assert message in " ".join((said.err + said.out).split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dataset_without_edits_is_refused(tmp_path: Path, capsys):
+    small.make(tmp_path / "plain", {"test": 1})
+    assert run_cli(*MODEL, "--data", tmp_path / "plain", "--out", tmp_path / "out") == EXIT_USAGE
+    assert "holds no edits" in capsys.readouterr().err
+
+
+def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path, capsys):
+    out = tmp_path / "out"
+    assert run_cli(*MODEL, "--data", fitting, "--out", out) == EXIT_OK
+    shown = capsys.readouterr()
+    assert "scenes, obpose-pretrained: 1 scenes" in shown.err
+    assert "no-edit" in shown.out
+    before = {path.name: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert {"editing.csv", "editing.md"} < set(before)
+    assert run_cli(*MODEL, "--data", fitting, "--out", out) == EXIT_OK
+    assert "obpose-pretrained: 1 scenes" not in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    assert not (out / "leaderboard.csv").exists()
+
+
+def test_lines_of_another_dataset_are_not_mixed_in(fitting: Path, tmp_path: Path, capsys):
+    stale = tmp_path / "editing" / "scenes--references--01234567.csv"
+    stale.parent.mkdir()
+    stale.write_text("")
+    assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path) == EXIT_USAGE
+    assert "--overwrite to replace them" in capsys.readouterr().err

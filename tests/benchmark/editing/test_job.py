@@ -1,0 +1,34 @@
+from pathlib import Path
+
+from benchmark.editing.job import REFERENCES, EditJob
+from benchmark.editing.lines import load_lines, save_lines
+from tests.benchmark.editing import oracle
+
+
+def some_job(edits: Path, out: Path, scenes: int = oracle.SCENES) -> EditJob:
+    return EditJob("moving", REFERENCES, edits, None, scenes, "0123456789", out)
+
+
+def test_a_job_scores_every_scene_edit_and_answer(edits: Path, tmp_path: Path):
+    heard: list[str] = []
+    job = some_job(edits, tmp_path)
+    job.run(heard.append)
+    assert heard == ["scene 0", "scene 1", *job.results]
+    lines = load_lines(job.path)
+    assert len({(line["scene"], line["edit"], line["answer"]) for line in lines}) == len(lines) == 2 * 3 * 2
+    assert job.missing() == []
+
+
+def test_a_job_that_was_stopped_goes_on_and_comes_to_the_same(edits: Path, tmp_path: Path):
+    whole, begun = some_job(edits, tmp_path / "whole"), some_job(edits, tmp_path / "begun")
+    whole.run(lambda event: None)
+    save_lines(begun.path, [line for line in load_lines(whole.path) if line["scene"] == 0])
+    heard: list[str] = []
+    begun.run(heard.append)
+    assert heard == ["scene 1", begun.name]
+    assert begun.path.read_text() == whole.path.read_text()
+
+
+def test_more_scenes_extend_a_job(edits: Path, tmp_path: Path):
+    some_job(edits, tmp_path, scenes=1).run(lambda event: None)
+    assert some_job(edits, tmp_path).missing() == [1]

@@ -1,0 +1,40 @@
+import math
+from pathlib import Path
+
+import pytest
+
+from benchmark.editing.answers import Answer, Match
+from benchmark.editing.lines import COLUMNS, line_of, load_all, load_lines, path_of, save_lines
+from benchmark.editing.scores import METRICS
+from datagen.errors import CorruptFile
+from tests.benchmark.editing import oracle
+
+
+def some_lines(edits: Path):
+    pair = oracle.truth_of(edits).pairs[0]
+    scores = dict.fromkeys(METRICS, 0.5) | {"psnr_shadow": math.nan}
+    answers = [Answer("edit", scores, Match(None, 0.25)), Answer("edit", scores, Match(3, 0.75)), Answer("x", scores)]
+    return [line_of("moving", "model", scene, pair, answer) for scene, answer in enumerate(answers)]
+
+
+def test_lines_survive_their_file(edits: Path, tmp_path: Path):
+    lines = some_lines(edits)
+    save_lines(path_of(tmp_path, "one"), lines)
+    read = load_all(tmp_path)
+    assert [line["found"] for line in read] == ["no", "yes", ""]
+    for line, again in zip(lines, read, strict=True):
+        assert tuple(line) == tuple(again) == COLUMNS
+        assert math.isnan(again["psnr_shadow"])
+        assert (again["scene"], again["ari"]) == (line["scene"], 0.5)
+
+
+def test_a_job_that_has_not_begun_has_no_lines(tmp_path: Path):
+    assert load_lines(path_of(tmp_path, "none")) == []
+
+
+@pytest.mark.parametrize("text", ["\x00\n", "scene,track\n1,2\n", "a,b\n1\n"])
+def test_a_damaged_file_is_one_clear_message(tmp_path: Path, text: str):
+    path = tmp_path / "one.csv"
+    path.write_text(text)
+    with pytest.raises(CorruptFile, match="delete it and run the same command again"):
+        load_lines(path)
