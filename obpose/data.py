@@ -80,6 +80,11 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._epoch.fill_(epoch)
 
     @property
+    def recipe(self) -> str:
+        """Name of the recipe that the dataset was made with."""
+        return self._scenes.spec["recipe"]["name"]
+
+    @property
     def frames_of_clip(self) -> int:
         """Frames of a whole clip."""
         return self._clip_frames

@@ -18,12 +18,14 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.clips import clip_part, observation_of
+from obpose.clips import clip_part
 from obpose.creation import edit
+from obpose.creation.bounds import check_inside
+from obpose.creation.clip import one_of, read_clip
 from obpose.creation.infer import infer_scene
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
-from obpose.creation.pictures import strip, turntable, write_gif, write_png
+from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
 from obpose.creation.prior import fit_prior, learned_prior, load_prior, save_prior
 from obpose.creation.rendering import Renderer
 from obpose.creation.sample import sample_scene
@@ -32,10 +34,8 @@ from obpose.creation.storage import load_scene, save_scene
 from obpose.data import SceneDataset
 from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.errors import EXIT_OK, UsageError, run_program
-from obpose.types import Observation
 
 PROGRAM = "obpose-edit"
-PICTURE = "picture.png"
 FPS = 8.0
 MOST_OBJECTS = 100
 MOST_CELLS = 256
@@ -70,7 +70,8 @@ def _run(arguments: list[str]) -> int:
 def _infer(values: Infer) -> None:
     _check_free(values.out)
     origin = load_origin(values.checkpoint)
-    _show(infer_scene(origin, _clip(values.data, values.split, values.scene)), origin, values.out, values.resolution)
+    scene = infer_scene(origin, read_clip(values.data, values.split, values.scene))
+    _show(scene, origin, values.out, values.resolution)
 
 
 def _sample(values: Sample) -> None:
@@ -92,7 +93,7 @@ def _fit(values: Fit) -> None:
     if count < 2:
         raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
     model = origin.model
-    clips = (clip_part(_clip(values.data, "train", i), frames=1, views=1) for i in range(count))
+    clips = (clip_part(read_clip(values.data, "train", i), frames=1, views=1) for i in range(count))
     save_prior(origin.folder, fit_prior(model, clips))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
 
@@ -106,8 +107,8 @@ def _render(values: Render) -> None:
     if values.out.suffix != (".gif" if moving else ".png"):
         raise UsageError(f"--out {values.out}: expected a name that ends with {'.gif' if moving else '.png'}.")
     scene = load_scene(values.scene)
-    frame = _one_of("--frame", values.frame, scene.frames)
-    camera = scene.cameras[_one_of("--view", values.view, len(scene.cameras))]
+    frame = one_of("--frame", values.frame, scene.frames)
+    camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
     camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
     renderer = Renderer(origin.model)
     if values.turntable > 0:
@@ -129,7 +130,7 @@ def _mesh(values: Mesh) -> None:
     if not 2 <= values.cells <= MOST_CELLS:
         raise UsageError(f"--cells {values.cells}: expected 2 to {MOST_CELLS}.")
     scene = load_scene(values.scene)
-    frame = _one_of("--frame", values.frame, scene.frames)
+    frame = one_of("--frame", values.frame, scene.frames)
     model = origin_of(scene, values.checkpoint).model
     mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
     write_mesh(values.out, mesh)
@@ -186,7 +187,7 @@ def _add(values: Add, scene: Scene) -> Scene:
 
 def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> None:
     """Check, render, write and describe a scene."""
-    _check_inside(scene, origin)
+    check_inside(scene, origin.model)
     camera = _sized(scene.cameras[0], resolution)
     picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
     save_scene(out, scene)
@@ -200,33 +201,6 @@ def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> No
 def _check_free(out: Path) -> None:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out} is there already and not empty; give another --out, nothing was changed.")
-
-
-def _check_inside(scene: Scene, origin: Origin) -> None:
-    """Fields know nothing of the world outside the cube of the background, which holds workspace and cameras."""
-    half = origin.model.config.model.background_size / 2
-    outside = ((scene.center - origin.model.center).abs() > half).any(dim=(0, 2)).tolist()
-    names = [str(name) for name, out in zip(scene.ids, outside, strict=True) if out]
-    if names:
-        x, y, z = origin.model.center.tolist()
-        raise UsageError(
-            f"Object {', '.join(names)} would be outside the world that the model knows, a cube of {2 * half:.2f} m "
-            f"around {x:.2f}, {y:.2f}, {z:.2f}."
-        )
-
-
-def _clip(data: Path, split: str, index: int) -> Observation:
-    """A clip as a batch of one."""
-    scenes = SceneDataset(data, split)
-    if not len(scenes):
-        raise UsageError(f"The split {split} of {data} has no scenes; give another --split.")
-    return observation_of([scenes[_one_of("--scene", index, len(scenes))]])
-
-
-def _one_of(flag: str, value: int, count: int) -> int:
-    if not 0 <= value < count:
-        raise UsageError(f"{flag} {value}: expected {'0' if count == 1 else f'0 to {count - 1}'}.")
-    return value
 
 
 def _vector(flag: str, text: str | None) -> Float[Tensor, "3"]:

@@ -16,6 +16,8 @@ from obpose.creation.scene import Camera, upright
 from obpose.files import write_whole
 from obpose.pictures import PALETTE
 
+PICTURE = "picture.png"
+"""In the folder of a saved scene."""
 _TILE = 256
 """Images are enlarged by a whole number to about so many pixels."""
 

@@ -1,0 +1,129 @@
+"""The command `obpose-view`: look at scenes and edit them by hand, in a browser.
+
+obpose-view DATA                              what weights that ship infer from test scene 0 of a dataset
+obpose-view DATA --checkpoint RUN --scene 3   what your own infer from another
+obpose-view RUN --data DATA                   the same
+obpose-view SCENE                             a scene that obpose-edit or the page itself has written
+"""
+
+import importlib.util
+import socket
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from obpose.errors import EXIT_OK, UsageError, run_program
+
+if TYPE_CHECKING:
+    from obpose.viewer.page import Page
+
+PROGRAM = "obpose-view"
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Serve a page on which a scene is looked at, edited, sampled and saved."""
+
+    path: Annotated[Path, tyro.conf.Positional]
+    """Folder of a dataset with images, of a scene, or of a trained model (or the name of weights that ship)."""
+    checkpoint: str | None = None
+    """Of a dataset: folder of the model that infers the scene, or the name of weights that ship; if left out, those
+    that ship for its recipe. Of a scene: where its model is, if it was moved."""
+    data: Path | None = None
+    """Of a model: folder of the dataset to infer a scene from. Of a scene: of the dataset that it is of, to be seen
+    beside it."""
+    split: Literal["train", "val", "test"] = "test"
+    scene: int = 0
+    """Which of the split's scenes."""
+    out: Path = Path("scenes")
+    """Folder in which saved scenes get new folders of their own."""
+    host: str = "127.0.0.1"
+    """Address to listen at; with another than this, others on the network can open the page, edit and save."""
+    port: int = 8080
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve until Ctrl-C and give the exit code."""
+    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
+    return run_program(
+        PROGRAM,
+        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=description)),
+        interrupted="Closed; what was not saved is gone.",
+        out_of_memory="Out of memory; give a dataset of shorter clips or smaller images.",
+    )
+
+
+def run(values: Arguments) -> int:
+    """Open, serve, and wait."""
+    check(values)
+    page = serve(values)
+    print(f"{PROGRAM}: http://{_bracketed(values.host)}:{values.port} shows {page.title}; Ctrl-C ends it.", flush=True)
+    if values.host not in LOOPBACK:
+        print(f"{PROGRAM}: everyone who reaches {values.host} can edit, and save into {values.out}.", flush=True)
+    try:
+        threading.Event().wait()
+    finally:
+        page.close()
+    return EXIT_OK
+
+
+def check(values: Arguments) -> None:
+    """Refuse what cannot work, before anything slow.
+
+    Raises:
+        UsageError: viser is missing, or nobody can listen there.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise UsageError("The page needs viser, which is not installed: pip install 'obpose[view]'.")
+    if values.out.exists() and not values.out.is_dir():
+        raise UsageError(f"--out {values.out} is a file; expected a folder, or a place for a new one.")
+    if not 0 < values.port < 65536:
+        raise UsageError(f"--port {values.port}: expected 1 to 65535.")
+    try:
+        family = socket.getaddrinfo(values.host, values.port, type=socket.SOCK_STREAM)[0][0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((values.host, values.port))
+    except OSError as error:
+        raise UsageError(
+            f"Cannot listen at {values.host}, port {values.port}: {error.strerror}; give another --port or --host."
+        ) from None
+
+
+def serve(values: Arguments) -> "Page":
+    """The page of what the arguments name, and a server that shows it.
+
+    Raises:
+        UsageError: as `obpose.viewer.opening.open_path`, or the port was taken meanwhile.
+    """
+    # Late, because PyTorch takes seconds to import.
+    import viser
+
+    from obpose.viewer.opening import open_path
+    from obpose.viewer.page import Page
+
+    opened = open_path(
+        values.path, checkpoint=values.checkpoint, data=values.data, split=values.split, index=values.scene
+    )
+    with redirect_stdout(StringIO()):  # viser draws a box, also where it was told not to
+        server = viser.ViserServer(host=values.host, port=values.port, label=opened.title, verbose=False)
+    if server.get_port() != values.port:
+        server.stop()
+        raise UsageError(f"Port {values.port} was taken meanwhile; give another --port.")
+    return Page(server, opened, values.out)
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""What a path given to the viewer is, and the scene that it shows at first."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from obpose.checkpoint import CONFIG
+from obpose.creation.clip import read_clip
+from obpose.creation.infer import infer_scene
+from obpose.creation.origin import Origin, load_origin, origin_of
+from obpose.creation.scene import Scene
+from obpose.creation.storage import FACTS, load_scene
+from obpose.data import SceneDataset
+from obpose.errors import UsageError
+from obpose.shipped import list_shipped, shipped_names
+from obpose.types import Observation
+
+Kind = Literal["scene", "model", "dataset"]
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A scene with the model that it is of, and the clip that it was inferred from if there is one."""
+
+    scene: Scene
+    origin: Origin
+    clip: Observation | None
+    """A batch of one."""
+    title: str
+
+
+def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: str, index: int) -> Opened:
+    """A saved scene as it is; of a dataset, or of a model with `data`, what the model infers from one clip.
+
+    Raises:
+        UsageError: the path is none of these, or something else is missing or contradicts it.
+        CorruptFile: a file is damaged.
+    """
+    kind = kind_of(path)
+    if kind == "scene":
+        return _open_scene(path, checkpoint, data, split, index)
+    if kind == "model":
+        if checkpoint is not None:
+            raise UsageError(f"{path} is a trained model itself; leave out --checkpoint, or give a dataset instead.")
+        if data is None:
+            raise UsageError(f"{path} is a trained model; say with --data DIR which dataset's scenes to look at.")
+        return _infer(str(path), data, split, index)
+    if data is not None:
+        raise UsageError(f"{path} is a dataset itself; leave out --data, or give a trained model instead.")
+    return _infer(checkpoint or shipped_for(path), path, split, index)
+
+
+def kind_of(path: Path) -> Kind:
+    """What a path is, by the files that are in it.
+
+    Raises:
+        UsageError: nothing that can be shown.
+    """
+    if (path / FACTS).is_file():
+        return "scene"
+    if (path / CONFIG).is_file() or (not path.exists() and str(path) in shipped_names()):
+        return "model"
+    if not path.exists():
+        raise UsageError(f"{path}: no such folder; {_EXPECTED}. {list_shipped()}")
+    if not path.is_dir():
+        raise UsageError(f"{path} is a file; {_EXPECTED}.")
+    return "dataset"
+
+
+_EXPECTED = (
+    "expected one of a dataset (obpose-datagen), of a scene (obpose-edit), or of a trained model (obpose-train or the "
+    "name of weights that ship)"
+)
+
+
+def shipped_for(data: Path) -> str:
+    """Name of the weights that ship for a dataset's recipe.
+
+    Raises:
+        UsageError: there are none, or there is no dataset.
+    """
+    recipe = SceneDataset(data, "test").recipe
+    names = [name for name in shipped_names() if name.startswith(f"obpose--{recipe}--")]
+    if not names:
+        raise UsageError(
+            f"No weights of obpose for the recipe {recipe} ship with this package; say with --checkpoint which to use. "
+            f"{list_shipped()}"
+        )
+    return names[0]
+
+
+def _infer(checkpoint: str, data: Path, split: str, index: int) -> Opened:
+    clip = read_clip(data, split, index)
+    origin = load_origin(checkpoint)
+    return Opened(infer_scene(origin, clip), origin, clip, f"{data.name}, {split} {index}")
+
+
+def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: str, index: int) -> Opened:
+    scene = load_scene(path)
+    clip = None if data is None else read_clip(data, split, index)
+    if clip is not None and clip.depth.shape[1:3] != (scene.frames, len(scene.cameras)):
+        frames, views = clip.depth.shape[1:3]
+        raise UsageError(
+            f"Scene {index} of {data} has {frames} frames and {views} views, {path} has {scene.frames} and "
+            f"{len(scene.cameras)}; give the clip that it was inferred from, or leave out --data."
+        )
+    return Opened(scene, origin_of(scene, checkpoint), clip, path.name)

@@ -1,0 +1,169 @@
+"""The page: a session, its nodes and widgets, and the thread that renders it.
+
+There is one session, shared by all who open the page: edits of one window are seen in the others, and undone there,
+while everybody has a camera of their own. viser calls back in threads of its own; all that touches session, stage or
+panel holds the page's lock, which is never held while something is rendered.
+"""
+
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+import viser
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.creation.rendering import Renderer
+from obpose.errors import DatagenError, UsageError
+from obpose.viewer.drawing import Clouds, Drawer, Picture, Piece, Shape, Wish
+from obpose.viewer.newest import Newest
+from obpose.viewer.opening import Opened
+from obpose.viewer.panel import Actions, Panel
+from obpose.viewer.panes import panes
+from obpose.viewer.sampling import Sampler
+from obpose.viewer.saving import save_new
+from obpose.viewer.session import Session
+from obpose.viewer.stage import Events, Stage
+
+_SECONDS = 8.0
+"""For which messages stay."""
+
+
+class Page:
+    """What one server shows."""
+
+    def __init__(self, server: viser.ViserServer, opened: Opened, out: Path):
+        """Scenes are saved into new folders in `out`."""
+        self.title = opened.title
+        self._server, self._opened, self._out = server, opened, out
+        self._lock = threading.RLock()
+        self.session = Session(opened.scene, opened.origin.model)
+        self._renderer, self._sampler = Renderer(opened.origin.model), Sampler(opened.origin)
+        events = Events(select=self._toggle, look=self._look, drag=self._drag)
+        self._stage = Stage(server, opened.origin.model, opened.scene.cameras, events)
+        self._panel = Panel(server, self.session, self._actions(), str(out))
+        self._inputs_of: int | None = None
+        drawer = Drawer(self._renderer, opened.scene, opened.clip)
+        self.work = Newest(drawer.draw, self._deliver, self._failed)
+        self._refresh()
+
+    def close(self) -> None:
+        """Stop rendering, and let go of all who look."""
+        self.work.close()
+        self._server.stop()
+
+    def _actions(self) -> Actions:
+        return Actions(
+            select=self._toggle,
+            hide=lambda name: self._edit(lambda session: session.hide(name)),
+            unhide=lambda name: self._edit(lambda session: session.unhide(name)),
+            duplicate=lambda name: self._edit(lambda session: session.duplicate(name)),
+            remove=lambda name: self._edit(lambda session: session.remove(name)),
+            go_to_frame=self._go_to_frame,
+            look=self._look,
+            draw=lambda: self._edit(lambda _: None),
+            undo=lambda: self._edit(lambda session: session.undo()),
+            sample=lambda objects: self.work.run(lambda: self._sample(objects)),
+            save=lambda: self.work.run(self._save),
+        )
+
+    def _edit(self, change: Callable[[Session], None]) -> None:
+        """Change the session and show what comes of it; what two windows do at once may contradict each other."""
+        with self._lock:
+            try:
+                change(self.session)
+            except UsageError as error:
+                self._tell("Not possible", str(error), "red")
+            self._refresh()
+
+    def _toggle(self, name: int | None) -> None:
+        self._edit(lambda session: session.select(None if session.selected == name else name))
+
+    def _go_to_frame(self, frame: int) -> None:
+        # Widgets also tell of values that the page gave them itself.
+        if frame != self.session.frame and frame < self.session.scene.frames:
+            self._edit(lambda session: session.go_to_frame(frame))
+
+    def _look(self, view: int) -> None:
+        if view != self.session.view:
+            self._edit(lambda session: session.look(view))
+
+    def _drag(self, phase: str, at: Float[Tensor, "3"], turn: Float[Tensor, "3 3"]) -> None:
+        def change(session: Session) -> None:
+            if phase == "start":
+                session.grab()
+            elif phase == "update":
+                session.drag(at, turn)
+            else:
+                session.drop()
+
+        self._edit(change)
+
+    def _sample(self, objects: int) -> None:
+        scene = self._sampler.next(objects, self._opened.scene.cameras)
+        self._edit(lambda session: session.replace(scene))
+        self._tell("Sampled", f"{objects} objects, with seed {self._sampler.seed}")
+
+    def _save(self) -> None:
+        with self._lock:
+            scene = self.session.scene
+        folder = save_new(self._out, scene, self._renderer)
+        self._tell("Saved", f"{folder}: {scene.frames} frames, {len(scene.ids)} objects", "green")
+
+    def _refresh(self) -> None:
+        """Show the session as it is, and ask for what has to be rendered."""
+        session = self.session
+        self._stage.show(session, self._panel.layers)
+        self._panel.show(session)
+        self._show_inputs()
+        self.work.wish(Wish(session.shown, session.frame, session.view, time.monotonic()))
+
+    def _show_inputs(self) -> None:
+        clip, frame = self._opened.clip, self.session.frame
+        if clip is not None and frame != self._inputs_of:
+            self._stage.put_inputs([_bytes(image) for image in clip.rgb[0, frame]])
+            self._inputs_of = frame
+
+    def _deliver(self, wish: Wish, piece: Piece) -> None:
+        with self._lock:
+            if isinstance(piece, Picture):
+                self._put_picture(wish, piece)
+            elif isinstance(piece, Shape):
+                self._stage.put_shape(piece.name, piece.mesh)
+            elif isinstance(piece, Clouds):
+                self._stage.put_clouds(piece.clouds)
+                self._stage.show(self.session, self._panel.layers)
+
+    def _put_picture(self, wish: Wish, piece: Picture) -> None:
+        clip, image = self._opened.clip, piece.image
+        rgb = depth = None
+        if clip is not None and self.session.version.seen_as is not None:
+            rgb, depth = clip.rgb[0, wish.frame, wish.view], clip.depth[0, wish.frame, wish.view]
+        height, width = image.depth.shape
+        note = f"{width}x{height}, {time.monotonic() - wish.since:.2f} s after the last change"
+        self._panel.put_picture(panes(image, rgb, depth), f"preview of {note}" if piece.is_preview else note)
+
+    def _failed(self, error: Exception) -> None:
+        if isinstance(error, DatagenError):
+            self._tell("Not possible", str(error), "red")
+        elif isinstance(error, OSError):
+            place = f"{error.filename}: " if error.filename else ""
+            self._tell("Not possible", f"{place}{error.strerror or error}", "red")
+        else:
+            # A mistake of ours: whoever started the page has to see where, and those who edit must not lose their work.
+            traceback.print_exception(error, file=sys.stderr)
+            self._tell("Something is wrong in the viewer itself", f"{type(error).__name__}: {error}", "red")
+
+    def _tell(self, title: str, text: str, color: Literal["red", "green"] | None = None) -> None:
+        for client in self._server.get_clients().values():
+            client.add_notification(title, text, auto_close_seconds=_SECONDS, color=color)
+
+
+def _bytes(image: Float[Tensor, "h w 3"]) -> np.ndarray:
+    return (image * 255).round().to(torch.uint8).numpy()

@@ -1,0 +1,145 @@
+"""The controls beside the scene, as widgets of viser."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+
+from obpose.viewer.seen import slot_colour
+from obpose.viewer.session import Session
+from obpose.viewer.stage import POINTS, Layers
+
+MOST_SAMPLED = 8
+"""Objects of a sampled scene."""
+_MOVE, _HIDE, _SHOW, _COPY, _REMOVE = "move", "hide", "show", "copy", "remove"
+
+
+@dataclass(frozen=True)
+class Actions:
+    """What the controls do."""
+
+    select: Callable[[int | None], None]
+    hide: Callable[[int], None]
+    unhide: Callable[[int], None]
+    duplicate: Callable[[int], None]
+    remove: Callable[[int], None]
+    go_to_frame: Callable[[int], None]
+    look: Callable[[int], None]
+    draw: Callable[[], None]
+    """Other layers are wanted."""
+    undo: Callable[[], None]
+    sample: Callable[[int], None]
+    """With so many objects."""
+    save: Callable[[], None]
+
+
+@dataclass
+class _Row:
+    title: viser.GuiHtmlHandle
+    buttons: viser.GuiButtonGroupHandle
+
+
+class Panel:
+    """The widgets of one page."""
+
+    def __init__(self, server: viser.ViserServer, session: Session, actions: Actions, out: str):
+        self._gui, self._actions = server.gui, actions
+        self._gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        self._rows: dict[int, _Row] = {}
+        self._picture = self._gui.add_image(np.full((24, 32, 3), 238, np.uint8), format="png")
+        self._note = self._gui.add_html(_small("rendering ..."))
+        self._frame, self._view = self._add_time_and_view(session)
+        self._objects = self._gui.add_folder("Objects")
+        self._undo = self._add_scene(out)
+        self._points, self._shapes, self._boxes, self._cameras = self._add_layers()
+
+    @property
+    def layers(self) -> Layers:
+        """What is to be drawn."""
+        values = self._shapes.value, self._boxes.value, self._cameras.value
+        return Layers(self._points.value, *values)
+
+    def show(self, session: Session) -> None:
+        """Make the widgets those of the session."""
+        for name in self._rows.keys() - set(session.scene.ids):
+            row = self._rows.pop(name)
+            row.title.remove()
+            row.buttons.remove()
+        for name in session.scene.ids:
+            self._show_row(session, name)
+        frames = session.scene.frames
+        self._frame.visible = frames > 1
+        self._frame.max = max(1, frames - 1)
+        self._frame.value = session.frame
+        self._view.value = _view_name(session.view)
+        self._undo.disabled = not session.can_undo
+
+    def put_picture(self, picture: np.ndarray, note: str) -> None:
+        """Show what was rendered, and a line about it."""
+        self._picture.image = picture
+        self._note.content = _small(note)
+
+    def _show_row(self, session: Session, name: int) -> None:
+        row = self._rows.get(name) or self._add_row(name)
+        selected, hidden = session.selected == name, name in session.hidden
+        row.title.content = _title(name, "hidden" if hidden else "drag the gizmo" if selected else "")
+        options = (_MOVE, _SHOW if hidden else _HIDE, _COPY, _REMOVE)
+        if row.buttons.options != options:
+            row.buttons.options = options
+
+    def _add_row(self, name: int) -> _Row:
+        with self._objects:
+            title = self._gui.add_html("")
+            buttons = self._gui.add_button_group("", (_MOVE, _HIDE, _COPY, _REMOVE))
+        actions = {
+            _MOVE: self._actions.select,
+            _HIDE: self._actions.hide,
+            _SHOW: self._actions.unhide,
+            _COPY: self._actions.duplicate,
+            _REMOVE: self._actions.remove,
+        }
+        buttons.on_click(lambda event: actions[event.target.value](name))
+        self._rows[name] = _Row(title, buttons)
+        return self._rows[name]
+
+    def _add_time_and_view(self, session: Session) -> tuple[viser.GuiSliderHandle[int], viser.GuiDropdownHandle[str]]:
+        frame = self._gui.add_slider("Frame", min=0, max=1, step=1, initial_value=0)
+        frame.on_update(lambda event: self._actions.go_to_frame(event.target.value))
+        names = [_view_name(view) for view in range(len(session.scene.cameras))]
+        view = self._gui.add_dropdown("View", names, visible=len(names) > 1)
+        view.on_update(lambda event: self._actions.look(names.index(event.target.value)))
+        return frame, view
+
+    def _add_scene(self, out: str) -> viser.GuiButtonHandle:
+        with self._gui.add_folder("Scene"):
+            undo = self._gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP)
+            save = self._gui.add_button("Save", icon=viser.Icon.DEVICE_FLOPPY, hint=f"Into a new folder in {out}")
+            count = self._gui.add_slider("New objects", min=0, max=MOST_SAMPLED, step=1, initial_value=4)
+            sample = self._gui.add_button("Sample a new scene", icon=viser.Icon.DICE_5)
+        undo.on_click(lambda _: self._actions.undo())
+        save.on_click(lambda _: self._actions.save())
+        sample.on_click(lambda _: self._actions.sample(count.value))
+        return undo
+
+    def _add_layers(self) -> tuple:
+        with self._gui.add_folder("Show", expand_by_default=False):
+            points = self._gui.add_dropdown("Points", POINTS)
+            boxes = [self._gui.add_checkbox(label, initial_value=True) for label in ("Shapes", "Boxes", "Cameras")]
+        for widget in (points, *boxes):
+            widget.on_update(lambda _: self._actions.draw())
+        return points, *boxes
+
+
+def _view_name(view: int) -> str:
+    return f"camera {view + 1}"
+
+
+def _title(name: int, note: str) -> str:
+    colour = "rgb({}, {}, {})".format(*slot_colour(name))
+    dot = f'<span style="color: {colour}">&#9679;</span>'
+    return f'<div style="padding: 0.3em 0.9em 0; font-size: 0.9em">{dot} object {name} <i>{note}</i></div>'
+
+
+def _small(text: str) -> str:
+    return f'<div style="padding: 0 0.9em; font-size: 0.8em; opacity: 0.75">{text}</div>'
