@@ -11,9 +11,7 @@ import socket
 import sys
 import threading
 from collections.abc import Sequence
-from contextlib import redirect_stdout
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -105,20 +103,14 @@ def serve(values: Arguments) -> "Page":
         UsageError: as `obpose.viewer.opening.open_path`, or the port was taken meanwhile.
     """
     # Late, because PyTorch takes seconds to import.
-    import viser
-
     from obpose.viewer.opening import open_path
     from obpose.viewer.page import Page
+    from obpose.viewer.serving import open_server
 
     opened = open_path(
         values.path, checkpoint=values.checkpoint, data=values.data, split=values.split, index=values.scene
     )
-    with redirect_stdout(StringIO()):  # viser draws a box, also where it was told not to
-        server = viser.ViserServer(host=values.host, port=values.port, label=opened.title, verbose=False)
-    if server.get_port() != values.port:
-        server.stop()
-        raise UsageError(f"Port {values.port} was taken meanwhile; give another --port.")
-    return Page(server, opened, values.out)
+    return Page(open_server(values.host, values.port, opened.title), opened, values.out)
 
 
 def _bracketed(host: str) -> str:

@@ -28,6 +28,7 @@ from obpose.viewer.panel import Actions, Panel
 from obpose.viewer.panes import panes
 from obpose.viewer.sampling import Sampler
 from obpose.viewer.saving import save_new
+from obpose.viewer.serving import close_server
 from obpose.viewer.session import Session
 from obpose.viewer.stage import Events, Stage
 
@@ -41,14 +42,16 @@ class Page:
     def __init__(self, server: viser.ViserServer, opened: Opened, out: Path):
         """Scenes are saved into new folders in `out`."""
         self.title = opened.title
-        self._server, self._opened, self._out = server, opened, out
+        self.server, self._opened, self._out = server, opened, out
         self._lock = threading.RLock()
         self.session = Session(opened.scene, opened.origin.model)
         self._renderer, self._sampler = Renderer(opened.origin.model), Sampler(opened.origin)
-        events = Events(select=self._toggle, look=self._look, drag=self._drag)
-        self._stage = Stage(server, opened.origin.model, opened.scene.cameras, events)
-        self._panel = Panel(server, self.session, self._actions(), str(out))
+        self.events = Events(select=self._toggle, look=self._look, drag=self._drag)
+        self.actions = self._all_actions()
+        self._stage = Stage(server, opened.origin.model, opened.scene, self.events)
+        self._panel = Panel(server, self.session, self.actions, str(out))
         self._inputs_of: int | None = None
+        self._wanted: tuple | None = None
         drawer = Drawer(self._renderer, opened.scene, opened.clip)
         self.work = Newest(drawer.draw, self._deliver, self._failed)
         self._refresh()
@@ -56,9 +59,9 @@ class Page:
     def close(self) -> None:
         """Stop rendering, and let go of all who look."""
         self.work.close()
-        self._server.stop()
+        close_server(self.server)
 
-    def _actions(self) -> Actions:
+    def _all_actions(self) -> Actions:
         return Actions(
             select=self._toggle,
             hide=lambda name: self._edit(lambda session: session.hide(name)),
@@ -122,7 +125,10 @@ class Page:
         self._stage.show(session, self._panel.layers)
         self._panel.show(session)
         self._show_inputs()
-        self.work.wish(Wish(session.shown, session.frame, session.view, time.monotonic()))
+        wanted = session.version, session.hidden, session.frame, session.view
+        if wanted != self._wanted:
+            self._wanted = wanted
+            self.work.wish(Wish(session.shown, session.frame, session.view, time.monotonic()))
 
     def _show_inputs(self) -> None:
         clip, frame = self._opened.clip, self.session.frame
@@ -161,7 +167,7 @@ class Page:
             self._tell("Something is wrong in the viewer itself", f"{type(error).__name__}: {error}", "red")
 
     def _tell(self, title: str, text: str, color: Literal["red", "green"] | None = None) -> None:
-        for client in self._server.get_clients().values():
+        for client in self.server.get_clients().values():
             client.add_notification(title, text, auto_close_seconds=_SECONDS, color=color)
 
 

@@ -46,6 +46,7 @@ class Panel:
     def __init__(self, server: viser.ViserServer, session: Session, actions: Actions, out: str):
         self._gui, self._actions = server.gui, actions
         self._gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        self._gui.main_panel.dock_right()
         self._rows: dict[int, _Row] = {}
         self._picture = self._gui.add_image(np.full((24, 32, 3), 238, np.uint8), format="png")
         self._note = self._gui.add_html(_small("rendering ..."))
@@ -83,7 +84,7 @@ class Panel:
     def _show_row(self, session: Session, name: int) -> None:
         row = self._rows.get(name) or self._add_row(name)
         selected, hidden = session.selected == name, name in session.hidden
-        row.title.content = _title(name, "hidden" if hidden else "drag the gizmo" if selected else "")
+        row.title.content = _title(name, "hidden" if hidden else "held" if selected else "")
         options = (_MOVE, _SHOW if hidden else _HIDE, _COPY, _REMOVE)
         if row.buttons.options != options:
             row.buttons.options = options
@@ -138,7 +139,8 @@ def _view_name(view: int) -> str:
 def _title(name: int, note: str) -> str:
     colour = "rgb({}, {}, {})".format(*slot_colour(name))
     dot = f'<span style="color: {colour}">&#9679;</span>'
-    return f'<div style="padding: 0.3em 0.9em 0; font-size: 0.9em">{dot} object {name} <i>{note}</i></div>'
+    # Without a height of its own, to stand in the place of the label that the row of buttons does not have.
+    return f'<div style="height: 0; padding-left: 0.8em; font-size: 0.85em">{dot} {name} <i>{note}</i></div>'
 
 
 def _small(text: str) -> str:

@@ -15,17 +15,20 @@ Picture = UInt8[np.ndarray, "height width 3"]
 TILE = 320
 """Images are enlarged or reduced to so many pixels of width."""
 _GAP, _TITLE = 6, 22
-_PAPER, _INK, _NOTHING = (255, 255, 255), (60, 60, 60), (238, 238, 238)
+_PAPER, _INK, _NOTHING = (255, 255, 255), (60, 60, 60), 238
 
 
 def panes(image: Image, rgb: Float[Tensor, "h w 3"] | None, depth: Float[Tensor, "h w"] | None) -> Picture:
     """The scene beside what was observed, if anything was; both depths in the same greys, near is bright."""
     seen = image.depth if depth is None else depth
     reach = _reach(seen, seen > 0)
-    rendered = _column("scene", image.rgb, image.depth, reach)
+    rendered = _column("scene", _bytes(image.rgb), _bytes(greys(image.depth, reach)))
     if rgb is None or depth is None:
-        return rendered
-    return np.concatenate([_column("input", rgb, depth, reach), _blank(len(rendered), _GAP), rendered], axis=1)
+        nothing = np.full_like(_bytes(image.rgb), _NOTHING)
+        observed = _column("no input", nothing, nothing)
+    else:
+        observed = _column("input", _bytes(rgb), _bytes(greys(depth, reach)))
+    return np.concatenate([observed, _blank(len(rendered), _GAP), rendered], axis=1)
 
 
 def greys(depth: Float[Tensor, "h w"], reach: tuple[float, float]) -> Float[Tensor, "h w 3"]:
@@ -47,10 +50,8 @@ def _reach(depth: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"]) -> tuple[flo
     return (float(known.min()), float(known.max())) if known.numel() else (0.0, 1.0)
 
 
-def _column(
-    title: str, rgb: Float[Tensor, "h w 3"], depth: Float[Tensor, "h w"], reach: tuple[float, float]
-) -> UInt8[np.ndarray, "rows columns 3"]:
-    tiles = [resized(_bytes(values), TILE) for values in (rgb, greys(depth, reach))]
+def _column(title: str, above: Picture, below: Picture) -> UInt8[np.ndarray, "rows columns 3"]:
+    tiles = [resized(picture, TILE) for picture in (above, below)]
     return np.concatenate([_line(title), tiles[0], _blank(_GAP, TILE), tiles[1]])
 
 

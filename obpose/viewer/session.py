@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -16,16 +16,18 @@ from obpose.model import ObPose
 
 _MOST_VERSIONS = 1000
 """Edits that can be undone."""
-_DIRECTIONS = 8
+_DIRECTIONS, _ASIDE = 8, 0.75
+"""Where copies are put: in one of so many directions, so many edges of a box away."""
 
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """A scene, and where its objects come from."""
+    """A scene, where its objects come from, and which of them are hidden."""
 
     scene: Scene
     seen_as: Mapping[int, int] | None
     """Which object of the input each is, or a copy of; None where the scene is not that of the input."""
+    hidden: frozenset[int] = frozenset()
 
 
 class Session:
@@ -34,7 +36,6 @@ class Session:
     def __init__(self, scene: Scene, model: ObPose):
         """The model says where the world ends and how large objects are."""
         self.version = Version(scene, {name: name for name in scene.ids})
-        self.hidden: frozenset[int] = frozenset()
         self.selected: int | None = None
         self.frame = 0
         self.view = 0
@@ -47,6 +48,11 @@ class Session:
     def scene(self) -> Scene:
         """As it is now, hidden objects included."""
         return self.version.scene
+
+    @property
+    def hidden(self) -> frozenset[int]:
+        """Objects that are not shown."""
+        return self.version.hidden
 
     @property
     def shown(self) -> Scene:
@@ -88,19 +94,21 @@ class Session:
         self.view = min(max(view, 0), len(self.scene.cameras) - 1)
 
     def hide(self, name: int) -> None:
-        """Leave an object out of what is shown; it stays in the scene. No edit, so it cannot be undone."""
+        """Leave an object out of what is shown; it stays in the scene, and this is no edit to undo."""
         self.scene.place(name)
-        self.hidden |= {name}
+        self.drop()
+        self.version = replace(self.version, hidden=self.hidden | {name})
         if self.selected == name:
             self.select(None)
 
     def unhide(self, name: int) -> None:
         """Show an object again."""
-        self.hidden -= {name}
+        self.drop()
+        self.version = replace(self.version, hidden=self.hidden - {name})
 
     def remove(self, name: int) -> None:
         """Take an object out of the scene."""
-        self._become(Version(edit.remove(self.scene, name), self.version.seen_as))
+        self._become(replace(self.version, scene=edit.remove(self.scene, name), hidden=self.hidden - {name}))
 
     def duplicate(self, name: int) -> None:
         """Put a copy beside an object, where most room is, and select it."""
@@ -108,7 +116,7 @@ class Session:
         seen_as = self.version.seen_as
         if seen_as is not None and name in seen_as:
             seen_as = {**seen_as, copied.ids[-1]: seen_as[name]}
-        self._become(Version(copied, seen_as))
+        self._become(replace(self.version, scene=copied, seen_as=seen_as))
         self.select(copied.ids[-1])
 
     def grab(self) -> None:
@@ -128,7 +136,7 @@ class Session:
         scene, name = self._grabbed.scene, self.selected
         by = self._within(name, to - scene.center[self.frame, scene.place(name)])
         moved = edit.rotate(edit.move(scene, name, by), name, turn)
-        self.version = Version(moved, self._grabbed.seen_as)
+        self.version = replace(self._grabbed, scene=moved)
 
     def drop(self) -> None:
         """Let go of the held object."""
@@ -152,9 +160,8 @@ class Session:
         self._settle()
 
     def _settle(self) -> None:
-        """Forget what was said of objects, frames and views that are no more."""
+        """Let go, and of objects, frames and views that are no more."""
         self._grabbed = None
-        self.hidden &= frozenset(self.scene.ids)
         self.selected = self.selected if self.selected in self.scene.ids else None
         self.frame = min(self.frame, self.scene.frames - 1)
         self.view = min(self.view, len(self.scene.cameras) - 1)
@@ -166,9 +173,9 @@ class Session:
         return by.clamp(self._low - center.amin(dim=0), self._high - center.amax(dim=0))
 
     def _beside(self, name: int) -> Float[Tensor, "3"]:
-        """Half a box away, in the direction in which the nearest object is farthest in this frame."""
+        """Beside the object's box, in the direction in which the nearest object is farthest in this frame."""
         angles = torch.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
-        steps = torch.stack([angles.cos(), angles.sin(), torch.zeros(_DIRECTIONS)], dim=-1) * (self._box / 2)
+        steps = torch.stack([angles.cos(), angles.sin(), torch.zeros(_DIRECTIONS)], dim=-1) * (_ASIDE * self._box)
         center = self.scene.center[self.frame]
         places = center[self.scene.place(name)] + steps
         nearest = torch.cdist(places, center).amin(dim=1)

@@ -14,15 +14,16 @@ from jaxtyping import Float
 from torch import Tensor
 from viser import transforms
 
-from obpose.creation.scene import Camera, upright
+from obpose.creation.scene import Camera, Scene, upright
 from obpose.model import ObPose
 from obpose.pictures import box_edges
 from obpose.types import Boxes
 from obpose.viewer.seen import Cloud, slot_colour, tinted
 from obpose.viewer.session import Session
 
-_LOOK_FROM, _LOOK_FARTHER = math.radians(35), 1.15
-"""The page's first view: the first camera's, carried so far around the middle, so that its picture hides nothing."""
+_LOOK_FROM, _LOOK_FARTHER, _LOOK_ANGLE = math.radians(50), 1.5, math.radians(40)
+"""The page's first view: the first camera's, carried so far around and away from the objects, so that its picture hides
+nothing; and its vertical angle."""
 _DOWN = 0.003
 """Metres that the grid lies below the table, whose points would flicker."""
 
@@ -50,6 +51,8 @@ class _Nodes:
     label: viser.LabelHandle
     cloud: Cloud | None = None
     points: viser.PointCloudHandle | None = None
+    what: torch.Tensor | None = None
+    """Of which codes the shape is, in all frames."""
     mesh: bytes | None = None
     shape: viser.GlbHandle | None = None
 
@@ -69,7 +72,7 @@ class Events:
 class Stage:
     """The nodes of one page."""
 
-    def __init__(self, server: viser.ViserServer, model: ObPose, cameras: tuple[Camera, ...], events: Events):
+    def __init__(self, server: viser.ViserServer, model: ObPose, scene: Scene, events: Events):
         self._scene, self._events = server.scene, events
         self._spacing, self._box = model.config.model.spacing, model.config.model.pose.box_size
         self._layers = Layers()
@@ -80,9 +83,9 @@ class Stage:
         self._scene.add_grid(
             "/table", width=size, height=size, cell_size=0.1, section_size=0.5, position=(0, 0, -_DOWN)
         )
-        self._frusta = [self._frustum(view, camera) for view, camera in enumerate(cameras)]
+        self._frusta = [self._frustum(view, camera) for view, camera in enumerate(scene.cameras)]
         self._gizmo = self._add_gizmo()
-        look_from(server, cameras[0], model.center)
+        look_from(server, scene.cameras[0], _middle(scene, model))
 
     def show(self, session: Session, layers: Layers) -> None:
         """Make the nodes those of the session."""
@@ -107,11 +110,11 @@ class Stage:
         nodes = self._nodes.get(name)
         if nodes is None or nodes.mesh is mesh:
             return
-        if nodes.shape is not None:
-            nodes.shape.remove()
-        nodes.mesh, nodes.shape = mesh, None
+        self._forget_shape(nodes)
+        nodes.mesh = mesh
         if mesh is not None:
-            nodes.shape = self._scene.add_glb(f"/objects/{name}/shape", mesh, visible=self._layers.shapes)
+            visible = self._layers.shapes
+            nodes.shape = self._scene.add_glb(f"/objects/{name}/shape", mesh, visible=visible, cast_shadow=False)
             nodes.shape.on_click(lambda _: self._events.select(name))
 
     def put_inputs(self, images: list[np.ndarray]) -> None:
@@ -126,7 +129,11 @@ class Stage:
         nodes.frame.wxyz = _wxyz(session.scene.rotation[frame, place])
         nodes.frame.visible = name not in session.hidden
         nodes.box.visible = self._layers.boxes
-        nodes.box.thickness = 0.006 if session.selected == name else 0.002
+        nodes.box.thickness = 0.004 if session.selected == name else 0.002
+        what = session.scene.what[:, place]
+        if nodes.what is None or not torch.equal(nodes.what, what):
+            self._forget_shape(nodes)  # another object has come to this name
+            nodes.what = what
         if nodes.shape is not None:
             nodes.shape.visible = self._layers.shapes
         seen_as = session.version.seen_as or {}
@@ -143,6 +150,11 @@ class Stage:
         label = self._scene.add_label(f"{root}/label", str(name), anchor="center-center", font_screen_scale=0.9)
         self._nodes[name] = _Nodes(frame, box, label)
         return self._nodes[name]
+
+    def _forget_shape(self, nodes: _Nodes) -> None:
+        if nodes.shape is not None:
+            nodes.shape.remove()
+        nodes.mesh = nodes.shape = None
 
     def _put_points(self, name: int, nodes: _Nodes, cloud: Cloud | None) -> None:
         if nodes.points is not None:
@@ -168,7 +180,10 @@ class Stage:
             self._put_points(name, nodes, None)
 
     def _add_points(self, name: str, points: np.ndarray, colours: np.ndarray) -> viser.PointCloudHandle:
-        return self._scene.add_point_cloud(name, points, colours, point_size=self._spacing, precision="float32")
+        size = self._spacing
+        return self._scene.add_point_cloud(
+            name, points, colours, point_size=size, point_shape="circle", precision="float32"
+        )
 
     def _show_gizmo(self, session: Session) -> None:
         """Along the world's axes; who drags it has it where it is."""
@@ -195,7 +210,7 @@ class Stage:
             f"/cameras/{view}",
             fov=2 * math.atan(camera.height / (2 * float(camera.k[1, 1]))),
             aspect=camera.width / camera.height,
-            scale=0.12,
+            scale=0.1,
             thickness=0.002,
             position=camera.world_from_camera[:3, 3].numpy(),
             wxyz=_wxyz(camera.world_from_camera[:3, :3]),
@@ -204,12 +219,18 @@ class Stage:
         return frustum
 
 
-def look_from(server: viser.ViserServer, camera: Camera, center: Float[Tensor, "3"]) -> None:
-    """Let pages begin with a view of the scene's middle beside that of a camera."""
-    away = camera.world_from_camera[:3, 3] - center
-    server.initial_camera.position = (center + upright(_LOOK_FROM, center) @ away * _LOOK_FARTHER).numpy()
-    server.initial_camera.look_at = center.numpy()
+def look_from(server: viser.ViserServer, camera: Camera, middle: Float[Tensor, "3"]) -> None:
+    """Let pages begin with a view of the middle beside that of a camera."""
+    away = camera.world_from_camera[:3, 3] - middle
+    server.initial_camera.position = (middle + _LOOK_FARTHER * upright(_LOOK_FROM, middle) @ away).numpy()
+    server.initial_camera.look_at = middle.numpy()
     server.initial_camera.up = (0.0, 0.0, 1.0)
+    server.initial_camera.fov = _LOOK_ANGLE
+
+
+def _middle(scene: Scene, model: ObPose) -> Float[Tensor, "3"]:
+    """Of the objects in the first frame, else of the workspace."""
+    return scene.center[0].mean(dim=0) if scene.ids else model.center
 
 
 def _wxyz(rotation: Float[Tensor, "3 3"]) -> np.ndarray:

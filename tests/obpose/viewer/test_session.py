@@ -1,0 +1,147 @@
+import math
+
+import pytest
+import torch
+
+from obpose.creation.scene import upright
+from obpose.errors import UsageError
+from obpose.viewer.session import Session
+from tests.obpose.creation.scenes import equal, some_model, some_scene
+
+TURN = upright(math.pi / 3, torch.zeros(()))
+
+
+def some_session(**sizes: int) -> Session:
+    return Session(some_scene(**sizes), some_model())
+
+
+def edited(session: Session) -> list[str]:
+    """One edit of each kind, one after the other; their names."""
+    session.remove(1)
+    session.duplicate(2)
+    session.grab()
+    session.drag(torch.tensor([0.1, 0.2, 0.0]), TURN)
+    session.drop()
+    session.replace(some_scene(seed=1, frames=1))
+    return ["remove", "duplicate", "drag", "replace"]
+
+
+def test_every_edit_is_undone_one_by_one():
+    session = some_session()
+    before = session.scene
+    assert not session.can_undo
+    for _ in edited(session):
+        assert session.can_undo
+        session.undo()
+    assert session.scene is before
+    assert not session.can_undo
+    session.undo()
+    assert session.scene is before
+
+
+def test_a_drag_is_one_edit_however_many_steps_it_has():
+    session = some_session()
+    before = session.scene
+    session.select(2)
+    session.grab()
+    for step in range(5):
+        session.drag(torch.tensor([0.05 * step, 0.0, 0.1]), upright(0.1 * step, before.center))
+    session.drop()
+    torch.testing.assert_close(session.scene.center[0, 1], torch.tensor([0.2, 0.0, 0.1]))
+    torch.testing.assert_close(session.scene.rotation[:, 1], upright(0.4, before.center) @ before.rotation[:, 1])
+    session.undo()
+    assert session.scene is before
+    assert not session.can_undo
+
+
+def test_a_drag_is_of_this_frame_and_displaces_the_whole_way():
+    session = some_session()
+    before = session.scene
+    session.go_to_frame(1)
+    session.select(1)
+    session.grab()
+    session.drag(torch.zeros(3), torch.eye(3))
+    session.drop()
+    torch.testing.assert_close(session.scene.center[1, 0], torch.zeros(3))
+    torch.testing.assert_close(session.scene.center[0, 0], before.center[0, 0] - before.center[1, 0])
+
+
+def test_what_is_grabbed_and_not_moved_is_no_edit():
+    session = some_session()
+    session.select(1)
+    session.grab()
+    session.drop()
+    assert not session.can_undo
+
+
+def test_nothing_is_dragged_that_is_not_held():
+    session = some_session()
+    session.grab()
+    session.drag(torch.zeros(3), TURN)
+    session.select(1)
+    session.drag(torch.zeros(3), TURN)
+    assert not session.can_undo
+
+
+def test_an_object_stops_where_the_world_does_in_all_frames():
+    session = some_session()
+    session.select(3)
+    session.grab()
+    session.drag(torch.tensor([9.0, -9.0, 0.0]), torch.eye(3))
+    session.drop()
+    half = 2.5 / 2
+    center = session.scene.center[:, 2]
+    assert float(center[:, 0].max()) == pytest.approx(half)
+    assert float(center[:, 1].min()) == pytest.approx(-half)
+
+
+def test_what_is_hidden_is_not_shown_and_stays_in_the_scene():
+    session = some_session()
+    before = session.scene
+    session.select(2)
+    session.hide(2)
+    assert session.shown.ids == (1, 3)
+    assert session.scene is before
+    assert session.selected is None
+    session.unhide(2)
+    assert equal(session.shown, before)
+    assert not session.can_undo
+
+
+def test_a_sampled_scene_hides_nothing_and_undo_brings_back_what_was_hidden():
+    session = some_session()
+    session.hide(2)
+    session.replace(some_scene(seed=1))
+    assert session.hidden == frozenset()
+    assert session.version.seen_as is None
+    session.undo()
+    assert session.hidden == {2}
+
+
+def test_a_copy_is_selected_apart_from_the_others_and_known_as_what_it_is_of():
+    session = some_session()
+    session.duplicate(2)
+    session.duplicate(4)
+    assert session.selected == 5
+    assert session.version.seen_as == {1: 1, 2: 2, 3: 3, 4: 2, 5: 2}
+    center = session.scene.center[0]
+    assert float(torch.cdist(center[3:4], center[:3]).min()) > 0.05
+
+
+def test_frames_and_views_that_are_no_more_are_left():
+    session = some_session(frames=4)
+    session.go_to_frame(3)
+    session.replace(some_scene(frames=1))
+    assert session.frame == 0
+    session.look(5)
+    assert session.view == 0
+
+
+@pytest.mark.parametrize("act", ["select", "hide", "remove", "duplicate"])
+def test_objects_that_are_not_there_are_named_and_nothing_changes(act: str):
+    session = some_session()
+    before = session.version
+    with pytest.raises(UsageError, match="no object 9"):
+        getattr(session, act)(9)
+    assert session.version is before
+    assert not session.can_undo
