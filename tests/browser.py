@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -79,8 +79,15 @@ class Tab:
         self.mouse("Pressed", x, y)
         self.mouse("Released", x, y)
 
-    def drag(self, start: tuple[float, float], end: tuple[float, float], *, steps: int = 10) -> None:
-        """Press, move in equal steps, release."""
+    def drag(
+        self,
+        start: tuple[float, float],
+        end: tuple[float, float],
+        *,
+        steps: int = 6,
+        look: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Press, move in equal steps, after each of which something may look, release."""
         self.hover(*start)
         time.sleep(0.3)
         self.mouse("Pressed", *start)
@@ -88,6 +95,7 @@ class Tab:
             share = step / steps
             self.mouse("Moved", *(a + (b - a) * share for a, b in zip(start, end, strict=True)))
             time.sleep(0.05)
+            look()
         self.mouse("Released", *end)
 
     def screenshot(self, path: Path) -> None:
@@ -98,7 +106,10 @@ class Tab:
         if event.get("method") == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(event["params"]["exceptionDetails"])[:500])
         elif event.get("method") == "Log.entryAdded" and event["params"]["entry"]["level"] == "error":
-            self.complaints.append(json.dumps(event["params"]["entry"])[:500])
+            entry = event["params"]["entry"]
+            # Pictures that were replaced while the page was loading them.
+            if not entry.get("url", "").startswith("blob:"):
+                self.complaints.append(json.dumps(entry)[:500])
 
 
 @contextmanager

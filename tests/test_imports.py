@@ -18,6 +18,7 @@ ONLY_IN = {
     "OpenGL": ("datagen/render/pyrender_gl.py",),
     "numba": ("datagen/render/kernels.py",),
     "torch": ("obpose/", "benchmark/adapters/"),
+    "viser": ("obpose/viewer/page.py", "obpose/viewer/panel.py", "obpose/viewer/serving.py", "obpose/viewer/stage.py"),
 }
 """Third-party modules that only some files, or files of some folders, import."""
 
@@ -78,6 +79,7 @@ def test_no_cycle_of_imports():
         ("obpose/train.py", "from datagen.errors import UsageError"),
         ("obpose/data.py", "from datagen.generate import generate"),
         ("obpose/data.py", "import benchmark.metrics"),
+        ("obpose/viewer/session.py", "import viser"),
         ("obpose/model.py", "from benchmark.tracks import TRACKS"),
         ("obpose/train.py", "from benchmark.runner import run"),
         ("benchmark/runner.py", "from datagen.physics import simulate"),

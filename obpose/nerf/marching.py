@@ -25,6 +25,8 @@ _DARK = 1e-3
 _LEAST, _LESS = 1e-3, 0.25
 """Cells in and around which the density over sigma_max is less than this, or than this share of the threshold, are
 empty."""
+_BALL = 0.8661
+"""Radius of the ball around a cube, in its edges: a little more than sqrt(3) / 2."""
 _CHUNK = 1 << 17
 """Points of a grid that are evaluated at once, so that memory does not grow with it."""
 
@@ -128,11 +130,12 @@ def march(
         lit = _evaluate(components, points, direction[alive], passed[alive], look)
         if lit is None:
             continue
-        colour[alive] += lit.colour
-        depth[alive] += (lit.weights.sum(dim=0) * depths).sum(dim=-1)
-        weights[:, alive] += lit.weights.sum(dim=-1)
-        passed[alive] = lit.passed
-        alive = alive[lit.passed > _DARK]
+        met = alive[lit.ray]
+        colour[met] += lit.colour
+        depth[met] += (lit.weights.sum(dim=0) * depths).sum(dim=-1)
+        weights[:, met] += lit.weights.sum(dim=-1)
+        passed[met] = lit.passed
+        alive = alive[passed[alive] > _DARK]
         if not len(alive):
             break
     return Picture(colour, depth + (1 - weights.sum(dim=0)) * far, weights)
@@ -151,6 +154,10 @@ class _Look:
 
 @dataclass(frozen=True, eq=False)
 class _Lit:
+    """Of the rays that meet anything."""
+
+    ray: Int[Tensor, " ray"]
+    """Their places among all that were asked for."""
     colour: Float[Tensor, "ray 3"]
     weights: Float[Tensor, "component ray sample"]
     passed: Float[Tensor, "ray"]
@@ -164,34 +171,49 @@ def _evaluate(
     look: _Look,
 ) -> _Lit | None:
     """Light from the next samples of each ray; None where there is nothing."""
+    found = [_inside(component, points, look.floor) for component in components]
+    ray, places = _met(points, [index for index, _ in found])
+    if not len(ray):
+        return None
+    points, direction, passed = points[ray], direction[ray], passed[ray]
     flat, (rays, count, _) = points.flatten(0, 1), points.shape
     logits = points.new_full((len(components), rays * count), OUTSIDE)
-    found: list[Int[Tensor, " n"]] = []
-    for place, component in enumerate(components):
-        index, at = _inside(component, flat, look.floor)
+    for place, (component, index, (_, at)) in enumerate(zip(components, places, found, strict=True)):
         logits[place, index] = component.field.density(at, component.codes)[0]
-        found.append(index)
-    if not any(map(len, found)):
-        return None
     optical = look.thickness * solid_share(logits, look.threshold).unflatten(1, (rays, count))
     weights = passed[:, None] * light_from(optical)
     colour = points.new_zeros(rays, 3)
     unit = F.normalize(direction, dim=-1)
-    for component, light, index in zip(components, weights.flatten(1), found, strict=True):
+    for component, light, index in zip(components, weights.flatten(1), places, strict=True):
         index = index[light[index] > _DARK / 10]
-        ray = index // count
-        at = flat[index] + look.behind * direction[ray]
+        owner = index // count
+        at = flat[index] + look.behind * direction[owner]
         _, hidden = component.field.density(in_box(component, at), component.codes)
-        seen = component.field.colour(hidden, unit[ray] @ component.rotation, component.codes)
-        colour.index_add_(0, ray, light[index, None] * seen)
-    return _Lit(colour, weights, passed * torch.exp(-optical.sum(dim=(0, 2))))
+        seen = component.field.colour(hidden, unit[owner] @ component.rotation, component.codes)
+        colour.index_add_(0, owner, light[index, None] * seen)
+    return _Lit(ray, colour, weights, passed * torch.exp(-optical.sum(dim=(0, 2))))
+
+
+def _met(
+    points: Float[Tensor, "ray sample 3"], found: list[Int[Tensor, " _"]]
+) -> tuple[Int[Tensor, " n"], list[Int[Tensor, " _"]]]:
+    """Rays with any of the points that were found, and these points counted among the samples of such rays only."""
+    rays, count, _ = points.shape
+    met = torch.zeros(rays, dtype=torch.bool, device=points.device)
+    for index in found:
+        met[index // count] = True
+    number = met.cumsum(dim=0) - 1
+    return met.nonzero()[:, 0], [number[index // count] * count + index % count for index in found]
 
 
 def _inside(
-    component: Component, points: Float[Tensor, "n 3"], floor: float | None
+    component: Component, points: Float[Tensor, "ray sample 3"], floor: float | None
 ) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
-    """Which points lie in cells that may hold something, and where in the component's cube."""
-    at = in_box(component, points)
+    """Which of the points, ray by ray, lie in cells that may hold something, and where in the component's cube."""
+    count = points.shape[1]
+    rays = _passing(component, points) if component.bounded else torch.arange(len(points), device=points.device)
+    flat = points[rays].flatten(0, 1)
+    at = in_box(component, flat)
     resolution = len(component.cells)
     within = (at.abs() <= 1).all(dim=-1)
     cell = ((at + 1) * (resolution / 2)).floor().long().clamp(0, resolution - 1)
@@ -199,11 +221,19 @@ def _inside(
     if component.bounded:
         there = there & within
         if floor is not None:
-            there = there & (points[:, 2] > floor)
+            there = there & (flat[:, 2] > floor)
     else:
         there = there | ~within
     index = there.nonzero()[:, 0]
-    return index, at[index]
+    return rays[index // count] * count + index % count, at[index]
+
+
+def _passing(component: Component, points: Float[Tensor, "ray sample 3"]) -> Int[Tensor, " n"]:
+    """Rays whose samples, which lie on a line each, come into the ball around the component's cube."""
+    first, along = points[:, 0], points[:, -1] - points[:, 0]
+    share = ((component.center - first) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=1e-12)
+    nearest = first + share.clamp(0, 1)[:, None] * along
+    return ((nearest - component.center).norm(dim=-1) <= component.size * _BALL).nonzero()[:, 0]
 
 
 def in_box(component: Component, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

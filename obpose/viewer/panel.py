@@ -91,8 +91,8 @@ class Panel:
 
     def _add_row(self, name: int) -> _Row:
         with self._objects:
-            title = self._gui.add_html("")
-            buttons = self._gui.add_button_group("", (_MOVE, _HIDE, _COPY, _REMOVE))
+            title = self._gui.add_html("", order=name)
+            buttons = self._gui.add_button_group("", (_MOVE, _HIDE, _COPY, _REMOVE), order=name + 0.5)
         actions = {
             _MOVE: self._actions.select,
             _HIDE: self._actions.hide,

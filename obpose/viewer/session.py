@@ -147,6 +147,7 @@ class Session:
     def replace(self, scene: Scene) -> None:
         """Go on with another scene of the same model, which is not that of the input."""
         self._become(Version(scene, None))
+        self.selected = None
 
     def undo(self) -> None:
         """Go back to before the last edit, if there was one."""

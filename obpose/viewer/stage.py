@@ -76,6 +76,7 @@ class Stage:
         self._scene, self._events = server.scene, events
         self._spacing, self._box = model.config.model.spacing, model.config.model.pose.box_size
         self._layers = Layers()
+        self._holding = False
         self._nodes: dict[int, _Nodes] = {}
         self._clouds: Mapping[int, Cloud] = {}
         self._table: viser.PointCloudHandle | None = None
@@ -92,6 +93,7 @@ class Stage:
         if layers.points != self._layers.points:
             self._forget_points()
         self._layers = layers
+        self._hold(session.selected is not None)
         for name in self._nodes.keys() - set(session.scene.ids):
             self._nodes.pop(name).frame.remove()
         for name in session.scene.ids:
@@ -115,12 +117,25 @@ class Stage:
         if mesh is not None:
             visible = self._layers.shapes
             nodes.shape = self._scene.add_glb(f"/objects/{name}/shape", mesh, visible=visible, cast_shadow=False)
-            nodes.shape.on_click(lambda _: self._events.select(name))
+            self._let_click(name, nodes)
 
     def put_inputs(self, images: list[np.ndarray]) -> None:
         """Show the images of a frame in the input cameras."""
         for frustum, image in zip(self._frusta, images, strict=True):
             frustum.image = image
+
+    def _hold(self, holding: bool) -> None:
+        if holding != self._holding:
+            self._holding = holding
+            for name, nodes in self._nodes.items():
+                self._let_click(name, nodes)
+
+    def _let_click(self, name: int, nodes: _Nodes) -> None:
+        """Shapes are clicked while no object is held; else they would take clicks on the gizmo behind them."""
+        if nodes.shape is not None:
+            nodes.shape.remove_click_callback("all")
+            if not self._holding:
+                nodes.shape.on_click(lambda _: self._events.select(name))
 
     def _show_object(self, session: Session, name: int) -> None:
         nodes = self._nodes.get(name) or self._add_object(name)
@@ -210,8 +225,9 @@ class Stage:
             f"/cameras/{view}",
             fov=2 * math.atan(camera.height / (2 * float(camera.k[1, 1]))),
             aspect=camera.width / camera.height,
-            scale=0.1,
+            scale=0.06,
             thickness=0.002,
+            cast_shadow=False,
             position=camera.world_from_camera[:3, 3].numpy(),
             wxyz=_wxyz(camera.world_from_camera[:3, :3]),
         )

@@ -42,6 +42,7 @@ def test_shapes_are_made_once_and_not_again_after_a_move():
     scene, artist = some_scene(objects=1, frames=1), drawer()
     meshes = [piece.mesh for _ in range(2) for piece in artist.draw(Wish(scene, 0, 0, 0.0)) if isinstance(piece, Shape)]
     assert len(meshes) == 2
+    assert meshes[0] is not None
     assert meshes[0] is meshes[1]
 
 

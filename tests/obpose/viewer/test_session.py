@@ -111,8 +111,10 @@ def test_what_is_hidden_is_not_shown_and_stays_in_the_scene():
 def test_a_sampled_scene_hides_nothing_and_undo_brings_back_what_was_hidden():
     session = some_session()
     session.hide(2)
+    session.select(1)
     session.replace(some_scene(seed=1))
     assert session.hidden == frozenset()
+    assert session.selected is None
     assert session.version.seen_as is None
     session.undo()
     assert session.hidden == {2}

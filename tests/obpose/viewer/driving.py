@@ -1,0 +1,80 @@
+"""A person at the page: presses its buttons, turns the view, and drags the gizmo, in a browser."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from viser import transforms
+
+from obpose.viewer.page import Page
+from tests.browser import Tab
+from tests.processes import wait_until
+
+SHOWN = "document.querySelector('canvas') && document.body.innerText.includes('after the last change')"
+BUTTON = "[...document.querySelectorAll('button')].filter(found => found.innerText.trim() == {label!r})[{place}]"
+
+
+class Person:
+    """Whoever looks at the first tab that opened the page."""
+
+    def __init__(self, tab: Tab, page: Page):
+        self.tab, self.page = tab, page
+        tab.wait(SHOWN, seconds=240)
+        # viser says that there is no graphics card.
+        tab.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(found => found.click())")
+        wait_until(lambda: page.server.get_clients(), seconds=60, what="the page to tell of its camera")
+        self.settle()
+        time.sleep(3.0)  # viser fades in
+
+    def settle(self) -> None:
+        """Wait until everything is rendered, and shown."""
+        time.sleep(1.0)  # until the page has told what was pressed
+        assert self.page.work.wait(240.0)
+        time.sleep(1.0)
+
+    def press(self, label: str, place: int = 0) -> None:
+        """Click a button; of several with this label the one at this place."""
+        button = BUTTON.format(label=label, place=place)
+        x, y = self.tab.evaluate(
+            f"(() => {{ const found = {button}; found.scrollIntoView({{block: 'nearest'}}); "
+            "const box = found.getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+        )
+        self.tab.click(x, y)
+
+    def slide(self, share: float) -> None:
+        """Click the first slider, which is that of the frames, so far along."""
+        box = "document.querySelector('.mantine-Slider-trackContainer').getBoundingClientRect()"
+        x, y, width, height = self.tab.evaluate(f"(({{x, y, width, height}}) => [x, y, width, height])({box})")
+        self.tab.click(x + share * width, y + height / 2)
+
+    def orbit(self, pixels: float, look: Callable[[], None] = lambda: None) -> None:
+        """Turn the view by dragging over the table; `look` is called meanwhile."""
+        x, y, width, height = self.canvas()
+        start = (x + 0.25 * width, y + 0.8 * height)
+        self.tab.drag(start, (start[0] + pixels, start[1]), look=look)
+
+    def drag_gizmo(self, by: tuple[float, float, float], look: Callable[[], None] = lambda: None) -> None:
+        """Take the gizmo by its arrow along an axis of the world and pull it; `look` is called while it is held.
+
+        Args:
+            by: Metres; along one axis.
+            look: What to do meanwhile, such as a screenshot.
+        """
+        gizmo = self.page.server.scene.get_handle_by_name("/gizmo")
+        middle, scale = np.array(gizmo.position), gizmo.scale  # pyright: ignore
+        axis = np.array(by) / np.linalg.norm(by)
+        start = middle + 0.6 * scale * abs(axis)
+        self.tab.drag(self.pixel(start), self.pixel(start + np.array(by)), look=look)
+
+    def pixel(self, point: np.ndarray) -> tuple[float, float]:
+        """Where a world point is seen, pixels of the page."""
+        camera = next(iter(self.page.server.get_clients().values())).camera
+        left, top, width, height = self.canvas()
+        x, y, z = transforms.SO3(camera.wxyz).inverse().apply(point - camera.position)
+        focal = height / 2 / np.tan(camera.fov / 2)
+        return float(left + width / 2 + focal * x / z), float(top + height / 2 + focal * y / z)
+
+    def canvas(self) -> tuple[float, float, float, float]:
+        """Left, top, width and height of the three-dimensional view, pixels of the page."""
+        box = "document.querySelector('canvas').getBoundingClientRect()"
+        return tuple(self.tab.evaluate(f"(({{x, y, width, height}}) => [x, y, width, height])({box})"))

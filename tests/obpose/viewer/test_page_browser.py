@@ -1,0 +1,88 @@
+"""The page in headless Chromium: start, orbit, drag, remove, undo, save."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from obpose.creation.storage import load_scene
+from obpose.viewer.opening import open_path
+from obpose.viewer.page import Page
+from obpose.viewer.serving import open_server
+from tests.browser import BROWSER, MISSING, browser
+from tests.obpose.creation.scenes import equal
+from tests.obpose.viewer.driving import Person
+from tests.obpose.viewer.test_page import free_port
+from tests.processes import wait_until
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(not BROWSER, reason=MISSING),
+]
+
+
+@pytest.fixture
+def page(tiny_dataset: Path, tmp_path: Path) -> Iterator[Page]:
+    opened = open_path(tiny_dataset, checkpoint=None, data=None, split="test", index=0)
+    found = Page(open_server("127.0.0.1", free_port(), opened.title), opened, tmp_path / "saved")
+    yield found
+    found.close()
+
+
+def test_a_scene_is_looked_at_edited_and_saved(page: Page, tmp_path: Path):
+    with browser(f"http://127.0.0.1:{page.server.get_port()}", tmp_path / "profile", width=1000, height=640) as tab:
+        person = Person(tab, page)
+        first = seen(person, tmp_path / "first.png")
+        assert len(np.unique(first.reshape(-1, 3), axis=0)) > 200
+
+        camera = next(iter(page.server.get_clients().values())).camera
+        position = camera.position
+        person.orbit(-120)
+        wait_until(lambda: np.linalg.norm(camera.position - position) > 0.05, what="the camera to turn")
+        assert differs(seen(person, tmp_path / "orbited.png"), first)
+
+        before, name = page.session.scene, page.session.scene.ids[0]
+        person.press("move")
+        wait_until(lambda: page.session.selected == name, what="the object to be held")
+        person.settle()
+        person.drag_gizmo((0.1, 0.0, 0.0))
+        wait_until(lambda: page.session.can_undo, what="the drag to end")
+        moved = page.session.scene.center[0, 0] - before.center[0, 0]
+        assert float(moved[0]) == pytest.approx(0.1, abs=0.03)
+        assert float(moved[1:].abs().max()) < 1e-3
+        person.settle()
+
+        person.press("remove")
+        wait_until(lambda: name not in page.session.scene.ids, what="the object to be removed")
+        person.settle()
+        removed = seen(person, tmp_path / "removed.png")
+        person.press("Undo")
+        wait_until(lambda: name in page.session.scene.ids, what="the object to come back")
+        person.settle()
+        assert differs(seen(person, tmp_path / "back.png"), removed)
+
+        person.press("Save")
+        wait_until(lambda: (tmp_path / "saved" / "scene-1" / "picture.png").exists(), what="the scene to be saved")
+        assert equal(load_scene(tmp_path / "saved" / "scene-1"), page.session.scene)
+        tab.wait("document.body.innerText.includes('scene-1: 10 frames')")
+
+        person.press("Undo")
+        wait_until(lambda: not page.session.can_undo, what="the drag to be undone")
+        assert torch.equal(page.session.scene.center, before.center)
+        assert tab.complaints == []
+
+
+def seen(person: Person, path: Path) -> np.ndarray:
+    person.tab.screenshot(path)
+    with Image.open(path) as picture:
+        return np.asarray(picture.convert("RGB"))
+
+
+def differs(one: np.ndarray, other: np.ndarray) -> bool:
+    """In the left part, where the scene is."""
+    width = one.shape[1] // 2
+    return bool((one[:, :width] != other[:, :width]).any(axis=-1).mean() > 0.01)
