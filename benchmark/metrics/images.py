@@ -29,7 +29,8 @@ def psnr(
 
 def ssim(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:
     """Structural similarity, the mean of the three channels; 1 for equal images."""
-    return float(structural_similarity(image, truth, channel_axis=-1, data_range=1.0, **_GAUSSIAN))
+    similarity = structural_similarity(image, truth, channel_axis=-1, data_range=1.0, **_GAUSSIAN)
+    return float(np.asarray(similarity))
 
 
 def depth_errors(
