@@ -1,7 +1,6 @@
 """How like two pictures of one thing are: colours (0 to 1) and depths (metres)."""
 
 import math
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -30,8 +29,8 @@ def psnr(
 
 def ssim(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:
     """Structural similarity, the mean of the three channels; 1 for equal images."""
-    similarity: Any = structural_similarity(image, truth, channel_axis=-1, data_range=1.0, **_GAUSSIAN)
-    return float(similarity)
+    similarity = structural_similarity(image, truth, channel_axis=-1, data_range=1.0, **_GAUSSIAN)
+    return float(np.asarray(similarity))
 
 
 def depth_errors(

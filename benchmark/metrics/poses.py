@@ -82,9 +82,9 @@ def pose_scores(
     where nothing is to be measured: no object in view, none found, or the model gives no such thing.
     """
     frames, views, *image = truth.shape
-    every_image, every_label = truth.reshape(-1, *image), labels.reshape(-1, *image)
+    true_ids, slots = (array.reshape(-1, *image) for array in (truth, labels))
     ignored = None if ignore is None else ignore.reshape(-1, *image)
-    tables, slot = contingency(every_image, every_label, background_slot, ignored)
+    tables, slot = contingency(true_ids, slots, background_slot, ignored)
     overlap = intersection_over_union(tables)
     overlap[:, :, slot] = 0.0
     every = [

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_info
 
 from tests.small import ROOT
 
@@ -29,6 +30,12 @@ def test_kernels_do_not_depend_on_what_openblas_would_choose(chosen: str | None)
         [sys.executable, "-c", KERNELS], env=environment(chosen), capture_output=True, text=True, check=True
     )
     assert set(json.loads(found.stdout)) == {"Haswell"}
+
+
+@needs_avx2
+def test_tests_run_with_the_same_kernels_though_plugins_import_numpy():
+    libraries = [each for each in threadpool_info() if each["internal_api"] == "openblas"]
+    assert {each["architecture"] for each in libraries} == {"Haswell"}
 
 
 @pytest.mark.slow
