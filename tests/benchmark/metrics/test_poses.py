@@ -98,6 +98,9 @@ def test_what_a_model_does_not_give_is_not_scored():
     found = scores(true, Poses(right(true).center), truth)
     assert found["translation_error"] == 0
     assert all(np.isnan(found[name]) for name in ("orientation_error", "orientation_error_named", "box_iou"))
+    nothing = scores(true, Poses(right(true).center), truth, np.zeros_like(truth))
+    assert nothing["posed"] == 0
+    assert np.isnan(nothing["box_iou"])
 
 
 def test_balls_have_no_orientation():
