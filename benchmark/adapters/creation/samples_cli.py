@@ -47,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(values: Arguments) -> int:
     """Of one model and dataset."""
     origin = values.origin()
+    if values.picture is not None and values.picture.suffix != ".png":
+        raise UsageError(f"--picture {values.picture}: expected a name that ends with .png.")
     if values.split == TUNED_ON:
         raise UsageError(
             f"--split {TUNED_ON}: real scenes are compared with those of {TUNED_ON}; expected test or train."

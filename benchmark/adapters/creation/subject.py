@@ -8,6 +8,7 @@ from typing import Literal
 import torch
 
 from benchmark.tracks import DataFolder, Source, find_track
+from datagen.errors import UsageError
 from obpose.creation.origin import Origin, load_origin
 from obpose.shipped import shipped_name
 from obpose.training.devices import keep_memory
@@ -38,7 +39,14 @@ class Subject:
         return self.source.prepare((self.split, *others))
 
     def origin(self) -> Origin:
-        """The model, in a process that is set up for it."""
+        """The model, in a process that is set up for it.
+
+        Raises:
+            UsageError: there is no such model, or a number of things to look at is none.
+        """
+        for name, least in {"scenes": 1, "frames": 1, "learn_scenes": 1, "seed": 0}.items():
+            if (value := getattr(self, name, least)) < least:
+                raise UsageError(f"--{name.replace('_', '-')} {value}: expected {least} or more.")
         torch.set_num_threads(1)
         keep_memory()
         source = self.source
