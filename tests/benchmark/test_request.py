@@ -31,7 +31,7 @@ def test_a_dataset_without_images_is_refused(tmp_path: Path):
 
 
 def test_an_equal_budget_goes_with_a_group_unless_another_is_given(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(GROUPS, "few", Group(names=("obpose", "obpose-loc"), budget=720.0))
+    monkeypatch.setitem(GROUPS, "few", Group(("obpose", "obpose-loc"), budget=720.0))
     assert request_of(Run(model=("few",))).seconds == 720.0
     assert request_of(Run(model=("few",), budget=30.0)).seconds == 30.0
     assert request_of(Run(model=("obpose",))).seconds is None

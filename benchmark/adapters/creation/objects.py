@@ -9,6 +9,7 @@ from jaxtyping import Float, Int, Integer
 
 from benchmark.metrics.contingency import contingency
 from benchmark.metrics.overlap import intersection_over_union
+from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
 from datagen.schema import SceneRecord
 from datagen.storage import Dataset
@@ -18,6 +19,8 @@ from obpose.creation.origin import Origin
 from obpose.data import SceneDataset
 from obpose.resolution import fitting_model
 
+LEAST_OBJECTS = 20
+"""For probes to say anything."""
 LEAST_IOU = 0.5
 """Of an object's pixels and a slot's, above which the slot has found the object."""
 PLAIN = "plain"
@@ -48,7 +51,11 @@ class Objects:
 
 
 def infer_objects(origin: Origin, folder: Path, split: str, scenes: int) -> Objects:
-    """Of the first view of the first scenes of a split; of an object's frames the middle one in which it is found."""
+    """Of the first view of the first scenes of a split; of an object's frames the middle one in which it is found.
+
+    Raises:
+        UsageError: there are too few.
+    """
     records, source = Dataset(folder).split(split), SceneDataset(folder, split)
     rows, missed = [], 0
     for index in range(min(scenes, len(records))):
@@ -65,6 +72,10 @@ def infer_objects(origin: Origin, folder: Path, split: str, scenes: int) -> Obje
             rows.append(
                 {"scene": index, "what": what[frame, slot], "place": place[frame, slot], **facts(record, row, frame)}
             )
+    if len(rows) < LEAST_OBJECTS:
+        raise UsageError(
+            f"{len(rows)} objects of {split} were found; expected {LEAST_OBJECTS} or more: give more scenes."
+        )
     return Objects(missed=missed, **{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
 
