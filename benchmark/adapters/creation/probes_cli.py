@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """Of one model and dataset."""
+    values.check(scenes=1, learn_scenes=1)
     origin = values.origin()
     if values.split == LEARNED_FROM:
         raise UsageError(f"--split {LEARNED_FROM}: probes learn on it; expected val or test.")

@@ -46,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """Of one model and dataset."""
+    values.check(scenes=1, seed=0)
     origin = values.origin()
     if values.picture is not None and values.picture.suffix != ".png":
         raise UsageError(f"--picture {values.picture}: expected a name that ends with .png.")

@@ -38,15 +38,18 @@ class Subject:
         """Of the dataset, with its split and others made where they are missing."""
         return self.source.prepare((self.split, *others))
 
-    def origin(self) -> Origin:
-        """The model, in a process that is set up for it.
+    def check(self, **least: int) -> None:
+        """Refuse options, by their names, that are less than these.
 
         Raises:
-            UsageError: there is no such model, or a number of things to look at is none.
+            UsageError: one is.
         """
-        for name, least in {"scenes": 1, "frames": 1, "learn_scenes": 1, "seed": 0}.items():
-            if (value := getattr(self, name, least)) < least:
-                raise UsageError(f"--{name.replace('_', '-')} {value}: expected {least} or more.")
+        for name, smallest in least.items():
+            if (value := getattr(self, name)) < smallest:
+                raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")
+
+    def origin(self) -> Origin:
+        """The model, in a process that is set up for it."""
         torch.set_num_threads(1)
         keep_memory()
         source = self.source

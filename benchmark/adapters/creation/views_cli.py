@@ -35,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """Of one model and dataset."""
+    values.check(scenes=1, frames=1)
     origin = values.origin()
     folder = values.folder()
     if Dataset(folder).spec["recipe"]["views"] > 1:
