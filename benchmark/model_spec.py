@@ -14,8 +14,9 @@ Options = Mapping[str, Any]
 Kind = Literal["floor", "classical", "oracle", "learned", "predictions"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
-PRIORS = ("slots", "background slot", "camera pose", "plane")
-"""Number of slots; which slot is the background; poses of the cameras; that the background is a plane."""
+PRIORS = ("slots", "background slot", "camera pose", "plane", "object size")
+"""Number of slots; which slot is the background; poses of the cameras; that the background is a plane; how large
+objects are at most."""
 
 MOST_TRIALS = 4
 """That a model may declare, so that none is searched more than another."""

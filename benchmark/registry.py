@@ -11,7 +11,6 @@ picks:
 Other packages add models through the entry point group `obpose.models`; see `benchmark.plugins`.
 """
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -20,7 +19,7 @@ from benchmark.adapters import LEARNED
 from benchmark.baselines import CLASSICAL, FLOORS, ORACLES, POSED
 from benchmark.model_spec import ModelSpec
 from benchmark.plugins import Problem
-from datagen.errors import UsageError
+from datagen.errors import UsageError, unknown_name
 
 __all__ = ["GROUPS", "MODELS", "Group", "ModelSpec", "Problem", "budget_of", "discover", "expand", "find_model"]
 
@@ -81,7 +80,7 @@ def find_model(name: str) -> ModelSpec:
     for problem in problems:
         if problem.name == name:
             raise UsageError(f"Model {name!r} cannot be used: {problem.reason}")
-    raise _unknown(name, models)
+    raise unknown_name("model", name, sorted([*models, *GROUPS]))
 
 
 def expand(names: Iterable[str]) -> list[str]:
@@ -100,10 +99,3 @@ def budget_of(names: Iterable[str]) -> float | None:
     """The equal budget that goes with groups among these names, the smallest of several; None where none has one."""
     budgets = (GROUPS[name].budget for name in names if name in GROUPS)
     return min((budget for budget in budgets if budget is not None), default=None)
-
-
-def _unknown(name: str, models: Iterable[str]) -> UsageError:
-    names = sorted([*models, *GROUPS])
-    near = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return UsageError(f"Unknown model {name!r}; {hint}There are: {', '.join(names)}.")

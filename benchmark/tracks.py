@@ -3,7 +3,6 @@
 path = find_track("moving").prepare(("val", "test"))    # makes what is missing in the cache folder
 """
 
-import difflib
 import os
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from datagen.config import load_recipe, recipe_names
-from datagen.errors import DatagenError, UsageError
+from datagen.errors import DatagenError, unknown_name
 from datagen.schema import EditKind
 from datagen.storage import Dataset
 
@@ -178,10 +177,7 @@ def find_track(name: str, profile: Profile = "cpu") -> Track:
     names = recipe_names()
     if name in names:
         return Track(name, profile)
-    known = [*names, *GROUPS]
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise UsageError(f"Unknown track {name!r}; {hint}There are: {', '.join(known)}.")
+    raise unknown_name("track", name, [*names, *GROUPS])
 
 
 def find_tracks(names: Iterable[str], profile: Profile = "cpu") -> list[Track]:

@@ -4,7 +4,6 @@ A recipe file names only what differs from the defaults below. `moving` is the d
 """
 
 import dataclasses
-import difflib
 import functools
 import tomllib
 import typing
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import assets
-from datagen.errors import UsageError
+from datagen.errors import UsageError, unknown_name
 from datagen.recipe_rules import constants, problems
 
 OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
@@ -314,9 +313,7 @@ def load_recipe(name: str) -> Recipe:
         UsageError: there is none; suggests the nearest names.
     """
     if name not in recipe_names():
-        near = difflib.get_close_matches(name, recipe_names(), n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise UsageError(f"Unknown recipe {name!r}; {hint}There are: {', '.join(recipe_names())}.")
+        raise unknown_name("recipe", name, recipe_names())
     text = (assets.RECIPES / f"{name}.toml").read_text(encoding="utf-8")
     return recipe_from_dict({"name": name, **tomllib.loads(text)})
 

@@ -1,7 +1,8 @@
 """What can go wrong in a way the user can mend, the exit code that says so, and how every command ends with it."""
 
+import difflib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 EXIT_OK = 0
 EXIT_USAGE = 2
@@ -37,6 +38,14 @@ class VerificationFailed(DatagenError):
     """The dataset's content contradicts itself."""
 
     exit_code = EXIT_VERIFICATION
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
+    """The error about a name that is none of those known; it suggests the nearest one."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? There" if near else "there"
+    return UsageError(f"Unknown {kind} {name!r}; {hint} are: {', '.join(names)}.")
 
 
 def run_program(

@@ -20,9 +20,9 @@ from benchmark.tracks import DataFolder, Track, find_track
 from obpose.arguments import Train
 from obpose.config import TrainConfig
 from obpose.config_text import parse_changes
-from obpose.errors import EXIT_OK, UsageError, run_program
+from obpose.errors import EXIT_OK, UsageError, run_program, unknown_name
 from obpose.scene_bar import scene_bar
-from obpose.systems import System, did_you_mean, find_system
+from obpose.systems import System, find_system
 
 PROGRAM = "obpose-train"
 RUNS = Path("runs")
@@ -77,7 +77,7 @@ def run(values: Train) -> int:
 
 def _check(values: Train, system: System) -> None:
     if values.profile not in (profiles := system.architecture.profiles):
-        raise UsageError(f"Unknown profile {values.profile!r}; {did_you_mean(values.profile, profiles)}")
+        raise unknown_name("profile", values.profile, profiles)
     if values.minutes is not None and values.steps is not None:
         raise UsageError("--minutes and --steps contradict each other; leave one of them out.")
     for name in ("minutes", "steps", "threads"):

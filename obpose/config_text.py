@@ -42,9 +42,9 @@ def parse_changes(texts: Iterable[str], kind: type = Config) -> dict[str, Any]:
             raise UsageError(f"--set {text}: expected NAME=VALUE, such as model.pose.box_size=0.3.")
         if name not in kinds:
             near = difflib.get_close_matches(name, kinds, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}? " if near else ""
+            hint = f"did you mean {near[0]!r}? They" if near else "they"
             place = kind.__module__.replace(".", "/") + ".py"
-            raise UsageError(f"--set {text}: unknown value {name!r}; {hint}They are listed in {place}.")
+            raise UsageError(f"--set {text}: unknown value {name!r}; {hint} are listed in {place}.")
         changes[name] = _conform(_read(value, kinds[name]), kinds[name], f"--set {name}")
     return changes
 

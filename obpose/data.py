@@ -1,6 +1,5 @@
 """Datasets on disk as PyTorch sees them: clips of tensors, without labels unless asked for."""
 
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -11,7 +10,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from datagen import schema, storage
-from datagen.errors import UsageError
+from datagen.errors import UsageError, unknown_name
 
 Window = Literal["first", "random", "all"]
 
@@ -169,7 +168,5 @@ def _numeric_fields(groups: Sequence[str]) -> list[str]:
 
 def _one_of(name: str, names: Sequence[str], kind: str) -> str:
     if name not in names:
-        near = difflib.get_close_matches(name, names, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise UsageError(f"Unknown {kind} {name!r}; {hint}There are: {', '.join(names)}.")
+        raise unknown_name(kind, name, names)
     return name

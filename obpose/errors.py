@@ -9,6 +9,7 @@ from datagen.errors import (
     UsageError,
     is_out_of_memory,
     run_program,
+    unknown_name,
 )
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "UsageError",
     "is_out_of_memory",
     "run_program",
+    "unknown_name",
 ]
 
 

@@ -7,8 +7,7 @@
 PyTorch takes seconds to import, so that only building a model does it.
 """
 
-import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,7 @@ from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
 from obpose.config import Config, SupervisedConfig, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
-from obpose.errors import UsageError
+from obpose.errors import unknown_name
 from obpose.variants import PROFILES, VARIANTS, make_config
 
 if TYPE_CHECKING:
@@ -127,18 +126,16 @@ def _obpose_system(variant: str) -> System:
 def _priors(config: Config) -> tuple[str, ...]:
     """What a variant of ObPose is told."""
     model = config.model
-    knows_plane = model.table is not None or (model.floor is not None and model.pose.conditioning in _ESTIMATE_SHAPE)
+    has_boxes = model.pose.conditioning in ("location", "full")
     priors = {
         "slots": True,
         "background slot": model.background == "component",
         "camera pose": True,
-        "plane": knows_plane,
+        # In their boxes shapes are estimated, which end at the floor.
+        "plane": model.table is not None or (has_boxes and model.floor is not None),
+        "object size": has_boxes,
     }
     return tuple(name for name, told in priors.items() if told)
-
-
-_ESTIMATE_SHAPE = ("location", "full")
-"""With these poses, shapes are estimated, which end at the floor."""
 
 
 SYSTEMS: dict[str, System] = {
@@ -166,7 +163,7 @@ def find_system(name: str) -> System:
         UsageError: there is none, and says which name is near.
     """
     if name not in SYSTEMS:
-        raise UsageError(f"Unknown variant {name!r}; {did_you_mean(name, SYSTEMS)}")
+        raise unknown_name("variant", name, SYSTEMS)
     return SYSTEMS[name]
 
 
@@ -185,10 +182,3 @@ def architecture_of(config: object) -> Architecture:
 def build_model(config: Any) -> "Trainable":
     """The model of a configuration, with fresh weights."""
     return architecture_of(config).build(config)
-
-
-def did_you_mean(name: str, names: Iterable[str]) -> str:
-    """The names there are, after the one that is near, if any is."""
-    near = difflib.get_close_matches(name, known := list(names), n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return f"{hint}There are: {', '.join(known)}."

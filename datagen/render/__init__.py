@@ -3,10 +3,9 @@
 Engines are imported when one is made, so that importing this package costs neither numba nor OpenGL.
 """
 
-import difflib
 from collections.abc import Callable
 
-from datagen.errors import UsageError
+from datagen.errors import unknown_name
 from datagen.render.renderer import Image, Renderer
 
 __all__ = ["RENDERERS", "Image", "Renderer", "make_renderer"]
@@ -37,7 +36,5 @@ def make_renderer(name: str) -> Renderer:
         UsageError: there is none of that name, or what it needs is not installed.
     """
     if name not in _MAKERS:
-        near = difflib.get_close_matches(name, RENDERERS, n=1, cutoff=0.4)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise UsageError(f"Unknown renderer {name!r}; {hint}There are: {', '.join(RENDERERS)}.")
+        raise unknown_name("renderer", name, RENDERERS)
     return _MAKERS[name]()

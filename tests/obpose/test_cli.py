@@ -68,13 +68,13 @@ def test_another_architecture_is_trained_by_the_same_command(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--track", "moving", "--variant", "obsurf", "--profile", "tpu"), "There are: cpu, gpu, paper"),
+        (("--track", "moving", "--variant", "obsurf", "--profile", "tpu"), "are: cpu, gpu, paper"),
         (("--track", "moving", "--variant", "obsurf", "--set", "model.voxels=3"), "obpose/baselines/obsurf/config.py"),
         ((), "either --track NAME or --data DIR"),
         (("--track", "moving", "--data", "x"), "either --track NAME or --data DIR"),
         (("--track", "mooving"), "did you mean 'moving'"),
         (("--track", "moving", "--variant", "obpos"), "did you mean 'obpose'"),
-        (("--track", "moving", "--profile", "tpu"), "There are: cpu, gpu, paper"),
+        (("--track", "moving", "--profile", "tpu"), "are: cpu, gpu, paper"),
         (("--track", "moving", "--minutes", "1", "--steps", "2"), "contradict"),
         (("--track", "moving", "--minutes", "0"), "--minutes 0.0: expected a positive number"),
         (("--track", "moving", "--seed", "-1"), "expected 0 or more"),

@@ -71,7 +71,7 @@ def test_a_misspelt_name_gets_a_hint():
 
 
 def test_what_a_system_is_told_follows_from_its_values():
-    assert SYSTEMS["obpose"].priors == ("slots", "background slot", "camera pose", "plane")
+    assert SYSTEMS["obpose"].priors == ("slots", "background slot", "camera pose", "plane", "object size")
     assert SYSTEMS["ic-sbp"].priors == SYSTEMS["obsurf"].priors == ("slots", "camera pose")
 
 

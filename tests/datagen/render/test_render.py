@@ -20,7 +20,7 @@ def test_an_unknown_name_suggests_the_nearest_one():
 
 
 def test_a_name_like_none_of_them_suggests_nothing():
-    with pytest.raises(UsageError, match=r"^Unknown renderer 'xyz'; There are: raster, pyrender\.$"):
+    with pytest.raises(UsageError, match=r"^Unknown renderer 'xyz'; there are: raster, pyrender\.$"):
         make_renderer("xyz")
 
 
