@@ -9,12 +9,15 @@ from rich.table import Table
 from benchmark import leaderboard, report
 from benchmark.failed_seeds import HEADLINE
 from benchmark.manifest import write_manifest
+from benchmark.pose_tables import COLUMNS, HEADER, pose_cells, posed
 from benchmark.report import learning
 from benchmark.report.board import marks
 from benchmark.results import load_runs
 from benchmark.standings import Entry, best_first, fields
 from benchmark.whereabouts import locate
 from benchmark.wording import free_of_slots, rank_in_words, run_once, seeds_covered, without_floor
+
+HEADLINE_OF_POSES = ("posed", "translation_median", "orientation_median", "box_iou")
 
 FILE_WIDTH = 160
 """Characters a line where the output goes into a file or pipe."""
@@ -27,6 +30,8 @@ def write(folder: Path, data: Sequence[Path]) -> None:
     page = report.write(folder, {row.key.track: locate(folder, row, data) for row in rows})
     console = wide_console()
     console.print(means_table(entries))
+    if poses := poses_table(entries):
+        console.print(poses)
     console.print(f"\nTable:  {folder.resolve() / leaderboard.FILES[0]}", soft_wrap=True, highlight=False)
     console.print(f"Report: {page.resolve()}", soft_wrap=True, highlight=False)
     if curves := learning.write(folder, entries):
@@ -50,13 +55,30 @@ def means_table(entries: Sequence[Entry]) -> Group:
     return Group(table, *_legend(entries))
 
 
+def poses_table(entries: Sequence[Entry]) -> Group | None:
+    """Scores of poses, track by track, where there are any: of the columns of the tables in files, the main ones."""
+    shown = [HEADER.index(column.title) for column in COLUMNS if column.name in HEADLINE_OF_POSES]
+    table = Table(box=None)
+    for name in ("track", "model", *(HEADER[place] for place in shown)):
+        table.add_column(name, justify="left" if name in ("track", "model") else "right", no_wrap=True)
+    for field in fields(entries):
+        for entry in posed(field):
+            cells = pose_cells(entry)
+            table.add_row(_track(entry), entry.row.key.model, *(cells[place] for place in shown))
+        table.add_section()
+    return Group("\nPoses", table) if table.row_count else None
+
+
 def _cells(entry: Entry) -> list[str]:
-    track, fit_track, model = entry.place
-    fitted = "" if fit_track == track else f" (fitted on {fit_track})"
     failed = min(entry.n_failed, entry.n_runs) - (entry.n_runs - entry.n_scored)
     seeds = seeds_covered(entry) + (f", {failed} failed" if failed else "")
     values = [f"{entry.best_known(name):z.3f}" for name in HEADLINE]
-    return [f"{track}{fitted}", model, entry.marks, seeds, rank_in_words(entry), *values]
+    return [_track(entry), entry.row.key.model, entry.marks, seeds, rank_in_words(entry), *values]
+
+
+def _track(entry: Entry) -> str:
+    track, fit_track, _ = entry.place
+    return track if fit_track == track else f"{track} (fitted on {fit_track})"
 
 
 def _legend(entries: Sequence[Entry]) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The tables of poses, beneath the leaderboard's own: only of models that give poses, and of no influence on ranks."""
+"""The tables of poses, beneath those of segmentations: only of models that give poses, and of no influence on ranks."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +32,7 @@ COLUMNS = (
 )
 
 NOTES = (
-    "Poses, in the second table of a track, rank nothing. *Found* is the share of the objects in view that a slot with "
+    "Poses rank nothing. *Found* is the share of the objects in view that a slot with "
     "a pose covers by more than half (IoU of pixels); errors are of these, box IoU is of all, 0 where none was found.",
     "Translation: from the middle of the object's true box of least volume; *from visible points*: from their mean, "
     "where a model that only averages what it sees is good. Medians are of a scene, and means over scenes follow.",
@@ -42,33 +42,39 @@ NOTES = (
 )
 
 
-def pose_rows(field: Iterable[Entry]) -> list[tuple[str, ...]]:
-    """Header, and model, seeds and scores of those that give poses, the worst first as in the tables above."""
-    posed = [entry for entry in best_first(field)[::-1] if entry.has_poses]
-    if not posed:
-        return []
-    return [("model", "seeds", *(column.title for column in COLUMNS)), *map(_row, posed)]
+HEADER = ("seeds", *(column.title for column in COLUMNS))
+"""Of what `pose_cells` gives."""
+
+
+def posed(field: Iterable[Entry]) -> list[Entry]:
+    """Those models of a track that give poses, the best segmentation first."""
+    return [entry for entry in best_first(field) if entry.has_poses]
+
+
+def pose_cells(entry: Entry) -> list[str]:
+    """Seeds, and each score as mean and standard deviation over them."""
+    return [seeds_covered(entry), *(_cell(entry, column) for column in COLUMNS)]
 
 
 def markdown(field: Sequence[Entry]) -> list[str]:
     """The table of one track, with its heading; nothing where no model gives poses."""
-    rows = pose_rows(field)
+    rows = _rows(field)
     if not rows:
         return []
     lines = [f"| {' | '.join(cells)} |" for cells in rows]
-    return ["### Poses", "\n".join([lines[0], f"|---|{'---:|' * (len(rows[0]) - 1)}", *lines[1:]])]
+    return ["### Poses", "\n".join([lines[0], f"|---|{'---:|' * len(HEADER)}", *lines[1:]])]
 
 
 def latex(field: Sequence[Entry], title: str, escaped: Callable[[str], str]) -> list[str]:
     """The same, `escaped` for LaTeX."""
-    rows = [" & ".join(escaped(cell).replace("°", r"$^\circ$") for cell in cells) for cells in pose_rows(field)]
+    rows = [" & ".join(escaped(cell).replace("°", r"$^\circ$") for cell in cells) for cells in _rows(field)]
     if not rows:
         return []
     lines = [
         r"\begin{table*}",
         r"    \centering",
         r"    \begin{adjustbox}{max width=1.0\textwidth}",
-        rf"    \begin{{tabular}}{{l {'r ' * (len(COLUMNS) + 1)}}}",
+        rf"    \begin{{tabular}}{{l {'r ' * len(HEADER)}}}",
         r"        \toprule",
         rf"        {rows[0]} \\",
         r"        \midrule",
@@ -83,9 +89,10 @@ def latex(field: Sequence[Entry], title: str, escaped: Callable[[str], str]) -> 
     return ["\n".join(lines)]
 
 
-def _row(entry: Entry) -> tuple[str, ...]:
-    label = f"{entry.row.key.model} {entry.marks}".strip()
-    return label, seeds_covered(entry), *(_cell(entry, column) for column in COLUMNS)
+def _rows(field: Iterable[Entry]) -> list[tuple[str, ...]]:
+    """Header and models, the worst first as in the tables above; nothing where no model gives poses."""
+    rows = [(f"{entry.row.key.model} {entry.marks}".strip(), *pose_cells(entry)) for entry in posed(field)[::-1]]
+    return [("model", *HEADER), *rows] if rows else []
 
 
 def _cell(entry: Entry, column: Column) -> str:

@@ -7,6 +7,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from benchmark.pose_tables import pose_cells, posed
 from benchmark.published import PAPER_MODELS, paper_cells
 from benchmark.report import board
 from benchmark.report.analysis import Analysis, analyse, open_split
@@ -96,6 +97,10 @@ def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
         "marks": board.marks(entries),
         "notes": [note for note in _notes(entries) if note],
         "metrics": metrics,
+        "poses": [
+            {"model": numbers[entry.row.key.model], "extra": entry.marks, "cells": pose_cells(entry)}
+            for entry in posed(entries)
+        ],
         "details": details,
         "failures": board.failures(entries),
         "missing": field.missing,

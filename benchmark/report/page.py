@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from benchmark.errors_by_type import MEANINGS
 from benchmark.files import write_whole
+from benchmark.pose_tables import HEADER, NOTES
 from benchmark.report import board
 from benchmark.report.field import OWN, Field, Find, Truths, comparisons, facts, make_field
 from benchmark.report.panel import LIMITS, Album, Limits, Painter
@@ -86,6 +87,8 @@ def _common(found: Sequence[Field], names: Sequence[str], numbers: Mapping[str, 
         "start": panels[0]["first"],
         "overviews": _overviews(found, numbers),
         "error_types": list(MEANINGS.items()),
+        "pose_header": HEADER,
+        "pose_notes": [note.replace("*", "") for note in NOTES],
         "comparisons": {str(place): comparisons(field, numbers) for place, field in enumerate(found)},
         "footer": _footer(found),
     }

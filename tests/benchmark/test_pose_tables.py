@@ -3,9 +3,11 @@ import io
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
-from benchmark import leaderboard
+from benchmark import leaderboard, report
 from benchmark.metrics.poses import POSE_METRICS
+from benchmark.outputs import poses_table
 from benchmark.results import SceneTable
 from benchmark.standings import standings
 from benchmark.tables import latex, markdown
@@ -62,3 +64,29 @@ def test_seeds_without_poses_leave_a_model_without():
     assert not entry.has_poses
     assert np.isnan(entry.summary("translation_error").mean)
     assert "Poses" not in markdown([entry])
+
+
+def test_the_page_shows_them(tmp_path: Path):
+    save_run(tmp_path, run_row("without"), plain())
+    report.write(tmp_path, {})
+    assert "<summary>Poses" not in (tmp_path / "report.html").read_text()
+    save_run(tmp_path, run_row("with"), posed())
+    report.write(tmp_path, {})
+    table = (tmp_path / "report.html").read_text().partition("<summary>Poses")[2].partition("</details>")[0]
+    assert table.count("<tr") == 2
+    assert '<td class="n">12.0±0.0</td>' in table
+    assert "translation, median (mm)" in table
+    assert "Found is the share" in table
+
+
+def test_the_screen_shows_them():
+    assert poses_table(standings([run_row("without")], [plain()])) is None
+    entries = standings([run_row("with"), run_row("without"), run_row("x", "static")], [posed(), plain(), posed(0.02)])
+    console = Console(width=160, file=io.StringIO())
+    console.print(poses_table(entries))
+    assert isinstance(console.file, io.StringIO)
+    lines = [line.split() for line in console.file.getvalue().splitlines() if "±" in line]
+    assert lines == [
+        ["moving", "with", "0.50±0.00", "6.0±0.0", "0.5±0.0", "0.50±0.00"],
+        ["static", "x", "0.50±0.00", "10.0±0.0", "0.5±0.0", "0.50±0.00"],
+    ]
