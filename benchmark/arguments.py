@@ -23,8 +23,8 @@ class Run:
     track: tuple[str, ...] = ()
     """Names of tracks and groups, such as paper; moving if left out. Their datasets are made on first use."""
     task: Task = "segmentation"
-    """`editing` scores removed, moved and copied objects of inferred scenes against the generator's, with --pretrained;
-    docs/creating.md says how."""
+    """`editing` scores removed, moved and copied objects of inferred scenes against the generator's, with --pretrained
+    or --checkpoint; docs/creating.md says how."""
     scenes: int | None = None
     """Test scenes whose edits are scored, from the first on; all if left out."""
     profile: Profile = "cpu"
@@ -37,7 +37,7 @@ class Run:
     predictions: tuple[Path, ...] = ()
     """Folders of label maps to score in the place of models, one a seed; see docs/adding_a_model.md."""
     name: str | None = None
-    """What the predictions are called in the tables; the first folder's name if left out."""
+    """What the predictions, or the one --checkpoint, are called in the tables; the first folder's name if left out."""
     background_slot: int | None = None
     """Background label of predictions that do not say; the most frequent label of each clip if left out."""
     seeds: int = 3
@@ -50,6 +50,9 @@ class Run:
     """Show models and tracks, and leave."""
     pretrained: Switch = False
     """Models that learn use weights that ship with the package, in the place of training."""
+    checkpoint: tuple[Path, ...] = ()
+    """Folders that obpose-train made, to be scored beside models; name the track that they were trained on with
+    --fit-track, if it is not the one that they are scored on."""
     budget: float | None = None
     """Seconds of one core that a model that learns may train for; if left out, those of the group paper, or what each
     declares."""

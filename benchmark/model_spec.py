@@ -78,6 +78,9 @@ class ModelSpec:
     """Which views it uses, if it says so."""
     trials: tuple[Options, ...] = ({},)
     """What `obpose-bench search` tries: changes of its settings by dotted name; the first are none."""
+    searched_from: Options = field(default_factory=dict)
+    """The settings that these are changes of, by dotted name, where a choice was frozen since: the same trials have the
+    same outcomes before and after."""
 
     @property
     def default(self) -> Options:

@@ -23,6 +23,17 @@ SLOTS = "-{}-slots"
 
 
 @dataclass(frozen=True)
+class Weights:
+    """A trained model from a folder."""
+
+    model: str
+    """That it is one of."""
+    folder: Path
+    name: str
+    """In tables, files and keys."""
+
+
+@dataclass(frozen=True)
 class Request:
     """What is to be compared."""
 
@@ -38,6 +49,8 @@ class Request:
     """Training steps in the place of seconds."""
     pretrained: bool = False
     """Whether models that learn use the weights that ship with the package; these have one seed."""
+    weights: tuple[Weights, ...] = ()
+    """Trained models, which stand beside these; they have one seed too."""
     slots: tuple[int, ...] = ()
     """Slots that models may use, the background's included: a model for each number that is not the track's own."""
     profile: Profile = "cpu"
@@ -163,7 +176,8 @@ class _Way:
     seeds: int
     seconds: float
     steps: int | None
-    checkpoint: Path | None
+    weights: Weights | None
+    """In the place of training."""
     slots: int | None
     """In the place of the track's."""
     profile: Profile
@@ -171,7 +185,7 @@ class _Way:
     @property
     def splits(self) -> tuple[str, ...]:
         """What it is fitted on."""
-        if self.checkpoint:
+        if self.weights:
             return ()
         return ("train", "val") if self.spec.kind == "learned" else ("val",)
 
@@ -182,13 +196,15 @@ class _Way:
 
     def name(self, source: Source) -> str:
         """In tables, files and keys."""
+        if self.weights:
+            return self.weights.name
         slots = self.own_slots(source)
-        return self.model + PRETRAINED * bool(self.checkpoint) + (SLOTS.format(slots - 1) if slots else "")
+        return self.model + (SLOTS.format(slots - 1) if slots else "")
 
     def settings(self, source: Source) -> dict[str, object]:
         """What was known before the run and changes its results."""
-        if self.checkpoint:
-            return {"checkpoint": content_hash(self.checkpoint)}
+        if self.weights:
+            return {"checkpoint": content_hash(self.weights.folder)}
         settings: dict[str, object] = {"grid": [dict(value) for value in self.spec.grid]}
         if self.spec.kind == "learned":
             settings["budget"] = [self.seconds, "seconds"] if self.steps is None else [self.steps, "steps"]
@@ -229,7 +245,7 @@ class _Way:
             seconds=self.seconds if self.steps is None else math.inf,
             steps=self.steps,
             folder=out / TRAINING / self._folder_name(seed) if self.spec.kind == "learned" else None,
-            checkpoint=self.checkpoint,
+            checkpoint=self.weights.folder if self.weights else None,
             profile=self.profile,
         )
 
@@ -243,24 +259,42 @@ def _ways(request: Request) -> Iterator[tuple[_Way, tuple[Source, ...]]]:
     """Every model in every way that is asked for, and what is scored after it."""
     for model, (fit, sources) in itertools.product(request.models, _fits(request)):
         numbers = request.slots if find_model(model).takes_slots else ()
+        shipped = _shipped(request, model, fit)
         for slots in numbers or (None,):
-            yield _way(request, model, fit, slots), sources
+            yield _way(request, model, fit, shipped, slots), sources
+    for weights, (fit, sources) in itertools.product(request.weights, _fits(request)):
+        yield _way(request, weights.model, fit, weights), sources
 
 
-def _way(request: Request, model: str, fit: Source, slots: int | None) -> _Way:
+def _way(request: Request, model: str, fit: Source, weights: Weights | None, slots: int | None = None) -> _Way:
     spec = find_model(model)
-    pretrained = request.pretrained and spec.kind == "learned"
     return _Way(
         model,
         spec,
         fit,
-        seeds=1 if pretrained else request.seeds,
+        seeds=1 if weights else request.seeds,
         seconds=request.seconds or spec.budget,
         steps=request.steps,
-        checkpoint=find_shipped(model, fit.name, fit.resolution) if pretrained else None,
+        weights=weights,
         slots=slots,
         profile=request.profile,
     )
+
+
+def trained(request: Request, fit: Source) -> list[Weights]:
+    """All weights of a request, of models that are or were trained on a track.
+
+    Raises:
+        UsageError: some that are asked for do not ship with the package.
+    """
+    shipped = [_shipped(request, model, fit) for model in request.models]
+    return [*filter(None, shipped), *request.weights]
+
+
+def _shipped(request: Request, model: str, fit: Source) -> Weights | None:
+    if not request.pretrained or find_model(model).kind != "learned":
+        return None
+    return Weights(model, find_shipped(model, fit.name, fit.resolution), model + PRETRAINED)
 
 
 def _by_track(jobs: Iterable[Job], sources: Sequence[Source]) -> list[Job]:

@@ -6,11 +6,13 @@ from pathlib import Path
 from benchmark import arguments
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.interface import LARGEST_LABEL
-from benchmark.plan import Request
+from benchmark.plan import Request, Weights
 from benchmark.registry import budget_of, discover, expand, find_model
 from benchmark.tracks import DEFAULT, DataFolder, Source, find_track, find_tracks
 from datagen.errors import UsageError
 from datagen.storage import Dataset
+from obpose.shipped import find_checkpoint
+from obpose.systems import system_of
 
 NAME = re.compile(r"(?=.{1,80}$)[^\W_]([\w.+-]| (?! |$))*")
 """What predictions may be called."""
@@ -35,10 +37,8 @@ def request_of(values: arguments.Run) -> Request:
         raise UsageError("--deterministic counts budgets in steps; say how many with --steps.")
     if values.pretrained and not learns:
         raise UsageError("--pretrained is for models that learn; name one, or leave it out.")
-    if values.pretrained and values.slots:
-        raise UsageError(
-            "--slots is for models that are made here: weights that ship have the slots of their training."
-        )
+    if (values.pretrained or values.checkpoint) and values.slots:
+        raise UsageError("--slots is for models that are made here: weights have the slots of their training.")
     return Request(
         models=models,
         sources=tuple(sources),
@@ -47,6 +47,7 @@ def request_of(values: arguments.Run) -> Request:
         seconds=values.budget if values.budget is not None else budget_of(values.model),
         steps=values.steps,
         pretrained=values.pretrained,
+        weights=_weights(values),
         slots=tuple(dict.fromkeys(number + 1 for number in values.slots)),
         profile=values.profile,
     )
@@ -54,11 +55,15 @@ def request_of(values: arguments.Run) -> Request:
 
 def _check(values: arguments.Run) -> None:
     places = bool(values.track) + (values.data is not None)
-    if bool(values.model) == bool(values.predictions) or places > 1 or (values.predictions and not places):
+    models = bool(values.model or values.checkpoint)
+    if models == bool(values.predictions) or places > 1 or (values.predictions and not places):
         raise UsageError(
-            "Name what to score and where: --model NAME [NAME ...] or --predictions DIR, and --track NAME [NAME ...] "
-            f"or --data DIR (models are scored on the track {DEFAULT!r} if left out); --list shows models and tracks."
+            "Name what to score and where: --model NAME [NAME ...], --checkpoint DIR or --predictions DIR, and --track "
+            f"NAME [NAME ...] or --data DIR (models are scored on the track {DEFAULT!r} if left out); --list shows "
+            "models and tracks."
         )
+    if values.name is not None and not values.predictions and len(values.checkpoint) != 1:
+        raise UsageError("--name is for --predictions or one --checkpoint; models go by their own names.")
     if values.scenes is not None and values.task != "editing":
         raise UsageError("--scenes is for --task editing; segmentations are scored on all test scenes.")
     for flag, number in (
@@ -97,13 +102,35 @@ def _predictions_request(values: arguments.Run, sources: list[Source]) -> Reques
     resolved = [folder.resolve() for folder in values.predictions]
     if twice := [folder for folder in values.predictions if resolved.count(folder.resolve()) > 1]:
         raise UsageError(f"{twice[0]} is given twice in --predictions; expected one folder a seed, each another.")
-    name = values.name or resolved[0].name
+    folders = tuple(PredictionFolder(folder, values.background_slot) for folder in values.predictions)
+    return Request(models=(_name(values, resolved[0]),), sources=tuple(sources), predictions=folders)
+
+
+def _weights(values: arguments.Run) -> tuple[Weights, ...]:
+    """Those of --checkpoint."""
+    if not values.checkpoint:
+        return ()
+    # PyTorch takes seconds to import.
+    from obpose.checkpoint import read_config
+
+    folders = [find_checkpoint(folder).resolve() for folder in values.checkpoint]
+    found = tuple(Weights(system_of(read_config(folder)), folder, _name(values, folder)) for folder in folders)
+    names = [weights.name for weights in found]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(
+            f"Two of --checkpoint are called {twice[0]!r}; score them one by one, each with a --name of its own."
+        )
+    return found
+
+
+def _name(values: arguments.Run, folder: Path) -> str:
+    """What label maps, or weights, of a folder are called."""
+    name = values.name or folder.name
     if not NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} cannot be a model's name, which is part of file names; expected up to 80 letters, digits, dots, "
             "dashes, underscores and single spaces, the first a letter or digit. Give one with --name."
         )
     if name in discover()[0]:
-        raise UsageError(f"{name!r} is the name of a model; give the predictions another with --name.")
-    folders = tuple(PredictionFolder(folder, values.background_slot) for folder in values.predictions)
-    return Request(models=(name,), sources=tuple(sources), predictions=folders)
+        raise UsageError(f"{name!r} is the name of a model; give what is in {folder} another with --name.")
+    return name

@@ -180,6 +180,28 @@ def architecture_of(config: object) -> Architecture:
     raise TypeError(f"No architecture is configured by {type(config).__name__}; see obpose/systems.py.")
 
 
+def system_of(config: object) -> str:
+    """The name of the system that a configuration is of: the one whose values it shares most, in any profile.
+
+    A run changes some values of its system, such as slots and the measures of its scenes.
+
+    Raises:
+        TypeError: as `architecture_of`.
+    """
+    architecture = architecture_of(config)
+    own = dict(dotted_values(config))
+    distances = {
+        name: min(_differing(own, system.config(profile)) for profile in architecture.profiles)
+        for name, system in SYSTEMS.items()
+        if system.architecture is architecture
+    }
+    return min(distances, key=distances.__getitem__)
+
+
+def _differing(own: Mapping[str, Any], config: Any) -> int:
+    return sum(own[name] != value for name, value in dotted_values(config))
+
+
 def build_model(config: Any) -> "Trainable":
     """The model of a configuration, with fresh weights."""
     return architecture_of(config).build(config)

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from benchmark.adapters.settings import settings_of
-from benchmark.adapters.trials import TRIALS
+from benchmark.adapters.trials import SEARCHED_FROM, TRIALS
 from benchmark.interface import Segmenter
 from benchmark.model_spec import ModelSpec, Options, Views
 from obpose.systems import SYSTEMS, System
@@ -35,6 +35,7 @@ def _spec(name: str, system: System) -> ModelSpec:
         profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
         views=_views(config),
         trials=TRIALS.get(name, ({},)),
+        searched_from=SEARCHED_FROM.get(name, {}),
         on_tracks=system.on_tracks,
     )
 

@@ -28,3 +28,6 @@ TRIALS: dict[str, tuple[Options, ...]] = {
     "obsurf-no-overlap-depth": _OBSURF,
 }
 """As many for each, so that none is searched more than another; the first are the defaults."""
+
+SEARCHED_FROM: dict[str, Options] = {}
+"""The defaults that trials are changes of, where the choice of the search was frozen in `obpose.variants` since."""

@@ -1,8 +1,9 @@
-"""`obpose-bench --task editing`: scores the edits of models that ship, and writes the tables."""
+"""`obpose-bench --task editing`: scores the edits of trained models, and writes the tables."""
 
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from benchmark import arguments
 from benchmark.console import prepare, progress_bar, status
@@ -14,7 +15,8 @@ from benchmark.editing.truth import kinds_in
 from benchmark.files import remove_abandoned
 from benchmark.isolation import LOGS, limits, run_isolated
 from benchmark.outputs import wide_console
-from benchmark.plan import PRETRAINED, Request
+from benchmark.plan import Request, trained
+from benchmark.registry import find_model
 from benchmark.results import digest
 from benchmark.runner import SPLIT
 from benchmark.schedule import side_by_side
@@ -22,13 +24,18 @@ from benchmark.tracks import Source, Track
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
 from datagen.schema import EDITS
 from datagen.storage import Dataset
-from obpose.shipped import content_hash, find_shipped
+from obpose.shipped import content_hash
 
 
 def score_edits(values: arguments.Run, request: Request) -> int:
     """Score what is missing, then write the tables."""
-    if not request.pretrained:
-        raise UsageError("--task editing scores weights that ship with the package; add --pretrained.")
+    if request.models and not request.pretrained:
+        raise UsageError(
+            "--task editing trains nothing; add --pretrained for weights that ship with the package, or give a folder "
+            "of your own with --checkpoint in the place of --model."
+        )
+    if idle := [model for model in request.models if find_model(model).kind != "learned"]:
+        raise UsageError(f"{idle[0]!r} infers no scenes that could be edited; leave it out.")
     if values.scenes is not None and values.scenes < 1:
         raise UsageError(f"--scenes {values.scenes}: expected 1 or more.")
     sources = [_with_edits(source) for source in request.sources]
@@ -54,7 +61,8 @@ def _with_edits(source: Source) -> Source:
 def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJob]:
     fit = request.fit_source or source
     scenes = min(values.scenes or source.size(SPLIT), source.size(SPLIT))
-    checkpoints = {model + PRETRAINED: find_shipped(model, fit.name, fit.resolution) for model in request.models}
+    answers: dict[str, Path | None] = {REFERENCES: None}
+    answers |= {weights.name: weights.folder for weights in trained(request, fit)}
     return [
         EditJob(
             track=source.name,
@@ -65,7 +73,7 @@ def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJ
             digest=digest({"facts": [VERSION, source.spec_hash, checkpoint and content_hash(checkpoint)]}),
             out=values.out,
         )
-        for model, checkpoint in {REFERENCES: None, **checkpoints}.items()
+        for model, checkpoint in answers.items()
     ]
 
 

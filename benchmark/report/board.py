@@ -41,7 +41,7 @@ NAMES = {
 MARKS = {
     USES_LABELS: "sees the truth, and is not ranked",
     TUNED: "tuned by scores on the validation split, which uses its labels",
-    PRETRAINED: "not trained here: one set of weights that ships with the package",
+    PRETRAINED: "not trained here: one set of weights, which ships with the package or was given",
 }
 
 

@@ -1,10 +1,12 @@
 """Which trials a search asks for."""
 
+import copy
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from functools import reduce
 from pathlib import Path
 
-from benchmark.model_spec import ModelSpec
+from benchmark.model_spec import ModelSpec, Options
 from benchmark.registry import find_model
 from benchmark.results import digest
 from benchmark.search.trial import Outcome, Trial
@@ -62,16 +64,25 @@ def _trials(
     for number, tried in enumerate(spec.trials):
         changes = {**spec.on_tracks.get(source.name, {}), **tried}
         facts = _facts(spec, source, budget, profile) | {"changes": dict(changes)}
-        key = digest(facts)
-        yield Trial(model, number, changes, source.name, source.folder, source.slots, *budget, profile, key, out)
+        place = (source.name, source.folder, source.slots)
+        yield Trial(model, number, changes, spec.searched_from, *place, *budget, profile, digest(facts), out)
 
 
 def _facts(spec: ModelSpec, source: Source, budget: tuple[float, int | None], profile: Profile) -> dict[str, object]:
     return {
         "version": spec.version,
-        "settings": spec.settings_in(profile),
+        "settings": _with_values(spec.settings_in(profile), spec.searched_from),
         "budget": budget,
         "slots": source.slots,
         "profile": profile,
         "data": source.spec_hash,
     }
+
+
+def _with_values(settings: Options, values: Options) -> Options:
+    """Settings, nested as they are, with some values by dotted name in the place of their own."""
+    changed = copy.deepcopy(dict(settings))
+    for name, value in values.items():
+        *parents, last = name.split(".")
+        reduce(dict.__getitem__, parents, changed)[last] = value
+    return changed

@@ -37,6 +37,8 @@ class Trial:
     number: int
     """Of its declared trials; 0 changes nothing."""
     changes: Options
+    base: Options
+    """What is changed, where the model's settings are others by now."""
     track: str
     data: Path
     slots: int
@@ -66,7 +68,7 @@ class Trial:
         steps = {} if self.steps is None else {"steps": self.steps}
         profile = {} if self.profile == "cpu" else {"profile": self.profile}
         folder = self.out / TRAINING / self.name
-        return {"slots": self.slots, "folder": folder, "changes": dict(self.changes), **steps, **profile}
+        return {"slots": self.slots, "folder": folder, "changes": {**self.base, **self.changes}, **steps, **profile}
 
     def run(self, announce: Callable[[str], None]) -> None:
         """Train, or go on, and write the outcome.

@@ -146,5 +146,8 @@ def test_weights_that_ship_need_no_training(
     assert (lines["obpose-pretrained"]["n_seeds"], lines["obpose-pretrained"]["marks"]) == ("1", "‡§")
     assert lines["plane-dbscan"]["n_seeds"] == "3"
     assert "§ weights that ship" in (out / "leaderboard.md").read_text()
+    given = ("--checkpoint", trained, "--name", "mine")
+    assert run_cli(*given, "--data", tiny_dataset, "--out", tmp_path / "given") == EXIT_OK
     for model, labels in labels_in(whole).items():
         np.testing.assert_array_equal(labels_in(out)[model.replace("obpose", "obpose-pretrained")], labels)
+        np.testing.assert_array_equal(labels_in(tmp_path / "given")[model.replace("obpose", "mine")], labels)

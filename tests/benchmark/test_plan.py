@@ -7,7 +7,7 @@ import pytest
 import assets
 from benchmark import registry
 from benchmark.model_spec import ModelSpec
-from benchmark.plan import Plan, Request, check_places, make_plan, superseded
+from benchmark.plan import Plan, Request, Weights, check_places, make_plan, superseded
 from benchmark.results import RunKey, RunRow, load_runs
 from benchmark.runner import blank_row
 from benchmark.tracks import Track, find_track
@@ -192,6 +192,17 @@ def test_shipped_weights_take_one_seed_and_the_test_split(register, shipped: Pat
     ]
     assert [(job.model, job.checkpoint) for job in made.jobs] == [("net", shipped)]
     assert {source.name: splits for source, splits in made.splits.items() if splits} == {"moving": ("test",)}
+
+
+def test_weights_of_a_folder_stand_beside_the_models(register, tmp_path: Path):
+    register(extra=("att",))
+    (tmp_path / "model.safetensors").write_bytes(b"1")
+    made = plan("plane-dbscan", fit_source=MIXED, weights=(Weights("net", tmp_path, "mine"),))
+    assert {(key.model, key.fit_track) for key in made.keys} == {
+        (name, "mixed") for name in ("plane-dbscan", "mine", "mine-att")
+    }
+    (job,) = (job for job in made.jobs if job.model == "net")
+    assert (job.checkpoint, job.trains, job.seed) == (tmp_path, False, 0)
 
 
 def test_rows_of_other_weights_never_mix(register, shipped: Path):

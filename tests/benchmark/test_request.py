@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from assets import CHECKPOINTS
 from benchmark.arguments import Run
 from benchmark.registry import GROUPS, Group
 from benchmark.request import request_of
@@ -49,9 +50,26 @@ def test_slots_are_those_of_objects_and_one_for_the_background():
     assert request_of(Run(model=("obpose",), slots=(3, 6, 3))).slots == (4, 7)
 
 
+def test_weights_of_a_folder_say_what_they_are_of(tmp_path: Path):
+    shipped = Path("obpose--moving--64x64")
+    (found,) = request_of(Run(checkpoint=(shipped,))).weights
+    assert (found.model, found.name, found.folder) == ("obpose", shipped.name, CHECKPOINTS / shipped)
+    both = request_of(Run(model=("plane-dbscan",), checkpoint=(shipped,), name="mine"))
+    assert (both.models, [weights.name for weights in both.weights]) == (("plane-dbscan",), ["mine"])
+    with pytest.raises(UsageError, match=r"holds no model: there is no config\.json"):
+        request_of(Run(checkpoint=(tmp_path,)))
+    with pytest.raises(UsageError, match=r"Two of --checkpoint are called 'obpose--moving--64x64'"):
+        request_of(Run(checkpoint=(shipped, CHECKPOINTS / shipped)))
+    with pytest.raises(UsageError, match=r"'obpose' is the name of a model; give what is in .* another with --name"):
+        request_of(Run(checkpoint=(shipped,), name="obpose"))
+
+
 @pytest.mark.parametrize(
     ("facts", "reason"),
     [
+        ({"name": "mine"}, "--name is for --predictions or one --checkpoint"),
+        ({"checkpoint": (Path("nowhere"),)}, "--checkpoint nowhere: no such folder"),
+        ({"checkpoint": (Path("obpose--moving--64x64"),), "slots": (4,)}, "--slots is for models that are made here"),
         ({"slots": (0,)}, "--slots is 0; expected 1 to 255"),
         ({"slots": (4, 256)}, "--slots is 256"),
         ({"slots": (4,), "pretrained": True}, "--slots is for models that are made here"),

@@ -11,7 +11,7 @@ from obpose.errors import UsageError
 from obpose.measure import SceneMeasures
 from obpose.model import ObPose
 from obpose.supervised import Supervised
-from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model, find_system
+from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model, find_system, system_of
 from obpose.types import LabelledObservation
 from obpose.variants import VARIANTS, make_config
 
@@ -42,6 +42,13 @@ def test_the_measures_of_a_scene_reach_whoever_has_a_value_for_them():
     assert obpose.known(MEASURES) == MEASURES
     config = obsurf.config("cpu", obsurf.known(MEASURES))
     assert (config.model.workspace_center, config.model.workspace_size) == ((0.1, 0.2, 0.3), 0.7)
+
+
+@pytest.mark.parametrize(("name", "profile"), [(n, p) for n, s in SYSTEMS.items() for p in s.architecture.profiles])
+def test_a_run_of_a_system_is_known_as_one(name: str, profile: str):
+    system = SYSTEMS[name]
+    run = {"model.slots": 9, "train.seed": 3, "train.steps": 7, "train.learning_rate": 0.5}
+    assert system_of(system.config(profile, {**run, **system.known(MEASURES)})) == name
 
 
 def test_a_configuration_says_which_model_it_is_of():

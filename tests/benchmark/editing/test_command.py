@@ -29,6 +29,7 @@ def fitting(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("arguments", "message"),
     [
         (("--task", "editing", "--model", "obpose"), "add --pretrained"),
+        ((*MODEL[:4], "plane-dbscan", *MODEL[4:]), "'plane-dbscan' infers no scenes"),
         ((*MODEL, "--scenes", 0), "--scenes 0: expected 1 or more"),
         (("--model", "obpose", "--pretrained", "--scenes", 3), "--scenes is for --task editing"),
         (("--task", "editing", "--model", "supervised", "--pretrained"), "No weights of 'supervised'"),
@@ -61,6 +62,10 @@ def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path
     assert "obpose-pretrained: 1 scenes" not in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (out / "leaderboard.csv").exists()
+    given = ("--task", "editing", "--checkpoint", "obpose--moving--64x64", "--name", "mine")
+    assert run_cli(*given, "--data", fitting, "--out", tmp_path / "given") == EXIT_OK
+    lines = (tmp_path / "given" / "editing.csv").read_text().replace(",mine,", ",obpose-pretrained,")
+    assert lines == (out / "editing.csv").read_text()
 
 
 def test_lines_of_another_dataset_are_not_mixed_in(fitting: Path, tmp_path: Path, capsys):

@@ -60,6 +60,16 @@ def test_a_declaration_that_changed_makes_another_trial(register):
     assert [name in before for name in (trial.name for trial in made())] == [True, False, True]
 
 
+def test_freezing_a_choice_leaves_its_trials_what_they_were(register):
+    register(settings={"net": {"rate": 5.0, "width": 2}})
+    before = [(trial.name, trial.changes) for trial in made()]
+    register(settings={"net": {"rate": 1.0, "width": 2}}, searched_from={"net.rate": 5.0})
+    assert [(trial.name, trial.changes) for trial in made()] == before
+    assert [trial.options["changes"] for trial in made()] == [{"net.rate": 5.0, **changes} for changes in TRIALS]
+    register(settings={"net": {"rate": 1.0, "width": 2}})
+    assert not {trial.name for trial in made()} & {name for name, _ in before}
+
+
 def test_what_is_there_is_not_made_again():
     trials = made()
     for there in (Outcome.of(trials[1], validation_loss=1.0), Outcome.of(trials[1], reason="it diverged")):
