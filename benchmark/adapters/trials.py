@@ -29,5 +29,7 @@ TRIALS: dict[str, tuple[Options, ...]] = {
 }
 """As many for each, so that none is searched more than another; the first are the defaults."""
 
-SEARCHED_FROM: dict[str, Options] = {}
-"""The defaults that trials are changes of, where the choice of the search was frozen in `obpose.variants` since."""
+SEARCHED_FROM: dict[str, Options] = {
+    name: {"train.learning_rate": 1e-3} for name in ("ic-sbp", "obsurf", "obsurf-no-overlap")
+}
+"""The defaults that trials are changes of, where the choice of the search was frozen in the variants since."""
