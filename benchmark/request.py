@@ -5,8 +5,9 @@ from pathlib import Path
 
 from benchmark import arguments
 from benchmark.adapters.predictions import PredictionFolder
+from benchmark.editing.job import REFERENCES
 from benchmark.interface import LARGEST_LABEL
-from benchmark.plan import Request, Weights
+from benchmark.plan import PRETRAINED, Request, Weights
 from benchmark.registry import budget_of, discover, expand, find_model
 from benchmark.tracks import DEFAULT, DataFolder, Source, find_track, find_tracks
 from datagen.errors import UsageError
@@ -130,6 +131,11 @@ def _name(values: arguments.Run, folder: Path) -> str:
         raise UsageError(
             f"{name!r} cannot be a model's name, which is part of file names; expected up to 80 letters, digits, dots, "
             "dashes, underscores and single spaces, the first a letter or digit. Give one with --name."
+        )
+    if name == REFERENCES or name.endswith((PRETRAINED, "-att")):
+        raise UsageError(
+            f"{name!r} is what rows of other things are called; expected another name than {REFERENCES!r}, and none "
+            f"that ends in {PRETRAINED} or -att. Give one with --name."
         )
     if name in discover()[0]:
         raise UsageError(f"{name!r} is the name of a model; give what is in {folder} another with --name.")

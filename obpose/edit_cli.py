@@ -18,6 +18,7 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
+import assets
 from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
@@ -89,6 +90,8 @@ def _sample(values: Sample) -> None:
 
 def _fit(values: Fit) -> None:
     origin = load_origin(values.checkpoint)
+    if origin.folder.resolve().parent == assets.CHECKPOINTS.resolve():
+        raise UsageError(f"{origin.folder} ships with the package, its prior too; copy the folder, and fit the copy.")
     count = min(values.clips, len(SceneDataset(values.data, "train")))
     if count < 2:
         raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")

@@ -1,5 +1,6 @@
 """`obpose-bench --task editing`: scores the edits of trained models, and writes the tables."""
 
+import glob
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
@@ -80,7 +81,7 @@ def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJ
 def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
     """Let go of lines in the places of wanted ones that are of other weights or another dataset."""
     for job in jobs:
-        place = f"{job.track}--{job.model}--????????.csv"
+        place = glob.escape(f"{job.track}--{job.model}--") + "????????.csv"
         for other in (path for path in (job.out / FOLDER).glob(place) if path != job.path):
             if not overwrite:
                 raise UsageError(

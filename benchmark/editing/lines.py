@@ -5,7 +5,7 @@ A file grows while its job runs, scene by scene, so that a job that was stopped 
 
 import csv
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from benchmark.editing.answers import Answer
@@ -44,9 +44,10 @@ def path_of(folder: Path, name: str) -> Path:
     return folder / FOLDER / f"{name}.csv"
 
 
-def save_lines(path: Path, lines: Iterable[Line]) -> None:
+def save_lines(path: Path, lines: Sequence[Line]) -> None:
     """Write all lines of a job."""
-    write_whole(path, to_csv(list(lines)).encode())
+    text = to_csv(list(lines)) if lines else ",".join(COLUMNS) + "\n"
+    write_whole(path, text.encode())
 
 
 def load_lines(path: Path) -> list[Line]:

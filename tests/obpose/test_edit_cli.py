@@ -110,6 +110,10 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["sample", "--checkpoint", "none", "--camera", "SCENE", "--out", "new"], "--checkpoint none: no such folder"),
         (["mesh", "SCENE", "--object", "1", "--out", "a.obj"], "expected a name that ends with .ply or .glb"),
         (["mesh", "SCENE", "--object", "1", "--cells", "1", "--out", "a.ply"], "--cells 1: expected 2 to 256"),
+        (
+            ["fit", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
+            "ships with the package, its prior too",
+        ),
         (["paint", "SCENE"], "Unknown subcommand 'paint'"),
     ],
 )

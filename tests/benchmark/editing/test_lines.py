@@ -38,3 +38,8 @@ def test_a_damaged_file_is_one_clear_message(tmp_path: Path, text: str):
     path.write_text(text)
     with pytest.raises(CorruptFile, match="delete it and run the same command again"):
         load_lines(path)
+
+
+def test_scenes_without_an_edit_leave_a_file_that_can_be_read(tmp_path: Path):
+    save_lines(tmp_path / "a.csv", [])
+    assert load_lines(tmp_path / "a.csv") == []
