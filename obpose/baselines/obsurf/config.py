@@ -1,8 +1,8 @@
 """Every constant of ObSuRF, of its losses and its training, with where it comes from.
 
 `[code]`: the ObSuRF authors' published code, its configuration for CLEVR-3D; `[ours]`: our choice. Lengths are in the
-published scenes' units: every workspace is scaled to theirs, so that densities, frequencies and jitter keep their
-meaning. The defaults are sizes that learn in minutes on a CPU core, the profile `paper` the published ones.
+published scenes' units: every workspace is scaled to theirs. Where cameras see much floor around the objects, these are
+smaller than published, and so is what a density, a frequency or the jitter means to them. The defaults are sizes that learn in minutes on a CPU core, the profile `paper` the published ones.
 """
 
 from dataclasses import dataclass, field
