@@ -2,7 +2,8 @@
 
 `[code]`: the ObSuRF authors' published code, its configuration for CLEVR-3D; `[ours]`: our choice. Lengths are in the
 published scenes' units: every workspace is scaled to theirs. Where cameras see much floor around the objects, these are
-smaller than published, and so is what a density, a frequency or the jitter means to them. The defaults are sizes that learn in minutes on a CPU core, the profile `paper` the published ones.
+smaller than published, and so is what a density, a frequency or the jitter means to them. The defaults are sizes that
+learn in minutes on a CPU core, the profile `paper` the published ones.
 """
 
 from dataclasses import dataclass, field
