@@ -2,14 +2,17 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.backend import resource_tracker as loky_tracker
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from datagen import interrupts
@@ -38,8 +41,7 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
             return_as="generator",
             max_nbytes=None,
         )
-    resource_tracker.ensure_running()  # when it starts, it lets Ctrl-C through again
-    with interrupts.held():
+    with _silent_trackers(), interrupts.held():
         made = pool(delayed(make)(*scene) for scene in scenes[1:])
     try:
         for scene in made:  # `yield from` would close it before the warnings are off
@@ -52,6 +54,22 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
         ) from None
     finally:
         _stop(made)
+
+
+@contextmanager
+def _silent_trackers() -> Iterator[None]:
+    """Start the processes that clean up after this one such that they do so without a word.
+
+    Ctrl-C can come between the making of a semaphore or a folder and the note of its removal; they would warn that it
+    has leaked after the user was told that all is well.
+    """
+    sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # handed to every process that is started
+    try:
+        loky_tracker.ensure_running()
+        resource_tracker.ensure_running()  # when it starts, it lets Ctrl-C through again
+        yield
+    finally:
+        sys.warnoptions.pop()
 
 
 def _stop(made: Generator[Any]) -> None:

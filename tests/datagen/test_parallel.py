@@ -122,3 +122,22 @@ def test_workers_whose_parent_was_killed_while_it_started_them_do_not_outlive_it
     time.sleep(milliseconds / 1000)
     parent.kill()
     errors_at_end(parent)
+
+
+LEAKING = """
+from joblib.externals.loky.backend import resource_tracker as loky
+from multiprocessing import resource_tracker
+from datagen.parallel import make_all
+
+if __name__ == "__main__":
+    list(make_all(divmod, [(index, 1) for index in range(4)], 2))
+    loky.register("/nowhere/folder", "folder")
+    resource_tracker.register("/nowhere", "semaphore")
+"""
+
+
+def test_what_an_interrupt_leaves_behind_is_cleaned_up_without_a_word(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(LEAKING)
+    ran = subprocess.run([sys.executable, program], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stderr=-1)
+    assert (ran.returncode, ran.stderr) == (0, b"")
