@@ -18,7 +18,7 @@ PRIORS = ("slots", "background slot", "camera pose", "plane", "object size")
 """Number of slots; which slot is the background; poses of the cameras; that the background is a plane; how large
 objects are at most."""
 
-MOST_TRIALS = 4
+MOST_TRIALS = 6
 """That a model may declare, so that none is searched more than another."""
 
 DEFAULT_BUDGET = 600.0

@@ -142,7 +142,7 @@ def _priors(config: Config) -> tuple[str, ...]:
 SYSTEMS: dict[str, System] = {
     **{variant: _obpose_system(variant) for variant in VARIANTS},
     **{
-        variant: System(OBSURF, changes, DESCRIPTIONS[variant], ("slots", "camera pose"))
+        variant: System(OBSURF, changes, DESCRIPTIONS[variant], ("slots", "camera pose"), version=2)
         for variant, changes in OBSURF_VARIANTS.items()
     },
     "supervised": System(

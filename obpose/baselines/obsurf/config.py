@@ -1,9 +1,8 @@
 """Every constant of ObSuRF, of its losses and its training, with where it comes from.
 
-`[code]`: the ObSuRF authors' published code, its configuration for CLEVR-3D; `[ours]`: our choice. Lengths are in the
-published scenes' units: every workspace is scaled to theirs. Where cameras see much floor around the objects, these are
-smaller than published, and so is what a density, a frequency or the jitter means to them. The defaults are sizes that
-learn in minutes on a CPU core, the profile `paper` the published ones.
+`[code]`: the ObSuRF authors' published code, its configuration for CLEVR-3D; `[ours]`: our choice. Lengths are in units
+of CLEVR, of which our objects are as many long as CLEVR's. The defaults are sizes that learn in minutes on a CPU core,
+the profile `paper` the published ones.
 """
 
 from dataclasses import dataclass, field
@@ -11,18 +10,17 @@ from typing import Any
 
 from obpose.config import TrainConfig
 
-WORKSPACE = 8.0
-"""Edge of the workspace in units: CLEVR-3D's scenes reach from -4 to 4. [code]"""
-
 
 @dataclass(frozen=True)
 class ImageEncoderConfig:
-    """Residual convolutions from an image with its rays to a grid of features, which has a quarter of its height."""
+    """Residual convolutions from an image with its rays to a grid of features."""
 
     width: int = 48
     """Channels of every layer, of the features and of the slots. [code: 128]"""
     blocks: tuple[int, int] = (1, 1)
-    """Residual blocks at a half and at a quarter of the resolution. [code: 2 and 6]"""
+    """Residual blocks at a half of the image's resolution and at that of the grid. [code: 2 and 6]"""
+    cell: int = 2
+    """Height of a cell of the grid in pixels, 2 or 4. [code: 4, of images with 240 rows]"""
     points: bool = False
     """Whether pixels' surface points stand beside the rays: depth as an input. [ours; ObPose's paper says that its
     ObSuRF had depth, its code and ObSuRF's do not show how]"""
@@ -62,13 +60,13 @@ class ObsurfModelConfig:
     first_octave: int = -5
     """Points and camera positions are encoded by sin and cos of 2^k pi p from this k, p in units, [code]"""
     last_octave: int = 3
-    """to this one. [code: 10, a 1000th of a unit; ours: half a pixel]"""
+    """to this one. [code: 10, a period of 1/512 of a unit; ours: a quarter of a unit]"""
     sigma_max: float = 10.0
     """Largest density of a slot, per unit. [code]"""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training (`obpose.measure.measure_scene`)."""
-    workspace_size: float = 1.0
-    """Edge of the cube around it that holds the observed points, metres; measured before training."""
+    units_per_metre: float = 10.0
+    """Edges of CLEVR's objects are 0.7 to 1.4 units, ours 5 to 28 cm. [ours; in `clevr3d` a unit of CLEVR is 0.1 m]"""
 
 
 @dataclass(frozen=True)
@@ -98,8 +96,8 @@ class ObsurfLossConfig:
 class ObsurfConfig:
     """Everything that a run depends on, beside its data.
 
-    Of `train`, `object_rays` and `warmup` must be 0, and views are not together. Steps with large gradients are clipped
-    but not skipped as in the published code: here they all are large, and a run that skips them stands still.
+    Of `train`, `warmup` must be 0, and views are not together. Steps with large gradients are clipped but not skipped,
+    as they are in the published code: here they all are large, and a run that skips them stands still.
     """
 
     model: ObsurfModelConfig = field(default_factory=ObsurfModelConfig)
@@ -112,7 +110,7 @@ class ObsurfConfig:
             object_rays=0.0,
             learning_rate=1e-3,
             decay="halving",
-            half_life=0.2,
+            half_life=1.0,  # [code: 100,000 steps, all that ObPose's authors make with it]
             clip=1.0,
             warmup=0,
         )
@@ -120,11 +118,11 @@ class ObsurfConfig:
 
 
 OBSURF_VARIANTS: dict[str, dict[str, Any]] = {
-    "obsurf": {"train.learning_rate": 3e-3},
-    "obsurf-no-overlap": {"loss.overlap": 0.0, "train.learning_rate": 3e-3},
+    "obsurf": {},
+    "obsurf-no-overlap": {"loss.overlap": 0.0},
     "obsurf-no-overlap-depth": {"loss.overlap": 0.0, "model.encoder.points": True},
 }
-"""What each variant changes, by dotted name. Learning rates were chosen by the declared search (docs/results.md)."""
+"""What each variant changes, by dotted name."""
 
 OBSURF_PROFILES: dict[str, dict[str, Any]] = {
     "cpu": {},
@@ -139,13 +137,13 @@ OBSURF_PROFILES: dict[str, dict[str, Any]] = {
     "paper": {
         "model.encoder.width": 128,
         "model.encoder.blocks": (2, 6),
+        "model.encoder.cell": 4,
         "model.decoder.width": 128,
         "model.last_octave": 10,
         "train.batch": 64,
         "train.frames": 1,
         "train.rays": 4096,
         "train.learning_rate": 4e-4,
-        "train.half_life": 0.1,
     },
 }
 """Sizes: minutes on a CPU core, 20 minutes on a large GPU, the authors' for CLEVR-3D."""

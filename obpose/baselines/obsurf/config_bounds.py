@@ -8,10 +8,9 @@ _RULES: tuple[Rule, ...] = (
         """model.slots model.encoder.width model.attention.iterations model.attention.heads model.decoder.width
         model.decoder.depth"""
     ),
-    positive("model.sigma_max model.workspace_size loss.colour_std"),
+    positive("model.sigma_max model.units_per_metre loss.colour_std"),
     not_negative("loss.colour loss.surface loss.air loss.overlap loss.overlap_start loss.jitter"),
     between_0_and_1("loss.near_share"),
-    ("train.object_rays", lambda value: value == 0, "0, as ObSuRF has no pre-scope that says where objects are"),
     ("train.warmup", lambda value: value == 0, "0, as ObSuRF has no background to warm up"),
     ("train.views", lambda value: value != "together", "one or apart, as ObSuRF encodes single images"),
 )
@@ -32,5 +31,6 @@ def check_obsurf_bounds(config: ObsurfConfig) -> None:
     expect(blocks[0] >= 0 and blocks[1] >= 1, "model.encoder.blocks", blocks, "0 or more, and 1 or more")
     more = f"more than loss.overlap_start, which is {loss.overlap_start}"
     expect(loss.overlap_full > loss.overlap_start, "loss.overlap_full", loss.overlap_full, more)
+    expect(model.encoder.cell in (2, 4), "model.encoder.cell", model.encoder.cell, "2 or 4")
     octaves = f"at least model.first_octave, which is {model.first_octave}"
     expect(model.last_octave >= model.first_octave, "model.last_octave", model.last_octave, octaves)

@@ -26,11 +26,9 @@ class ImageEncoder(nn.Module):
         self.stem = nn.Conv2d(10 if config.points else 6, width, 7, stride=2, padding=3, bias=False)
         self.camera = nn.Linear(camera_code, width)
         self.norm = nn.GroupNorm(_GROUPS, width)
-        halves, quarters = config.blocks
-        self.blocks = nn.Sequential(
-            *(ResidualBlock(width, stride=1) for _ in range(halves)),
-            *(ResidualBlock(width, stride=2 if place == 0 else 1) for place in range(quarters)),
-        )
+        halves, cells = config.blocks
+        strides = [1] * halves + [config.cell // 2] + [1] * (cells - 1)
+        self.blocks = nn.Sequential(*(ResidualBlock(width, stride=stride) for stride in strides))
         self.head = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
 
     def forward(
@@ -40,7 +38,7 @@ class ImageEncoder(nn.Module):
         points: Float[Tensor, "image height width 4"],
         camera: Float[Tensor, "image code"],
     ) -> Float[Tensor, "image rows columns feature"]:
-        """Features of cells of four by four pixels.
+        """Features of the cells of the grid.
 
         `rays` are unit vectors in the world, `points` what was seen there, in units, with a 1 where anything was and
         zeros elsewhere; they are looked at only if the configuration says so.

@@ -13,17 +13,21 @@ from einops import rearrange, repeat
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from obpose.attention.summary import not_largest
 from obpose.baselines.obsurf import losses
-from obpose.baselines.obsurf.config import WORKSPACE, ObsurfConfig
+from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.decoder import SlotField
 from obpose.baselines.obsurf.encoder import ImageEncoder
 from obpose.baselines.obsurf.projection import code_size, fourier_code, nearest_cells, project
 from obpose.baselines.obsurf.slots import SlotAttention, Slots
 from obpose.clips import one_view, views_apart
-from obpose.geometry import all_rays, sample_rays, unproject, view_directions
+from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject, view_directions
 from obpose.nerf.points import air_points, surface_points
 from obpose.trainable import Trainable
 from obpose.types import Observation, Rays, Segmentation
+
+_STRIDE, _OFFSET = 4, 2
+"""Of the pixels at which it is looked for objects, before rays are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,7 @@ class Obsurf(Trainable):
             (batch * frames, *self.attention.evaluation_noise.shape), generator=generator, device=self.center.device
         )
         encoded = self.encode(inputs, noise)
-        rays = sample_rays(observation, self.config.train.rays, generator)
+        rays = self._sample_rays(observation, encoded, generator)
         return self._loss_terms(encoded, rays, fraction, generator)
 
     @property
@@ -112,19 +116,35 @@ class Obsurf(Trainable):
 
     def to_units(self, points: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
         """World coordinates in metres as units around the middle of the workspace."""
-        return (points - self.center) * self.units_per_metre
+        return (points - self.center) * self.config.model.units_per_metre
 
-    @property
-    def units_per_metre(self) -> float:
-        """The workspace is as large as the published scenes, where densities are per unit."""
-        return WORKSPACE / self.config.model.workspace_size
+    @torch.no_grad()
+    def _sample_rays(self, observation: Observation, encoded: Encoded, generator: torch.Generator | None) -> Rays:
+        """A share of them where the densest slot of a frame is not, looked for at some pixels of all views."""
+        count, share = self.config.train.rays, self.config.train.object_rays
+        if not share:
+            return sample_rays(observation, count, generator)
+        looks, valid = (
+            pixels[:, :, :, _OFFSET::_STRIDE, _OFFSET::_STRIDE]
+            for pixels in (unproject(observation), observation.valid)
+        )
+        logits, _ = self._densities(encoded, rearrange(looks, "b f v h w xyz -> b f (v h w) xyz"))
+        log_shares = rearrange(losses.log_share(logits), "b f slot point -> (b f) 1 slot point")
+        seen = rearrange(valid, "b f v h w -> (b f) 1 1 (v h w)")
+        elsewhere = not_largest(log_shares.masked_fill(~seen, -torch.inf))
+        sizes = dict(zip("vhw", valid.shape[2:], strict=True))
+        interest = rearrange(elsewhere, "i 1 (v h w) -> i v h w", **sizes)
+        interest = F.interpolate(interest, size=observation.depth.shape[3:], mode="nearest")
+        interest = rearrange(interest, "(b f) v h w -> b f v h w", b=len(valid))
+        return sample_rays_where(observation, count, interest, share=share, generator=generator)
 
     def _loss_terms(
         self, encoded: Encoded, rays: Rays, fraction: float, generator: torch.Generator | None
     ) -> dict[str, Tensor]:
-        config, sigma_max = self.config.loss, self.config.model.sigma_max
-        units = self.units_per_metre * rays.direction.norm(dim=-1)
-        behind = surface_points(rays, config.jitter / self.units_per_metre, generator)
+        config, model = self.config.loss, self.config.model
+        sigma_max = model.sigma_max
+        units = model.units_per_metre * rays.direction.norm(dim=-1)
+        behind = surface_points(rays, config.jitter / model.units_per_metre, generator)
         before, inverse_rho = air_points(rays, config.near_share, generator)
         surface, hidden = self._densities(encoded, behind)
         in_air, _ = self._densities(encoded, before)

@@ -22,9 +22,10 @@ def inputs(height: int = 12, width: int = 20) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("blocks", [(0, 1), (2, 3)])
-def test_cells_are_four_by_four_pixels(blocks: tuple[int, int]):
-    assert encoder(blocks=blocks)(**inputs(12, 20)).shape == (3, 3, 5, 8)
-    assert encoder(blocks=blocks)(**inputs(15, 10)).shape == (3, 4, 3, 8)
+def test_cells_are_two_by_two_or_four_by_four_pixels(blocks: tuple[int, int]):
+    assert encoder(blocks=blocks, cell=2)(**inputs(12, 20)).shape == (3, 6, 10, 8)
+    assert encoder(blocks=blocks, cell=4)(**inputs(12, 20)).shape == (3, 3, 5, 8)
+    assert encoder(blocks=blocks, cell=4)(**inputs(15, 10)).shape == (3, 4, 3, 8)
 
 
 def test_no_image_depends_on_the_others():

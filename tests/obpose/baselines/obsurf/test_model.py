@@ -9,8 +9,8 @@ from torch import Tensor
 
 from obpose.baselines.obsurf.config import OBSURF_VARIANTS
 from obpose.baselines.obsurf.model import Encoded, Obsurf
-from obpose.clips import views_apart
-from obpose.geometry import sample_rays, unproject
+from obpose.clips import one_view, views_apart
+from obpose.geometry import all_rays, sample_rays, unproject
 from obpose.systems import find_system
 from obpose.types import Observation
 from tests.obpose.scenes import table_scene
@@ -94,9 +94,33 @@ def test_one_view_is_the_input_and_all_are_supervised(monkeypatch: pytest.Monkey
     assert drawn[0].unique().tolist() == [0, 1, 2]
 
 
+def test_more_rays_can_be_drawn_where_the_densest_slot_is_not(monkeypatch: pytest.MonkeyPatch):
+    """Each still weighs as much as it has to for means over all pixels."""
+    model, scene = spread_out(made(**{"train.object_rays": 0.8, "train.rays": 900})), table_scene(views=2, holes=0.1)
+    with torch.no_grad():  # what fresh weights make of different points differs by less than a thousandth
+        model.field.density_logit.bias.sub_(0.193).mul_(1e4)
+        model.field.density_logit.weight.mul_(1e4)
+    encoded = model.encode(one_view(scene, noise()), model.attention.evaluation_noise[None].expand(2, -1, -1))
+    rays = all_rays(scene)
+    logits, _ = model._densities(encoded, rays.origin + rays.direction * rays.depth[..., None])
+    owners = logits.argmax(dim=2).masked_fill(~rays.valid, -1)
+    drawn = model._sample_rays(scene, encoded, noise())
+    assert drawn.valid.all()
+    for frame in range(2):
+        largest = owners[0, frame][rays.valid[0, frame]].mode().values
+        elsewhere = owners[0, frame] != largest
+        there = elsewhere[drawn.index[0, frame]]
+        share = elsewhere[rays.valid[0, frame]].float().mean().item()
+        assert 0.02 < share < 0.6
+        assert there.float().mean() > 1.3 * share
+        weight = drawn.weight[0, frame]
+        assert ((weight * there).sum() / weight.sum()).item() == pytest.approx(share, rel=0.15)
+
+
 @pytest.mark.parametrize("variant", ["obsurf", DEPTH])
-def test_depths_that_are_not_valid_have_no_influence(variant: str):
-    model, scene = spread_out(made(variant)), table_scene(holes=0.2, views=2)
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_depths_that_are_not_valid_have_no_influence(variant: str, share: float):
+    model, scene = spread_out(made(variant, **{"train.object_rays": share})), table_scene(holes=0.2, views=2)
     spoiled = replace(scene, depth=torch.where(scene.valid, scene.depth, 7.7))
     plain, other = model.segment(scene), model.segment(spoiled)
     assert torch.equal(plain.labels, other.labels)
@@ -124,7 +148,7 @@ def test_the_encoder_is_given_points_in_units_where_there_are_any_and_zeros_else
 
 
 def _in_units(scene: Observation, middle: tuple[float, float, float]) -> Tensor:
-    return 8 * (unproject(scene)[0, 0, 0] - torch.tensor(middle))
+    return 10 * (unproject(scene)[0, 0, 0] - torch.tensor(middle))
 
 
 def test_a_scene_without_any_depth_is_background():
@@ -188,13 +212,13 @@ def test_a_scene_of_another_size_in_metres_is_the_same_in_units():
     poses = small.world_from_camera.clone()
     poses[..., :3, 3] *= 2
     large = replace(small, depth=2 * small.depth, world_from_camera=poses)
-    one, other = made(DEPTH), made(DEPTH, **{"model.workspace_size": 2.0})
+    one, other = made(DEPTH), made(DEPTH, **{"model.units_per_metre": 5.0})
     for name, value in losses(one, small).items():
         torch.testing.assert_close(value, losses(other, large)[name], rtol=1e-3, atol=1e-4)
 
 
 def test_surfaces_are_looked_for_up_to_the_jitter_behind_them_in_units(monkeypatch: pytest.MonkeyPatch):
-    model, scene = made(**{"model.workspace_size": 2.0, "loss.jitter": 0.2, "train.rays": 0}), table_scene(frames=1)
+    model, scene = made(**{"model.units_per_metre": 4.0, "loss.jitter": 0.2, "train.rays": 0}), table_scene(frames=1)
     points: list[Tensor] = []
     densities = model._densities
 
@@ -207,7 +231,7 @@ def test_surfaces_are_looked_for_up_to_the_jitter_behind_them_in_units(monkeypat
     rays = sample_rays(scene, 0, None)
     behind = (points[0] - rays.origin).norm(dim=-1) / rays.direction.norm(dim=-1) - rays.depth
     assert behind.min() >= -1e-5
-    assert 0.045 < behind.max() <= 0.2 * 2 / 8 + 1e-5
+    assert 0.045 < behind.max() <= 0.2 / 4 + 1e-5
 
 
 def test_what_is_behind_the_input_camera_has_no_features_from_it(monkeypatch: pytest.MonkeyPatch):
@@ -226,11 +250,11 @@ def test_what_is_behind_the_input_camera_has_no_features_from_it(monkeypatch: py
         points = rays.origin + share * rays.direction * rays.depth[..., None]
         model._colours(encoded, model._densities(encoded, points)[1], points, rays)
         assert bool(seen[-1].any(dim=-1).all()) is there
-    column, row = 10.5, 20.5  # of a pixel in the third column and sixth row of cells
+    column, row = 10.5, 20.5  # of a pixel in the sixth column and eleventh row of cells
     pixel = torch.tensor([column, row, 1.0])
     camera = scene.world_from_camera[0, 0]
     point = camera[:3, :3] @ (torch.linalg.inv(scene.k[0, 0]) @ pixel) + camera[:3, 3]
     one = point.view(1, 1, 1, 3)
     ray = sample_rays(scene, 1, noise())
     model._colours(encoded, model._densities(encoded, one)[1], one, ray)
-    assert torch.equal(seen[-1][0, 0], encoded.features[0, 5, 2])
+    assert torch.equal(seen[-1][0, 0], encoded.features[0, 10, 5])
