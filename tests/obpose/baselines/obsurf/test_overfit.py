@@ -22,6 +22,8 @@ SMALL: dict[str, Any] = {
     "model.slots": 1,
     "model.encoder.width": 32,
     "model.encoder.points": True,
+    "model.encoder.cell": 4,
+    "model.units_per_metre": 8.0,
     "model.decoder.width": 16,
     "model.decoder.depth": 2,
     "model.decoder.pixel_features": False,
@@ -31,6 +33,7 @@ SMALL: dict[str, Any] = {
     "train.batch": 8,
     "train.steps": 500,
     "train.learning_rate": 2e-3,
+    "train.half_life": 0.2,
 }
 """Fields so small that two slots describe a table with a ball on it better than one."""
 
