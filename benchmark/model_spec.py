@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 from benchmark.interface import Segmenter
@@ -78,6 +79,8 @@ class ModelSpec:
     """Which views it uses, if it says so."""
     trials: tuple[Options, ...] = ({},)
     """What `obpose-bench search` tries: changes of its settings by dotted name; the first are none."""
+    configured: Callable[[Path], "ModelSpec"] | None = None
+    """The same with the settings, priors and views of a folder's weights, which may be others than the model's own."""
     searched_from: Options = field(default_factory=dict)
     """The settings that these are changes of, by dotted name, where a choice was frozen since: the same trials have the
     same outcomes before and after."""

@@ -179,6 +179,8 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
 def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
     segmenter = spec.build({"slots": job.fit_slots, "checkpoint": job.checkpoint})
     segmenter.fit([], [], seed=job.seed, budget=0.0)
+    # Their training may have changed what the model declares.
+    spec = spec.configured(job.checkpoint) if spec.configured and job.checkpoint else spec
     return _Fitted(spec, segmenter, {}, spec.settled_with_labels, float("nan"), None)
 
 

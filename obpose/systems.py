@@ -124,6 +124,15 @@ def _obpose_system(variant: str) -> System:
     return System(OBPOSE, *facts, version=2, on_tracks=on_tracks)
 
 
+def priors_of(config: Any) -> tuple[str, ...]:
+    """What a model of this configuration is told beyond the images, out of `benchmark.model_spec.PRIORS`.
+
+    Raises:
+        TypeError: as `architecture_of`.
+    """
+    return _priors(config) if architecture_of(config) is OBPOSE else SYSTEMS[system_of(config)].priors
+
+
 def _priors(config: Config) -> tuple[str, ...]:
     """What a variant of ObPose is told."""
     model = config.model

@@ -3,14 +3,16 @@
 PyTorch takes seconds to import, so that only building a model does it.
 """
 
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from benchmark.adapters.settings import settings_of
 from benchmark.adapters.trials import SEARCHED_FROM, TRIALS
 from benchmark.interface import Segmenter
 from benchmark.model_spec import ModelSpec, Options, Views
-from obpose.systems import SYSTEMS, System
+from obpose.systems import SYSTEMS, System, priors_of
 
 
 def _build(name: str, options: Options) -> Segmenter:
@@ -34,9 +36,19 @@ def _spec(name: str, system: System) -> ModelSpec:
         settings=settings_of(config),
         profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
         views=_views(config),
+        configured=partial(_configured, name),
         trials=TRIALS.get(name, ({},)),
         searched_from=SEARCHED_FROM.get(name, {}),
         on_tracks=system.on_tracks,
+    )
+
+
+def _configured(name: str, folder: Path) -> ModelSpec:
+    from obpose.checkpoint import read_config
+
+    config = read_config(folder)
+    return replace(
+        LEARNED[name], settings=settings_of(config), profiles={}, priors=priors_of(config), views=_views(config)
     )
 
 

@@ -10,6 +10,7 @@ from benchmark import registry
 from benchmark.interface import Clip, Prediction
 from benchmark.labels import read_labels
 from benchmark.model_spec import ModelSpec, Options, Views
+from benchmark.registry import find_model
 from benchmark.results import LABELS, RunKey, load_runs, load_scenes, pooled
 from benchmark.runner import Job, Target, run_job
 from benchmark.scoring import BadPrediction
@@ -302,6 +303,17 @@ def test_weights_that_were_trained_before_need_no_clips(data: Path, tmp_path: Pa
     assert model.options == [{"slots": 5, "checkpoint": tmp_path / "scripted--data--64x48"}]
     assert model.fits == [(0, 0, 4, 0.0)]
     assert load_runs(tmp_path / "out")[0].pretrained == "scripted--data--64x48"
+
+
+def test_rows_of_weights_state_what_these_were_trained_with(data: Path, tmp_path: Path, register):
+    def own(folder: Path) -> ModelSpec:
+        facts = {"settings": {"folder": folder.name}, "priors": ("slots",), "views": Views("all", "all")}
+        return dataclasses.replace(find_model("scripted"), **facts)
+
+    register(background, settings={"folder": ""}, priors=("plane",), views=Views("one", "all"), configured=own)
+    run_job(job(data, tmp_path / "out", checkpoint=tmp_path / "mine"))
+    (row,) = load_runs(tmp_path / "out")
+    assert (row.config, row.priors, row.views) == ({"folder": "mine"}, ("slots",), "2 in, 2 supervise")
 
 
 def test_what_a_model_changes_on_a_track_reaches_it_and_its_row(data: Path, tmp_path: Path, register):

@@ -1,4 +1,6 @@
+import json
 from functools import reduce
+from pathlib import Path
 from typing import Literal, get_args, get_origin, get_type_hints
 
 import pytest
@@ -8,7 +10,7 @@ from benchmark.registry import find_model
 from benchmark.results import digest
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.config import Config, override
-from obpose.config_text import dotted_values
+from obpose.config_text import dotted_values, to_plain
 from obpose.variants import make_config
 
 PUBLISHED = {
@@ -39,6 +41,19 @@ def _another(name: str, value: object) -> object:
     if get_origin(kind) is Literal:
         return next(choice for choice in get_args(kind) if choice != value)
     return 7 if kind is int else 0.77
+
+
+def test_weights_state_their_own_settings_priors_and_views(tmp_path: Path):
+    changes = {"model.slots": 3, "model.floor": None, "model.table": None, "train.views": "together"}
+    config = make_config(**changes)
+    (tmp_path / "config.json").write_text(json.dumps({"version": 1, "config": to_plain(config)}))
+    declared = find_model("obpose")
+    assert declared.configured
+    found = declared.configured(tmp_path)
+    assert found.settings_in("gpu") == settings_of(config)
+    assert set(declared.priors) - set(found.priors) == {"plane"}
+    assert found.views
+    assert found.views.on(4) == "4 in, 4 supervise"
 
 
 def test_slot_attention_counts_only_where_it_is_used():
