@@ -35,6 +35,7 @@ from obpose.creation.storage import load_scene, save_scene
 from obpose.data import SceneDataset
 from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.errors import EXIT_OK, UsageError, run_program
+from obpose.files import check_free
 
 PROGRAM = "obpose-edit"
 FPS = 8.0
@@ -69,14 +70,14 @@ def _run(arguments: list[str]) -> int:
 
 
 def _infer(values: Infer) -> None:
-    _check_free(values.out)
+    check_free(values.out)
     origin = load_origin(values.checkpoint)
     scene = infer_scene(origin, read_clip(values.data, values.split, values.scene))
     _show(scene, origin, values.out, values.resolution)
 
 
 def _sample(values: Sample) -> None:
-    _check_free(values.out)
+    check_free(values.out)
     if not 0 <= values.objects <= MOST_OBJECTS:
         raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
     if values.seed < 0:
@@ -145,7 +146,7 @@ def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:
     """A command that loads a scene, changes it, and writes what comes of it."""
 
     def command(values: Any) -> None:
-        _check_free(values.out)
+        check_free(values.out)
         scene = load_scene(values.scene)
         changed = change(values, scene)
         _show(changed, origin_of(scene, values.checkpoint), values.out, values.resolution)
@@ -193,17 +194,11 @@ def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> No
     check_inside(scene, origin.model)
     camera = _sized(scene.cameras[0], resolution)
     picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
-    save_scene(out, scene)
-    write_png(out / PICTURE, picture)
+    save_scene(out, scene, picture)
     print(f"{out}: {scene.frames} frames, {len(scene.ids)} objects; {out / PICTURE}")
     for place, name in enumerate(scene.ids):
         x, y, z = scene.center[0, place].tolist()
         print(f"  object {name} at {x:.3f}, {y:.3f}, {z:.3f} m in the first frame")
-
-
-def _check_free(out: Path) -> None:
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out} is there already and not empty; give another --out, nothing was changed.")
 
 
 def _vector(flag: str, text: str | None) -> Float[Tensor, "3"]:

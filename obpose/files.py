@@ -2,6 +2,8 @@
 
 import fcntl
 import os
+import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -31,6 +33,44 @@ def write_whole(path: Path, data: bytes) -> None:
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Another folder to write files to, which comes to be `folder` if all went well; else nothing is left of it.
+
+    Raises:
+        UsageError: there is something already, perhaps since a moment ago; nothing was changed.
+        DatagenError: it cannot be written.
+    """
+    folder = folder.resolve()
+    check_free(folder)
+    partial = folder.with_name(f".{folder.name}.{os.getpid()}-{threading.get_ident()}.unfinished")
+    try:
+        # What a process of the same number left when it was killed.
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        yield partial
+        check_free(folder)
+        # Fails where somebody was faster: a folder takes the place of an empty one only.
+        partial.rename(folder)
+    except OSError as error:
+        check_free(folder)
+        raise DatagenError(f"Cannot write {folder}: {error.strerror}; mend this, or give another --out.") from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def check_free(folder: Path) -> None:
+    """Check that nothing is where a folder is to be, or one that is empty.
+
+    Raises:
+        UsageError: something is.
+    """
+    if folder.resolve() == Path.cwd():
+        raise UsageError(f"{folder} is the current folder; give a new one with --out, nothing was changed.")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} is there already and not empty; give another --out, nothing was changed.")
 
 
 @contextmanager

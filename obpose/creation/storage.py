@@ -7,35 +7,27 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
+from obpose.creation.pictures import PICTURE, Picture, write_png
 from obpose.creation.scene import Camera, Scene
 from obpose.errors import CorruptFile, UsageError
-from obpose.files import write_whole
+from obpose.files import new_folder, write_whole
 
 TENSORS, FACTS = "scene.safetensors", "scene.json"
 VERSION = 1
 """Of the files; raised when older ones can no longer be read."""
 
 
-def save_scene(folder: Path, scene: Scene) -> None:
-    """Write what `load_scene` reads; the facts last, so that where they are, all is."""
-    folder.mkdir(parents=True, exist_ok=True)
-    tensors = {
-        "what": scene.what,
-        "center": scene.center,
-        "rotation": scene.rotation,
-        "background": scene.background,
-        "k": torch.stack([camera.k for camera in scene.cameras]),
-        "world_from_camera": torch.stack([camera.world_from_camera for camera in scene.cameras]),
-    }
-    facts = {
-        "version": VERSION,
-        "model": scene.model,
-        "checkpoint": scene.checkpoint,
-        "objects": list(scene.ids),
-        "images": [[camera.width, camera.height] for camera in scene.cameras],
-    }
-    write_whole(folder / TENSORS, save({name: tensor.detach().contiguous() for name, tensor in tensors.items()}))
-    write_whole(folder / FACTS, (json.dumps(facts, indent=1) + "\n").encode())
+def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> None:
+    """Write a new folder that `load_scene` reads, with a picture of the scene; all of it is there or nothing.
+
+    Raises:
+        UsageError: there is such a folder already, and something is in it.
+        DatagenError: it cannot be written, for example because the disk is full.
+    """
+    with new_folder(folder) as partial:
+        _write(partial, scene)
+        if picture is not None:
+            write_png(partial / PICTURE, picture)
 
 
 def load_scene(folder: Path) -> Scene:
@@ -59,6 +51,26 @@ def load_scene(folder: Path) -> Scene:
     if not _is_whole(scene):
         raise damaged
     return scene
+
+
+def _write(folder: Path, scene: Scene) -> None:
+    tensors = {
+        "what": scene.what,
+        "center": scene.center,
+        "rotation": scene.rotation,
+        "background": scene.background,
+        "k": torch.stack([camera.k for camera in scene.cameras]),
+        "world_from_camera": torch.stack([camera.world_from_camera for camera in scene.cameras]),
+    }
+    facts = {
+        "version": VERSION,
+        "model": scene.model,
+        "checkpoint": scene.checkpoint,
+        "objects": list(scene.ids),
+        "images": [[camera.width, camera.height] for camera in scene.cameras],
+    }
+    write_whole(folder / TENSORS, save({name: tensor.detach().contiguous() for name, tensor in tensors.items()}))
+    write_whole(folder / FACTS, (json.dumps(facts, indent=1) + "\n").encode())
 
 
 def _assemble(facts: dict, tensors: dict[str, torch.Tensor]) -> Scene:

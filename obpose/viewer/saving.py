@@ -4,11 +4,11 @@ from itertools import count
 from pathlib import Path
 
 from obpose.creation.bounds import check_inside
-from obpose.creation.pictures import PICTURE, strip, write_png
+from obpose.creation.pictures import strip
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
 from obpose.creation.storage import save_scene
-from obpose.errors import UsageError
+from obpose.errors import DatagenError, UsageError
 
 
 def save_new(root: Path, scene: Scene, renderer: Renderer) -> Path:
@@ -19,9 +19,13 @@ def save_new(root: Path, scene: Scene, renderer: Renderer) -> Path:
         DatagenError: it cannot be written, for example because the disk is full.
     """
     check_inside(scene, renderer.model)
+    picture = strip(renderer.render(scene), scene.ids)
     folder = _new_folder(root)
-    save_scene(folder, scene)
-    write_png(folder / PICTURE, strip(renderer.render(scene), scene.ids))
+    try:
+        save_scene(folder, scene, picture)
+    except DatagenError:
+        folder.rmdir()
+        raise
     return folder
 
 

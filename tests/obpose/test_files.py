@@ -1,9 +1,10 @@
+import threading
 from pathlib import Path
 
 import pytest
 
 from obpose.errors import DatagenError, UsageError
-from obpose.files import claimed, remove_abandoned, write_whole
+from obpose.files import claimed, new_folder, remove_abandoned, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path):
@@ -51,3 +52,34 @@ def test_a_folder_is_one_process_s_until_it_lets_go(tmp_path: Path):
         assert [path.name for path in tmp_path.iterdir()] == [".file.124.partial"]
     with claimed(tmp_path):
         assert not list(tmp_path.iterdir())
+
+
+def test_a_new_folder_is_there_whole_or_not_at_all(tmp_path: Path):
+    with new_folder(tmp_path / "made") as folder:
+        (folder / "file").write_bytes(b"one")
+        assert not (tmp_path / "made").exists()
+    with pytest.raises(ZeroDivisionError), new_folder(tmp_path / "failed") as folder:
+        (folder / "file").write_bytes(b"half")
+        raise ZeroDivisionError
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def test_of_two_that_make_the_same_folder_the_second_is_told(tmp_path: Path):
+    def finished_meanwhile() -> None:
+        with new_folder(tmp_path / "made") as folder:
+            (folder / "file").write_bytes(b"first")
+
+    with pytest.raises(UsageError, match="made is there already and not empty; give another --out"):
+        with new_folder(tmp_path / "made") as folder:
+            (folder / "file").write_bytes(b"second")
+            thread = threading.Thread(target=finished_meanwhile)
+            thread.start()
+            thread.join()
+    assert [path.name for path in tmp_path.iterdir()] == ["made"]
+    assert (tmp_path / "made" / "file").read_bytes() == b"first"
+
+
+def test_the_current_folder_is_no_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="is the current folder; give a new one"), new_folder(Path()):
+        raise AssertionError

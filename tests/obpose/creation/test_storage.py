@@ -1,11 +1,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from obpose.creation.storage import load_scene, save_scene
-from obpose.errors import CorruptFile, UsageError
+from obpose.errors import CorruptFile, DatagenError, UsageError
 from tests.obpose.creation.scenes import CAMERA, equal, some_scene
 
 
@@ -69,3 +70,20 @@ def test_numbers_that_are_none_are_damage(tmp_path: Path):
     save_scene(tmp_path, scene)
     with pytest.raises(CorruptFile, match="is damaged"):
         load_scene(tmp_path)
+
+
+def test_a_scene_takes_no_other_one_s_place(tmp_path: Path):
+    save_scene(tmp_path / "scene", some_scene())
+    with pytest.raises(UsageError, match="is there already and not empty"):
+        save_scene(tmp_path / "scene", some_scene(seed=1))
+    assert equal(load_scene(tmp_path / "scene"), some_scene())
+
+
+def test_a_save_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def full(path: Path, _data: bytes) -> None:
+        raise DatagenError(f"Cannot write {path}")
+
+    monkeypatch.setattr("obpose.creation.pictures.write_whole", full)
+    with pytest.raises(DatagenError, match=r"picture\.png"):
+        save_scene(tmp_path / "scene", some_scene(), np.zeros((2, 2, 3), np.uint8))
+    assert not list(tmp_path.iterdir())
