@@ -83,7 +83,7 @@ def _sample(values: Sample) -> None:
     if values.seed < 0:
         raise UsageError(f"--seed {values.seed}: expected 0 or more.")
     origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
-    prior = load_prior(origin.folder, origin.model) if values.prior == "fitted" else learned_prior(origin.model)
+    prior = load_prior(origin) if values.prior == "fitted" else learned_prior(origin.model)
     generator = torch.Generator().manual_seed(values.seed)
     scene = sample_scene(origin, prior, objects=values.objects, cameras=cameras, generator=generator)
     _show(scene, origin, values.out, values.resolution)
@@ -98,7 +98,7 @@ def _fit(values: Fit) -> None:
         raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
     model = origin.model
     clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1), views=slice(1)) for i in range(count))
-    save_prior(origin.folder, fit_prior(model, clips))
+    save_prior(origin, fit_prior(model, clips))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
 
 

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
 from torch import Tensor
 
+from obpose.creation.origin import Origin
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
 from obpose.model import ObPose
@@ -22,6 +23,9 @@ from obpose.types import Observation
 
 FILE = "prior.safetensors"
 """Beside the model's weights."""
+_WEIGHTS = "weights"
+"""In the file's metadata: SHA-256 of the file of the weights that it was fitted to."""
+_AGAIN = "make it again with obpose-edit fit, or give --prior learned."
 _MARGIN = 0.02
 """Share of the objects at each end that do not say how far from the middle they are found."""
 
@@ -85,8 +89,8 @@ def fit_prior(model: ObPose, clips: Iterable[Observation]) -> ScenePrior:
     return ScenePrior(_gaussian(objects), _gaussian(torch.stack(background)), low, high)
 
 
-def save_prior(folder: Path, prior: ScenePrior) -> None:
-    """Write what `load_prior` reads beside a model."""
+def save_prior(origin: Origin, prior: ScenePrior) -> None:
+    """Write what `load_prior` reads beside a model's weights, with their hash: to other weights it means nothing."""
     tensors = {
         "what.mean": prior.what.mean,
         "what.factor": prior.what.factor,
@@ -95,34 +99,50 @@ def save_prior(folder: Path, prior: ScenePrior) -> None:
         "low": prior.low,
         "high": prior.high,
     }
-    write_whole(folder / FILE, save({name: tensor.contiguous() for name, tensor in tensors.items()}))
+    contents = {name: tensor.contiguous() for name, tensor in tensors.items()}
+    write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
 
 
-def load_prior(folder: Path, model: ObPose) -> ScenePrior:
+def load_prior(origin: Origin) -> ScenePrior:
     """The prior that was fitted to a model.
 
     Raises:
         UsageError: there is none.
         CorruptFile: the file is damaged, or another model's.
     """
-    path = folder / FILE
+    path = origin.folder / FILE
     if not path.is_file():
-        raise UsageError(f"{folder} has no {FILE}; make one with obpose-edit fit, or give --prior learned.")
-    latent = model.config.model.latent
+        raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit, or give --prior learned.")
     try:
-        found = load(path.read_bytes())
+        with safe_open(path, framework="pt") as file:
+            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            weights = (file.metadata() or {}).get(_WEIGHTS)
         prior = ScenePrior(
             Gaussian(found["what.mean"], found["what.factor"]),
             Gaussian(found["background.mean"], found["background.factor"]),
             found["low"],
             found["high"],
         )
-        sizes = (len(prior.what.mean), len(prior.background.mean))
     except (SafetensorError, KeyError, TypeError, ValueError):
-        raise CorruptFile(f"{path} is damaged; make it again with obpose-edit fit.") from None
-    if sizes != (latent.what, latent.background):
-        raise CorruptFile(f"{path} is of another model; make it again with obpose-edit fit.")
+        raise CorruptFile(f"{path} is damaged; {_AGAIN}") from None
+    if weights is None:
+        raise CorruptFile(f"{path} does not say which weights it was fitted to, as older ones; {_AGAIN}")
+    if weights != origin.hash:
+        raise CorruptFile(f"{path} was fitted to other weights than those beside it; {_AGAIN}")
+    if not _is_whole(prior, origin.model):
+        raise CorruptFile(f"{path} is damaged; {_AGAIN}")
     return prior
+
+
+def _is_whole(prior: ScenePrior, model: ObPose) -> bool:
+    latent = model.config.model.latent
+    sizes = {prior.what: latent.what, prior.background: latent.background}
+    values = [prior.low, prior.high, *(value for one in sizes for value in (one.mean, one.factor))]
+    return (
+        all(one.mean.shape == (size,) and one.factor.shape == (size, size) for one, size in sizes.items())
+        and prior.low.shape == prior.high.shape == (2,)
+        and all(value.dtype == torch.float32 and bool(value.isfinite().all()) for value in values)
+    )
 
 
 def _gaussian(values: Float[Tensor, "n latent"]) -> Gaussian:

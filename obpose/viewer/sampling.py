@@ -26,8 +26,7 @@ class Sampler:
         """
         if self._prior is None:
             fitted = (self._origin.folder / FILE).is_file()
-            model = self._origin.model
-            self._prior = load_prior(self._origin.folder, model) if fitted else learned_prior(model)
+            self._prior = load_prior(self._origin) if fitted else learned_prior(self._origin.model)
         self.seed += 1
         generator = torch.Generator().manual_seed(self.seed)
         return sample_scene(self._origin, self._prior, objects=objects, cameras=cameras, generator=generator)

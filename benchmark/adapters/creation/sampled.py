@@ -56,7 +56,7 @@ def real_scenes(scenes: Split, count: int) -> list[Labelled]:
 
 def sampled_scenes(origin: Origin, prior_name: PriorName, like: Sequence[Labelled], *, seed: int) -> Iterator[Labelled]:
     """One for each real scene, with its camera and as many objects as are in view there."""
-    prior = load_prior(origin.folder, origin.model) if prior_name == "fitted" else learned_prior(origin.model)
+    prior = load_prior(origin) if prior_name == "fitted" else learned_prior(origin.model)
     renderer, generator = Renderer(origin.model), torch.Generator().manual_seed(seed)
     for real in like:
         camera = _camera(real.clip)

@@ -1,10 +1,14 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
+from obpose.creation.origin import Origin, load_origin
 from obpose.creation.prior import Gaussian, fit_prior, learned_prior, load_prior, save_prior
 from obpose.errors import CorruptFile, UsageError
+from obpose.shipped import shipped_names
 from tests.obpose.creation.scenes import some_model
 from tests.obpose.scenes import table_scene
 
@@ -42,19 +46,41 @@ def test_it_needs_two_clips():
         fit_prior(some_model(), [table_scene(batch=1, frames=1)])
 
 
+def some_origin(folder: Path) -> Origin:
+    return Origin(some_model(), folder, "name", "hash")
+
+
 def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
-    model = some_model()
+    origin = some_origin(tmp_path)
     with pytest.raises(UsageError, match="make one with obpose-edit fit, or give --prior learned"):
-        load_prior(tmp_path, model)
-    prior = learned_prior(model)
-    save_prior(tmp_path, prior)
-    found = load_prior(tmp_path, model)
+        load_prior(origin)
+    prior = learned_prior(origin.model)
+    save_prior(origin, prior)
+    found = load_prior(origin)
     assert torch.equal(found.what.factor, prior.what.factor)
     assert torch.equal(found.high, prior.high)
     short = Gaussian(torch.zeros(3), torch.eye(3))
-    save_prior(tmp_path, type(prior)(short, prior.background, prior.low, prior.high))
-    with pytest.raises(CorruptFile, match="of another model"):
-        load_prior(tmp_path, model)
+    save_prior(origin, replace(prior, what=short))
+    with pytest.raises(CorruptFile, match="is damaged"):
+        load_prior(origin)
+    save_prior(origin, replace(prior, low=prior.low * torch.nan))
+    with pytest.raises(CorruptFile, match="is damaged"):
+        load_prior(origin)
     (tmp_path / "prior.safetensors").write_bytes(b"other")
     with pytest.raises(CorruptFile, match="is damaged"):
-        load_prior(tmp_path, model)
+        load_prior(origin)
+
+
+def test_a_prior_is_of_the_weights_that_it_was_fitted_to(tmp_path: Path):
+    origin = some_origin(tmp_path)
+    save_prior(origin, learned_prior(origin.model))
+    with pytest.raises(CorruptFile, match="was fitted to other weights than those beside it; make it again"):
+        load_prior(replace(origin, hash="another"))
+    save_file(load_file(tmp_path / "prior.safetensors"), tmp_path / "prior.safetensors")
+    with pytest.raises(CorruptFile, match="does not say which weights it was fitted to"):
+        load_prior(origin)
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_priors_that_ship_are_of_the_weights_beside_them(name: str):
+    assert load_prior(load_origin(name)).what.mean.isfinite().all()

@@ -79,7 +79,7 @@ def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(cli
 def test_the_command_prints_and_draws(
     clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    save_prior(checkpoint, learned_prior(origin.model))
+    save_prior(origin, learned_prior(origin.model))
     flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2"]
     assert main([*flags, "--picture", str(tmp_path / "grid.png")]) == 0
     printed = capsys.readouterr().out
