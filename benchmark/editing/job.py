@@ -7,7 +7,7 @@ from pathlib import Path
 from benchmark.clips import ClipSequence
 from benchmark.editing.answers import Answer, answers_of, reference_answers
 from benchmark.editing.interface import Editor
-from benchmark.editing.lines import line_of, load_lines, path_of, save_lines
+from benchmark.editing.lines import line_of, line_without_edit, load_lines, path_of, save_lines
 from benchmark.editing.truth import EditedScene, Pair, kinds_in, read_edits
 from benchmark.interface import Clip
 from benchmark.runner import SPLIT
@@ -73,7 +73,8 @@ class EditJob:
         for index in self.missing():
             truth = read_edits(scenes, index, kinds)
             scored = answer(truth, lambda index=index: clips[index])
-            lines += [line_of(self.track, self.model, index, pair, found) for pair, found in scored]
+            new = [line_of(self.track, self.model, index, pair, found) for pair, found in scored]
+            lines += new or [line_without_edit(self.track, self.model, index)]
             save_lines(self.path, lines)
             announce(f"scene {index}")
         announce(self.name)

@@ -1,6 +1,7 @@
 """Scores of edits on disk: one CSV file for each model and track, a line for each scene, edit and answer.
 
-A file grows while its job runs, scene by scene, so that a job that was stopped goes on.
+A file grows while its job runs, scene by scene, so that a job that was stopped goes on. A scene that has nothing to edit
+has a line without an edit, which says that it was looked at.
 """
 
 import csv
@@ -39,6 +40,11 @@ def line_of(track: str, model: str, scene: int, pair: Pair, answer: Answer) -> L
     }
 
 
+def line_without_edit(track: str, model: str, scene: int) -> Line:
+    """The line of a scene that has nothing to edit."""
+    return {**dict.fromkeys(COLUMNS, ""), "track": track, "model": model, "scene": scene}
+
+
 def path_of(folder: Path, name: str) -> Path:
     """Where the lines of a job are or will be."""
     return folder / FOLDER / f"{name}.csv"
@@ -63,17 +69,24 @@ def load_lines(path: Path) -> list[Line]:
             reader = csv.DictReader(file)
             if tuple(reader.fieldnames or ()) != COLUMNS:
                 raise ValueError(f"its columns are {reader.fieldnames}")
-            return list(_typed(reader))
+            lines = list(_typed(reader))
+        if not path.read_bytes().endswith(b"\n"):
+            raise ValueError("its last line is cut short")
+        return lines
     except (OSError, ValueError, TypeError, csv.Error) as error:
         raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
 
 
 def load_all(folder: Path) -> list[Line]:
-    """The lines of all jobs of a run folder."""
-    return [line for path in sorted((folder / FOLDER).glob("*.csv")) for line in load_lines(path)]
+    """The lines of all jobs of a run folder that are of an edit."""
+    paths = sorted((folder / FOLDER).glob("*.csv"))
+    return [line for path in paths for line in load_lines(path) if line["edit"]]
 
 
-def _typed(rows: Iterable[dict[str, str]]) -> Iterator[Line]:
-    for row in rows:
+def _typed(rows: Iterable[dict[str | None, str | None]]) -> Iterator[Line]:
+    for number, row in enumerate(rows, start=2):
+        # What DictReader makes of lines that are too long or too short.
+        if None in row or None in row.values():
+            raise ValueError(f"line {number} has not {len(COLUMNS)} columns")
         numbers = {name: float(row[name]) if row[name] else math.nan for name in METRICS}
         yield {**{name: row[name] for name in COLUMNS}, "scene": int(row["scene"]), **numbers}

@@ -7,6 +7,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from benchmark.editing.lines import load_all
@@ -101,13 +102,18 @@ def markdown(entries: Sequence[Entry]) -> str:
     parts = ["# Edits against the truth\n"]
     for (track, edit), members in groupby(entries, key=lambda entry: (entry.track, entry.edit)):
         rows = list(members)
-        parts.append(f"## {track}: {edit}, {rows[0].scenes} scenes\n\n{_markdown_table(rows)}\n")
+        counts = {entry.scenes for entry in rows}
+        said = f", {counts.pop()} scenes" if len(counts) == 1 else ""
+        parts.append(f"## {track}: {edit}{said}\n\n{_markdown_table(rows)}\n")
     return "\n".join([*parts, *(f"{note}\n" for note in NOTES)])
 
 
 def _markdown_table(entries: Sequence[Entry]) -> str:
-    head = ["", *SHOWN.values(), "not found"]
-    rows = [head, ["---"] * len(head), *([_label(entry), *_cells(entry)] for entry in entries)]
+    """With a column of the scenes where rows are of different numbers of them."""
+    differ = len({entry.scenes for entry in entries}) > 1
+    head = ["", *(["scenes"] if differ else []), *SHOWN.values(), "not found"]
+    rows = [head, ["---"] * len(head)]
+    rows += [[_label(entry), *([str(entry.scenes)] if differ else []), *_cells(entry)] for entry in entries]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
@@ -116,7 +122,9 @@ def screen_table(entries: Sequence[Entry]) -> Table:
     table = Table("track", "edit", "picture", *SHOWN.values(), "not found", box=None)
     for entry in entries:
         means = (_number(name, entry.metrics[name].mean) for name in METRICS)
-        table.add_row(entry.track, entry.edit, _label(entry), *means, _not_found(entry))
+        # Names that people give may look like markup.
+        names = map(escape, (entry.track, entry.edit, _label(entry)))
+        table.add_row(*names, *means, _not_found(entry))
     return table
 
 

@@ -1,7 +1,14 @@
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import pytest
 
 from benchmark.editing.job import REFERENCES, EditJob
 from benchmark.editing.lines import load_lines, save_lines
+from benchmark.editing.truth import EditedScene, read_edits
+from datagen.schema import EditKind
+from datagen.storage import Split
 from tests.benchmark.editing import oracle
 
 
@@ -32,3 +39,13 @@ def test_a_job_that_was_stopped_goes_on_and_comes_to_the_same(edits: Path, tmp_p
 def test_more_scenes_extend_a_job(edits: Path, tmp_path: Path):
     some_job(edits, tmp_path, scenes=1).run(lambda event: None)
     assert some_job(edits, tmp_path).missing() == [1]
+
+
+def test_a_scene_that_has_nothing_to_edit_is_done_once(edits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def empty(scenes: Split, index: int, kinds: Sequence[EditKind]) -> EditedScene:
+        return replace(read_edits(scenes, index, kinds), pairs=())
+
+    monkeypatch.setattr("benchmark.editing.job.read_edits", empty)
+    job = some_job(edits, tmp_path)
+    job.run(lambda event: None)
+    assert job.missing() == []

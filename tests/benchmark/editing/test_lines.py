@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from benchmark.editing.answers import Answer, Match
-from benchmark.editing.lines import COLUMNS, line_of, load_all, load_lines, path_of, save_lines
+from benchmark.editing.lines import COLUMNS, line_of, line_without_edit, load_all, load_lines, path_of, save_lines
 from benchmark.editing.scores import METRICS
 from datagen.errors import CorruptFile
 from tests.benchmark.editing import oracle
@@ -43,3 +43,26 @@ def test_a_damaged_file_is_one_clear_message(tmp_path: Path, text: str):
 def test_scenes_without_an_edit_leave_a_file_that_can_be_read(tmp_path: Path):
     save_lines(tmp_path / "a.csv", [])
     assert load_lines(tmp_path / "a.csv") == []
+
+
+@pytest.mark.parametrize("cut", [1, 3, 40])
+def test_a_file_whose_last_line_is_cut_short_is_damaged(edits: Path, tmp_path: Path, cut: int):
+    path = tmp_path / "one.csv"
+    save_lines(path, some_lines(edits))
+    path.write_bytes(path.read_bytes()[:-cut])
+    with pytest.raises(CorruptFile, match="delete it and run the same command again"):
+        load_lines(path)
+
+
+def test_lines_of_too_few_or_too_many_columns_are_damage(tmp_path: Path):
+    path = tmp_path / "one.csv"
+    for row in ("moving,model,0,remove", ",".join("0" * (len(COLUMNS) + 1))):
+        path.write_text(",".join(COLUMNS) + f"\n{row}\n")
+        with pytest.raises(CorruptFile, match=r"line 2 has not 15 columns\); delete it"):
+            load_lines(path)
+
+
+def test_a_scene_without_an_edit_has_a_line_that_tables_leave_out(tmp_path: Path):
+    save_lines(path_of(tmp_path, "one"), [line_without_edit("moving", "model", 7)])
+    assert [line["scene"] for line in load_lines(path_of(tmp_path, "one"))] == [7]
+    assert load_all(tmp_path) == []

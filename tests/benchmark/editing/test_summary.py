@@ -1,8 +1,10 @@
 import csv
+import io
 import math
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from benchmark.editing import summary
 from benchmark.editing.lines import path_of, save_lines
@@ -43,3 +45,21 @@ def test_tables_are_in_the_order_of_the_edits(tmp_path: Path):
 
 def test_every_metric_has_a_heading():
     assert tuple(summary.SHOWN) == METRICS
+
+
+def test_rows_of_different_numbers_of_scenes_say_how_many():
+    few, more = [line(0, 0.5)], [line(scene, 0.5, answer="no-edit", found="") for scene in range(3)]
+    text = summary.markdown(summary.summaries([*few, *more]))
+    assert "## moving: remove\n" in text
+    assert "|  | scenes | PSNR inside" in text
+    assert "| model, edit | 1 | 0.5" in text
+    assert "| no-edit | 3 | 0.5" in text
+
+
+def test_names_in_brackets_are_shown_as_they_are():
+    console = Console(width=200, file=io.StringIO())
+    named = {**line(0, 0.5), "model": "c[e]", "track": "[red]data"}
+    console.print(summary.screen_table(summary.summaries([named])))
+    shown = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+    assert "c[e], edit" in shown
+    assert "[red]data" in shown
