@@ -113,9 +113,17 @@ def _weights(values: arguments.Run) -> tuple[Weights, ...]:
         return ()
     # PyTorch takes seconds to import.
     from obpose.checkpoint import read_config
+    from obpose.creation.origin import check_poses
 
     folders = [find_checkpoint(folder).resolve() for folder in values.checkpoint]
-    found = tuple(Weights(system_of(read_config(folder)), folder, _name(values, folder)) for folder in folders)
+    configs = [read_config(folder) for folder in folders]
+    if values.task == "editing":
+        for folder, config in zip(folders, configs, strict=True):
+            check_poses(config, str(folder))
+    found = tuple(
+        Weights(system_of(config), folder, _name(values, folder))
+        for folder, config in zip(folders, configs, strict=True)
+    )
     names = [weights.name for weights in found]
     if twice := [name for name in names if names.count(name) > 1]:
         raise UsageError(

@@ -1,7 +1,7 @@
 """Scores of edits on disk: one CSV file for each model and track, a line for each scene, edit and answer.
 
-A file grows while its job runs, scene by scene, so that a job that was stopped goes on. A scene that has nothing to edit
-has a line without an edit, which says that it was looked at.
+A file grows while its job runs, scene by scene, so that a job that was stopped goes on. A scene that has nothing to
+edit has a line without an edit, which says that it was looked at.
 """
 
 import csv

@@ -4,11 +4,14 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from obpose.checkpoint import MODEL, load_obpose
+from obpose.checkpoint import MODEL, load_obpose, read_config
+from obpose.config import Config
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.model import ObPose
 from obpose.shipped import find_checkpoint
+from obpose.systems import OBPOSE, architecture_of
+from obpose.trainable import Configuration
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +34,28 @@ def load_origin(checkpoint: str) -> Origin:
         CorruptFile: a file is damaged.
     """
     folder = find_checkpoint(Path(checkpoint))
+    check_poses(read_config(folder), checkpoint)
     model = load_obpose(folder)
-    conditioning = model.config.model.pose.conditioning
-    if conditioning not in ("location", "full"):
-        raise UsageError(
-            f"{checkpoint} holds a model with model.pose.conditioning={conditioning}, whose objects have no pose that "
-            "could be edited; give one of obpose or obpose-loc."
-        )
     return Origin(model, folder, checkpoint, hashlib.sha256((folder / MODEL).read_bytes()).hexdigest())
+
+
+def check_poses(config: Configuration, place: str) -> None:
+    """Check that the objects of a model of this configuration can be edited.
+
+    Raises:
+        UsageError: they have no poses.
+    """
+    architecture = architecture_of(config)
+    if isinstance(config, Config) and architecture is OBPOSE:
+        if config.model.pose.conditioning in ("location", "full"):
+            return
+        what = f"with model.pose.conditioning={config.model.pose.conditioning}"
+    else:
+        what = f"of the architecture {architecture.name}"
+    raise UsageError(
+        f"{place} holds a model {what}, whose objects have no pose that could be edited; give one of obpose or "
+        "obpose-loc."
+    )
 
 
 def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:

@@ -7,7 +7,6 @@ Gaussians that are fitted afterwards to the posterior means of training clips (e
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from jaxtyping import Float

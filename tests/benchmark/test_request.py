@@ -12,6 +12,8 @@ from benchmark.registry import GROUPS, Group
 from benchmark.request import request_of
 from datagen import config, spec
 from datagen.errors import UsageError
+from obpose.config_text import to_plain
+from obpose.systems import find_system
 from tests.fabricated import spheres_recipe, write_dataset
 
 
@@ -65,6 +67,16 @@ def test_weights_of_a_folder_say_what_they_are_of(tmp_path: Path):
             request_of(Run(checkpoint=(shipped,), name=taken))
     with pytest.raises(UsageError, match=r"'obpose' is the name of a model; give what is in .* another with --name"):
         request_of(Run(checkpoint=(shipped,), name="obpose"))
+
+
+@pytest.mark.parametrize("system", ["obpose-none", "slot-attention", "obsurf", "supervised"])
+def test_weights_whose_objects_have_no_poses_are_refused_for_editing(tmp_path: Path, system: str):
+    found = find_system(system)
+    facts = {"version": 1, "architecture": found.architecture.name, "config": to_plain(found.config())}
+    (tmp_path / "config.json").write_text(json.dumps(facts))
+    assert request_of(Run(checkpoint=(tmp_path,))).weights[0].model == system
+    with pytest.raises(UsageError, match="have no pose that could be edited; give one of obpose or obpose-loc"):
+        request_of(Run(task="editing", checkpoint=(tmp_path,)))
 
 
 @pytest.mark.parametrize(

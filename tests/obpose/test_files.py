@@ -1,4 +1,5 @@
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -54,29 +55,40 @@ def test_a_folder_is_one_process_s_until_it_lets_go(tmp_path: Path):
         assert not list(tmp_path.iterdir())
 
 
+def make(folder: Path, content: bytes, meanwhile: Callable[[], None] = lambda: None) -> None:
+    with new_folder(folder) as unfinished:
+        (unfinished / "file").write_bytes(content)
+        meanwhile()
+
+
+def fail() -> None:
+    raise ZeroDivisionError
+
+
 def test_a_new_folder_is_there_whole_or_not_at_all(tmp_path: Path):
-    with new_folder(tmp_path / "made") as folder:
-        (folder / "file").write_bytes(b"one")
-        assert not (tmp_path / "made").exists()
-    with pytest.raises(ZeroDivisionError), new_folder(tmp_path / "failed") as folder:
-        (folder / "file").write_bytes(b"half")
-        raise ZeroDivisionError
+    made = tmp_path / "made"
+    make(made, b"one", meanwhile=lambda: assert_missing(made))
+    with pytest.raises(ZeroDivisionError):
+        make(tmp_path / "failed", b"half", meanwhile=fail)
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def assert_missing(path: Path) -> None:
+    assert not path.exists()
 
 
 def test_of_two_that_make_the_same_folder_the_second_is_told(tmp_path: Path):
-    def finished_meanwhile() -> None:
-        with new_folder(tmp_path / "made") as folder:
-            (folder / "file").write_bytes(b"first")
+    made = tmp_path / "made"
+
+    def be_faster() -> None:
+        thread = threading.Thread(target=make, args=(made, b"first"))
+        thread.start()
+        thread.join()
 
     with pytest.raises(UsageError, match="made is there already and not empty; give another --out"):
-        with new_folder(tmp_path / "made") as folder:
-            (folder / "file").write_bytes(b"second")
-            thread = threading.Thread(target=finished_meanwhile)
-            thread.start()
-            thread.join()
+        make(made, b"second", meanwhile=be_faster)
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
-    assert (tmp_path / "made" / "file").read_bytes() == b"first"
+    assert (made / "file").read_bytes() == b"first"
 
 
 def test_the_current_folder_is_no_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
