@@ -110,6 +110,11 @@ class Split(Sequence[SceneRecord]):
         shard, row = self._locate(index)
         return {name: shard.read(row, name, frames) for name in fields}
 
+    @property
+    def settings_hash(self) -> str:
+        """Which scenes it has, however many of them there are yet: equal ones have equal scenes at equal indices."""
+        return settings_hash(self.spec)
+
     def hash(self, index: SupportsIndex) -> str:
         """The stored SHA-256 of one scene."""
         shard, row = self._locate(index)

@@ -85,6 +85,11 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         return self._scenes.spec["recipe"]["name"]
 
     @property
+    def settings_hash(self) -> str:
+        """SHA-256 of the settings that the dataset was made with: all but how many scenes it has."""
+        return self._scenes.settings_hash
+
+    @property
     def frames_of_clip(self) -> int:
         """Frames of a whole clip."""
         return self._clip_frames

@@ -10,6 +10,7 @@ obpose-edit mesh c --object 2 --out object.glb
 import math
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ import assets
 from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
-from obpose.creation.clip import one_of, read_clip
+from obpose.creation.clip import name_clip, one_of, read_clip
 from obpose.creation.infer import infer_scene
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
@@ -72,16 +73,17 @@ def _run(arguments: list[str]) -> int:
 def _infer(values: Infer) -> None:
     check_free(values.out)
     origin = load_origin(values.checkpoint)
-    scene = infer_scene(origin, read_clip(values.data, values.split, values.scene))
-    _show(scene, origin, values.out, values.resolution)
+    place = (values.data, values.split, values.scene)
+    scene = infer_scene(origin, read_clip(*place))
+    _show(replace(scene, clip=name_clip(*place)), origin, values.out, values.resolution)
 
 
 def _sample(values: Sample) -> None:
     check_free(values.out)
     if not 0 <= values.objects <= MOST_OBJECTS:
         raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
-    if values.seed < 0:
-        raise UsageError(f"--seed {values.seed}: expected 0 or more.")
+    if not 0 <= values.seed < 2**63:
+        raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
     origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
     prior = load_prior(origin) if values.prior == "fitted" else learned_prior(origin.model)
     generator = torch.Generator().manual_seed(values.seed)
@@ -180,13 +182,21 @@ def _add(values: Add, scene: Scene) -> Scene:
     source = scene if values.source is None else load_scene(values.source)
     if values.by is not None and values.to is not None:
         raise UsageError("Give --by or --to, not both.")
-    if values.source is None and values.by is None and values.to is None:
-        raise UsageError("A copy in the same place would not be seen; give --by or --to.")
     added = edit.transfer(source, values.object, scene)
-    name = added.ids[-1]
     if values.by is not None:
-        return edit.move(added, name, _vector("--by", values.by))
-    return added if values.to is None else edit.move_to(added, name, _vector("--to", values.to))
+        added = edit.move(added, added.ids[-1], _vector("--by", values.by))
+    if values.to is not None:
+        added = edit.move_to(added, added.ids[-1], _vector("--to", values.to))
+    _check_seen(added)
+    return added
+
+
+def _check_seen(scene: Scene) -> None:
+    """Check that the last object is not where an equal one is, as a copy that stays in its place would be."""
+    parts = (scene.what, scene.center, scene.rotation)
+    for place, name in enumerate(scene.ids[:-1]):
+        if all(torch.equal(part[:, place], part[:, -1]) for part in parts):
+            raise UsageError(f"A copy in the same place as object {name} would not be seen; give --by or --to.")
 
 
 def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> None:

@@ -1,8 +1,9 @@
-"""Clips of datasets, to infer scenes from."""
+"""Clips of datasets, to infer scenes from, and their names."""
 
 from pathlib import Path
 
 from obpose.clips import observation_of
+from obpose.creation.scene import ClipName
 from obpose.data import SceneDataset
 from obpose.errors import UsageError
 from obpose.types import Observation
@@ -19,6 +20,15 @@ def read_clip(data: Path, split: str, index: int) -> Observation:
     if not len(scenes):
         raise UsageError(f"The split {split} of {data} has no scenes; give another --split.")
     return observation_of([scenes[one_of("--scene", index, len(scenes))]])
+
+
+def name_clip(data: Path, split: str, index: int) -> ClipName:
+    """The name of a clip, by which scenes know that they are of it.
+
+    Raises:
+        UsageError: there is no such dataset or split.
+    """
+    return ClipName(SceneDataset(data, split).settings_hash, split, index)
 
 
 def one_of(flag: str, value: int, count: int) -> int:

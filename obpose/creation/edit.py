@@ -78,7 +78,7 @@ def transfer(source: Scene, name: int, target: Scene, by: Float[Tensor, "3"] | N
     Raises:
         UsageError: no such object, or the scenes are of different models, whose latents mean different things.
     """
-    if source.model != target.model:
+    if source.model != target.model or source.what.shape[-1] != target.what.shape[-1]:
         raise UsageError(
             "The scenes are of different models; an object of one means nothing to the other. Infer both with one."
         )

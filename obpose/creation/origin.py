@@ -7,7 +7,7 @@ from pathlib import Path
 from obpose.checkpoint import MODEL, load_obpose, read_config
 from obpose.config import Config
 from obpose.creation.scene import Scene
-from obpose.errors import UsageError
+from obpose.errors import CorruptFile, UsageError
 from obpose.model import ObPose
 from obpose.shipped import find_checkpoint
 from obpose.systems import OBPOSE, architecture_of
@@ -63,7 +63,7 @@ def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
 
     Raises:
         UsageError: as `load_origin`, or the weights there are others.
-        CorruptFile: a file is damaged.
+        CorruptFile: a file is damaged, or the scene is.
     """
     place = checkpoint or scene.checkpoint
     try:
@@ -76,5 +76,11 @@ def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
         raise UsageError(
             f"The scene was made with other weights than those in {place}, to which its objects mean nothing. Give "
             "--checkpoint with the right ones, or infer the scene again."
+        )
+    latent = found.model.config.model.latent
+    if (scene.what.shape[-1], scene.background.shape[-1]) != (latent.what, latent.background):
+        raise CorruptFile(
+            f"The scene is damaged: its latents have {scene.what.shape[-1]} and {scene.background.shape[-1]} values, "
+            f"those of its model {latent.what} and {latent.background}; make it again, into another folder."
         )
     return found

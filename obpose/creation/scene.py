@@ -28,6 +28,19 @@ class Camera:
         return Camera(self.k * scale, self.world_from_camera, width, height)
 
 
+@dataclass(frozen=True)
+class ClipName:
+    """Which clip of which dataset a scene was inferred from."""
+
+    dataset: str
+    """SHA-256 of the settings that the dataset was made with (`obpose.data.SceneDataset.settings_hash`)."""
+    split: str
+    index: int
+
+    def __str__(self) -> str:
+        return f"{self.split} scene {self.index}"
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Objects and background of a clip, in the latent space of one model.
@@ -51,6 +64,8 @@ class Scene:
     """SHA-256 of the weights that the latents are of."""
     checkpoint: str
     """Where these weights were: a folder, or the name of weights that ship with this package."""
+    clip: ClipName | None = None
+    """That it was inferred from, edited since or not; None where it was sampled, or nobody knows."""
 
     @property
     def frames(self) -> int:

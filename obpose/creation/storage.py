@@ -1,5 +1,6 @@
 """Scenes on disk: a folder with `scene.safetensors` and `scene.json`, nothing pickled."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,13 +9,17 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 
 from obpose.creation.pictures import PICTURE, Picture, write_png
-from obpose.creation.scene import Camera, Scene
+from obpose.creation.scene import Camera, ClipName, Scene
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import new_folder, write_whole
 
 TENSORS, FACTS = "scene.safetensors", "scene.json"
 VERSION = 1
 """Of the files; raised when older ones can no longer be read."""
+LARGEST_ID, LARGEST_SIDE = 2**31 - 1, 2**13
+"""Of an object's name, and pixels along a side of a camera's image."""
+_LARGEST_VALUE = 1e6
+"""Metres, pixels or units of a latent, far beyond all that are meant."""
 
 
 def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> None:
@@ -46,9 +51,10 @@ def load_scene(folder: Path) -> Scene:
         if version != VERSION:
             raise UsageError(f"The scene in {folder} is of version {version}, expected {VERSION}; make it again.")
         scene = _assemble(facts, load((folder / TENSORS).read_bytes()))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, SafetensorError):
+        is_whole = _is_whole(scene)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, SafetensorError):
         raise damaged from None
-    if not _is_whole(scene):
+    if not is_whole:
         raise damaged
     return scene
 
@@ -65,29 +71,50 @@ def _write(folder: Path, scene: Scene) -> None:
     facts = {
         "version": VERSION,
         "model": scene.model,
-        "checkpoint": scene.checkpoint,
+        "checkpoint": _wherever_from(scene.checkpoint),
         "objects": list(scene.ids),
         "images": [[camera.width, camera.height] for camera in scene.cameras],
     }
+    if scene.clip is not None:
+        facts["clip"] = dataclasses.asdict(scene.clip)
     write_whole(folder / TENSORS, save({name: tensor.detach().contiguous() for name, tensor in tensors.items()}))
     write_whole(folder / FACTS, (json.dumps(facts, indent=1) + "\n").encode())
 
 
+def _wherever_from(checkpoint: str) -> str:
+    """The path of a folder such that it is found from every current folder; names of shipped weights stay."""
+    place = Path(checkpoint)
+    return str(place.resolve()) if place.exists() else checkpoint
+
+
 def _assemble(facts: dict, tensors: dict[str, torch.Tensor]) -> Scene:
-    images, ids = facts["images"], tuple(int(name) for name in facts["objects"])
     return Scene(
-        ids=ids,
+        ids=tuple(_number(name, LARGEST_ID) for name in facts["objects"]),
         what=tensors["what"],
         center=tensors["center"],
         rotation=tensors["rotation"],
         background=tensors["background"],
         cameras=tuple(
-            Camera(k, pose, int(width), int(height))
-            for k, pose, (width, height) in zip(tensors["k"], tensors["world_from_camera"], images, strict=True)
+            Camera(k, pose, _number(width, LARGEST_SIDE), _number(height, LARGEST_SIDE))
+            for k, pose, (width, height) in zip(
+                tensors["k"], tensors["world_from_camera"], facts["images"], strict=True
+            )
         ),
         model=str(facts["model"]),
         checkpoint=str(facts["checkpoint"]),
+        # Scenes of older versions do not say it.
+        clip=_clip(facts["clip"]) if "clip" in facts else None,
     )
+
+
+def _clip(facts: dict) -> ClipName:
+    return ClipName(str(facts["dataset"]), str(facts["split"]), _number(facts["index"] + 1, LARGEST_ID) - 1)
+
+
+def _number(value: object, largest: int) -> int:
+    if type(value) is not int or not 0 < value <= largest:
+        raise ValueError(f"{value} is not in 1 to {largest}")
+    return value
 
 
 def _is_whole(scene: Scene) -> bool:
@@ -95,14 +122,22 @@ def _is_whole(scene: Scene) -> bool:
     frames, objects = scene.frames, len(scene.ids)
     sizes = (
         scene.what.shape[:2] == (frames, objects)
+        and scene.what.ndim == 3
         and scene.center.shape == (frames, objects, 3)
         and scene.rotation.shape == (frames, objects, 3, 3)
+        and scene.background.ndim == 2
         and frames > 0
     )
-    distinct = len(set(scene.ids)) == objects and min(scene.ids, default=1) > 0
-    cameras = all(
-        camera.k.shape == (3, 3) and camera.world_from_camera.shape == (4, 4) and min(camera.width, camera.height) > 0
-        for camera in scene.cameras
-    )
-    values = (scene.what, scene.center, scene.rotation, scene.background)
-    return sizes and distinct and cameras and len(scene.cameras) > 0 and all(bool(v.isfinite().all()) for v in values)
+    values = [scene.what, scene.center, scene.rotation, scene.background]
+    values += [value for camera in scene.cameras for value in (camera.k, camera.world_from_camera)]
+    numbers = all(value.dtype == torch.float32 and bool((value.abs() <= _LARGEST_VALUE).all()) for value in values)
+    distinct = len(set(scene.ids)) == objects
+    return sizes and numbers and distinct and len(scene.cameras) > 0 and all(map(_is_camera, scene.cameras))
+
+
+def _is_camera(camera: Camera) -> bool:
+    k, pose = camera.k, camera.world_from_camera
+    if k.shape != (3, 3) or pose.shape != (4, 4):
+        return False
+    triangular = k[2].tolist() == [0, 0, 1] and float(k[1, 0]) == 0
+    return triangular and bool((k.diagonal() > 0).all()) and pose[3].tolist() == [0, 0, 0, 1]

@@ -1,14 +1,14 @@
 """What a path given to the viewer is, and the scene that it shows at first."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from obpose.checkpoint import CONFIG
-from obpose.creation.clip import read_clip
+from obpose.creation.clip import name_clip, read_clip
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin, load_origin, origin_of
-from obpose.creation.scene import Scene
+from obpose.creation.scene import ClipName, Scene
 from obpose.creation.storage import FACTS, load_scene
 from obpose.data import SceneDataset
 from obpose.errors import UsageError
@@ -92,16 +92,30 @@ def shipped_for(data: Path) -> str:
 def _infer(checkpoint: str, data: Path, split: str, index: int) -> Opened:
     clip = read_clip(data, split, index)
     origin = load_origin(checkpoint)
-    return Opened(infer_scene(origin, clip), origin, clip, f"{data.name}, {split} {index}")
+    scene = replace(infer_scene(origin, clip), clip=name_clip(data, split, index))
+    return Opened(scene, origin, clip, f"{data.resolve().name}, {split} {index}")
 
 
 def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: str, index: int) -> Opened:
     scene = load_scene(path)
     clip = None if data is None else read_clip(data, split, index)
+    if data is not None:
+        _check_clip(path, scene, data, name_clip(data, split, index))
     if clip is not None and clip.depth.shape[1:3] != (scene.frames, len(scene.cameras)):
         frames, views = clip.depth.shape[1:3]
         raise UsageError(
             f"Scene {index} of {data} has {frames} frames and {views} views, {path} has {scene.frames} and "
             f"{len(scene.cameras)}; give the clip that it was inferred from, or leave out --data."
         )
-    return Opened(scene, origin_of(scene, checkpoint), clip, path.name)
+    return Opened(scene, origin_of(scene, checkpoint), clip, path.resolve().name)
+
+
+def _check_clip(path: Path, scene: Scene, data: Path, given: ClipName) -> None:
+    """Check that a scene was inferred from this clip, where it says from which."""
+    if scene.clip is None or scene.clip == given:
+        return
+    if scene.clip.dataset == given.dataset:
+        wrong, right = f"{given}", f"--split {scene.clip.split} --scene {scene.clip.index}"
+    else:
+        wrong, right = f"any in {data}", "the dataset that it is of with --data"
+    raise UsageError(f"{path} is of {scene.clip}, not of {wrong}; give {right}, or leave out --data.")

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.creation.rendering import Renderer
+from obpose.creation.scene import Scene
 from obpose.errors import DatagenError, UsageError
 from obpose.viewer.drawing import Clouds, Drawer, Picture, Piece, Shape, Wish
 from obpose.viewer.newest import Newest
@@ -73,7 +74,7 @@ class Page:
             draw=lambda: self._edit(lambda _: None),
             undo=lambda: self._edit(lambda session: session.undo()),
             sample=lambda objects: self.work.run(lambda: self._sample(objects)),
-            save=lambda: self.work.run(self._save),
+            save=self._save,
         )
 
     def _edit(self, change: Callable[[Session], None]) -> None:
@@ -114,8 +115,12 @@ class Page:
         self._tell("Sampled", f"{objects} objects, with seed {self._sampler.seed}")
 
     def _save(self) -> None:
+        """Save the scene as it is now, whatever is edited before its turn comes."""
         with self._lock:
             scene = self.session.scene
+        self.work.run(lambda: self._write(scene))
+
+    def _write(self, scene: Scene) -> None:
         folder = save_new(self._out, scene, self._renderer)
         self._tell("Saved", f"{folder}: {scene.frames} frames, {len(scene.ids)} objects", "green")
 

@@ -10,6 +10,7 @@ from PIL import Image
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from obpose.creation.origin import origin_of
 from obpose.creation.rendering import Renderer
+from obpose.creation.scene import ClipName
 from obpose.creation.storage import load_scene
 from obpose.data import SceneDataset
 from obpose.edit_cli import main
@@ -31,6 +32,7 @@ def run(command: str, *arguments: object) -> int:
 def test_what_is_inferred_looks_like_the_clip(inferred: Path, tiny_dataset: Path, capsys):
     scene = load_scene(inferred)
     assert scene.frames == 10
+    assert scene.clip == ClipName(SceneDataset(tiny_dataset).settings_hash, "test", 0)
     assert 1 <= len(scene.ids) <= 4
     with Image.open(inferred / "picture.png") as picture:
         assert picture.size == (768, 256)
@@ -114,6 +116,15 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
             ["fit", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
             "ships with the package, its prior too",
         ),
+        (
+            ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--seed", str(2**64), "--out", "new"],
+            "less than 2^63",
+        ),
+        (["add", "SCENE", "--object", "FIRST", "--out", "new"], "would not be seen; give --by or --to"),
+        (
+            ["add", "SCENE", "--from", "SCENE", "--object", "FIRST", "--out", "new"],
+            "would not be seen; give --by or --to",
+        ),
         (["paint", "SCENE"], "Unknown subcommand 'paint'"),
     ],
 )
@@ -122,7 +133,10 @@ def test_bad_input_is_one_line_and_nothing_is_written(
 ):
     monkeypatch.chdir(tmp_path)
     before = {path: path.read_bytes() for path in inferred.iterdir()}
-    assert main([part.replace("SCENE", str(inferred)) for part in command]) == EXIT_USAGE
+    places = {"SCENE": str(inferred), "FIRST": str(load_scene(inferred).ids[0])}
+    for name, place in places.items():
+        command = [part.replace(name, place) for part in command]
+    assert main(command) == EXIT_USAGE
     errors = capsys.readouterr().err
     assert message in errors
     assert errors.count("\n") == 1

@@ -6,7 +6,7 @@ from safetensors.torch import load_file, save_file
 
 from obpose.checkpoint import save_model
 from obpose.creation.origin import load_origin, origin_of
-from obpose.errors import UsageError
+from obpose.errors import CorruptFile, UsageError
 from obpose.model import ObPose
 from obpose.variants import make_config
 from tests.obpose.creation.scenes import some_model, some_scene
@@ -35,6 +35,13 @@ def test_a_model_that_was_moved_can_be_named(tmp_path: Path):
     with pytest.raises(UsageError, match=r"not where it was.*Say with --checkpoint"):
         origin_of(scene)
     assert origin_of(scene, str(tmp_path / "b")).folder == tmp_path / "b"
+
+
+def test_latents_of_other_sizes_than_the_model_s_are_damage(tmp_path: Path):
+    place = trained(tmp_path / "model")
+    scene = replace(some_scene(model=load_origin(place).hash), checkpoint=place)
+    with pytest.raises(CorruptFile, match="its latents have 31 and 32 values, those of its model 32 and 32"):
+        origin_of(replace(scene, what=scene.what[..., 1:]))
 
 
 @pytest.mark.parametrize("variant", ["obpose-none", "slot-attention"])

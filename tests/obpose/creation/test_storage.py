@@ -1,10 +1,13 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
+from obpose.creation.scene import ClipName
 from obpose.creation.storage import load_scene, save_scene
 from obpose.errors import CorruptFile, DatagenError, UsageError
 from tests.obpose.creation.scenes import CAMERA, equal, some_scene
@@ -42,6 +45,14 @@ def test_no_scene_and_later_ones_are_told(tmp_path: Path):
         {"images": [[0, 3]]},
         {"images": 3},
         {"model": None, "objects": None},
+        {"objects": [1, 2, 2**31]},
+        {"objects": [1, 2, 2.5]},
+        {"objects": [1, 2, float("inf")]},
+        {"images": [[10**12, 3]]},
+        {"images": [[16.5, 3]]},
+        {"clip": 3},
+        {"clip": {"dataset": "abc", "split": "test", "index": -1}},
+        {"clip": {"dataset": "abc", "split": "test", "index": "0"}},
     ],
 )
 def test_facts_that_do_not_fit_are_damage(tmp_path: Path, change: dict[str, object]):
@@ -64,12 +75,55 @@ def test_other_files_are_damage(tmp_path: Path, name: str, content: bytes):
         load_scene(tmp_path)
 
 
-def test_numbers_that_are_none_are_damage(tmp_path: Path):
-    scene = some_scene()
-    scene.center[0, 0, 0] = torch.nan
-    save_scene(tmp_path, scene)
+CAMERAS = {"k": CAMERA.k[None], "world_from_camera": CAMERA.world_from_camera[None]}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"center": torch.full((2, 3, 3), torch.nan)},
+        {"center": torch.full((2, 3, 3), 1e30)},
+        {"k": torch.full((1, 3, 3), torch.nan)},
+        {"k": torch.zeros(1, 3, 3)},
+        {"k": CAMERAS["k"].mT.contiguous()},
+        {"world_from_camera": CAMERAS["world_from_camera"] * torch.inf},
+        {"world_from_camera": torch.zeros(1, 4, 4)},
+        {"what": torch.zeros(2, 3)},
+        {"what": torch.zeros(2, 3, 32, dtype=torch.float64)},
+        {"rotation": torch.zeros(2, 3, 3, 3, dtype=torch.int64)},
+        {"background": torch.zeros(())},
+        {"background": torch.zeros(2, 4, 8)},
+    ],
+)
+def test_arrays_that_no_scene_has_are_damage(tmp_path: Path, change: dict[str, torch.Tensor]):
+    save_scene(tmp_path, some_scene())
+    save_file(load_file(tmp_path / "scene.safetensors") | change, tmp_path / "scene.safetensors")
     with pytest.raises(CorruptFile, match="is damaged"):
         load_scene(tmp_path)
+
+
+def test_facts_nested_without_end_are_damage(tmp_path: Path):
+    save_scene(tmp_path, some_scene())
+    (tmp_path / "scene.json").write_text("[" * 100_000)
+    with pytest.raises(CorruptFile, match="is damaged"):
+        load_scene(tmp_path)
+
+
+def test_a_scene_knows_its_clip_and_older_ones_do_not(tmp_path: Path):
+    name = ClipName("abc", "val", 0)
+    save_scene(tmp_path / "new", replace(some_scene(), clip=name))
+    assert load_scene(tmp_path / "new").clip == name
+    save_scene(tmp_path / "old", some_scene())
+    assert "clip" not in json.loads((tmp_path / "old" / "scene.json").read_text())
+    assert load_scene(tmp_path / "old").clip is None
+
+
+def test_the_model_s_folder_is_found_from_everywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "model").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for place, stored in (("model", str(tmp_path / "model")), ("obpose--moving--64x64", "obpose--moving--64x64")):
+        save_scene(tmp_path / f"of-{place}", replace(some_scene(), checkpoint=place))
+        assert load_scene(tmp_path / f"of-{place}").checkpoint == stored
 
 
 def test_a_scene_takes_no_other_one_s_place(tmp_path: Path):

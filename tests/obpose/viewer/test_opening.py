@@ -53,3 +53,23 @@ def test_what_is_missing_or_contradicts_itself_is_told(tiny_dataset: Path, tmp_p
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="is a file; expected"):
         kind_of(tmp_path / "file")
+
+
+def test_a_scene_is_shown_beside_its_own_clip_only(tiny_dataset: Path, tmp_path: Path):
+    inferred = open_path(tiny_dataset, **PLAIN | {"index": 1})
+    save_scene(tmp_path / "saved", inferred.scene)
+    with pytest.raises(UsageError, match="of test scene 1, not of test scene 0; give --split test --scene 1"):
+        open_path(tmp_path / "saved", **PLAIN | {"data": tiny_dataset})
+    assert open_path(tmp_path / "saved", **PLAIN | {"data": tiny_dataset, "index": 1}).clip is not None
+    assert inferred.scene.clip is not None
+    elsewhere = replace(inferred.scene, clip=replace(inferred.scene.clip, dataset="another"))
+    save_scene(tmp_path / "elsewhere", elsewhere)
+    with pytest.raises(UsageError, match=r"not of any in .*; give the dataset that it is of with --data"):
+        open_path(tmp_path / "elsewhere", **PLAIN | {"data": tiny_dataset, "index": 1})
+    save_scene(tmp_path / "older", replace(inferred.scene, clip=None))
+    assert open_path(tmp_path / "older", **PLAIN | {"data": tiny_dataset}).clip is not None
+
+
+def test_the_current_folder_has_a_name(tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tiny_dataset)
+    assert open_path(Path(), **PLAIN).title == "moving, test 0"

@@ -1,6 +1,7 @@
 """The page on its server, without a browser: what it serves, and what the controls do to the session."""
 
 import socket
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -114,6 +115,16 @@ def test_what_is_saved_can_be_opened_again(page: Page, tmp_path: Path):
     settled(page)
     assert sorted(path.name for path in (tmp_path / "saved").iterdir()) == ["scene-1", "scene-2"]
     assert equal(load_scene(tmp_path / "saved" / "scene-1"), page.session.scene)
+
+
+def test_a_scene_is_saved_as_it_was_when_the_button_was_pressed(page: Page, tmp_path: Path):
+    pressed, go_on = page.session.scene, threading.Event()
+    page.work.run(lambda: go_on.wait(60) and None)
+    page.actions.save()
+    page.actions.remove(pressed.ids[0])
+    go_on.set()
+    settled(page)
+    assert equal(load_scene(tmp_path / "saved" / "scene-1"), pressed)
 
 
 def test_what_two_windows_do_at_once_is_no_mistake(page: Page):
