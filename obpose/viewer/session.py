@@ -27,6 +27,8 @@ class Version:
     scene: Scene
     seen_as: Mapping[int, int] | None
     """Which object of the input each is, or a copy of; None where the scene is not that of the input."""
+    began: Scene
+    """What it was before all edits: of equal beginnings, equal names are the same object."""
     hidden: frozenset[int] = frozenset()
 
 
@@ -35,7 +37,7 @@ class Session:
 
     def __init__(self, scene: Scene, model: ObPose):
         """The model says where the world ends and how large objects are."""
-        self.version = Version(scene, {name: name for name in scene.ids})
+        self.version = Version(scene, {name: name for name in scene.ids}, began=scene)
         self.selected: int | None = None
         self.frame = 0
         self.view = 0
@@ -146,13 +148,17 @@ class Session:
 
     def replace(self, scene: Scene) -> None:
         """Go on with another scene of the same model, which is not that of the input."""
-        self._become(Version(scene, None))
+        self._become(Version(scene, None, began=scene))
         self.selected = None
 
     def undo(self) -> None:
-        """Go back to before the last edit, if there was one."""
+        """Go back to before the last edit, if there was one; what is hidden stays so."""
         if self._past:
-            self.version = self._past.pop()
+            past = self._past.pop()
+            if past.began is self.version.began:
+                gone = frozenset(past.scene.ids) - frozenset(self.scene.ids)
+                past = replace(past, hidden=(past.hidden & gone) | (self.hidden & frozenset(past.scene.ids)))
+            self.version = past
             self._settle()
 
     def _become(self, version: Version) -> None:

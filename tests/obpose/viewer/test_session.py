@@ -108,6 +108,22 @@ def test_what_is_hidden_is_not_shown_and_stays_in_the_scene():
     assert not session.can_undo
 
 
+def test_undo_leaves_hidden_what_was_hidden_since():
+    session = some_session()
+    session.hide(3)
+    session.remove(3)
+    session.duplicate(1)
+    session.hide(2)
+    session.unhide(1)
+    session.undo()
+    assert session.hidden == {2}
+    session.undo()
+    assert session.hidden == {2, 3}
+    assert session.shown.ids == (1,)
+    session.unhide(3)
+    assert session.hidden == {2}
+
+
 def test_a_sampled_scene_hides_nothing_and_undo_brings_back_what_was_hidden():
     session = some_session()
     session.hide(2)
