@@ -26,6 +26,14 @@ MODEL, CONFIG, TRAINING = "model.safetensors", "config.json", "training.safetens
 VERSION = 1
 """Of the files; raised when older ones can no longer be read."""
 
+_MEND = {
+    MODEL: f"where {TRAINING} beside it is intact, the obpose-train command that began it writes it anew; else give a "
+    "copy of it, or train into another folder.",
+    TRAINING: f"the training cannot go on, begin anew in another folder with --out. {MODEL} beside it is a file of its "
+    "own and can be used still.",
+}
+"""What to do where one is damaged."""
+
 Build = Callable[[Any], Trainable]
 """Makes a model with fresh weights."""
 
@@ -57,10 +65,12 @@ def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configura
 
     Raises:
         UsageError: there is none, or it is of another version or architecture.
-        CorruptFile: a file is damaged.
+        CorruptFile: a file is damaged, or holds numbers that are none.
     """
     config = read_config(folder)
     weights, info = _read_tensors(folder / MODEL)
+    if broken := [name for name, tensor in weights.items() if not tensor.isfinite().all()]:
+        raise CorruptFile(f"{folder / MODEL} holds numbers that are not finite, in {broken[0]}; {_MEND[MODEL]}")
     with torch.random.fork_rng(devices=[]):
         model = build(config)
     put_weights(model, weights, str(folder))
@@ -84,7 +94,7 @@ def read_config(folder: Path) -> Configuration:
     """The configuration of a folder's model.
 
     Raises:
-        UsageError: there is none, or it is of another version.
+        UsageError: there is none, it is of another version, or no model can be made of its values.
         CorruptFile: the file is damaged.
     """
     path = folder / CONFIG
@@ -103,7 +113,12 @@ def read_config(folder: Path) -> Configuration:
     name = facts.get("architecture", OBPOSE.name)
     if name not in ARCHITECTURES:
         raise UsageError(f"{path} is of architecture {name!r}; this version has {', '.join(ARCHITECTURES)}.")
-    return from_plain(plain, ARCHITECTURES[name].config)
+    try:
+        config = from_plain(plain, ARCHITECTURES[name].config)
+        ARCHITECTURES[name].check(config)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+    return config
 
 
 def put_weights(model: Trainable, weights: State, place: str) -> None:
@@ -145,9 +160,7 @@ def load_training(folder: Path, config: Configuration) -> TrainingState | None:
     for name, tensor in tensors.items():
         part, _, rest = name.partition(".")
         if part not in parts:
-            raise CorruptFile(
-                f"{folder / TRAINING} is no training: it holds {name!r}; delete the folder to begin anew."
-            )
+            raise CorruptFile(f"{folder / TRAINING} is no training, it holds {name!r}; {_MEND[TRAINING]}")
         parts[part][rest] = tensor
     return TrainingState(parts["model"], parts["optimizer"], info)
 
@@ -171,13 +184,13 @@ def _write_tensors(path: Path, tensors: State, info: Info) -> None:
 
 def _read_tensors(path: Path) -> tuple[State, Info]:
     if not path.exists():
-        raise CorruptFile(f"{path} is missing, though there is a {CONFIG}; delete the folder to begin anew.")
+        raise CorruptFile(f"{path} is missing, though there is a {CONFIG}; {_MEND[path.name]}")
     try:
         with safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             return tensors, json.loads((file.metadata() or {})["info"])
     except (SafetensorError, KeyError, ValueError) as error:
-        raise CorruptFile(f"{path} is damaged ({error}); delete the folder to begin anew.") from None
+        raise CorruptFile(f"{path} is damaged ({error}); {_MEND[path.name]}") from None
 
 
 def _line(error: Exception) -> str:

@@ -20,7 +20,13 @@ from obpose.errors import CorruptFile, UsageError
 from obpose.systems import build_model, find_system
 from tests.obpose.toy import ToyModel, toy_config
 
-CONFIGURATION = toy_config(**{"model.floor": None, "model.backbone.widths": (8, 16), "train.learning_rate": 0.1})
+SAME = {
+    "model.floor": None,
+    "model.backbone.widths": (8, 16),
+    "model.backbone.blocks": (0, 1),
+    "train.learning_rate": 0.1,
+}
+CONFIGURATION = toy_config(**SAME)
 
 
 @pytest.fixture
@@ -66,9 +72,6 @@ def test_where_nothing_was_begun_there_is_no_training(tmp_path: Path):
 def test_another_configuration_is_refused_with_what_differs(run: Path):
     with pytest.raises(UsageError, match=r"differ: train.batch: 1, 7; train.seed: 0, 1\."):
         load_training(run, toy_config(**{**SAME, "train.batch": 7, "train.seed": 1}))
-
-
-SAME = {"model.floor": None, "model.backbone.widths": (8, 16), "train.learning_rate": 0.1}
 
 
 def test_tensors_may_share_memory(tmp_path: Path):
@@ -159,3 +162,27 @@ def test_files_older_than_the_second_architecture_are_of_the_first(run: Path):
     (run / CONFIG).write_text(json.dumps({**facts, "architecture": "elsewhere"}))
     with pytest.raises(UsageError, match="architecture 'elsewhere'; this version has obpose, obsurf, supervised"):
         load(run, ToyModel)
+
+
+def test_a_configuration_of_which_no_model_can_be_made_is_refused(run: Path):
+    facts = json.loads((run / CONFIG).read_text())
+    facts["config"]["model"]["slots"] = -5
+    (run / CONFIG).write_text(json.dumps(facts))
+    with pytest.raises(UsageError, match=r"config\.json: .*model\.slots.*-5"):
+        load(run, ToyModel)
+
+
+def test_weights_that_are_no_numbers_are_damage(run: Path):
+    weights = ToyModel(CONFIGURATION).state_dict()
+    weights["mean"][1] = torch.nan
+    save_model(run, weights, CONFIGURATION, {})
+    with pytest.raises(CorruptFile, match=r"model\.safetensors holds numbers that are not finite, in mean"):
+        load(run, ToyModel)
+
+
+@pytest.mark.parametrize("name", [MODEL, TRAINING])
+def test_nobody_is_told_to_delete_what_is_intact(run: Path, name: str):
+    (run / name).unlink()
+    with pytest.raises(CorruptFile, match="missing") as caught:
+        load_training(run, CONFIGURATION) if name == TRAINING else load(run, ToyModel)
+    assert "delete the folder" not in str(caught.value)
