@@ -1,9 +1,18 @@
-"""The server of viser, which writes to the terminal whether it is told to or not, kept quiet."""
+"""The server of viser, kept quiet, as it writes to the terminal whether it is told to or not, and to our own page.
 
-from contextlib import redirect_stdout
+A browser lets every page that it shows connect to servers of this machine, and viser asks nobody where they are from:
+the server of websockets that it starts is made to.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from http import HTTPStatus
 from io import StringIO
+from typing import Any
+from urllib.parse import urlsplit
 
 import viser
+from websockets.asyncio import server as websockets_server
 
 from obpose.errors import UsageError
 
@@ -14,7 +23,7 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     Raises:
         UsageError: somebody else listens there.
     """
-    with redirect_stdout(StringIO()):
+    with redirect_stdout(StringIO()), _own_pages_only():
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if server.get_port() != port:
         close_server(server)
@@ -26,3 +35,28 @@ def close_server(server: viser.ViserServer) -> None:
     """Let go of all who look."""
     with redirect_stdout(StringIO()):
         server.stop()
+
+
+def is_foreign(origin: str | None, host: str | None) -> bool:
+    """Whether a request is of a page of another server than the one it goes to; what is no browser names no origin."""
+    return origin is not None and urlsplit(origin).netloc != host
+
+
+@contextmanager
+def _own_pages_only() -> Iterator[None]:
+    """Servers that are started meanwhile refuse the pages of others."""
+    serve: Any = websockets_server.serve
+
+    def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            if is_foreign(request.headers.get("Origin"), request.headers.get("Host")):
+                return connection.respond(HTTPStatus.FORBIDDEN, "Pages of other servers may not connect.\n")
+            return process_request(connection, request) if process_request else None
+
+        return serve(*arguments, process_request=answer, **options)
+
+    websockets_server.serve = guarded
+    try:
+        yield
+    finally:
+        websockets_server.serve = serve
