@@ -8,6 +8,7 @@ import csv
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmark.editing.answers import Answer
 from benchmark.editing.scores import METRICS
@@ -83,7 +84,7 @@ def load_all(folder: Path) -> list[Line]:
     return [line for path in paths for line in load_lines(path) if line["edit"]]
 
 
-def _typed(rows: Iterable[dict[str | None, str | None]]) -> Iterator[Line]:
+def _typed(rows: Iterable[dict[Any, Any]]) -> Iterator[Line]:
     for number, row in enumerate(rows, start=2):
         # What DictReader makes of lines that are too long or too short.
         if None in row or None in row.values():
