@@ -1,5 +1,6 @@
 """Scenes of the viewer on disk: every one in a folder of its own, nothing is overwritten."""
 
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
@@ -24,7 +25,8 @@ def save_new(root: Path, scene: Scene, renderer: Renderer) -> Path:
     try:
         save_scene(folder, scene, picture)
     except DatagenError:
-        folder.rmdir()
+        with suppress(OSError):
+            folder.rmdir()
         raise
     return folder
 
