@@ -6,7 +6,7 @@ everything that a training needs to go on, weights included, in one file, so tha
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -97,27 +97,13 @@ def read_config(folder: Path) -> Configuration:
         UsageError: there is none, it is of another version, or no model can be made of its values.
         CorruptFile: the file is damaged.
     """
-    path = folder / CONFIG
-    if not path.exists():
-        raise UsageError(f"{folder} holds no model: there is no {CONFIG}. obpose-train makes one.")
+    config = _stored_config(folder)
+    # A training that counts steps may have no end in time, as the benchmark's have; for the model that is nothing.
+    timeless: Any = replace(config, train=replace(config.train, minutes=1.0))  # pyright: ignore[reportArgumentType]
     try:
-        facts = json.loads(path.read_text())
-        version, plain = facts["version"], facts["config"]
-    except (ValueError, KeyError, TypeError):
-        raise CorruptFile(f"{path} is damaged; train again into another folder.") from None
-    if version != VERSION:
-        raise UsageError(f"{path} is of version {version}, expected {VERSION}; train again, or use that version.")
-    if not isinstance(plain, dict):
-        raise CorruptFile(f"{path} is damaged; train again into another folder.")
-    # Files that do not say it are older than the second architecture.
-    name = facts.get("architecture", OBPOSE.name)
-    if name not in ARCHITECTURES:
-        raise UsageError(f"{path} is of architecture {name!r}; this version has {', '.join(ARCHITECTURES)}.")
-    try:
-        config = from_plain(plain, ARCHITECTURES[name].config)
-        ARCHITECTURES[name].check(config)
+        architecture_of(config).check(timeless)
     except UsageError as error:
-        raise UsageError(f"{path}: {error}") from None
+        raise UsageError(f"{folder / CONFIG}: {error}") from None
     return config
 
 
@@ -150,7 +136,7 @@ def load_training(folder: Path, config: Configuration) -> TrainingState | None:
     if not (folder / CONFIG).exists():
         _check_free(folder)
         return None
-    if different := differences(read_config(folder), config):
+    if different := differences(_stored_config(folder), config):
         raise UsageError(
             f"{folder} holds a run of another configuration. There and here differ: {'; '.join(different)}. "
             "Give another --out, or the same values."
@@ -163,6 +149,30 @@ def load_training(folder: Path, config: Configuration) -> TrainingState | None:
             raise CorruptFile(f"{folder / TRAINING} is no training, it holds {name!r}; {_MEND[TRAINING]}")
         parts[part][rest] = tensor
     return TrainingState(parts["model"], parts["optimizer"], info)
+
+
+def _stored_config(folder: Path) -> Configuration:
+    """As `read_config`, whatever the values are."""
+    path = folder / CONFIG
+    if not path.exists():
+        raise UsageError(f"{folder} holds no model: there is no {CONFIG}. obpose-train makes one.")
+    try:
+        facts = json.loads(path.read_text())
+        version, plain = facts["version"], facts["config"]
+    except (ValueError, KeyError, TypeError):
+        raise CorruptFile(f"{path} is damaged; train again into another folder.") from None
+    if version != VERSION:
+        raise UsageError(f"{path} is of version {version}, expected {VERSION}; train again, or use that version.")
+    if not isinstance(plain, dict):
+        raise CorruptFile(f"{path} is damaged; train again into another folder.")
+    # Files that do not say it are older than the second architecture.
+    name = facts.get("architecture", OBPOSE.name)
+    if name not in ARCHITECTURES:
+        raise UsageError(f"{path} is of architecture {name!r}; this version has {', '.join(ARCHITECTURES)}.")
+    try:
+        return from_plain(plain, ARCHITECTURES[name].config)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
 
 
 def _check_free(folder: Path) -> None:

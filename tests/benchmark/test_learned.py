@@ -140,6 +140,7 @@ def test_weights_that_ship_need_no_training(
     rows = {row.key.model: row for row in load_runs(out) if row.kind == "learned"}
     assert set(rows) == {"obpose-pretrained", "obpose-pretrained-att"}
     assert {row.pretrained for row in rows.values()} == {name}
+    assert rows["obpose-pretrained"].config["train"]["steps"] == STEPS
     assert not (out / "training").exists()
     with (out / "leaderboard.csv").open(newline="") as file:
         lines = {line["model"]: line for line in csv.DictReader(file)}

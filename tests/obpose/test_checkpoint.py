@@ -1,4 +1,5 @@
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -170,6 +171,12 @@ def test_a_configuration_of_which_no_model_can_be_made_is_refused(run: Path):
     (run / CONFIG).write_text(json.dumps(facts))
     with pytest.raises(UsageError, match=r"config\.json: .*model\.slots.*-5"):
         load(run, ToyModel)
+
+
+def test_a_training_that_counted_steps_may_have_had_no_end_in_time(tmp_path: Path):
+    config = toy_config(**SAME, **{"train.minutes": math.inf})
+    save_model(tmp_path, ToyModel(config).state_dict(), config, {})
+    assert load(tmp_path, ToyModel)[1] == config
 
 
 def test_weights_that_are_no_numbers_are_damage(run: Path):

@@ -1,4 +1,5 @@
 import json
+import math
 from functools import reduce
 from pathlib import Path
 from typing import Literal, get_args, get_origin, get_type_hints
@@ -45,12 +46,14 @@ def _another(name: str, value: object) -> object:
 
 def test_weights_state_their_own_settings_priors_and_views(tmp_path: Path):
     changes = {"model.slots": 3, "model.floor": None, "model.table": None, "train.views": "together"}
+    changes |= {"train.steps": 5, "train.minutes": math.inf}
     config = make_config(**changes)
     (tmp_path / "config.json").write_text(json.dumps({"version": 1, "config": to_plain(config)}))
     declared = find_model("obpose")
     assert declared.configured
     found = declared.configured(tmp_path)
-    assert found.settings_in("gpu") == settings_of(config)
+    expected = settings_of(config)
+    assert found.settings_in("gpu") == {**expected, "train": {**expected["train"], "minutes": None}}
     assert set(declared.priors) - set(found.priors) == {"plane"}
     assert found.views
     assert found.views.on(4) == "4 in, 4 supervise"
