@@ -36,7 +36,7 @@ from obpose.creation.storage import load_scene, save_scene
 from obpose.data import SceneDataset
 from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.errors import EXIT_OK, UsageError, run_program
-from obpose.files import check_free
+from obpose.files import check_free, check_new, new_file
 
 PROGRAM = "obpose-edit"
 FPS = 8.0
@@ -105,8 +105,7 @@ def _fit(values: Fit) -> None:
 
 
 def _render(values: Render) -> None:
-    if values.out.exists():
-        raise UsageError(f"{values.out} is there already; give another --out.")
+    check_new(values.out)
     if not 0 <= values.turntable <= MOST_TURNS:
         raise UsageError(f"--turntable {values.turntable}: expected 0 to {MOST_TURNS}.")
     moving = values.turntable > 0 or values.clip
@@ -117,20 +116,20 @@ def _render(values: Render) -> None:
     camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
     camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
     renderer = Renderer(origin.model)
-    if values.turntable > 0:
-        around = turntable(camera, origin.model.center, values.turntable)
-        write_gif(values.out, (strip(renderer.render(scene, frame, each), scene.ids) for each in around), fps=FPS)
-    elif values.clip:
-        frames = range(scene.frames)
-        write_gif(values.out, (strip(renderer.render(scene, each, camera), scene.ids) for each in frames), fps=FPS)
-    else:
-        write_png(values.out, strip(renderer.render(scene, frame, camera), scene.ids))
+    with new_file(values.out) as out:
+        if values.turntable > 0:
+            around = turntable(camera, origin.model.center, values.turntable)
+            write_gif(out, (strip(renderer.render(scene, frame, each), scene.ids) for each in around), fps=FPS)
+        elif values.clip:
+            frames = range(scene.frames)
+            write_gif(out, (strip(renderer.render(scene, each, camera), scene.ids) for each in frames), fps=FPS)
+        else:
+            write_png(out, strip(renderer.render(scene, frame, camera), scene.ids))
     print(values.out)
 
 
 def _mesh(values: Mesh) -> None:
-    if values.out.exists():
-        raise UsageError(f"{values.out} is there already; give another --out.")
+    check_new(values.out)
     if values.out.suffix not in FORMATS:
         raise UsageError(f"--out {values.out}: expected a name that ends with {' or '.join(FORMATS)}.")
     if not 2 <= values.cells <= MOST_CELLS:
@@ -139,7 +138,8 @@ def _mesh(values: Mesh) -> None:
     frame = one_of("--frame", values.frame, scene.frames)
     model = origin_of(scene, values.checkpoint).model
     mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
-    write_mesh(values.out, mesh)
+    with new_file(values.out) as out:
+        write_mesh(out, mesh)
     sides = " x ".join(f"{100 * side:.1f}" for side in mesh.extents)
     print(f"{values.out}: {len(mesh.faces)} triangles, {sides} cm along the world's axes")
 

@@ -74,6 +74,44 @@ def check_free(folder: Path) -> None:
 
 
 @contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Another path, with the same ending, to write a file to, which comes to be `path` if all went well.
+
+    Raises:
+        UsageError: there is something already, perhaps since a moment ago; nothing was changed.
+    """
+    check_new(path)
+    partial = path.with_name(f".{path.stem}.{os.getpid()}-{threading.get_ident()}.unfinished{path.suffix}")
+    try:
+        yield partial
+        _rename_new(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _rename_new(partial: Path, path: Path) -> None:
+    try:
+        # Fails where somebody was faster, as a rename would not.
+        os.link(partial, path)
+    except FileExistsError:
+        check_new(path)
+    except OSError:
+        # Some file systems have no second names of a file.
+        check_new(path)
+        partial.rename(path)
+
+
+def check_new(path: Path) -> None:
+    """Check that nothing is where a file is to be.
+
+    Raises:
+        UsageError: something is.
+    """
+    if path.exists():
+        raise UsageError(f"{path} is there already; give another --out, nothing was changed.")
+
+
+@contextmanager
 def claimed(folder: Path) -> Iterator[None]:
     """A folder that one process at a time writes to, and what killed ones left half-written is gone.
 

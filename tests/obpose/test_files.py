@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from obpose.errors import DatagenError, UsageError
-from obpose.files import claimed, new_folder, remove_abandoned, write_whole
+from obpose.files import claimed, new_file, new_folder, remove_abandoned, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path):
@@ -95,3 +95,26 @@ def test_the_current_folder_is_no_new_one(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UsageError, match="is the current folder; give a new one"), new_folder(Path()):
         raise AssertionError
+
+
+def write(path: Path, content: bytes, meanwhile: Callable[[], None] = lambda: None) -> None:
+    with new_file(path) as unfinished:
+        assert unfinished.suffix == path.suffix
+        unfinished.write_bytes(content)
+        meanwhile()
+
+
+def test_a_new_file_takes_no_other_one_s_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "a.png"
+    with pytest.raises(UsageError, match=r"a\.png is there already; give another --out"):
+        write(path, b"second", meanwhile=lambda: path.write_bytes(b"first") and None)
+    assert path.read_bytes() == b"first"
+    with pytest.raises(ZeroDivisionError):
+        write(tmp_path / "b.png", b"half", meanwhile=fail)
+
+    def unknown(_one: Path, _other: Path) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("os.link", unknown)
+    write(tmp_path / "c.png", b"whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "c.png"]
