@@ -1,8 +1,12 @@
 """What can go wrong in a way the user can mend, the exit code that says so, and how every command ends with it."""
 
 import difflib
+import os
+import signal
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 EXIT_OK = 0
 EXIT_USAGE = 2
@@ -74,6 +78,19 @@ def run_program(
         said, code = out_of_memory, EXIT_INCOMPLETE
     sys.stderr.write(f"{program}: {said}\n")
     return code
+
+
+@contextmanager
+def ending(program: str) -> Iterator[None]:
+    """Let Ctrl-C end the process at once, in one line: what is raised while a library is imported may be lost in it."""
+
+    def leave(_signal: int, _frame: FrameType | None) -> None:
+        os.write(sys.stderr.fileno(), f"{program}: Interrupted before anything was done.\n".encode())
+        os._exit(EXIT_INTERRUPTED)
+
+    before = signal.signal(signal.SIGINT, leave)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def is_out_of_memory(error: Exception) -> bool:
