@@ -35,7 +35,11 @@ TRIALS: dict[str, tuple[Options, ...]] = {
 """The first are the defaults. None of ours is searched more than another; after a review `ic-sbp` and `slot-attention`
 were given two trials more."""
 
+_SLOW: Options = {"train.learning_rate": 1e-3}
+
 SEARCHED_FROM: dict[str, Options] = {
-    "ic-sbp": {"train.learning_rate": 1e-3},
+    "ic-sbp": _SLOW,
+    "obsurf": _SLOW,
+    "obsurf-no-overlap": {**_SLOW, "train.object_rays": 0.0},
 }
 """The defaults that trials are changes of, where the choice of the search was frozen in the variants since."""
