@@ -109,7 +109,7 @@ def test_attributes_say_more(install):
         ("Nothing.views = ('one', 'two')", "Nothing", "expected two of one, all"),
         ("Nothing.trials = ()", "Nothing", "trials are (); expected dicts of changes, the first of which is empty"),
         ("Nothing.trials = ({'rate': 2},)", "Nothing", "the first of which is empty"),
-        ("Nothing.trials = ({},) * 5", "Nothing", "declares 5 trials; expected 4 at most"),
+        ("Nothing.trials = ({},) * 7", "Nothing", "declares 7 trials; expected 6 at most"),
         ("Nothing.trials = ({}, 2)", "Nothing", "expected dicts of changes"),
         ("Nothing.trials = ({}, {'rate': 2})", "Nothing", "has no argument 'changes'"),
         ("class Keen(Nothing):\n    def __init__(self, folder): ...", "Keen", "does not take the options {}"),
