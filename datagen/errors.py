@@ -81,7 +81,7 @@ def run_program(
 
 
 @contextmanager
-def ending(program: str) -> Iterator[None]:
+def interruptible_imports(program: str) -> Iterator[None]:
     """Let Ctrl-C end the process at once, in one line: what is raised while a library is imported may be lost in it."""
 
     def leave(_signal: int, _frame: FrameType | None) -> None:

@@ -1,17 +1,17 @@
 """Where those commands begin that import PyTorch at once, which takes seconds, in which Ctrl-C may come."""
 
-from obpose.errors import ending
+from obpose.errors import interruptible_imports
 
 
 def segment() -> None:
     """Run `obpose-segment`; leave with its exit code."""
-    with ending("obpose-segment"):
+    with interruptible_imports("obpose-segment"):
         from obpose.segment_cli import main
     main()
 
 
 def edit() -> int:
     """Run `obpose-edit`; give its exit code."""
-    with ending("obpose-edit"):
+    with interruptible_imports("obpose-edit"):
         from obpose.edit_cli import main
     return main()
