@@ -80,7 +80,7 @@ class ModelSpec:
     trials: tuple[Options, ...] = ({},)
     """What `obpose-bench search` tries: changes of its settings by dotted name; the first are none."""
     configured: Callable[[Path], "ModelSpec"] | None = None
-    """The same with the settings, priors and views of a folder's weights, which may be others than the model's own."""
+    """The same with the priors and views of a folder's weights, which may be others than the model's own."""
     searched_from: Options = field(default_factory=dict)
     """The settings that these are changes of, by dotted name, where a choice was frozen since: the same trials have the
     same outcomes before and after."""

@@ -1,6 +1,7 @@
 """What a person gets of a run folder: tables, manifest and report, and a short table on the screen."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console, Group
@@ -12,7 +13,7 @@ from benchmark.manifest import write_manifest
 from benchmark.pose_tables import COLUMNS, HEADER, pose_cells, posed
 from benchmark.report import learning
 from benchmark.report.board import marks
-from benchmark.results import load_runs
+from benchmark.results import RunRow, load_runs
 from benchmark.standings import Entry, best_first, fields
 from benchmark.whereabouts import locate
 from benchmark.wording import free_of_slots, rank_in_words, run_once, seeds_covered, without_floor
@@ -25,9 +26,9 @@ FILE_WIDTH = 160
 
 def write(folder: Path, data: Sequence[Path]) -> None:
     """Write everything that is made from a run folder's rows, and print the means and where the files are."""
-    entries, rows = leaderboard.write(folder), load_runs(folder)
+    entries = leaderboard.write(folder)
     write_manifest(folder, entries)
-    page = report.write(folder, {row.key.track: locate(folder, row, data) for row in rows})
+    page = report.write(folder, entries, partial(_dataset, folder, load_runs(folder), data))
     console = wide_console()
     console.print(means_table(entries))
     if poses := poses_table(entries):
@@ -36,6 +37,12 @@ def write(folder: Path, data: Sequence[Path]) -> None:
     console.print(f"Report: {page.resolve()}", soft_wrap=True, highlight=False)
     if curves := learning.write(folder, entries):
         console.print(f"Curves: {curves.resolve()}", soft_wrap=True, highlight=False)
+
+
+def _dataset(folder: Path, rows: Sequence[RunRow], data: Sequence[Path], track: str, track_spec: str) -> Path | None:
+    """The dataset of that track and hash: rows that failed or have no label maps do not know where it is."""
+    there = (locate(folder, row, data) for row in rows if (row.key.track, row.key.track_spec) == (track, track_spec))
+    return next(filter(None, there), None)
 
 
 def wide_console() -> Console:

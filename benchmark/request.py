@@ -15,6 +15,9 @@ from datagen.storage import Dataset
 from obpose.shipped import find_checkpoint
 from obpose.systems import system_of
 
+_OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
+"""Flags that mean nothing where label maps were made elsewhere."""
+
 NAME = re.compile(r"(?=.{1,80}$)[^\W_]([\w.+-]| (?! |$))*")
 """What predictions may be called."""
 
@@ -63,6 +66,10 @@ def _check(values: arguments.Run) -> None:
             f"NAME [NAME ...] or --data DIR (models are scored on the track {DEFAULT!r} if left out); --list shows "
             "models and tracks."
         )
+    given = [flag for flag in _OF_MODELS if getattr(values, flag) not in ((), False, None)]
+    if values.predictions and given:
+        flag = given[0].replace("_", "-")
+        raise UsageError(f"--{flag} is for models that are run here; --predictions are scored as they are.")
     if values.name is not None and not values.predictions and len(values.checkpoint) != 1:
         raise UsageError("--name is for --predictions or one --checkpoint; models go by their own names.")
     if values.scenes is not None and values.task != "editing":

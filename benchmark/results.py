@@ -240,12 +240,6 @@ def load_scenes(folder: Path, row: RunRow) -> SceneTable:
     return {name: values[:, column] for column, name in enumerate(header)}
 
 
-def metric_names(table: Iterable[str]) -> list[str]:
-    """The metrics of a scene table, in their order."""
-    columns = set(names := list(table))
-    return [name for name in names if f"{name}_n" in columns]
-
-
 def pooled(table: SceneTable, metric: str) -> float:
     """A split's mean of a metric: over all frames in which it is defined, as the paper pools; nan where in none."""
     values, weights = table[metric], table[f"{metric}_n"]

@@ -191,14 +191,14 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
     seconds_per_frame = _score(job, target, lambda _, clip: segmenter.segment(clip), scenes, clips)
     row = dataclasses.replace(
         blank_row(target.key, fitted.spec, status="ok"),
-        config={**fitted.spec.settings_in(job.profile), **options},
+        config={**(getattr(segmenter, "fitted_settings", None) or fitted.spec.settings_in(job.profile)), **options},
         tuned=fitted.tuned,
         n_scenes=len(scenes),
         parameters=int(getattr(segmenter, "parameters", 0)),
         device=str(getattr(segmenter, "device", "cpu")),
         measured=Measured(seconds_per_frame, fitted.seconds, peak_mib()),
         pretrained=job.pretrained,
-        views=fitted.spec.views.on(_number_of_views(scenes)) if fitted.spec.views else "",
+        views=fitted.spec.views.on(scenes.views) if fitted.spec.views else "",
     )
     others = [dataclasses.replace(row, key=key) for key in target.extra.values()]
     return [dataclasses.replace(row, learning_curve=fitted.learning_curve), *others]
@@ -227,10 +227,6 @@ def _scenes(target: Target) -> Split:
     if len(scenes) == 0:
         raise UsageError(f"Split {SPLIT!r} of {target.data} has no scenes; generate some.")
     return scenes
-
-
-def _number_of_views(scenes: Split) -> int:
-    return scenes.spec["recipe"]["views"]
 
 
 def _score(job: Job, target: Target, predict: Predict, scenes: Split, clips: ClipSequence) -> float:

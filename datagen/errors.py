@@ -38,12 +38,6 @@ class CorruptFile(DatagenError):
     """A file that is truncated, damaged or not of our format."""
 
 
-class VerificationFailed(DatagenError):
-    """The dataset's content contradicts itself."""
-
-    exit_code = EXIT_VERIFICATION
-
-
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     """The error about a name that is none of those known; it suggests the nearest one."""
     names = list(known)

@@ -1,7 +1,6 @@
 """What the command line's words mean: sizes, splits, shares of the work, and which recipe is asked for."""
 
 import dataclasses
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -82,7 +81,9 @@ def parse_workers(workers: int | None) -> int:
     """
     if workers is not None and workers < 1:
         raise UsageError(f"--workers {workers}: expected at least 1.")
-    return workers or len(os.sched_getaffinity(0))
+    from joblib import cpu_count  # late: help needs no engine
+
+    return workers or cpu_count()
 
 
 def choose_recipe(name: str | None, *, video: bool) -> Recipe:

@@ -6,7 +6,7 @@ A `SceneRecord` is a dict from field names to arrays of one scene. Shards stack 
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -221,13 +221,3 @@ def effect_mask(effects: np.ndarray, name: int) -> np.ndarray:
     """Of `edits/remove/effects`, the pixels that the object of this id has an effect on."""
     byte, bit = divmod(name - 1, 8)
     return (effects[..., byte] >> bit & 1).astype(bool)
-
-
-def axis_sizes(record: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Length of every named axis of a record."""
-    return {
-        axis: length
-        for name, array in record.items()
-        for axis, length in zip(FIELDS[name].axes, np.shape(array), strict=True)
-        if not axis.isdigit() and axis != "object+1"
-    }

@@ -145,6 +145,11 @@ def edits_of(spec: Spec) -> tuple[EditKind, ...]:
     return tuple(kind for kind in EDITS if kind in spec.get("edits", ()))
 
 
+def views_of(spec: Spec) -> int:
+    """Number of cameras of a dataset of this spec: of the rig that it was rendered with, or else of its recipe."""
+    return (spec["rig"] or spec["recipe"])["views"]
+
+
 def groups_of(spec: Spec) -> tuple[str, ...]:
     """Groups of fields that a dataset of this spec has."""
     if not spec["renderer"]:

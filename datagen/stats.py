@@ -132,8 +132,7 @@ def _read(dataset: Dataset, split: str, fields: Sequence[str]) -> list[SceneReco
 
 def _facts(dataset: Dataset) -> Summary:
     spec = dataset.spec
-    views = (spec["rig"] or spec["recipe"])["views"]
-    frames = sum(dataset.splits.values()) * spec["recipe"]["frames"]
+    images = sum(dataset.splits.values()) * spec["recipe"]["frames"] * dataset.views
     size = sum(path.stat().st_size for path in dataset.folder.glob("*.h5"))
     return {
         "recipe": spec["recipe"]["name"],
@@ -142,9 +141,9 @@ def _facts(dataset: Dataset) -> Summary:
         "resolution": spec["resolution"],
         "scenes": dataset.splits,
         "frames_per_scene": spec["recipe"]["frames"],
-        "views": views,
-        "images": frames * views,
-        "bytes_per_image": size / max(frames * views, 1),
+        "views": dataset.views,
+        "images": images,
+        "bytes_per_image": size / max(images, 1),
     }
 
 

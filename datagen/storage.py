@@ -16,7 +16,7 @@ from typing import Any, SupportsIndex, overload
 from datagen.errors import DatagenError, UsageError
 from datagen.schema import SPLITS, EditKind, SceneRecord
 from datagen.shard import PackedScene, Shard
-from datagen.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges
+from datagen.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges, views_of
 
 _MOST_OPEN_FILES = 64
 
@@ -42,6 +42,11 @@ class Dataset:
     def edits(self) -> tuple[EditKind, ...]:
         """Counterfactual edits that its scenes have."""
         return edits_of(self.spec)
+
+    @property
+    def views(self) -> int:
+        """Number of cameras."""
+        return views_of(self.spec)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -87,6 +92,11 @@ class Split(Sequence[SceneRecord]):
 
     def __len__(self) -> int:
         return self.spec["splits"][self.name]
+
+    @property
+    def views(self) -> int:
+        """Number of cameras."""
+        return views_of(self.spec)
 
     @overload
     def __getitem__(self, index: SupportsIndex) -> SceneRecord: ...

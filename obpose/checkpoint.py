@@ -49,7 +49,7 @@ class TrainingState:
 
     weights: State
     optimizer: State
-    """By `number of the parameter.name`."""
+    """By `name of the parameter.name of the value`."""
     info: Info
 
 

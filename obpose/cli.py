@@ -93,7 +93,8 @@ def _check(values: Train, system: System) -> None:
 def _data(values: Train) -> Track | DataFolder:
     if (values.track is None) == (values.data is None):
         raise UsageError("Say what to train on: either --track NAME or --data DIR.")
-    return DataFolder(values.data) if values.data is not None else find_track(str(values.track))
+    profile = "cpu" if values.profile == "cpu" else "gpu"
+    return DataFolder(values.data) if values.data is not None else find_track(str(values.track), profile)
 
 
 def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:

@@ -110,7 +110,7 @@ def _check_levels(config: Config) -> None:
     """The lists of the backbone, an entry a level, fit each other."""
     backbone = config.model.backbone
     levels = len(backbone.widths)
-    expect(levels > 0 and min(backbone.widths) > 0, "model.backbone.widths", backbone.widths, "positive numbers")
+    expect(levels > 0 and min(backbone.widths) >= 4, "model.backbone.widths", backbone.widths, "numbers of 4 or more")
     fits = len(backbone.blocks) == levels and min(backbone.blocks) >= 0
     expect(fits, "model.backbone.blocks", backbone.blocks, f"{levels} numbers, one for each of model.backbone.widths")
     expect(

@@ -67,7 +67,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._clip_frames: int = spec["recipe"]["frames"]
         self._frames = _window_length(frames, self._clip_frames, folder)
         self._window = _one_of(window, ("first", "random", "all"), "window")
-        self._views = _chosen_views(views, (spec["rig"] or spec["recipe"])["views"], folder)
+        self._views = _chosen_views(views, self._scenes.views, folder)
         sensor: bool = spec["recipe"]["sensor"]["enabled"]
         self._sensor = _one_of(depth, ("observed", "clean"), "depth") == "observed" and sensor
         self._extra = tuple(_one_of(name, _numeric_fields(dataset.groups), "field") for name in extra)

@@ -24,7 +24,7 @@ from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
 from obpose.creation.clip import name_clip, one_of, read_clip
-from obpose.creation.infer import infer_scene
+from obpose.creation.infer import infer_scene, views_as_trained
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
@@ -99,8 +99,8 @@ def _fit(values: Fit) -> None:
     if count < 2:
         raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
     model = origin.model
-    clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1), views=slice(1)) for i in range(count))
-    save_prior(origin, fit_prior(model, clips))
+    clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
+    save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips)))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
 
 

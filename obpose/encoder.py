@@ -165,7 +165,7 @@ class SceneEncoder(Perception):
         where = self.where(self.where_encoder(seen), draw, generator)
         turned = upright
         if pose.conditioning == "full":
-            owners = self.pixel_owners(masks, observation)
+            owners = self.pixel_owners(masks, embeddings.valid, observation)
             turned = observed_rotation(points, owners, slots=self.slots, pose=pose)
         return Boxes(center + self.where.translation(where.z), turned, pose.box_size), where
 

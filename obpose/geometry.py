@@ -7,6 +7,7 @@ from einops import rearrange, repeat
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.layers.numerics import all_digits
 from obpose.types import Observation, Rays
 
 _DEPTH_OF_NOTHING = 1.0
@@ -27,6 +28,7 @@ def view_directions(observation: Observation) -> Float[Tensor, "batch view heigh
     return _camera_rays(observation)[0]
 
 
+@all_digits
 def camera_rays(
     k: Float[Tensor, "*view 3 3"], world_from_camera: Float[Tensor, "*view 4 4"], height: int, width: int
 ) -> tuple[Float[Tensor, "*view height width 3"], Float[Tensor, "*view 3"]]:
@@ -91,6 +93,7 @@ def sample_rays_where(
     return replace(rays, weight=weight * rays.valid)
 
 
+@all_digits
 def to_box(
     points: Float[Tensor, "*#shape point 3"],
     center: Float[Tensor, "*#shape 3"],
@@ -101,6 +104,7 @@ def to_box(
     return (points - center[..., None, :]) @ rotation * (2 / size)
 
 
+@all_digits
 def from_box(
     points: Float[Tensor, "*#shape point 3"],
     center: Float[Tensor, "*#shape 3"],

@@ -36,7 +36,7 @@ class SceneMeasures:
     """Edge of the cube around the same middle that holds all points and the cameras, metres."""
 
     def changes(self) -> dict[str, Any]:
-        """As changes of a configuration, for `obpose.config.make_config`."""
+        """As changes of a configuration, for `obpose.variants.make_config`."""
         return {f"model.{name}": value for name, value in vars(self).items()}
 
 

@@ -65,7 +65,7 @@ class ObPose(SceneEncoder):
         logits = self.decode(inference, points, rays.direction, where_background="in boxes").logits
         return SceneSegmentation(
             labels=(logits.argmax(dim=2) * rays.valid).reshape(size),
-            attention=self.pixel_owners(first.masks, observation),
+            attention=self.pixel_owners(first.masks, first.embeddings.valid, observation),
             inference=inference,
         )
 

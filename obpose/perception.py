@@ -3,14 +3,14 @@
 from typing import Literal
 
 import torch
-import torch.nn.functional as F
 from einops import rearrange
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.attention.heads import Heads
 from obpose.attention.icsbp import ICSBP, whole_scope
 from obpose.attention.slot import SlotAttention, Slots
+from obpose.attention.upsample import masks_at
 from obpose.backbone import Backbone
 from obpose.clips import Observed, one_view
 from obpose.config import Config
@@ -113,12 +113,21 @@ class Perception(Trainable):
         shifted = (embeddings.points - self.center) * embeddings.valid[..., None]
         return shifted * (2 / self.config.model.workspace_size)
 
+    def log_masks_at_pixels(
+        self, masks: Masks, valid: Bool[Tensor, "batch frame point"], observation: Observation
+    ) -> Float[Tensor, "batch frame component pixel"]:
+        """Log of the masks at every pixel of all views; `valid` are the grid's points that were observed."""
+        batch, frames, views, height, width = observation.depth.shape
+        grid = self.backbone.grid_size(height, width)
+        if grid == (height, width):
+            return masks.log_masks
+        pixels = torch.arange(views * height * width, device=valid.device).expand(batch, frames, -1)
+        return masks_at(masks.log_masks, valid, pixels, grid=(views, *grid), size=(height, width))
+
     @torch.no_grad()
-    def pixel_owners(self, masks: Masks, observation: Observation) -> Int[Tensor, "batch frame view height width"]:
-        """The component with the largest attention mask at each pixel, upsampled; 0 where nothing was seen."""
-        views, height, width = observation.depth.shape[2:]
-        rows, columns = self.backbone.grid_size(height, width)
-        cells = rearrange(masks.log_masks.exp(), "b f c (v h w) -> (b f v) c h w", v=views, h=rows, w=columns)
-        upsampled = F.interpolate(cells, size=(height, width), mode="bilinear", align_corners=False)
-        owners = rearrange(upsampled.argmax(dim=1), "(b f v) h w -> b f v h w", b=len(observation.depth), v=views)
-        return owners * observation.valid
+    def pixel_owners(
+        self, masks: Masks, valid: Bool[Tensor, "batch frame point"], observation: Observation
+    ) -> Int[Tensor, "batch frame view height width"]:
+        """The component with the largest attention mask at each pixel; 0 where nothing was seen."""
+        owners = self.log_masks_at_pixels(masks, valid, observation).argmax(dim=2)
+        return owners.view_as(observation.valid) * observation.valid

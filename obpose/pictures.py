@@ -58,7 +58,7 @@ class Decodes(Protocol):
 
 
 def write_picture(path: Path, model: Trainable, clips: Observation, views: Views) -> None:
-    """Draw first and last frame of each clip, in the first view."""
+    """Draw first and last frame of each clip, in every view where models are given one view at a time."""
     was_training = model.training
     model.eval()
     try:

@@ -4,18 +4,17 @@ Not a competitor of the others but a mark to read them against, and the only mod
 """
 
 import torch
-from einops import rearrange, repeat
+from einops import rearrange
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from obpose.attention.upsample import masks_at
 from obpose.config import Config
 from obpose.geometry import unproject
 from obpose.losses.observation import mean_over
 from obpose.losses.regularisers import remaining_scope
 from obpose.perception import Perception
-from obpose.types import LabelledObservation, Masks, Observation, Segmentation
+from obpose.types import LabelledObservation, Observation, Segmentation
 
 _CROSS_ENTROPY, _SCOPE = 10.0, 0.25
 """Weights of the two terms. [ours]"""
@@ -38,7 +37,7 @@ class Supervised(Perception):
         observation = self.seen(observation, generator)
         embeddings, log_prescope = self.embed(observation, unproject(observation))
         masks = self.attend(embeddings, log_prescope, generator)
-        log_masks = self._at_pixels(masks, embeddings.valid, observation)
+        log_masks = self.log_masks_at_pixels(masks, embeddings.valid, observation)
         labels = rearrange(observation.segmentation, "b f v h w -> b f (v h w)")
         valid = rearrange(observation.valid, "b f v h w -> b f (v h w)")
         terms = {
@@ -52,21 +51,8 @@ class Supervised(Perception):
     def segment(self, observation: Observation) -> Segmentation:
         """The component with the largest mask at every pixel."""
         embeddings, log_prescope = self.embed(observation, unproject(observation))
-        owners = self.pixel_owners(self.attend(embeddings, log_prescope, None), observation)
+        owners = self.pixel_owners(self.attend(embeddings, log_prescope, None), embeddings.valid, observation)
         return Segmentation(labels=owners, attention=owners)
-
-    def _at_pixels(
-        self, masks: Masks, valid: Tensor, observation: Observation
-    ) -> Float[Tensor, "batch frame component pixel"]:
-        batch, frames, views, height, width = observation.depth.shape
-        pixels = torch.arange(views * height * width, device=observation.depth.device)
-        return masks_at(
-            masks.log_masks,
-            valid,
-            repeat(pixels, "pixel -> b f pixel", b=batch, f=frames),
-            grid=(views, *self.backbone.grid_size(height, width)),
-            size=(height, width),
-        )
 
 
 _IGNORED = -1

@@ -11,13 +11,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from obpose.baselines.obsurf.config import OBSURF_PROFILES, OBSURF_VARIANTS, ObsurfConfig
+from obpose.baselines.obsurf.config import OBSURF_PROFILES, OBSURF_SEARCHED, OBSURF_VARIANTS, ObsurfConfig
 from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
 from obpose.config import Config, SupervisedConfig, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
 from obpose.errors import unknown_name
-from obpose.variants import PROFILES, VARIANTS, make_config
+from obpose.variants import PROFILES, SEARCHED, VARIANTS, make_config
 
 if TYPE_CHECKING:
     from obpose.trainable import Trainable
@@ -57,6 +57,8 @@ class System:
     """Whether it learns from labels."""
     extra: tuple[str, ...] = ("att",)
     """What tables show of it beside its labels: `att`, the attention masks."""
+    searched: Changes = field(default_factory=dict)
+    """What it changes besides in the profile `cpu`, for which it was chosen by a search."""
     on_tracks: Mapping[str, Changes] = field(default_factory=dict)
     """What it changes besides where it is trained on a track of this name."""
 
@@ -66,7 +68,8 @@ class System:
         Raises:
             KeyError: an unknown profile or name.
         """
-        all_changes = {**self.architecture.profiles[profile], **self.changes, **(changes or {})}
+        searched = self.searched if profile == "cpu" else {}
+        all_changes = {**self.architecture.profiles[profile], **self.changes, **searched, **(changes or {})}
         return override(self.architecture.config(), all_changes)
 
     def known(self, changes: Changes) -> dict[str, Any]:
@@ -121,7 +124,7 @@ _LARGER_BOXES: dict[str, Changes] = {"multishape": {"model.pose.box_size": 0.35}
 def _obpose_system(variant: str) -> System:
     on_tracks = _LARGER_BOXES if variant in ("obpose", "obpose-loc", "obpose-l2") else {}
     facts = (VARIANTS[variant], DESCRIPTIONS[variant], _priors(make_config(variant)))
-    return System(OBPOSE, *facts, version=2, on_tracks=on_tracks)
+    return System(OBPOSE, *facts, version=2, searched=SEARCHED.get(variant, {}), on_tracks=on_tracks)
 
 
 def priors_of(config: Any) -> tuple[str, ...]:
@@ -151,7 +154,14 @@ def _priors(config: Config) -> tuple[str, ...]:
 SYSTEMS: dict[str, System] = {
     **{variant: _obpose_system(variant) for variant in VARIANTS},
     **{
-        variant: System(OBSURF, changes, DESCRIPTIONS[variant], ("slots", "camera pose"), version=2)
+        variant: System(
+            OBSURF,
+            changes,
+            DESCRIPTIONS[variant],
+            ("slots", "camera pose"),
+            version=2,
+            searched=OBSURF_SEARCHED.get(variant, {}),
+        )
         for variant, changes in OBSURF_VARIANTS.items()
     },
     "supervised": System(

@@ -42,7 +42,7 @@ class Status:
     step: int
     """Steps that are done."""
     seconds: float
-    """Of the budget's clock: CPU time of this process in training steps."""
+    """Of the budget's clock: CPU time of this process in training steps, on a GPU time of day."""
     fraction: float
     """Of the budget that is used."""
     losses: dict[str, float]

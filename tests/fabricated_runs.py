@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmark import report
 from benchmark.interface import Prediction
 from benchmark.labels import write_labels
 from benchmark.results import Measured, RunKey, RunRow, save_row
 from benchmark.scoring import score_labels
+from benchmark.standings import load_standings
 from datagen.storage import Dataset
 from tests.fabricated import write_dataset
 
@@ -70,6 +72,11 @@ def write_runs(
             for seed in range(seeds):
                 _write_run(folder / "run", data[track], track, model, models[model], seed, crashed=model == crash)
     return data
+
+
+def write_report(run: Path, data: Mapping[str, Path]) -> None:
+    """The page of a run folder, where tracks have these datasets."""
+    report.write(run, load_standings(run), lambda track, spec_hash: data.get(track))
 
 
 def _write_run(run: Path, dataset: Path, track: str, name: str, model: Model, seed: int, *, crashed: bool) -> None:

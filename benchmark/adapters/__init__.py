@@ -3,7 +3,6 @@
 PyTorch takes seconds to import, so that only building a model does it.
 """
 
-import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -48,10 +47,7 @@ def _configured(name: str, folder: Path) -> ModelSpec:
     from obpose.checkpoint import read_config
 
     config = read_config(folder)
-    settings = settings_of(config)
-    if math.isinf(config.train.minutes):
-        settings["train"]["minutes"] = None  # steps count, and JSON has no inf
-    return replace(LEARNED[name], settings=settings, profiles={}, priors=priors_of(config), views=_views(config))
+    return replace(LEARNED[name], priors=priors_of(config), views=_views(config))
 
 
 def _views(config: Any) -> Views:

@@ -9,6 +9,7 @@ import torch
 from einops import rearrange
 
 from benchmark.adapters.poses import poses_of
+from benchmark.adapters.settings import settings_of
 from benchmark.interface import Clip, Prediction
 from benchmark.watch import Watch
 from obpose.checkpoint import load
@@ -32,6 +33,8 @@ class LearnedSegmenter:
     learning_curve: list[dict[str, float]] | None = None
     fit_seconds: float = float("nan")
     """Of the budget's clock, before the run was interrupted included."""
+    fitted_settings: Mapping[str, Any] | None = None
+    """All settings of the training that made its weights, what was measured and the budget included."""
 
     def __init__(
         self,
@@ -55,7 +58,7 @@ class LearnedSegmenter:
         torch.set_num_threads(1)
         if self._checkpoint:
             model, config, _ = load(self._checkpoint)
-            self._model, self._views = model, config.train.views
+            self._model, self._views, self.fitted_settings = model, config.train.views, settings_of(config)
         else:
             self._model = self._train(train, val, seed=seed, budget=budget)
         self.parameters = sum(parameter.numel() for parameter in self._model.parameters())
@@ -86,7 +89,7 @@ class LearnedSegmenter:
         kind = LabelledArrayClips if self._system.uses_labels else ArrayClips
         source, validation = kind(clips), kind(val) if len(val) else None
         config = self._config(source, seed, budget)
-        self._views = config.train.views
+        self._views, self.fitted_settings = config.train.views, settings_of(config)
         trained = train(source, validation, config, folder=self._folder, look=self._look)
         self.learning_curve = [_point(point) for point in trained.curve]
         self.fit_seconds = trained.seconds

@@ -10,6 +10,7 @@ labels of a scene, or what `benchmark.pose_files` writes.
 
 import hashlib
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -101,7 +102,7 @@ def _read_npz(path: Path) -> tuple[np.ndarray, int | None, Poses | None]:
             slot = int(file["background_slot"]) if "background_slot" in file else None
             arrays = {name: file[name] for name in ("center", "rotation", "size") if name in file}
             return file["labels"], slot, Poses(**arrays) if "center" in arrays else None
-    except (OSError, ValueError, zipfile.BadZipFile):
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
         # NumPy takes what it cannot read for a pickle and advises to load it: the last thing to do with a broken file.
         raise CorruptFile(f"{path} is damaged or no NPZ file; write it anew, with `numpy.savez`.") from None
 

@@ -1,6 +1,7 @@
 """Settings of learned systems, which rows are keyed by."""
 
 import dataclasses
+import math
 from functools import reduce
 from typing import Any
 
@@ -32,6 +33,8 @@ choice: left out where they are that, so that these rows keep their keys."""
 def settings_of(config: Any) -> dict[str, Any]:
     """All values of a configuration on which results depend, nested as they are there."""
     settings = dataclasses.asdict(config)
+    if math.isinf(config.train.minutes):
+        settings["train"]["minutes"] = None  # steps count, and JSON has no inf
     if type(config) is not Config:
         return settings
     for name, before in LATER.items():

@@ -32,8 +32,8 @@ TRIALS: dict[str, tuple[Options, ...]] = {
     "obsurf-no-overlap": _OBSURF,
     "obsurf-no-overlap-depth": _OBSURF,
 }
-"""The first are the defaults. None of ours is searched more than another; after a review `ic-sbp` and `slot-attention`
-were given two trials more."""
+"""The first are the defaults. None of ours is searched more than another; after the first table was seen `ic-sbp` and
+`slot-attention` were given two trials more."""
 
 _SLOW: Options = {"train.learning_rate": 1e-3}
 

@@ -97,9 +97,13 @@ def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
     with progress_bar(console, "scenes", sum(len(job.missing()) for job in jobs)) as advance:
 
         def do(job: EditJob, stop: threading.Event) -> list[EditJob]:
+            def hear(event: str) -> None:
+                if event != job.name:  # a scene
+                    advance()
+
             seconds = 60 * values.time_limit if values.time_limit else GRACE_SECONDS
             share = limits(seconds, workers=values.workers, memory_mib=values.memory_limit)
-            ending = run_isolated(job, share, job.out / LOGS / f"{job.name}.log", stop, lambda event: advance())
+            ending = run_isolated(job, share, job.out / LOGS / f"{job.name}.log", stop, hear)
             if job.name in ending.events:
                 console.print(f"{job.track}, {job.model}: {job.scenes} scenes", markup=False)
             elif not stop.is_set():

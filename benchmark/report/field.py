@@ -24,7 +24,8 @@ OWN = "the track itself"
 CLOCKS = ("step", "seconds")
 """What learning curves count time in."""
 
-Find = Callable[[str], Path | None]
+Find = Callable[[str, str], Path | None]
+"""From a track and its hash to the folder of that dataset, or None where it is not at hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class Truths:
             UsageError: it is not at hand.
             DatagenError: it cannot be read.
         """
-        folder = self._find(track)
+        folder = self._find(track, spec_hash)
         if folder is None:
             raise UsageError("The dataset is not on this machine.")
         if (folder, spec_hash) not in self._known:

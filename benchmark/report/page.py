@@ -14,7 +14,7 @@ from benchmark.report import board
 from benchmark.report.field import OWN, Field, Find, Truths, comparisons, facts, make_field
 from benchmark.report.panel import LIMITS, Album, Limits, Painter
 from benchmark.results import check_runs
-from benchmark.standings import Entry, fields, load_standings
+from benchmark.standings import Entry, fields
 from benchmark.wording import counted, seeds_in_words
 
 LARGEST = 14_000_000
@@ -22,27 +22,23 @@ LARGEST = 14_000_000
 
 TITLE = "Segmentation benchmark"
 
-Data = Find | Mapping[str, Path | None]
-"""Folder of each track's dataset, or None where it is not at hand."""
 
-
-def write(folder: Path, data: Data) -> Path:
+def write(folder: Path, entries: Sequence[Entry], find: Find) -> Path:
     """Make `report.html` in a run folder: self-contained, offline, and the same bytes for the same folder and data.
 
     Args:
         folder: The run folder.
-        data: Where the datasets of the tracks are. Without a dataset, or without label maps, the sections that need
-            them say so.
+        entries: What its tables show.
+        find: Says where datasets are. Without a dataset, or without label maps, the sections that need them say so.
 
     Raises:
         UsageError: the folder holds no runs.
         CorruptFile: a run is damaged.
     """
     check_runs(folder)
-    entries = load_standings(folder)
     names = model_names(entries)
     numbers = {name: number for number, name in enumerate(names)}
-    truths = Truths(data if callable(data) else data.get)
+    truths = Truths(find)
     titles = _track_titles(entries)
     found = [make_field(folder, members, numbers, truths, titles[_dataset(members[0])]) for members in fields(entries)]
     common = _common(found, names, numbers)

@@ -15,7 +15,7 @@ _HIDDEN = 32
 
 
 class HeadOutputs(NamedTuple):
-    """What the heads say of each point; 0 (the pre-scope: one half each) where it is not valid does not matter."""
+    """What the heads say of each point; where it is not valid, that does not matter."""
 
     colour: Float[Tensor, "batch frame point colour"]
     """zeta_c, for the IC-SBP; without channels for slot attention."""

@@ -8,6 +8,7 @@ from torch import Tensor
 from obpose.clips import clip_part
 from obpose.creation.origin import Origin
 from obpose.creation.scene import Camera, Scene
+from obpose.model import ObPose
 from obpose.resolution import fitting_model
 from obpose.types import Inference, Observation
 
@@ -32,11 +33,16 @@ def infer_scene(origin: Origin, observation: Observation) -> Scene:
 def infer_labelled(origin: Origin, observation: Observation) -> Inferred:
     """The same with its segmentation."""
     cameras = cameras_of(observation)
-    if origin.model.config.train.views != "together" and observation.depth.shape[2] > 1:
-        observation = clip_part(observation, views=slice(1))
+    observation = views_as_trained(origin.model, observation)
     model = fitting_model(origin.model, observation)
     found = model.segment(observation)
     return Inferred(scene_of(found.inference, cameras, origin), found.labels[0])
+
+
+def views_as_trained(model: ObPose, observation: Observation) -> Observation:
+    """All views where the model was trained with all at once, or else the first."""
+    together = model.config.train.views == "together"
+    return observation if together else clip_part(observation, views=slice(1))
 
 
 def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) -> Scene:

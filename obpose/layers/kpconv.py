@@ -6,23 +6,25 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from obpose.layers.numerics import all_digits
+
 EXTENT = 0.48
 """sigma, the reach of a kernel point, in units of the radius of the neighbourhood."""
 
 
 @torch.no_grad()
+@all_digits
 def influence(
     offsets: Float[Tensor, "*points 3"], kernel: Float[Tensor, "kernel 3"], *, extent: float = EXTENT
 ) -> Float[Tensor, "*points kernel"]:
     """Influence of each kernel point at each offset (Thomas et al., eq. 3): max(0, 1 - |y - k| / extent).
 
     Offsets and kernel points are in units of the radius. Geometry takes no gradient. |y|^2 - 2 y k + |k|^2 in place of
-    the difference saves the three coordinates of every pair; it needs all digits, so no mixed precision here.
+    the difference saves the three coordinates of every pair; it needs all digits.
     """
     offsets, kernel = offsets / extent, kernel / extent
-    with torch.autocast(offsets.device.type, enabled=False):
-        own = offsets.square() @ offsets.new_ones(3, 1)
-        distance = F.linear(offsets, -2 * kernel, kernel.square().sum(-1)).add_(own).clamp_(0, 1).sqrt_()
+    own = offsets.square() @ offsets.new_ones(3, 1)
+    distance = F.linear(offsets, -2 * kernel, kernel.square().sum(-1)).add_(own).clamp_(0, 1).sqrt_()
     return torch.sub(1, distance, out=distance)
 
 

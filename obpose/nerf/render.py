@@ -34,7 +34,6 @@ def render(
     samples: int,
     sigma_max: float,
     threshold: float = 0.0,
-    behind: float = 0.0,
 ) -> Rendering:
     """Quadrature along rays (Mildenhall et al. 2020, eq. 3) of the composed density (paper, eq. apex_norm).
 
@@ -48,8 +47,6 @@ def render(
         sigma_max: Density of an opaque point per metre of planar depth. The loss's 10 leaves objects of a few
             centimetres half transparent; pictures are sharp with some hundreds.
         threshold: Density over sigma_max below which nothing is there (`obpose.nerf.compose.solid_share`).
-        behind: Colours are those of so much more planar depth, metres. They are trained up to `loss.jitter` behind the
-            surface, and light comes from its very front, where they are any.
     """
     edges = torch.linspace(near, far, samples + 1, dtype=origin.dtype, device=origin.device)
     depths = (edges[:-1] + edges[1:]) / 2
@@ -57,11 +54,10 @@ def render(
     points = origin[..., None, :] + direction[..., None, :] * depths[:, None]
     points = rearrange(points, "b f r sample xyz -> b f (r sample) xyz")
     decoded = decode(points, along)
-    coloured = decode(points + behind * along, along) if behind else decoded
-    if coloured.colours is None:
+    if decoded.colours is None:
         raise ValueError("Rendering needs colours, but `decode` gave none; let it decode with colours.")
     shares = rearrange(solid_share(decoded.logits, threshold), "b f c (r sample) -> b f c r sample", sample=samples)
-    colours = rearrange(coloured.colours, "b f c (r sample) rgb -> b f c r sample rgb", sample=samples)
+    colours = rearrange(decoded.colours, "b f c (r sample) rgb -> b f c r sample rgb", sample=samples)
     weights = light_from(sigma_max * (far - near) / samples * shares)
     through = 1 - weights.sum(dim=(2, 4))
     return Rendering(

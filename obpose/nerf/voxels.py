@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import from_box
+from obpose.layers.numerics import all_digits
 from obpose.nerf.compose import log_density
 from obpose.nerf.field import Field
 from obpose.pose.minimum_volume import orient
@@ -124,6 +125,7 @@ def lattice_points(resolution: int, generator: torch.Generator | None, like: Ten
     return (corners + within) * (2 / resolution) - 1
 
 
+@all_digits
 def observed_free(
     points: Float[Tensor, "batch frame slot voxel 3"], observation: Observation, margin: float = 0.0
 ) -> Bool[Tensor, "batch frame slot voxel"]:

@@ -20,6 +20,7 @@ from obpose.config import LatentConfig
 from obpose.layers.kernel_points import kernel_points
 from obpose.layers.kpconv import KPConv, influence
 from obpose.layers.mlp import mlp
+from obpose.layers.numerics import all_digits
 from obpose.nerf.field import positional_encoding
 from obpose.pose.crop import BoxSamples
 
@@ -93,6 +94,7 @@ class ObjectEncoder(nn.Module):
 
 
 @torch.no_grad()
+@all_digits
 def neighbourhoods(
     points: Float[Tensor, "box sample 3"],
     valid: Bool[Tensor, "box sample"],

@@ -8,10 +8,11 @@ from einops import rearrange, repeat
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from obpose.layers.numerics import sharpen
+from obpose.layers.numerics import all_digits, sharpen
 
 
 @torch.no_grad()
+@all_digits
 def observed_center(
     log_masks: Float[Tensor, "batch frame component point"],
     points: Float[Tensor, "batch frame point 3"],
@@ -53,7 +54,10 @@ def _soft_mean(
 ) -> Float[Tensor, "batch frame slot 3"]:
     """A softmax over the points normalises masks however small they are; 0 where nothing was observed."""
     unobserved = rearrange(~valid, "b f point -> b f 1 point")
-    return sharpen(log_masks, power).masked_fill(unobserved, -torch.inf).softmax(dim=-1).nan_to_num(0) @ points
+    return (
+        sharpen(log_masks.to(points.dtype), power).masked_fill(unobserved, -torch.inf).softmax(dim=-1).nan_to_num(0)
+        @ points
+    )
 
 
 def _last_seen(seen: Bool[Tensor, "batch frame slot"]) -> Int[Tensor, "batch frame slot"]:

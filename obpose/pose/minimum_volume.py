@@ -13,6 +13,7 @@ from einops import rearrange, repeat
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from obpose.layers.numerics import all_digits
 from obpose.pose.rotations import box_grid, box_rotations, healpix_directions, rotation_from_vector, small_rotations
 
 _STARTS = 8
@@ -42,6 +43,7 @@ class Clouds:
 
 
 @torch.no_grad()
+@all_digits
 def orient(
     points: Float[Tensor, "batch frame slot point 3"],
     valid: Bool[Tensor, "batch frame slot point"],
@@ -56,35 +58,33 @@ def orient(
     Columns are the axes of its box. See `find_candidates` for `grid_level` and `refinements`, `follow` for `tolerance`.
     With fewer than `min_points` points an object keeps the orientation of the frame before, at first the identity.
     """
-    # Mixed precision would round the points to a percent of the cloud's size.
-    with torch.autocast(points.device.type, enabled=False):
-        batch, frames = points.shape[:2]
-        clouds = gather_clouds(
-            rearrange(points.float(), "b f s point xyz -> (f b s) point xyz"),
-            rearrange(valid, "b f s point -> (f b s) point"),
-        )
-        candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
-        rotation = follow(
-            Clouds(
-                rearrange(clouds.points, "point (f box) xyz -> point f box xyz", f=frames),
-                rearrange(clouds.thickness, "(f box) -> f box", f=frames),
-            ),
-            rearrange(candidates, "(f box) c i j -> f box c i j", f=frames),
-            rearrange(valid.sum(dim=-1) >= min_points, "b f s -> f (b s)"),
-            tolerance=tolerance,
-        )
+    batch, frames = points.shape[:2]
+    clouds = gather_clouds(
+        rearrange(points.float(), "b f s point xyz -> (f b s) point xyz"),
+        rearrange(valid, "b f s point -> (f b s) point"),
+    )
+    candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
+    rotation = follow(
+        Clouds(
+            rearrange(clouds.points, "point (f box) xyz -> point f box xyz", f=frames),
+            rearrange(clouds.thickness, "(f box) -> f box", f=frames),
+        ),
+        rearrange(candidates, "(f box) c i j -> f box c i j", f=frames),
+        rearrange(valid.sum(dim=-1) >= min_points, "b f s -> f (b s)"),
+        tolerance=tolerance,
+    )
     return rearrange(rotation, "f (b s) i j -> b f s i j", b=batch)
 
 
 @torch.no_grad()
+@all_digits
 def minimum_volume_rotation(
     points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box point"], *, grid_level: int, refinements: int
 ) -> Float[Tensor, "box 3 3"]:
     """World from box, for the tightest box around each cloud; which of its 24 names it has is left open."""
-    with torch.autocast(points.device.type, enabled=False):
-        clouds = gather_clouds(points.float(), valid)
-        candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
-        best = _volumes(clouds, candidates).argmin(dim=-1)
+    clouds = gather_clouds(points.float(), valid)
+    candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
+    best = _volumes(clouds, candidates).argmin(dim=-1)
     return candidates[torch.arange(len(candidates), device=best.device), best]
 
 

@@ -35,7 +35,7 @@ def read_pose(path: Path) -> Pose:
         pose = pose.astype(np.float64)
     except FileNotFoundError:
         raise UsageError(f"--camera-pose {path} does not exist.") from None
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, EOFError) as error:
         raise CorruptFile(
             f"--camera-pose {path} cannot be read ({error}); expected four rows of four numbers."
         ) from None

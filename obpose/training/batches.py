@@ -1,7 +1,6 @@
 """Which windows of which clips a step sees: a function of the seed and the step alone, however they are read."""
 
 import os
-import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -114,7 +113,8 @@ class _Steps(Dataset[dict[str, Tensor]]):
 
 
 def _leave_signals_to_the_parent(_reader: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """A session of its own: signals to the parent's group, such as Ctrl-C or a scheduler's, end no reader."""
+    os.setsid()
 
 
 @lru_cache(maxsize=2)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from obpose.creation import edit
 from obpose.creation.bounds import world_bounds
-from obpose.creation.scene import Camera, Scene
+from obpose.creation.scene import Scene
 from obpose.model import ObPose
 
 _MOST_VERSIONS = 1000
@@ -63,11 +63,6 @@ class Session:
         for name in self.hidden:
             shown = edit.remove(shown, name)
         return shown
-
-    @property
-    def camera(self) -> Camera:
-        """Of the chosen view."""
-        return self.scene.cameras[self.view]
 
     @property
     def can_undo(self) -> bool:

@@ -240,6 +240,8 @@ def test_models_and_tracks_are_listed(capsys):
     [
         ([], "Name what to score and where"),
         (["--predictions", "{empty}"], "Name what to score and where"),
+        (["--predictions", "{empty}", "--data", "{data}", "--slots", "3"], "--slots is for models that are run here"),
+        (["--predictions", "{empty}", "--data", "{data}", "--fit-track", "mixed"], "--fit-track is for models"),
         (["--model", "plane-dbscan", "--data", "{data}", "--pretrained"], "--pretrained is for models that learn"),
         (
             ["--model", "obpose", "--data", "{data}", "--pretrained"],

@@ -1,15 +1,18 @@
 """What stands on the screen after a run."""
 
+import dataclasses
 import io
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from benchmark.outputs import FILE_WIDTH, means_table
-from benchmark.results import RunRow, SceneTable
+from benchmark.outputs import FILE_WIDTH, means_table, write
+from benchmark.results import RunRow, SceneTable, load_runs, save_row
 from benchmark.standings import standings
 from tests.chosen_scores import failed_row, run_row, scene_table
+from tests.fabricated_runs import MODELS, write_runs
 
 Run = tuple[RunRow, SceneTable | None]
 
@@ -74,3 +77,27 @@ def test_no_figure_is_minus_zero():
     assert "-0.000" not in lines[1]
     assert "-0.001" in printed([scored("m", -0.001)])[1]
     assert not np.isnan(float(lines[1].split()[-1]))
+
+
+def test_the_report_finds_the_datasets_of_rows_by_the_label_maps_that_are_there(tmp_path: Path):
+    write_runs(tmp_path, scenes=2, seeds=1, crash="switching-oracle")
+    assert load_runs(tmp_path / "run")[-1].status == "failed"
+    write(tmp_path / "run", [])
+    assert "The dataset is not on this machine." not in (tmp_path / "run/report.html").read_text(encoding="utf-8")
+
+
+def test_each_of_two_datasets_of_one_name_is_found(tmp_path: Path):
+    data = write_runs(tmp_path, scenes=2, seeds=1, models={"merger": MODELS["merger"]})
+    for row in load_runs(tmp_path / "run"):
+        (tmp_path / f"run/scenes/{row.key.name}.csv").rename(tmp_path / f"run/scenes/{_renamed(row).key.name}.csv")
+        (tmp_path / f"run/labels/{row.key.name}.h5").rename(tmp_path / f"run/labels/{_renamed(row).key.name}.h5")
+        (tmp_path / f"run/runs/{row.key.name}.json").unlink()
+        save_row(tmp_path / "run", _renamed(row))
+    write(tmp_path / "run", list(data.values()))
+    page = (tmp_path / "run/report.html").read_text(encoding="utf-8")
+    assert "There are no slices, errors or pictures" not in page
+
+
+def _renamed(row: RunRow) -> RunRow:
+    """The same on a track of the same name as all others."""
+    return dataclasses.replace(row, key=dataclasses.replace(row.key, track="mine", fit_track="mine"))

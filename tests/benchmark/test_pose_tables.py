@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from benchmark import leaderboard, report
+from benchmark import leaderboard
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.outputs import poses_table
 from benchmark.results import SceneTable
 from benchmark.standings import standings
 from benchmark.tables import latex, markdown
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
+from tests.fabricated_runs import write_report
 
 
 def posed(translation: float = 0.012) -> SceneTable:
@@ -68,10 +69,10 @@ def test_seeds_without_poses_leave_a_model_without():
 
 def test_the_page_shows_them(tmp_path: Path):
     save_run(tmp_path, run_row("without"), plain())
-    report.write(tmp_path, {})
+    write_report(tmp_path, {})
     assert "<summary>Poses" not in (tmp_path / "report.html").read_text()
     save_run(tmp_path, run_row("with"), posed())
-    report.write(tmp_path, {})
+    write_report(tmp_path, {})
     table = (tmp_path / "report.html").read_text().partition("<summary>Poses")[2].partition("</details>")[0]
     assert table.count("<tr") == 2
     assert '<td class="n">12.0±0.0</td>' in table

@@ -166,6 +166,7 @@ def test_palette_images_give_their_numbers(clip: Clip, truths: list[np.ndarray],
     ("file", "content", "error", "message"),
     [
         ("test/00000.npz", b"nonsense", CorruptFile, "damaged or no NPZ"),
+        ("test/00000.npz", b"", CorruptFile, "damaged or no NPZ"),
         ("labels.h5", b"nonsense", CorruptFile, "damaged or no HDF5"),
         ("test/00000/view0_frame000.png", b"nonsense", CorruptFile, "damaged or no image"),
         ("test/00000/other.png", b"", UsageError, "view0_frame000.png is missing"),

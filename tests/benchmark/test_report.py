@@ -18,7 +18,7 @@ from benchmark.report import page as page_module
 from benchmark.results import load_runs, save_row
 from datagen.errors import UsageError
 from tests.chosen_scores import run_row, save_run, scene_table
-from tests.fabricated_runs import MODELS, TRACKS, write_runs
+from tests.fabricated_runs import MODELS, TRACKS, write_report, write_runs
 
 HOSTILE = "<script>alert(1)<&script>'\""
 VOID = {"meta", "link", "img", "br", "input"}
@@ -68,7 +68,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     models = {**MODELS, HOSTILE: dataclasses.replace(MODELS["merger"], kind="predictions")}
     data = write_runs(folder, models=models, crash="splitter")
     leaderboard.write(folder / "run")
-    report.write(folder / "run", data)
+    write_report(folder / "run", data)
     return folder
 
 
@@ -108,7 +108,7 @@ def test_models_tracks_and_seeds_are_counted(page: Page, tmp_path: Path) -> None
     assert "6 models on 2 tracks." in words
     assert "here models have 2 seeds." in words
     save_run(tmp_path, run_row(n_scenes=1), scene_table({"ari_fg": [0.5]}))
-    report.write(tmp_path, {})
+    write_report(tmp_path, {})
     words = " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).text)
     assert "1 model on 1 track." in words
     assert "1 test scene;" in words
@@ -151,7 +151,7 @@ def test_segmentations_that_share_a_training_say_where_their_curve_is(tmp_path: 
     curve = [{"step": 0.0, "loss": 2.0}, {"step": 1.0, "loss": 1.0}]
     save_run(tmp_path, run_row("net", n_scenes=1, learning_curve=curve), scene_table({"ari_fg": [0.5]}))
     save_run(tmp_path, run_row("net-att", n_scenes=1), scene_table({"ari_fg": [0.5]}))
-    report.write(tmp_path, {})
+    write_report(tmp_path, {})
     words = " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).text)
     assert "Without a curve of their own: net-att." in words
     assert "No floor was scored on moving" in words
@@ -160,7 +160,7 @@ def test_segmentations_that_share_a_training_say_where_their_curve_is(tmp_path: 
 def test_scores_of_validation_clips_stand_over_minutes_and_losses_over_steps(tmp_path: Path) -> None:
     curve = [{"step": 3.0, "seconds": 60.0, "loss": 2.0, "ari_fg": 0.1}, {"step": 9.0, "seconds": 180.0, "ari_fg": 0.3}]
     save_run(tmp_path, run_row("net", n_scenes=1, learning_curve=curve), scene_table({"ari_fg": [0.5]}))
-    report.write(tmp_path, {})
+    write_report(tmp_path, {})
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert 'aria-label="ARI-FG on validation clips by minutes' in text
     assert "net: 0.300 at minute 3<" in text
@@ -171,7 +171,7 @@ def test_scores_of_validation_clips_stand_over_minutes_and_losses_over_steps(tmp
 def test_models_that_are_not_held_to_the_slots_are_named(tmp_path: Path, page: Page) -> None:
     row = run_row("plane", n_scenes=1, kind="classical", priors=("plane",))
     save_run(tmp_path, row, scene_table({"ari_fg": [0.5]}))
-    report.write(tmp_path, {})
+    write_report(tmp_path, {})
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Not held to the track&#39;s number of slots: plane;" in text
     assert "Not held" not in " ".join(page.text)
@@ -200,14 +200,14 @@ def test_links_within_the_page_lead_somewhere(page: Page) -> None:
 
 
 def test_the_same_folder_gives_the_same_bytes(folder: Path, text: str) -> None:
-    report.write(folder / "run", {track: folder / track for track in TRACKS})
+    write_report(folder / "run", {track: folder / track for track in TRACKS})
     assert (folder / "run/report.html").read_text(encoding="utf-8") == text
 
 
 @pytest.mark.slow
 def test_another_process_gives_the_same_bytes(folder: Path, text: str) -> None:
-    code = "import sys; from pathlib import Path; from benchmark import report; f = Path(sys.argv[1]); "
-    code += "report.write(f / 'run', lambda track: f / track)"
+    code = "import sys; from pathlib import Path; from tests.fabricated_runs import TRACKS, write_report; "
+    code += "f = Path(sys.argv[1]); write_report(f / 'run', {track: f / track for track in TRACKS})"
     root = Path(report.__file__).parents[2]
     environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)}
     subprocess.run([sys.executable, "-c", code, str(folder)], check=True, env=environment, cwd=root)
@@ -220,7 +220,7 @@ def test_what_is_missing_is_said(folder: Path, tmp_path: Path, lost: str) -> Non
     shutil.copytree(folder / "run", run, ignore=shutil.ignore_patterns("labels" if lost == "labels" else "none"))
     other = {"moving": folder / "static", "static": folder / "moving"}
     data = {"labels": {track: folder / track for track in TRACKS}, "data": {}, "other data": other}[lost]
-    report.write(run, data)
+    write_report(run, data)
     text = (run / "report.html").read_text(encoding="utf-8")
     reason = {
         "labels": "The run folder holds no label maps of this track.",
@@ -239,7 +239,7 @@ def test_models_fitted_elsewhere_stand_in_a_table_of_their_own(tmp_path: Path) -
             moved = dataclasses.replace(row, key=dataclasses.replace(row.key, fit_track="moving"))
             shutil.copy(tmp_path / f"run/scenes/{row.key.name}.csv", tmp_path / f"run/scenes/{moved.key.name}.csv")
             save_row(tmp_path / "run", moved)
-    report.write(tmp_path / "run", data)
+    write_report(tmp_path / "run", data)
     page = Page((tmp_path / "run/report.html").read_text(encoding="utf-8"))
     fields = [(article.get("data-track"), article.get("data-fit")) for article in page.all("article")]
     assert sorted(fields) == [("moving", "the track itself"), ("static", "moving"), ("static", "the track itself")]
@@ -252,7 +252,7 @@ def test_datasets_that_share_a_name_are_kept_apart(tmp_path: Path) -> None:
             renamed = dataclasses.replace(row, key=dataclasses.replace(row.key, track="moving", model="splitter"))
             shutil.copy(tmp_path / f"run/scenes/{row.key.name}.csv", tmp_path / f"run/scenes/{renamed.key.name}.csv")
             save_row(tmp_path / "run", renamed)
-    report.write(tmp_path / "run", data)
+    write_report(tmp_path / "run", data)
     page = Page((tmp_path / "run/report.html").read_text(encoding="utf-8"))
     tracks = [article.get("data-track") or "" for article in page.all("article")]
     assert len(set(tracks)) == len(tracks) == 3
@@ -264,7 +264,7 @@ def test_a_page_that_grows_too_large_has_fewer_pictures(
 ) -> None:
     shutil.copytree(folder / "run", tmp_path / "run")
     monkeypatch.setattr(page_module, "LARGEST", 1)
-    report.write(tmp_path / "run", {track: folder / track for track in TRACKS})
+    write_report(tmp_path / "run", {track: folder / track for track in TRACKS})
     frugal = (tmp_path / "run/report.html").read_text(encoding="utf-8")
     count = len(json.loads(script(frugal, "pictures")))
     assert 0 < count < len(json.loads(script(text, "pictures")))
@@ -272,7 +272,7 @@ def test_a_page_that_grows_too_large_has_fewer_pictures(
 
 def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="holds no finished runs"):
-        report.write(tmp_path, {})
+        write_report(tmp_path, {})
 
 
 def script(text: str, name: str) -> str:

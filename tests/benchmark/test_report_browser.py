@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmark import report
-from tests.fabricated_runs import MODELS, TRACKS, write_runs
+from tests.fabricated_runs import MODELS, TRACKS, write_report, write_runs
 
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
 FLAGS = [
@@ -100,7 +99,7 @@ frame.addEventListener("load", async () => {
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("browser")
     data = write_runs(folder, crash="splitter")
-    report.write(folder / "run", data)
+    write_report(folder / "run", data)
     return folder / "run"
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.metrics import METRICS, clip_scores
+from benchmark.metrics import clip_scores
 from benchmark.results import (
     COUNTS,
     Measured,
@@ -16,7 +16,6 @@ from benchmark.results import (
     delete_rows,
     load_runs,
     load_scenes,
-    metric_names,
     pooled,
     row_path,
     save_row,
@@ -204,12 +203,6 @@ def test_means_pool_frames_and_skip_scenes_without_values():
     table = {"x": np.array([1.0, 0.5, np.nan]), "x_n": np.array([1.0, 3.0, 0.0])}
     assert pooled(table, "x") == 0.625
     assert math.isnan(pooled({"x": np.array([np.nan]), "x_n": np.zeros(1)}, "x"))
-
-
-def test_metrics_are_told_from_counts():
-    names = metric_names(lines(1)[0])
-    assert names[: len(METRICS)] == list(METRICS)
-    assert not {"scene", "n_frames", *COUNTS} & set(names)
 
 
 def test_deleted_rows_leave_nothing(tmp_path: Path):

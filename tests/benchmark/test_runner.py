@@ -295,6 +295,12 @@ def test_the_constants_of_a_model_are_in_its_row(data: Path, tmp_path: Path, reg
     assert load_runs(tmp_path / "out")[0].config == {"model": {"width": 64}, "slots": 5}
 
 
+def test_what_a_model_was_fitted_with_counts_more_than_what_it_declares(data: Path, tmp_path: Path, register):
+    register(background, settings={"minutes": 23}).fitted_settings = {"minutes": 12}
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].config == {"minutes": 12, "slots": 5}
+
+
 def test_weights_that_were_trained_before_need_no_clips(data: Path, tmp_path: Path, register):
     for path in [*data.glob("train-*.h5"), *data.glob("val-*.h5")]:
         path.unlink()
@@ -307,13 +313,13 @@ def test_weights_that_were_trained_before_need_no_clips(data: Path, tmp_path: Pa
 
 def test_rows_of_weights_state_what_these_were_trained_with(data: Path, tmp_path: Path, register):
     def own(folder: Path) -> ModelSpec:
-        facts = {"settings": {"folder": folder.name}, "priors": ("slots",), "views": Views("all", "all")}
-        return dataclasses.replace(find_model("scripted"), **facts)
+        assert folder.name == "mine"
+        return dataclasses.replace(find_model("scripted"), priors=("slots",), views=Views("all", "all"))
 
-    register(background, settings={"folder": ""}, priors=("plane",), views=Views("one", "all"), configured=own)
+    register(background, priors=("plane",), views=Views("one", "all"), configured=own)
     run_job(job(data, tmp_path / "out", checkpoint=tmp_path / "mine"))
     (row,) = load_runs(tmp_path / "out")
-    assert (row.config, row.priors, row.views) == ({"folder": "mine"}, ("slots",), "2 in, 2 supervise")
+    assert (row.priors, row.views) == (("slots",), "2 in, 2 supervise")
 
 
 def test_what_a_model_changes_on_a_track_reaches_it_and_its_row(data: Path, tmp_path: Path, register):

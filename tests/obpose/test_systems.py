@@ -32,6 +32,13 @@ def test_a_variant_of_obpose_is_what_it_was(variant: str):
     assert SYSTEMS[variant].config("gpu", {"train.seed": 3}) == make_config(variant, "gpu", **{"train.seed": 3})
 
 
+@pytest.mark.parametrize("name", ["obsurf", "obsurf-no-overlap", "obsurf-no-overlap-depth"])
+def test_what_was_searched_for_minutes_on_a_core_is_not_what_the_authors_trained_with(name: str):
+    paper = SYSTEMS[name].config("paper").train
+    assert (paper.learning_rate, paper.object_rays, paper.rays, paper.batch) == (4e-4, 0.0, 4096, 64)
+    assert SYSTEMS[name].config("gpu").train.object_rays == 0.0
+
+
 def test_every_name_says_what_it_is():
     assert all(system.description for system in SYSTEMS.values())
     assert len({system.description for system in SYSTEMS.values()}) == len(SYSTEMS)

@@ -185,4 +185,4 @@ def _turning_most(accounts: Mapping[Framing, Account]) -> dict[Framing, tuple[Ac
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -52,16 +52,16 @@ def run(values: Arguments) -> int:
     """A line for each file and each way of counting."""
     print("| label maps | shadows are the | " + " | ".join(METRICS.values()) + " |")
     print("|---|---|" + "---|" * len(METRICS))
-    count = 0
+    counts: set[int] = set()
     for labels in values.labels:
         data = values.data or dataset_of(labels)
         scenes = list(read_scenes(labels, data, values.effects or data))
-        count = len(scenes)
+        counts.add(len(scenes))
         for way, words in WAYS.items():
             found = [_summary([scene[way][name] for scene in scenes]) for name in METRICS]
             cells = (f"{each.mean:.3f} ({each.low:.3f} to {each.high:.3f})" for each in found)
             print(f"| {labels.stem} | {words} | {' | '.join(cells)} |")
-    print(f"\nMeans over {count} test scenes, with 95 % bootstrap intervals.")
+    print(f"\nMeans over {' or '.join(map(str, sorted(counts)))} test scenes, with 95 % bootstrap intervals.")
     return EXIT_OK
 
 

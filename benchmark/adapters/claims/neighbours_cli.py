@@ -15,6 +15,7 @@ import tyro
 from jaxtyping import Bool, Float64, Integer
 
 from benchmark.adapters.claims.command import run_command
+from benchmark.clips import ClipSequence
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
 from datagen.errors import EXIT_OK
@@ -51,15 +52,17 @@ def run(values: Arguments) -> int:
 
 
 def images_of(path: Path, data: Path) -> tuple[Bool[np.ndarray, " image"], Float64[np.ndarray, "image metric"]]:
-    """Of each image with two objects or more: whether some adjoin, and its scores."""
+    """Of each image with two objects or more: whether some adjoin, and its scores; pixels without depth never count."""
     truths = Dataset(data).split(SPLIT)
+    clips = ClipSequence(truths)
     adjoin, scores = [], []
     for index, (labels, background_slot) in enumerate(read_labels(path)):
-        truth = truths.read(index, ("segmentation",))["segmentation"]
-        for true, found in zip(truth.reshape(-1, *truth.shape[2:]), labels.reshape(-1, *truth.shape[2:]), strict=True):
+        arrays = truths.read(index, ("segmentation",))["segmentation"], labels, ~clips[index].valid
+        for true, found, unseen in zip(*(array.reshape(-1, 1, *array.shape[2:]) for array in arrays), strict=True):
             if len(np.unique(true[true > 0])) > 1:
-                adjoin.append(objects_adjoin(true))
-                scores.append([score(true[None], found[None], background_slot)[name] for name in METRICS])
+                adjoin.append(objects_adjoin(true[0]))
+                found_scores = score(true, found, background_slot, ignore=unseen)
+                scores.append([found_scores[name] for name in METRICS])
     return np.array(adjoin, dtype=bool), np.array(scores).reshape(-1, len(METRICS))
 
 

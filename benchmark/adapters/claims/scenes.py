@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from datagen.errors import UsageError
 from datagen.storage import Dataset
 from datagen.verify.case import Case, make_case
 from obpose.clips import observation_of
@@ -110,8 +111,14 @@ class Account:
 
 
 def read_scenes(folder: Path, split: str, count: int) -> Iterator[Scene]:
-    """The first scenes of a split."""
+    """The first scenes of a split.
+
+    Raises:
+        UsageError: its scenes have several views.
+    """
     source, records = SceneDataset(folder, split), Dataset(folder).split(split)
+    if records.views > 1:
+        raise UsageError(f"{folder} has {records.views} views; expected clips that one camera sees.")
     for index in range(min(count, len(source))):
         window = source.window(index, 0, source.frames_of_clip)
         yield Scene(observation_of([window]), make_case(records[index]))

@@ -16,6 +16,7 @@ import tyro
 from jaxtyping import Bool, Integer, UInt8
 
 from benchmark.adapters.claims.command import run_command
+from benchmark.clips import ClipSequence
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
 from datagen.errors import EXIT_OK, UsageError
@@ -82,6 +83,7 @@ def read_scenes(labels: Path, data: Path, without: Path) -> Iterator[Shadows]:
         UsageError: the two datasets are not of the same scenes.
     """
     shaded, plain = Dataset(data).split(SPLIT), Dataset(without).split(SPLIT)
+    clips = ClipSequence(shaded)
     names = ("rgb", "segmentation")
     for index, (found, background_slot) in enumerate(read_labels(labels)):
         if index >= len(plain):
@@ -91,7 +93,8 @@ def read_scenes(labels: Path, data: Path, without: Path) -> Iterator[Shadows]:
             raise UsageError(
                 f"Scene {index} of {without} is another than in {data}; expected the same but for shadows."
             )
-        yield compare(one["segmentation"], found, background_slot, in_shadow(one["rgb"], other["rgb"]))
+        shadow = in_shadow(one["rgb"], other["rgb"])
+        yield compare(one["segmentation"], found, background_slot, shadow, unseen=~clips[index].valid)
 
 
 def in_shadow(
@@ -106,19 +109,21 @@ def compare(
     labels: Integer[np.ndarray, "frame view height width"],
     background_slot: int,
     shadow: Bool[np.ndarray, "frame view height width"],
+    unseen: Bool[np.ndarray, "frame view height width"],
 ) -> Shadows:
-    """Counts and scores of one scene; only the background's shadows count."""
-    background, given = truth == 0, labels == background_slot
+    """Counts and scores of one scene; only the background's shadows count, and pixels in `unseen` never do."""
+    background, given = (truth == 0) & ~unseen, labels == background_slot
     shadow = shadow & background
-    true, found, ignored = (array.reshape(-1, *array.shape[2:]) for array in (truth, labels, shadow))
+    images = (array.reshape(-1, *array.shape[2:]) for array in (truth, labels, unseen, unseen | shadow))
+    true, found, ignored, ignored_or_dark = images
     return Shadows(
         background=int(background.sum()),
         shadow=int(shadow.sum()),
         leaked=int((background & ~given).sum()),
         leaked_in_shadow=int((shadow & ~given).sum()),
-        missed=int((~background & given).sum()),
-        ari=score(true, found, background_slot)["ari"],
-        ari_without_shadows=score(true, found, background_slot, ignore=ignored.astype(bool))["ari"],
+        missed=int(((truth > 0) & ~unseen & given).sum()),
+        ari=score(true, found, background_slot, ignore=ignored)["ari"],
+        ari_without_shadows=score(true, found, background_slot, ignore=ignored_or_dark)["ari"],
     )
 
 

@@ -66,7 +66,7 @@ def measure_views(origin: Origin, folder: Path, split: str, *, scenes: int, fram
     records, renderer = Dataset(folder).split(split), Renderer(origin.model)
     source = SceneDataset(folder, split)
     chosen = range(min(scenes, len(records)))
-    number = records.spec["recipe"]["views"]
+    number = records.views
     means = mean_pictures(Dataset(folder).split("train"), scenes) if number > 1 else []
     for index in chosen:
         observation = observation_of([source.window(index, 0, source.frames_of_clip)])

@@ -38,7 +38,7 @@ def run(values: Arguments) -> int:
     values.check(scenes=1, frames=1)
     origin = values.origin()
     folder = values.folder()
-    if Dataset(folder).spec["recipe"]["views"] > 1:
+    if Dataset(folder).views > 1:
         values.folder(("train",))
     found = list(measure_views(origin, folder, values.split, scenes=values.scenes, frames=values.frames))
     print(f"{origin.name}, first {values.scenes} scenes of the split {values.split} of {values.source.name}:\n")

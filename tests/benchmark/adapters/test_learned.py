@@ -75,6 +75,14 @@ def test_a_run_that_is_made_again_goes_on_in_its_folder(model: LearnedSegmenter,
     np.testing.assert_array_equal(again.segment(clips(1)[0]).labels, model.segment(clips(1)[0]).labels)
 
 
+def test_it_states_what_it_was_fitted_with(model: LearnedSegmenter, folder: Path):
+    found = model.fitted_settings
+    assert found
+    assert (found["model"]["slots"], found["train"]["steps"], found["train"]["minutes"]) == (3, 2, 1.0)
+    assert found["model"]["workspace_center"] != find_model("obpose-loc").settings["model"]["workspace_center"]
+    assert fitted({"checkpoint": folder}, []).fitted_settings == found
+
+
 def test_a_checkpoint_stands_in_for_training(model: LearnedSegmenter, folder: Path):
     loaded = LearnedSegmenter("obpose-loc", slots=9, checkpoint=folder)
     loaded.fit([], [], seed=5, budget=0.0)

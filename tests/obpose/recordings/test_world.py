@@ -82,6 +82,12 @@ def test_what_is_no_pose_is_refused(tmp_path: Path, wrong: np.ndarray):
         read_pose(tmp_path / "pose.txt")
 
 
+def test_an_empty_array_is_named(tmp_path: Path):
+    (tmp_path / "pose.npy").touch()
+    with pytest.raises(CorruptFile, match=r"pose\.npy cannot be read"):
+        read_pose(tmp_path / "pose.npy")
+
+
 def test_a_pose_that_cannot_be_read_is_named(tmp_path: Path):
     for name in ("pose.txt", "pose.json", "pose.npy"):
         (tmp_path / name).write_text("up and away")

@@ -1,4 +1,6 @@
 import itertools
+import multiprocessing
+import os
 
 import pytest
 import torch
@@ -52,6 +54,15 @@ def test_readers_change_nothing():
         for n in (0, 2)
     )
     assert all(torch.equal(one, other) for one, other in zip(here, elsewhere, strict=True))
+
+
+@pytest.mark.slow
+def test_signals_to_the_group_reach_no_reader():
+    feed = batches(ToyClips(), SAMPLING, Share(), first_step=4, readers=2)
+    next(feed)
+    groups = [os.getpgid(child.pid) for child in multiprocessing.active_children() if child.pid]
+    assert len(groups) == 2
+    assert os.getpgrp() not in groups
 
 
 def test_on_a_cpu_nobody_reads_ahead():

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from benchmark.adapters.claims.neighbours_cli import images_of, main, objects_adjoin
+from benchmark.clips import ClipSequence
 from benchmark.interface import Prediction
 from benchmark.labels import write_labels
 from datagen.storage import Dataset
 from tests import small
+from tests.fabricated import write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,19 @@ def test_every_image_with_several_objects_counts_in_one_of_the_two_kinds(
     assert (scores[:, 0] == 0).all()
     assert main([str(tmp_path / "one.h5")]) == 0
     assert "one.h5: 0.000 / " in capsys.readouterr().out
+
+
+def test_pixels_without_depth_do_not_count(tmp_path: Path):
+    noisy = write_dataset(tmp_path / "noisy", scenes=2, spheres=3, sensor=True)
+    scenes = Dataset(noisy).split("test")
+    clips = ClipSequence(scenes)
+    with write_labels(tmp_path / "mine.h5", len(scenes), noisy) as writer:
+        for index, record in enumerate(scenes):
+            assert not clips[index].valid[record["segmentation"] > 0].all()
+            writer.put(index, Prediction(np.where(clips[index].valid, record["segmentation"], 9), 0))
+    _, scores = images_of(tmp_path / "mine.h5", noisy)
+    assert len(scores)
+    assert (scores == 1).all()
 
 
 def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
