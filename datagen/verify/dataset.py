@@ -90,12 +90,11 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
 
 def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
     findings, contents = [], {}
-    recipe = recipe_of(dataset.spec)
+    recipe, records = recipe_of(dataset.spec), dataset.split(split)
     for scene in scenes:
         place = {"split": split, "scene": scene, "shard": shard_name(split, scene // dataset.spec["scenes_per_shard"])}
         try:
-            record = dataset.split(split)[scene]
-            stored = dataset.split(split).hash(scene)
+            record, stored = records[scene], records.hash(scene)
         except UNREADABLE as error:
             findings.append(Finding("file", f"cannot be read: {error}", **place))
             continue
