@@ -1,5 +1,6 @@
 """Which windows of which clips a step sees: a function of the seed and the step alone, however they are read."""
 
+import atexit
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ def batches(
         batch_size=None,
         sampler=count(first_step),  # pyright: ignore[reportArgumentType]
         num_workers=readers,
-        worker_init_fn=_leave_signals_to_the_parent if readers else None,
+        worker_init_fn=_begin_and_end_apart if readers else None,
         multiprocessing_context="spawn" if readers else None,
         pin_memory=readers > 0 and torch.cuda.is_available(),
         # Without a generator of its own the loader would draw from the global one.
@@ -112,9 +113,13 @@ class _Steps(Dataset[dict[str, Tensor]]):
         return stack([self._source.window(window.clip, window.start, window.frames) for window in windows], self._sees)
 
 
-def _leave_signals_to_the_parent(_reader: int) -> None:
-    """A session of its own: signals to the parent's group, such as Ctrl-C or a scheduler's, end no reader."""
+def _begin_and_end_apart(_reader: int) -> None:
+    """A session of its own: signals to the parent's group, such as Ctrl-C or a scheduler's, end no reader.
+
+    And an end without the interpreter's: it would unwind the thread that still sends a batch, and abort.
+    """
     os.setsid()
+    atexit.register(os._exit, 0)
 
 
 @lru_cache(maxsize=2)
