@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
 from io import StringIO
+from ipaddress import ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -23,7 +24,7 @@ def open_server(host: str, port: int, title: str) -> viser.ViserServer:
     Raises:
         UsageError: somebody else listens there.
     """
-    with redirect_stdout(StringIO()), _own_pages_only():
+    with redirect_stdout(StringIO()), _own_pages_only(host):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if server.get_port() != port:
         close_server(server)
@@ -37,19 +38,32 @@ def close_server(server: viser.ViserServer) -> None:
         server.stop()
 
 
-def is_foreign(origin: str | None, host: str | None) -> bool:
-    """Whether a request is of a page of another server than the one it goes to; what is no browser names no origin."""
-    return origin is not None and urlsplit(origin).netloc != host
+def is_foreign(origin: str | None, host: str | None, bound: str) -> bool:
+    """Whether a request is of a page of another server than the one it goes to; what is no browser names no origin.
+
+    To a server that is bound to this machine alone no page has come by a name of the network: one that says so had its
+    name changed to this machine's address meanwhile (DNS rebinding).
+    """
+    if origin is None:
+        return False
+    return urlsplit(origin).netloc != host or (_is_local(bound) and not _is_local(urlsplit(origin).hostname))
+
+
+def _is_local(name: str | None) -> bool:
+    try:
+        return name == "localhost" or ip_address(name or "").is_loopback
+    except ValueError:
+        return False
 
 
 @contextmanager
-def _own_pages_only() -> Iterator[None]:
-    """Servers that are started meanwhile refuse the pages of others."""
+def _own_pages_only(bound: str) -> Iterator[None]:
+    """Servers that are started meanwhile, bound to this address, refuse the pages of others."""
     serve: Any = websockets_server.serve
 
     def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
         def answer(connection: Any, request: Any) -> Any:
-            if is_foreign(request.headers.get("Origin"), request.headers.get("Host")):
+            if is_foreign(request.headers.get("Origin"), request.headers.get("Host"), bound):
                 return connection.respond(HTTPStatus.FORBIDDEN, "Pages of other servers may not connect.\n")
             return process_request(connection, request) if process_request else None
 
