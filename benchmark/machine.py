@@ -32,7 +32,9 @@ def machine_mib() -> float:
 
 def cores() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    from joblib import cpu_count  # late: help needs no engine
+
+    return cpu_count()
 
 
 @cache

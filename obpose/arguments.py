@@ -20,7 +20,7 @@ class Train:
     variant: str = "obpose"
     """What the model is; see obpose/systems.py."""
     profile: str = "cpu"
-    """How large it is: cpu, gpu or paper."""
+    """How large it is, and the track's images: cpu, gpu or paper."""
     minutes: float | None = None
     """Budget in minutes of CPU time (on a GPU: of time of day), the profile's if left out; validating, drawing and
     saving do not count."""

@@ -17,7 +17,7 @@ from obpose.config import Config, SupervisedConfig, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
 from obpose.errors import unknown_name
-from obpose.variants import PROFILES, SEARCHED, VARIANTS, make_config
+from obpose.variants import PROFILES, SEARCHED, VARIANTS, make_config, searched_in
 
 if TYPE_CHECKING:
     from obpose.trainable import Trainable
@@ -68,7 +68,7 @@ class System:
         Raises:
             KeyError: an unknown profile or name.
         """
-        searched = self.searched if profile == "cpu" else {}
+        searched = searched_in(profile, self.searched)
         all_changes = {**self.architecture.profiles[profile], **self.changes, **searched, **(changes or {})}
         return override(self.architecture.config(), all_changes)
 

@@ -1,5 +1,6 @@
 """Variants and sizes of the one model: what each changes in the configuration, by dotted name."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from obpose.config import Config, FieldConfig, override
@@ -100,5 +101,10 @@ def make_config(variant: str = "obpose", profile: str = "cpu", **changes: Any) -
     Raises:
         KeyError: an unknown variant, profile or name.
     """
-    searched = SEARCHED.get(variant, {}) if profile == "cpu" else {}
+    searched = searched_in(profile, SEARCHED.get(variant, {}))
     return override(Config(), {**PROFILES[profile], **VARIANTS[variant], **searched, **changes})
+
+
+def searched_in(profile: str, searched: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What a search chose, in the profile that it was made in: larger networks have settings of their own."""
+    return searched if profile == "cpu" else {}

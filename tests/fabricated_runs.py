@@ -13,6 +13,7 @@ from benchmark.labels import write_labels
 from benchmark.results import Measured, RunKey, RunRow, save_row
 from benchmark.scoring import score_labels
 from benchmark.standings import load_standings
+from benchmark.tracks import find_dataset
 from datagen.storage import Dataset
 from tests.fabricated import write_dataset
 
@@ -76,7 +77,11 @@ def write_runs(
 
 def write_report(run: Path, data: Mapping[str, Path]) -> None:
     """The page of a run folder, where tracks have these datasets."""
-    report.write(run, load_standings(run), lambda track, spec_hash: data.get(track))
+    report.write(
+        run,
+        load_standings(run),
+        lambda track, spec_hash: find_dataset(track, spec_hash, [data[track]] if track in data else []),
+    )
 
 
 def _write_run(run: Path, dataset: Path, track: str, name: str, model: Model, seed: int, *, crashed: bool) -> None:

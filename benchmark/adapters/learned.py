@@ -34,7 +34,7 @@ class LearnedSegmenter:
     fit_seconds: float = float("nan")
     """Of the budget's clock, before the run was interrupted included."""
     fitted_settings: Mapping[str, Any] | None = None
-    """All settings of the training that made its weights, what was measured and the budget included."""
+    """Those of the training that made its weights, budget and scene included, as `settings_of` states them."""
 
     def __init__(
         self,

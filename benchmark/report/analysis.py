@@ -13,9 +13,8 @@ from benchmark.report.gallery import Card, disagreements, telling_image, typical
 from benchmark.report.observations import Objects, Outcome, Truth, outcome_of_scene, read_truth, scene_tables
 from benchmark.rescore import labels_path
 from benchmark.results import RunRow, load_scenes
-from benchmark.runner import SPLIT
 from datagen.errors import UsageError
-from datagen.storage import Dataset, Split
+from datagen.storage import Split
 
 Maps = tuple[UInt8[np.ndarray, "frame view height width"], int]
 """Label maps of a scene and the background slot."""
@@ -35,18 +34,6 @@ class Analysis:
     """Of these runs."""
     means: dict[int, Outcome]
     """Of all seeds of each model together."""
-
-
-def open_split(folder: Path, spec_hash: str) -> Split:
-    """The scored split of a dataset.
-
-    Raises:
-        UsageError: there is no dataset, or another one than the runs were scored on.
-    """
-    dataset = Dataset(folder)
-    if dataset.spec["spec_hash"] != spec_hash:
-        raise UsageError("The dataset at hand is another one than the runs were scored on.")
-    return dataset.split(SPLIT)
 
 
 def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, Sequence[RunRow]]) -> Analysis:

@@ -10,15 +10,16 @@ from typing import Any
 from benchmark.pose_tables import pose_cells, posed
 from benchmark.published import PAPER_MODELS, paper_cells
 from benchmark.report import board
-from benchmark.report.analysis import Analysis, analyse, open_split
+from benchmark.report.analysis import Analysis, analyse
 from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.panel import error_rows, slice_charts
+from benchmark.runner import SPLIT
 from benchmark.standings import Entry, best_first, compare_entries
 from benchmark.watch import SCORES
 from benchmark.wording import counted, free_of_slots, views_explained, without_floor
 from datagen.errors import DatagenError, UsageError
-from datagen.storage import Split
+from datagen.storage import Dataset, Split
 
 OWN = "the track itself"
 CLOCKS = ("step", "seconds")
@@ -48,7 +49,7 @@ class Truths:
 
     def __init__(self, find: Find):
         self._find = find
-        self._known: dict[tuple[Path, str], tuple[Split, Objects]] = {}
+        self._known: dict[str, tuple[Split, Objects]] = {}
 
     def of(self, track: str, spec_hash: str) -> tuple[Split, Objects]:
         """The scored split of a track and its objects.
@@ -60,10 +61,10 @@ class Truths:
         folder = self._find(track, spec_hash)
         if folder is None:
             raise UsageError("The dataset is not on this machine.")
-        if (folder, spec_hash) not in self._known:
-            scenes = open_split(folder, spec_hash)
-            self._known[folder, spec_hash] = scenes, observe(scenes)
-        return self._known[folder, spec_hash]
+        if spec_hash not in self._known:
+            scenes = Dataset(folder).split(SPLIT)
+            self._known[spec_hash] = scenes, observe(scenes)
+        return self._known[spec_hash]
 
 
 def make_field(folder: Path, entries: Sequence[Entry], numbers: Mapping[str, int], truths: Truths, title: str) -> Field:

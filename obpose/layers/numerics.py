@@ -18,7 +18,7 @@ def all_digits(function: Callable[Arguments, Result]) -> Callable[Arguments, Res
 
     @wraps(function)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        device = next(value.device.type for value in args if isinstance(value, Tensor))
+        device = next(value.device.type for value in (*args, *kwargs.values()) if isinstance(value, Tensor))
         with torch.autocast(device, enabled=False):
             return function(*args, **kwargs)
 

@@ -102,7 +102,7 @@ def march(
     threshold: float = 0.0,
     behind: float = 0.0,
 ) -> Picture:
-    """Render the composed components; the values are those of `obpose.nerf.render.render`.
+    """Render the composed components; where `behind` is 0 the values are those of `obpose.nerf.render.render`.
 
     Args:
         components: The background first, if there is one.
@@ -114,7 +114,8 @@ def march(
         sigma_max: Density of an opaque point per metre of planar depth.
         floor: Bounded components are nowhere below this height in the world, metres; None for no floor.
         threshold: Density over sigma_max below which nothing is there; no more than that of the components.
-        behind: Colours are those of so much more planar depth, metres (`obpose.nerf.render.render`).
+        behind: Colours are those of so much more planar depth, metres: half of what they are trained on lies up to
+            `loss.jitter` behind the surface, and light mostly comes from before it.
     """
     rays, length = len(origin), (far - near) / samples
     colour = origin.new_zeros(rays, 3)

@@ -54,10 +54,8 @@ def _soft_mean(
 ) -> Float[Tensor, "batch frame slot 3"]:
     """A softmax over the points normalises masks however small they are; 0 where nothing was observed."""
     unobserved = rearrange(~valid, "b f point -> b f 1 point")
-    return (
-        sharpen(log_masks.to(points.dtype), power).masked_fill(unobserved, -torch.inf).softmax(dim=-1).nan_to_num(0)
-        @ points
-    )
+    weights = sharpen(log_masks.to(points.dtype), power).masked_fill(unobserved, -torch.inf).softmax(dim=-1)
+    return weights.nan_to_num(0) @ points
 
 
 def _last_seen(seen: Bool[Tensor, "batch frame slot"]) -> Int[Tensor, "batch frame slot"]:

@@ -10,6 +10,7 @@ from itertools import count
 import numpy as np
 import torch
 from jaxtyping import Int
+from joblib import cpu_count
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
@@ -99,7 +100,7 @@ def batches(
 
 def readers_for(device: torch.device) -> int:
     """How many processes should read ahead."""
-    return 0 if device.type == "cpu" else min(READERS_FOR_A_GPU, max(1, (os.cpu_count() or 1) - 1))
+    return 0 if device.type == "cpu" else min(READERS_FOR_A_GPU, max(1, cpu_count() - 1))
 
 
 class _Steps(Dataset[dict[str, Tensor]]):
@@ -114,11 +115,9 @@ class _Steps(Dataset[dict[str, Tensor]]):
 
 
 def _begin_and_end_apart(_reader: int) -> None:
-    """A session of its own: signals to the parent's group, such as Ctrl-C or a scheduler's, end no reader.
-
-    And an end without the interpreter's: it would unwind the thread that still sends a batch, and abort.
-    """
+    # From here on signals to the parent's group, such as Ctrl-C or a scheduler's, end no reader.
     os.setsid()
+    # The interpreter's own end would unwind the thread that still sends a batch, and abort.
     atexit.register(os._exit, 0)
 
 

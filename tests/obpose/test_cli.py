@@ -1,3 +1,4 @@
+import re
 import signal
 import subprocess
 import sys
@@ -6,6 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from benchmark.tracks import Track
+from datagen.errors import EXIT_USAGE, UsageError
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.checkpoint import load, read_config
@@ -40,6 +43,18 @@ def test_a_dataset_becomes_a_run(data: Path, tmp_path: Path, capsys: pytest.Capt
     assert config.model.pose.conditioning == "location"
     assert config.model.slots == 4  # the recipe's largest number of objects
     assert 0.01 < config.model.spacing < 0.1  # measured
+
+
+@pytest.mark.parametrize(("profile", "size"), [("cpu", "64x64"), ("gpu", "128x128"), ("paper", "128x128")])
+def test_larger_models_get_the_larger_images_of_a_track(
+    profile: str, size: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def tell(track: Track, *_splits: object, **_options: object) -> Path:
+        raise UsageError(f"{track.folder} would be made")
+
+    monkeypatch.setattr(Track, "prepare", tell)
+    assert main(["--track", "moving", "--profile", profile]) == EXIT_USAGE
+    assert re.search(rf"moving-{size}-\w+ would be made", "".join(capsys.readouterr().err.split("\n")))
 
 
 def test_the_last_word_is_that_of_set(data: Path, tmp_path: Path):

@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from obpose.baselines.obsurf.projection import project
 from obpose.config import LatentConfig
 from obpose.geometry import from_box, to_box, unproject, view_directions
 from obpose.layers.kernel_points import kernel_points
@@ -32,6 +33,7 @@ COMPUTATIONS: dict[str, Callable[[], Tensor]] = {
     "rays": lambda: view_directions(SCENE),
     "into a box": lambda: to_box(draw(1, 50, 3), *box()),
     "out of a box": lambda: from_box(draw(1, 50, 3), *box()),
+    "into an image": lambda: project(64 * draw(1, 50, 3), SCENE.k[:, 0], SCENE.world_from_camera[:, 0])[0],
     "what is free": lambda: observed_free(draw(1, 1, 1, 5000, 3) - 0.5, SCENE),
     "influences": lambda: influence(draw(50, 3), kernel_points()),
     "neighbours": lambda: (

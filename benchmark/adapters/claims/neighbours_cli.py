@@ -59,7 +59,7 @@ def images_of(path: Path, data: Path) -> tuple[Bool[np.ndarray, " image"], Float
     for index, (labels, background_slot) in enumerate(read_labels(path)):
         arrays = truths.read(index, ("segmentation",))["segmentation"], labels, ~clips[index].valid
         for true, found, unseen in zip(*(array.reshape(-1, 1, *array.shape[2:]) for array in arrays), strict=True):
-            if len(np.unique(true[true > 0])) > 1:
+            if len(np.unique(true[(true > 0) & ~unseen])) > 1:
                 adjoin.append(objects_adjoin(true[0]))
                 found_scores = score(true, found, background_slot, ignore=unseen)
                 scores.append([found_scores[name] for name in METRICS])

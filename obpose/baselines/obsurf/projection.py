@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from obpose.layers.numerics import all_digits
+
 _NEAREST = 1e-3
 """Metres before the camera; what is nearer, or behind it, is not in the image."""
 
@@ -22,6 +24,7 @@ def code_size(*, first: int, last: int) -> int:
     return 3 + 6 * (last + 1 - first)
 
 
+@all_digits
 def project(
     points: Float[Tensor, "image point 3"],
     k: Float[Tensor, "image 3 3"],

@@ -1,8 +1,11 @@
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from benchmark.cli import main
+from benchmark.editing import command
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.generate import generate
 from datagen.schema import EDITS
@@ -48,6 +51,19 @@ def test_a_dataset_without_edits_is_refused(tmp_path: Path, capsys):
     small.make(tmp_path / "plain", {"test": 1})
     assert run_cli(*MODEL, "--data", tmp_path / "plain", "--out", tmp_path / "out") == EXIT_USAGE
     assert "holds no edits" in capsys.readouterr().err
+
+
+def test_the_bar_counts_each_scene_once(fitting: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    seen = []
+
+    @contextmanager
+    def count(_console: object, _what: str, total: int) -> Iterator[Callable[[], None]]:
+        yield lambda: seen.append(total)
+
+    monkeypatch.setattr(command, "progress_bar", count)
+    assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path) == EXIT_OK
+    # The scene of the references and that of the model.
+    assert seen == [2, 2]
 
 
 def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path, capsys):

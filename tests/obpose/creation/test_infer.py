@@ -1,8 +1,9 @@
 from pathlib import Path
 
+import pytest
 import torch
 
-from obpose.creation.infer import infer_labelled, infer_scene
+from obpose.creation.infer import infer_labelled, infer_scene, views_as_trained
 from obpose.creation.origin import Origin
 from tests.obpose.creation.scenes import some_model
 from tests.obpose.scenes import table_scene
@@ -28,6 +29,13 @@ def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cam
     alone = table_scene(batch=1, frames=1, views=3)
     alone.rgb[:, :, 1:] = 0
     torch.testing.assert_close(infer_scene(origin, alone).what, scene.what)
+
+
+@pytest.mark.parametrize(("trained", "views"), [("together", 3), ("one", 1)])
+def test_models_see_the_views_that_they_were_trained_with(trained: str, views: int):
+    clip = table_scene(batch=1, frames=1, views=3)
+    seen = views_as_trained(some_model(**{"train.views": trained}), clip)
+    assert torch.equal(seen.rgb, clip.rgb[:, :, :views])
 
 
 def test_labels_are_of_the_views_that_the_model_got_and_name_the_objects():

@@ -79,6 +79,27 @@ def test_so_it_is_where_most_of_the_world_is_empty():
     torch.testing.assert_close(fast.weights, dense.weights, atol=2e-3, rtol=0)
 
 
+def test_colours_can_be_those_a_little_behind():
+    """A field that is black in the half of its box that the camera sees, and white below."""
+
+    class TwoColours(BallField):
+        def density(self, points: torch.Tensor, codes) -> tuple[torch.Tensor, torch.Tensor]:
+            return torch.full_like(points[:, 0], 9.0), points
+
+        def colour(self, hidden: torch.Tensor, direction: torch.Tensor, codes) -> torch.Tensor:
+            return (hidden[:, 2:] < 0).float().expand(-1, 3)
+
+    box = {"center": torch.zeros(3), "rotation": torch.eye(3), "size": 0.3}
+    component = make_component(TwoColours(0.5), torch.zeros(2), **box, bounded=True, resolution=8)
+    down = torch.tensor([[0.0, 0.0, -1.0]])
+    along = {"near": NEAR, "far": FAR, "samples": 1200, "sigma_max": 1000.0, "floor": None}
+    seen = [
+        march([component], torch.tensor([[0.0, 0.0, 1.0]]), down, **along, behind=behind).colour.mean().item()
+        for behind in (0.0, 0.14, 0.16)
+    ]
+    assert seen == [pytest.approx(0.0, abs=5e-3), pytest.approx(0.0, abs=5e-3), pytest.approx(1.0, abs=5e-3)]
+
+
 def test_fields_are_evaluated_in_few_places():
     class Counting(BallField):
         evaluated = 0

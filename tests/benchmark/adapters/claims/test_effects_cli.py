@@ -14,11 +14,11 @@ from tests import small
 
 TRUTH = np.array([[[[0, 0, 0, 1], [0, 0, 2, 2]]]], np.uint8)
 OWNERS = np.array([[[[0, 1, 1, 0], [2, 0, 0, 0]]]], np.uint8)
-SEEN = np.zeros(TRUTH.shape, bool)
+NOTHING_UNSEEN = np.zeros(TRUTH.shape, bool)
 
 
 def scores(labels: np.ndarray) -> dict[str, float]:
-    found = compare(TRUTH, OWNERS, labels, 0, SEEN)
+    found = compare(TRUTH, OWNERS, labels, 0, NOTHING_UNSEEN)
     return {way: found[way]["ari"] for way in found}
 
 

@@ -4,8 +4,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from benchmark.adapters.claims.scenes import read_scenes
+from datagen.errors import UsageError
 from obpose.geometry import all_rays
 from tests.benchmark.adapters.claims.told import only_scene, true_account
+from tests.fabricated import write_dataset
 
 pytestmark = pytest.mark.usefixtures("short_clips")
 
@@ -24,6 +27,12 @@ def test_an_object_that_slots_share_or_that_shares_a_slot_is_nobodys(claims_data
     assert 0 not in {found.row for found in replace(told, segmentation=replace(told.segmentation, labels=labels)).found}
     everything = replace(told.segmentation, labels=torch.ones_like(labels))
     assert replace(told, segmentation=everything).found == []
+
+
+def test_scenes_of_several_cameras_are_refused(tmp_path: Path):
+    stills = write_dataset(tmp_path / "stills", scenes=1, frames=1, views=2, size=(16, 12))
+    with pytest.raises(UsageError, match="stills has 2 views; expected clips that one camera sees"):
+        next(read_scenes(stills, "test", 1))
 
 
 def test_objects_begin_where_their_pixels_are(claims_dataset: Path):

@@ -14,11 +14,11 @@ from tests import small
 
 TRUTH = np.array([[[[0, 0, 0, 1], [0, 0, 2, 2]]]])
 SHADOW = np.array([[[[0, 1, 1, 1], [0, 0, 0, 0]]]], dtype=bool)
-SEEN = np.zeros(TRUTH.shape, dtype=bool)
+NOTHING_UNSEEN = np.zeros(TRUTH.shape, dtype=bool)
 
 
 def test_perfect_labels_have_no_errors_and_shadows_are_of_the_background():
-    found = compare(TRUTH, TRUTH + 1, 1, SHADOW, SEEN)
+    found = compare(TRUTH, TRUTH + 1, 1, SHADOW, NOTHING_UNSEEN)
     assert (found.background, found.shadow, found.leaked, found.missed) == (5, 2, 0, 0)
     assert found.ari == found.ari_without_shadows == 1
 
@@ -26,10 +26,10 @@ def test_perfect_labels_have_no_errors_and_shadows_are_of_the_background():
 def test_an_object_that_takes_its_shadow_is_wrong_there_alone():
     labels = TRUTH.copy()
     labels[0, 0, 0, 2], labels[0, 0, 1, 2] = 1, 0
-    found = compare(TRUTH, labels, 0, SHADOW, SEEN)
+    found = compare(TRUTH, labels, 0, SHADOW, NOTHING_UNSEEN)
     assert (found.leaked, found.leaked_in_shadow, found.missed) == (1, 1, 1)
     labels[0, 0, 1, 2] = 2
-    found = compare(TRUTH, labels, 0, SHADOW, SEEN)
+    found = compare(TRUTH, labels, 0, SHADOW, NOTHING_UNSEEN)
     assert found.ari < found.ari_without_shadows == 1
 
 
