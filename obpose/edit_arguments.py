@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from obpose.recordings.frames import Frames
+
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 SceneFolder = Annotated[Path, tyro.conf.Positional]
 
@@ -23,16 +25,16 @@ class _Shown:
     was moved."""
 
 
-@dataclass(frozen=True)
-class Infer:
-    """Infer a scene from a clip of a dataset."""
+@dataclass(frozen=True, kw_only=True)
+class Infer(Frames):
+    """Infer a scene from a clip of a dataset, or from RGB-D frames of your own."""
 
     checkpoint: str
     """Folder of a trained model, or the name of weights that ship with this package."""
-    data: Path
-    """Folder of a dataset with images."""
     out: Path
     """Folder for the scene and its picture; it must not hold anything yet."""
+    data: Path | None = None
+    """Folder of a dataset with images, in the place of frames."""
     split: Literal["train", "val", "test"] = "test"
     scene: int = 0
     """Which of the split's scenes."""

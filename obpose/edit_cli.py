@@ -1,6 +1,7 @@
 """The command `obpose-edit`: infer, sample, change and render scenes of a trained model.
 
 obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what is in test scene 0
+obpose-edit infer --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --out a
 obpose-edit sample --checkpoint obpose--moving--64x64 --camera a --out b    a scene that was never seen
 obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
 obpose-edit render c --turntable 24 --out turn.gif
@@ -37,6 +38,7 @@ from obpose.data import SceneDataset
 from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.errors import EXIT_OK, UsageError, run_program
 from obpose.files import check_free, check_new, new_file
+from obpose.recordings.frames import look
 
 PROGRAM = "obpose-edit"
 FPS = 8.0
@@ -72,10 +74,18 @@ def _run(arguments: list[str]) -> int:
 
 def _infer(values: Infer) -> None:
     check_free(values.out)
+    framed = any((values.rgb, values.depth, values.intrinsics, values.camera_pose))
+    if framed == (values.data is not None):
+        raise UsageError("Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own.")
     origin = load_origin(values.checkpoint)
-    place = (values.data, values.split, values.scene)
-    scene = infer_scene(origin, read_clip(*place))
-    _show(replace(scene, clip=name_clip(*place)), origin, values.out, values.resolution)
+    if values.data is not None:
+        place = (values.data, values.split, values.scene)
+        scene = replace(infer_scene(origin, read_clip(*place)), clip=name_clip(*place))
+    else:
+        sight = look(values, origin.model)
+        print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
+        scene = infer_scene(origin, sight.observation)
+    _show(scene, origin, values.out, values.resolution)
 
 
 def _sample(values: Sample) -> None:

@@ -4,7 +4,6 @@ obpose-segment --checkpoint RUN --rgb a.png --depth a_depth.png --intrinsics 525
 obpose-segment --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --every 8
 """
 
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,41 +13,26 @@ import numpy as np
 import torch
 import tyro
 from einops import rearrange
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float, Int
 
 from obpose.checkpoint import load_obpose
-from obpose.errors import EXIT_OK, UsageError, run_program
-from obpose.geometry import unproject
+from obpose.errors import EXIT_OK, run_program
 from obpose.model import ObPose
-from obpose.recordings.reading import Recording, parse_intrinsics, read_recording
-from obpose.recordings.world import FITTED, GIVEN, Pose, middle_of, pose_over_plane, read_pose
+from obpose.recordings.frames import Frames, look
 from obpose.recordings.writing import Found, write_results
-from obpose.resolution import fitting_model, surface_spacing
+from obpose.resolution import fitting_model
 from obpose.shipped import find_checkpoint
-from obpose.types import Observation, SceneSegmentation, Segmentation
+from obpose.types import SceneSegmentation, Segmentation
 
 PROGRAM = "obpose-segment"
 
 
-@dataclass(frozen=True)
-class Arguments:
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Frames):
     """Segment RGB-D frames, and find where the objects are and how they are turned."""
 
     checkpoint: Path
     """Folder of a trained model, or the name of weights that ship with this package."""
-    rgb: tuple[Path, ...]
-    """Colour images in time order, or one folder of them."""
-    depth: tuple[Path, ...]
-    """Depth images, aligned with them, or one folder: PNG or TIFF of 16 bits, or TIFF or NPY of floats in metres."""
-    intrinsics: str
-    """fx,fy,cx,cy in pixels; the centre of the first pixel is at 0.5, 0.5, so add 0.5 to OpenCV's cx and cy."""
-    camera_pose: Path | None = None
-    """File with world_from_camera, 4x4, metres, as text, JSON or NPY: camera axes x right, y down, z forward, world z
-    up from the table at z = 0. If left out, the world stands on the largest plane in view."""
-    depth_scale: float = 0.001
-    """Metres of one unit of depth images of whole numbers."""
-    every: int = 1
-    """Take one pixel of each square of so many, such that a pixel shows about as much of the table as in training."""
     out: Path = Path("segmented")
     """Folder for label images, overlays, and objects.json."""
 
@@ -66,77 +50,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(values: Arguments) -> int:
     """Segment and write."""
-    if not 0 < values.depth_scale < math.inf:
-        raise UsageError(f"--depth-scale is {values.depth_scale:g}; expected more than 0, and finite.")
-    k = parse_intrinsics(values.intrinsics)
     model = load_obpose(find_checkpoint(values.checkpoint))
-    whole = read_recording(values.rgb, values.depth, k, depth_scale=values.depth_scale)
-    recording = whole.every(values.every)
-    pose = read_pose(values.camera_pose) if values.camera_pose else _pose_over_plane(recording, model)
-    observation = _observation(recording, pose)
-    note = _resolution_note(model, observation)
-    found = fitting_model(model, observation).segment(observation)
-    labels = _enlarged(found, values.every, whole.depth.shape)
+    sight = look(values, model)
+    found = fitting_model(model, sight.observation).segment(sight.observation)
+    labels = _enlarged(found, values.every, sight.whole.depth.shape)
     facts = {
         "checkpoint": str(values.checkpoint),
-        "world": _given_note(observation, model) if values.camera_pose else FITTED,
+        "world": sight.world,
         "units": "metres; rotations are world_from_object; box_size is the edge of the object's cube",
-        "resolution": note,
+        "resolution": sight.resolution,
     }
-    page = write_results(values.out, whole, labels, _objects(found, labels, model), pose, facts)
-    print(f"World: {facts['world']}.")
-    print(f"Resolution: {note}.")
+    page = write_results(values.out, sight.whole, labels, _objects(found, labels, model), sight.pose, facts)
+    print(f"World: {sight.world}.")
+    print(f"Resolution: {sight.resolution}.")
     print(f"Labels, overlays and poses of {len(labels)} frames: {page}")
     return EXIT_OK
-
-
-def _observation(recording: Recording, pose: Pose) -> Observation:
-    depth = rearrange(torch.from_numpy(recording.depth), "frame h w -> 1 frame 1 h w")
-    return Observation(
-        rgb=rearrange(torch.from_numpy(recording.rgb), "frame h w c -> 1 frame 1 h w c").to(torch.float32) / 255,
-        depth=depth,
-        valid=depth > 0,
-        k=torch.from_numpy(recording.k).to(torch.float32)[None, None],
-        world_from_camera=torch.from_numpy(pose).to(torch.float32)[None, None],
-    )
-
-
-def _pose_over_plane(recording: Recording, model: ObPose) -> Pose:
-    seen = _first_points(_observation(recording, np.eye(4)))
-    return pose_over_plane(seen, center=model.config.model.workspace_center)
-
-
-def _given_note(observation: Observation, model: ObPose) -> str:
-    """Whether the given world is one that the model knows."""
-    points, trained = _first_points(observation), model.config.model
-    away = float(np.linalg.norm(middle_of(points) - trained.workspace_center)) if len(points) else 0.0
-    if away < trained.workspace_size / 2:
-        return GIVEN
-    x, y, z = trained.workspace_center
-    return (
-        f"{GIVEN}; what is in view lies {away:.2f} m from ({x:.2f}, {y:.2f}, {z:.2f}), around which the model was "
-        "trained: results may be poor, move the world's origin there"
-    )
-
-
-def _first_points(observation: Observation) -> Float64[np.ndarray, "point 3"]:
-    """What the first frame shows, metres."""
-    return unproject(observation)[0, 0][observation.valid[0, 0]].numpy().astype(np.float64)
-
-
-def _resolution_note(model: ObPose, observation: Observation) -> str:
-    """How the frames compare to those of the training."""
-    trained, spacing = model.config.model.spacing, surface_spacing(observation)
-    if spacing is None:
-        return "no neighbouring pixels have a depth"
-    words = (
-        f"neighbouring pixels are {1000 * spacing:.1f} mm apart on the surfaces, in training {1000 * trained:.1f} mm"
-    )
-    if fitting_model(model, observation) is model:
-        return words
-    step = round(trained / spacing)
-    hint = f"; --every {step} comes near to it" if step > 1 else ""
-    return f"{words}: the model was not trained for this and its neighbourhoods were scaled{hint}"
 
 
 def _enlarged(found: Segmentation, step: int, shape: tuple[int, ...]) -> Int[np.ndarray, "frame height width"]:

@@ -85,12 +85,14 @@ def read_recording(
     return recording
 
 
-def parse_intrinsics(text: str) -> Float64[np.ndarray, "3 3"]:
+def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:
     """The camera matrix of `fx,fy,cx,cy`.
 
     Raises:
-        UsageError: it is something else.
+        UsageError: it is something else, or missing.
     """
+    if text is None:
+        raise UsageError("--intrinsics is missing; give fx,fy,cx,cy in pixels, such as 525,525,320,240.")
     try:
         fx, fy, cx, cy = (float(part) for part in text.split(","))
     except ValueError:

@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 import trimesh
 from PIL import Image
 
 from datagen.errors import EXIT_OK, EXIT_USAGE
+from datagen.storage import Dataset
 from obpose.creation.origin import origin_of
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import ClipName
@@ -46,6 +48,40 @@ def test_what_is_inferred_looks_like_the_clip(inferred: Path, tiny_dataset: Path
 
 def tiny_dataset_clip(folder: Path) -> dict[str, torch.Tensor]:
     return SceneDataset(folder, "test", extra=["segmentation"])[0]
+
+
+@pytest.fixture(scope="module")
+def frames(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The same clip as files, and the flags that name them."""
+    folder, clip = tmp_path_factory.mktemp("frames"), Dataset(tiny_dataset).split("test")[0]
+    for kind in ("rgb", "depth"):
+        (folder / kind).mkdir()
+    for frame in range(len(clip["rgb"])):
+        Image.fromarray(clip["rgb"][frame, 0]).save(folder / "rgb" / f"{frame}.png")
+        np.save(folder / "depth" / f"{frame}.npy", clip["depth"][frame, 0])
+    np.savetxt(folder / "pose.txt", clip["world_from_camera"][0])
+    k = clip["k"][0]
+    camera = ["--intrinsics", ",".join(str(value) for value in (k[0, 0], k[1, 1], k[0, 2], k[1, 2]))]
+    return ["--rgb", str(folder / "rgb"), "--depth", str(folder / "depth"), *camera, f"--camera-pose={folder}/pose.txt"]
+
+
+def test_frames_of_ones_own_give_the_scene_of_the_same_clip(inferred: Path, frames: list[str], tmp_path: Path, capsys):
+    assert run("infer", "--checkpoint", MODEL, *frames, "--out", tmp_path / "own") == EXIT_OK
+    assert "World: as given with --camera-pose." in capsys.readouterr().out
+    own, scene = load_scene(tmp_path / "own"), load_scene(inferred)
+    assert own.clip is None
+    assert own.ids == scene.ids
+    torch.testing.assert_close(own.center, scene.center, atol=1e-4, rtol=0)
+    torch.testing.assert_close(own.what, scene.what, atol=1e-3, rtol=0)
+
+
+def test_a_scene_is_of_a_dataset_or_of_frames(tiny_dataset: Path, frames: list[str], tmp_path: Path, capsys):
+    for flags in ([], [*frames, "--data", tiny_dataset]):
+        assert run("infer", "--checkpoint", MODEL, *flags, "--out", tmp_path / "new") == EXIT_USAGE
+        assert "either --data DIR, or --rgb, --depth and --intrinsics" in capsys.readouterr().err
+    assert run("infer", "--checkpoint", MODEL, *frames[:4], "--out", tmp_path / "new") == EXIT_USAGE
+    assert "--intrinsics is missing" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):
