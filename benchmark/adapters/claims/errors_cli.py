@@ -1,0 +1,70 @@
+"""What goes wrong with objects, as in a report's table of errors, along clips and by how many objects are in view.
+
+python -m benchmark.adapters.claims.errors_cli RUN/labels/FILE.h5 [...]
+
+The label maps are of the test split.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from jaxtyping import Float64
+
+from benchmark.adapters.claims.command import run_command
+from benchmark.errors_by_type import ERROR_TYPES, MEANINGS
+from benchmark.labels import dataset_of, read_labels
+from benchmark.report.analysis import outcome
+from benchmark.report.observations import Objects, Outcome, observe, read_truth
+from datagen.errors import EXIT_OK
+from datagen.storage import Dataset
+
+PROGRAM = "python -m benchmark.adapters.claims.errors_cli"
+SPLIT = "test"
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options of the command."""
+
+    labels: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Label maps of a test split, as a run of obpose-bench leaves them."""
+    data: Path | None = None
+    """The dataset that the labels are of, if it has moved since."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; give the exit code."""
+    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
+
+
+def run(values: Arguments) -> int:
+    """Every file in its turn."""
+    for name in ERROR_TYPES:
+        print(f"{name}: {MEANINGS[name]}")
+    for path in values.labels:
+        objects, found = dealt_with(path, values.data or dataset_of(path))
+        first, last = (found.overlap[objects.frame == frame].mean() for frame in (0, objects.frame.max()))
+        print(f"{path.name}: {_shares(found.errors)}")
+        print(f"  mean best IoU {first:.3f} in first frames, {last:.3f} in last ones")
+        for count in np.unique(objects.companions):
+            print(f"  {count} in view: {_shares(found.errors[objects.companions == count])}")
+    return EXIT_OK
+
+
+def dealt_with(path: Path, data: Path) -> tuple[Objects, Outcome]:
+    """The objects of a test split in all images, and how the labels dealt with each."""
+    scenes = Dataset(data).split(SPLIT)
+    truths = [read_truth(scenes, index) for index in range(len(scenes))]
+    return observe(scenes), outcome(truths, read_labels(path))
+
+
+def _shares(errors: Float64[np.ndarray, "observation type"]) -> str:
+    return ", ".join(f"{name} {share:.0%}" for name, share in zip(ERROR_TYPES, errors.mean(axis=0), strict=True))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
