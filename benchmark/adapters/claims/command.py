@@ -1,13 +1,25 @@
 """What the commands of this folder have in common."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, TypeVar
 
 import tyro
 
 from datagen.errors import run_program
 
 Options = TypeVar("Options")
+
+
+@dataclass(frozen=True)
+class LabelMaps:
+    """Options of a command that looks at label maps."""
+
+    labels: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Label maps of a test split, as a run of obpose-bench leaves them."""
+    data: Path | None = None
+    """The dataset that the labels are of, if it has moved since."""
 
 
 def run_command(

@@ -6,15 +6,12 @@ The label maps are of the test split.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
 from jaxtyping import Float64
 
-from benchmark.adapters.claims.command import run_command
+from benchmark.adapters.claims.command import LabelMaps, run_command
 from benchmark.errors_by_type import ERROR_TYPES, MEANINGS
 from benchmark.labels import dataset_of, read_labels
 from benchmark.report.analysis import outcome
@@ -26,22 +23,12 @@ PROGRAM = "python -m benchmark.adapters.claims.errors_cli"
 SPLIT = "test"
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """Options of the command."""
-
-    labels: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Label maps of a test split, as a run of obpose-bench leaves them."""
-    data: Path | None = None
-    """The dataset that the labels are of, if it has moved since."""
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; give the exit code."""
-    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
+    return run_command(run, LabelMaps, arguments, program=PROGRAM, about=__doc__)
 
 
-def run(values: Arguments) -> int:
+def run(values: LabelMaps) -> int:
     """Every file in its turn."""
     for name in ERROR_TYPES:
         print(f"{name}: {MEANINGS[name]}")

@@ -6,15 +6,12 @@ The label maps are of the test split; each line of the answer is of one file.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
 from jaxtyping import Bool, Float64, Integer
 
-from benchmark.adapters.claims.command import run_command
+from benchmark.adapters.claims.command import LabelMaps, run_command
 from benchmark.clips import ClipSequence
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
@@ -26,22 +23,12 @@ SPLIT = "test"
 METRICS = ("ari_fg", "msc_fg")
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """Options of the command."""
-
-    labels: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Label maps of a test split, as a run of obpose-bench leaves them."""
-    data: Path | None = None
-    """The dataset that the labels are of, if it has moved since."""
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; give the exit code."""
-    return run_command(run, Arguments, arguments, program=PROGRAM, about=__doc__)
+    return run_command(run, LabelMaps, arguments, program=PROGRAM, about=__doc__)
 
 
-def run(values: Arguments) -> int:
+def run(values: LabelMaps) -> int:
     """Every file in its turn."""
     print("ARI-FG / MSC-FG in images where no objects adjoin, and where some do")
     for path in values.labels:
