@@ -5,7 +5,7 @@ And for the object's place, which the latent should not hold.
 python -m benchmark.adapters.creation.probes_cli --track clevr3d
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
@@ -15,6 +15,7 @@ from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.creation.objects import Objects, infer_objects
 from benchmark.adapters.creation.probes import Probe, Sample, probe_names, probe_numbers
 from benchmark.adapters.creation.subject import Subject
+from benchmark.leaderboard import Line
 from datagen.errors import EXIT_OK, UsageError
 
 PROGRAM = "python -m benchmark.adapters.creation.probes_cli"
@@ -60,8 +61,10 @@ def run(values: Arguments) -> int:
         f"{origin.name}: {len(learned.scene)} objects of {values.learn_scenes} training scenes, {len(tested.scene)} of "
         f"{values.scenes} scenes of the split {values.split}; {tested.missed} others of these were not found.\n"
     )
-    for line in table(rows(learned, tested)):
-        print(line)
+    found = list(rows(learned, tested))
+    for row in table(found):
+        print(row)
+    values.keep(origin, lines(found))
     return EXIT_OK
 
 
@@ -77,7 +80,25 @@ def rows(learned: Objects, tested: Objects) -> Iterator[Row]:
         yield _row(f"position, {name}", "R²", learned, tested, partial(_coordinate, axis))
 
 
-def table(found: Iterator[Row]) -> Iterator[str]:
+def lines(found: Iterable[Row]) -> list[Line]:
+    """For a CSV."""
+    return [
+        {
+            "what": row.what,
+            "measure": row.measure,
+            "z_what": row.by_latent.score,
+            "z_what_ci_low": row.by_latent.low,
+            "z_what_ci_high": row.by_latent.high,
+            "t_hat": row.by_place.score,
+            "no_input": row.by_latent.baseline,
+            "learned_from": row.by_latent.trained,
+            "tested": row.by_latent.tested,
+        }
+        for row in found
+    ]
+
+
+def table(found: Iterable[Row]) -> Iterator[str]:
     """As Markdown."""
     yield "| what | measure | from z_what (95 % over scenes) | from T_hat | without either | learned from, tested |"
     yield "|---|---|---:|---:|---:|---:|"

@@ -3,7 +3,7 @@
 python -m benchmark.adapters.creation.samples_cli --track moving --picture docs/images/sampled_moving.png
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from benchmark.adapters.creation.sampled import Labelled, Looks, looks, mean_ari
 from benchmark.adapters.creation.subject import Subject
 from benchmark.adapters.learned import LearnedSegmenter
 from benchmark.interface import Segmenter
+from benchmark.leaderboard import Cell, Line
 from benchmark.metrics.kernel_distance import KernelDistance, kernel_distance
 from benchmark.registry import find_model
 from benchmark.tuning import choose
@@ -24,7 +25,8 @@ from obpose.creation.pictures import enlarged, write_png
 
 PROGRAM = "python -m benchmark.adapters.creation.samples_cli"
 TUNED_ON = "val"
-CLUSTERING = "plane-hdbscan"
+OURS, CLUSTERING = "ObPose", "plane-hdbscan"
+FEATURES = ("size", "colour")
 COLUMNS, TILE, GAP = 10, 96, 2
 """Of the picture: scenes a row, least pixels a scene, white pixels between."""
 
@@ -60,7 +62,11 @@ def run(values: Arguments) -> int:
     for prior in ("fitted", "learned"):
         kinds[f"sampled, prior {prior}"] = list(sampled_scenes(origin, prior, real, seed=values.seed))
     print(f"{origin.name}, {len(real)} scenes of {values.source.name}, first view and frame, seed {values.seed}:\n")
-    _print(kinds, {"ObPose": _model(origin), CLUSTERING: _clustering(others, values.source.slots)}, values.seed)
+    segmenters = {OURS: _model(origin), CLUSTERING: _clustering(others, values.source.slots)}
+    measured = list(lines(kinds, segmenters, values.seed))
+    for row in table(measured):
+        print(row)
+    values.keep(origin, measured)
     if values.picture is not None:
         rows = [kind for name, kind in kinds.items() if name != f"real ({TUNED_ON})"]
         write_png(values.picture, grid(rows))
@@ -98,22 +104,30 @@ def _clustering(scenes: Sequence[Labelled], slots: int) -> Segmenter:
     return segmenter
 
 
-def _print(kinds: Mapping[str, Sequence[Labelled]], segmenters: Mapping[str, Segmenter], seed: int) -> None:
-    """A row for each kind of scenes, distances being those from the first."""
+def lines(kinds: Mapping[str, Sequence[Labelled]], segmenters: Mapping[str, Segmenter], seed: int) -> Iterator[Line]:
+    """One for each kind of scenes, distances being those from the first."""
     (first, real), *_ = kinds.items()
-    heading = [f"ARI-FG of {name}" for name in segmenters]
-    distances = [f"MMD² of {name} from {first} (p)" for name in ("sizes", "colours")]
-    print(f"| scenes | objects | {' | '.join(heading)} | {' | '.join(distances)} |")
-    print(f"|---|{'---:|' * (1 + len(heading) + len(distances))}")
     seen = looks(real)
     for name, scenes in kinds.items():
         found = looks(scenes)
-        cells = [f"{mean_ari_fg(segmenter, scenes):.3f}" for segmenter in segmenters.values()]
-        if name == first:
-            cells += ["", ""]
-        else:
-            cells += [_cell(_distance(feature, found, seen, seed)) for feature in ("size", "colour")]
-        print(f"| {name} | {len(found.scene)} | {' | '.join(cells)} |")
+        line: dict[str, Cell] = {"scenes": name, "seed": seed, "objects": len(found.scene)}
+        line |= {f"ari_fg {segmenter}": mean_ari_fg(model, scenes) for segmenter, model in segmenters.items()}
+        for feature in FEATURES if name != first else ():
+            if distance := _distance(feature, found, seen, seed):
+                line |= {f"mmd2 {feature}": distance.squared, f"mmd2 {feature} p": distance.p_value}
+        yield line
+
+
+def table(measured: Sequence[Line]) -> Iterator[str]:
+    """As Markdown."""
+    first = measured[0]["scenes"]
+    distances = [f"MMD² of {feature} from {first} (p)" for feature in FEATURES]
+    yield f"| scenes | objects | ARI-FG of {OURS} | ARI-FG of {CLUSTERING} | {' | '.join(distances)} |"
+    yield f"|---|{'---:|' * (3 + len(distances))}"
+    for line in measured:
+        cells = [f"{line[f'ari_fg {name}']:.3f}" for name in (OURS, CLUSTERING)]
+        cells += ["" if line["scenes"] == first else _cell(line, feature) for feature in FEATURES]
+        yield f"| {line['scenes']} | {line['objects']} | {' | '.join(cells)} |"
 
 
 def _distance(feature: str, one: Looks, other: Looks, seed: int) -> KernelDistance | None:
@@ -124,8 +138,9 @@ def _distance(feature: str, one: Looks, other: Looks, seed: int) -> KernelDistan
     return kernel_distance(*values, one.scene, other.scene, rng=np.random.default_rng(seed))
 
 
-def _cell(distance: KernelDistance | None) -> str:
-    return f"{distance.squared:z.4f} ({distance.p_value:.3f})" if distance else "–"
+def _cell(line: Line, feature: str) -> str:
+    squared = line.get(f"mmd2 {feature}")
+    return "–" if squared is None else f"{squared:z.4f} ({line[f'mmd2 {feature} p']:.3f})"
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ from typing import Literal
 
 import torch
 
+from benchmark.files import write_whole
+from benchmark.leaderboard import Line, to_csv
 from benchmark.tracks import DataFolder, Source, find_track
 from datagen.errors import UsageError
 from obpose.creation.origin import Origin, load_origin
@@ -28,6 +30,8 @@ class Subject:
     """Whose scenes are measured."""
     scenes: int = 100
     """How many of them, from the first on."""
+    csv: Path | None = None
+    """CSV to write what is printed to, with all digits."""
 
     @property
     def source(self) -> Source:
@@ -39,14 +43,22 @@ class Subject:
         return self.source.prepare((self.split, *others))
 
     def check(self, **least: int) -> None:
-        """Refuse options, by their names, that are less than these.
+        """Refuse options, by their names, that are less than these, and a CSV of another name.
 
         Raises:
             UsageError: one is.
         """
+        if self.csv is not None and self.csv.suffix != ".csv":
+            raise UsageError(f"--csv {self.csv}: expected a name that ends with .csv.")
         for name, smallest in least.items():
             if (value := getattr(self, name)) < smallest:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")
+
+    def keep(self, origin: Origin, lines: Sequence[Line]) -> None:
+        """Write the CSV, if there is to be one."""
+        if self.csv is not None:
+            told: Line = {"model": origin.name, "data": self.source.name, "split": self.split}
+            write_whole(self.csv, to_csv([{**told, **line} for line in lines]).encode())
 
     def origin(self) -> Origin:
         """The model, in a process that is set up for it."""

@@ -4,7 +4,7 @@ python -m benchmark.adapters.creation.views_cli --track moving        re-rendere
 python -m benchmark.adapters.creation.views_cli --track static        and novel views
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +12,13 @@ import numpy as np
 from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.creation.subject import Subject
 from benchmark.adapters.creation.views import CARRIED, COPIED, MEAN, MODEL, Likeness, measure_views
+from benchmark.leaderboard import Line
 from datagen.errors import EXIT_OK
 from datagen.storage import Dataset
 
 PROGRAM = "python -m benchmark.adapters.creation.views_cli"
+MEANS = ("psnr", "psnr_objects", "ssim")
+MEDIANS = ("depth_errors", "depth_errors_objects")
 
 
 @dataclass(frozen=True)
@@ -40,37 +43,43 @@ def run(values: Arguments) -> int:
     folder = values.folder()
     if Dataset(folder).views > 1:
         values.folder(("train",))
-    found = list(measure_views(origin, folder, values.split, scenes=values.scenes, frames=values.frames))
+    found = measure_views(origin, folder, values.split, scenes=values.scenes, frames=values.frames)
+    measured = lines(list(found))
     print(f"{origin.name}, first {values.scenes} scenes of the split {values.split} of {values.source.name}:\n")
-    for line in table(found):
-        print(line)
+    for row in table(measured):
+        print(row)
+    values.keep(origin, measured)
     return EXIT_OK
 
 
-def table(found: Sequence[Likeness]) -> Iterator[str]:
-    """Means over pictures, medians of depth over all of their pixels, as Markdown."""
-    yield "| picture of | by | pictures | PSNR | on objects | SSIM | depth error, median | on objects |"
-    yield "|---|---|---:|---:|---:|---:|---:|---:|"
-    for same_view in (True, False):
-        for maker in (MODEL, CARRIED, COPIED, MEAN):
-            if group := [one for one in found if one.same_view == same_view and one.maker == maker]:
-                yield f"| {'the input view' if same_view else 'another view'} | {maker} | {' | '.join(_cells(group))} |"
-
-
-def _cells(group: Sequence[Likeness]) -> list[str]:
-    means = [np.nanmean([getattr(one, name) for one in group]) for name in ("psnr", "psnr_objects", "ssim")]
+def lines(found: Sequence[Likeness]) -> list[Line]:
+    """Of each kind of picture and who makes it: means over pictures, medians of depth over all of their pixels."""
+    groups = {
+        (same_view, maker): [one for one in found if one.same_view == same_view and one.maker == maker]
+        for same_view in (True, False)
+        for maker in (MODEL, CARRIED, COPIED, MEAN)
+    }
     return [
-        str(len(group)),
-        f"{means[0]:.1f} dB",
-        f"{means[1]:.1f} dB",
-        f"{means[2]:.3f}",
-        _median(one.depth_errors for one in group),
-        _median(one.depth_errors_objects for one in group),
+        {
+            "picture": "the input view" if same_view else "another view",
+            "by": maker,
+            "pictures": len(group),
+            **{name: float(np.nanmean([getattr(one, name) for one in group])) for name in MEANS},
+            **{name: float(np.median(np.concatenate([getattr(one, name) for one in group]))) for name in MEDIANS},
+        }
+        for (same_view, maker), group in groups.items()
+        if group
     ]
 
 
-def _median(errors: Iterable[np.ndarray]) -> str:
-    return f"{1000 * np.median(np.concatenate(list(errors))):.1f} mm"
+def table(measured: Sequence[Line]) -> Iterator[str]:
+    """As Markdown."""
+    yield "| picture of | by | pictures | PSNR | on objects | SSIM | depth error, median | on objects |"
+    yield "|---|---|---:|---:|---:|---:|---:|---:|"
+    for line in measured:
+        quality = f"{line['psnr']:.1f} dB | {line['psnr_objects']:.1f} dB | {line['ssim']:.3f}"
+        depth = " | ".join(f"{1000 * float(line[name]):.1f} mm" for name in MEDIANS)
+        yield f"| {line['picture']} | {line['by']} | {line['pictures']} | {quality} | {depth} |"
 
 
 if __name__ == "__main__":

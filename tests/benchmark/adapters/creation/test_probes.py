@@ -6,7 +6,7 @@ import pytest
 
 from benchmark.adapters.creation.objects import Objects, _middle_frames, facts
 from benchmark.adapters.creation.probes import Probe, Sample, probe_names, probe_numbers
-from benchmark.adapters.creation.probes_cli import main, rows, table
+from benchmark.adapters.creation.probes_cli import lines, main, rows, table
 from datagen.storage import Dataset
 
 RNG = np.random.default_rng(0)
@@ -76,7 +76,11 @@ def test_the_table_says_what_latents_hold():
         assert found[f"position, {axis}"].by_latent.score < 0.1
         assert found[f"position, {axis}"].by_place.score > 0.99
     assert found["colour"].by_latent.trained < found["size"].by_latent.trained == 120
-    assert len(list(table(iter(found.values())))) == 9
+    *_, last = table(found.values())
+    kept = lines(found.values())
+    assert [line["what"] for line in kept] == list(found)
+    assert last.startswith(f"| position, z | R² | {kept[-1]['z_what']:.2f} ({kept[-1]['z_what_ci_low']:.2f} to ")
+    assert last.endswith(f"| {kept[-1]['t_hat']:.2f} | {kept[-1]['no_input']:z.2f} | 120, 120 |")
 
 
 def test_an_object_is_taken_where_it_is_found():

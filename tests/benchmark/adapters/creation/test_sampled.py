@@ -1,3 +1,4 @@
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -81,9 +82,12 @@ def test_the_command_prints_and_draws(
 ):
     save_prior(origin, learned_prior(origin.model))
     flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2"]
-    assert main([*flags, "--picture", str(tmp_path / "grid.png")]) == 0
+    assert main([*flags, "--picture", str(tmp_path / "grid.png"), "--csv", str(tmp_path / "samples.csv")]) == 0
     printed = capsys.readouterr().out
     assert all(f"| {name} |" in printed for name in ("real (test)", "real (val)", "sampled, prior fitted"))
+    kept = list(csv.DictReader((tmp_path / "samples.csv").read_text().splitlines()))
+    assert [line["mmd2 size p"] != "" for line in kept[:2]] == [False, True]
+    assert f"| {float(kept[1]['mmd2 size']):z.4f} ({float(kept[1]['mmd2 size p']):.3f}) |" in printed
     width = 2 * (96 + 2 * GAP)
     with Pillow.open(tmp_path / "grid.png") as picture:
         assert picture.size == (width, 3 * (96 + 2 * GAP))

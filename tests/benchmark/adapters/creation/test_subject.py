@@ -14,6 +14,7 @@ from datagen.errors import EXIT_USAGE
         (probes_cli.main, ["--learn-scenes", "-1"], "--learn-scenes -1: expected 1 or more."),
         (samples_cli.main, ["--seed", "-3"], "--seed -3: expected 0 or more."),
         (samples_cli.main, ["--picture", "a.jpg"], "--picture a.jpg: expected a name that ends with .png."),
+        (probes_cli.main, ["--csv", "a.txt"], "--csv a.txt: expected a name that ends with .csv."),
         (samples_cli.main, ["--track", "nowhere"], "Unknown track"),
     ],
 )

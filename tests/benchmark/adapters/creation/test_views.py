@@ -1,3 +1,4 @@
+import csv
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -89,9 +90,15 @@ def test_indices_are_spread():
     assert spread(2, 3) == [0, 1]
 
 
-def test_the_command_prints_a_table(clips: Path, checkpoint: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_prints_a_table_and_keeps_it(
+    clips: Path, checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "1", "--frames", "2"]
-    assert main(flags) == 0
+    assert main([*flags, "--csv", str(tmp_path / "views.csv")]) == 0
     printed = capsys.readouterr().out
     assert "| the input view | the model | 2 |" in printed
     assert "another view" not in printed
+    [line] = csv.DictReader((tmp_path / "views.csv").read_text().splitlines())
+    assert (line["data"], line["split"], line["pictures"]) == (clips.name, "test", "2")
+    assert f"| {float(line['psnr']):.1f} dB | {float(line['psnr_objects']):.1f} dB |" in printed
+    assert printed.rstrip().endswith(f"| {1000 * float(line['depth_errors_objects']):.1f} mm |")
