@@ -48,7 +48,7 @@ model.latent.samples model.object_field.width model.object_field.depth model.bac
 model.background_field.depth
 model.slot_attention.iterations model.slot_attention.width"""
 _POSITIVE = """model.backbone.radius model.pose.box_size model.spacing model.workspace_size model.background_size
-loss.sigma_max loss.colour_std
+loss.sigma_max loss.colour_std loss.air_growth
 model.attention.mask_power model.latent.radius model.latent.posterior_std loss.air_saturation"""
 _NOT_NEGATIVE = """model.attention.semi_convolution model.attention.semi_colour model.attention.looks
 model.attention.idle_points model.attention.evaluation_rounds

@@ -50,7 +50,7 @@ class ObPose(SceneEncoder):
             evidence = self._observe_background(observation, generator)
         else:
             evidence = self._observe(observation, generator)
-        return loss_terms(evidence, self.config.loss)
+        return loss_terms(evidence, self.config.loss, fraction=fraction)
 
     @torch.no_grad()
     def segment(self, observation: Observation) -> SceneSegmentation:

@@ -22,6 +22,7 @@ LATER: dict[str, Any] = {
     "model.background_field.density": "raw",
     "model.pose.points": "own",
     "model.weights": "orthogonal",
+    "loss.air_growth": 1.0,
     "loss.air_saturation": 3.0,
     "train.half_life": 0.1,
     "train.skip": 0.0,

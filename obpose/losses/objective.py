@@ -35,12 +35,12 @@ class Evidence:
     """Along rays of views that have no masks, which count as much as the others; None without such views."""
 
 
-def loss_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
-    """The unweighted terms by name, detached, and `total`, to be minimised."""
+def loss_terms(evidence: Evidence, config: LossConfig, *, fraction: float) -> dict[str, Tensor]:
+    """The unweighted terms by name, detached, and `total`, to be minimised at this fraction of the budget."""
     weights = {
         "colour": config.colour,
         "surface": config.surface,
-        "air": config.air,
+        "air": config.air * growth(config.air_growth, fraction),
         "attention": config.mask,
         "scope": config.scope,
         "translation": config.translation,
@@ -55,6 +55,15 @@ def loss_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
         terms["attention"] = _warmup_attention(evidence, evidence.log_prescope, config)
     total = sum((weights[name] * term for name, term in terms.items()), start=terms["surface"].new_zeros(()))
     return {"total": total, **{name: term.detach() for name, term in terms.items()}}
+
+
+def growth(most: float, fraction: float) -> float:
+    """1 in the first half of the budget, then growing by equal factors to `most` at three quarters of it.
+
+    >>> [growth(100.0, fraction) for fraction in (0.0, 0.5, 0.625, 0.75, 1.0)]
+    [1.0, 1.0, 10.0, 100.0, 100.0]
+    """
+    return most ** min(1.0, max(0.0, 4 * fraction - 2))
 
 
 def _observation_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:

@@ -233,6 +233,17 @@ def test_observed_colours_can_be_left_out_of_the_features():
     assert with_them.embeddings.features.shape[-1] == without.embeddings.features.shape[-1] + 3
 
 
+def test_the_air_weighs_more_towards_the_end_of_the_budget():
+    model, scene = _model(**{"loss.air_growth": 9.0}), table_scene()
+    early, late, last = (
+        model.losses(scene, step=1000, fraction=fraction, generator=torch.Generator().manual_seed(0))
+        for fraction in (0.5, 0.625, 1.0)
+    )
+    assert torch.equal(early["air"], last["air"])
+    torch.testing.assert_close(late["total"] - early["total"], 2 * early["air"])
+    torch.testing.assert_close(last["total"] - early["total"], 8 * early["air"])
+
+
 def test_views_that_are_not_encoded_have_no_say_in_what_is_inferred():
     scene = table_scene(views=3, frames=1)
     model = _model(**{"train.views": "one"})
