@@ -232,8 +232,8 @@ class LossConfig:
     surface: float = 1.0
     air: float = 1.0
     air_growth: float = 1.0
-    """What the weight of the air is multiplied with in the last quarter of the budget, growing from its middle on: fields
-    get sharper surfaces, once they have found their objects. [ours]"""
+    """What the weight of the air is multiplied with in the last quarter of the budget, growing from its middle on:
+    fields get sharper surfaces, once they have found their objects. [ours]"""
     mask: float = 1.0
     """Weight of the attention loss; 5 suits `l2`."""
     scope: float = 0.25

@@ -43,6 +43,21 @@ def find_shipped(model: str, track: str, resolution: tuple[int, int]) -> Path:
     )
 
 
+def shipped_to_create(track: str) -> str:
+    """Name of the weights to make pictures with on a track: of `obpose-sharp`, or of `obpose` where there are none.
+
+    Raises:
+        UsageError: there are neither.
+    """
+    for model in ("obpose-sharp", "obpose"):
+        for name in shipped_names():
+            if name.startswith(f"{model}--{track}--"):
+                return name
+    raise UsageError(
+        f"No weights of obpose for {track} ship with this package; say with --checkpoint which to use. {list_shipped()}"
+    )
+
+
 def find_checkpoint(checkpoint: Path) -> Path:
     """The folder of a model: the one that is named, or the weights that ship under this name.
 

@@ -106,6 +106,7 @@ DESCRIPTIONS = {
     "obpose-loc": "the same at their location only",
     "obpose-none": "the same in the workspace's frame",
     "obpose-l2": "obpose with the paper's other attention loss",
+    "obpose-sharp": "obpose with sharper surfaces, for pictures",
     "obpose-as-published": "obpose without most of our additions",
     "ic-sbp": "IC-SBP without background, poses or boxes",
     "slot-attention": "slot attention without poses or boxes",
@@ -122,7 +123,7 @@ _LARGER_BOXES: dict[str, Changes] = {"multishape": {"model.pose.box_size": 0.35}
 
 
 def _obpose_system(variant: str) -> System:
-    on_tracks = _LARGER_BOXES if variant in ("obpose", "obpose-loc", "obpose-l2") else {}
+    on_tracks = _LARGER_BOXES if variant in ("obpose", "obpose-loc", "obpose-l2", "obpose-sharp") else {}
     facts = (VARIANTS[variant], DESCRIPTIONS[variant], _priors(make_config(variant)))
     return System(OBPOSE, *facts, version=2, searched=SEARCHED.get(variant, {}), on_tracks=on_tracks)
 

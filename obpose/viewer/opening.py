@@ -12,7 +12,7 @@ from obpose.creation.scene import ClipName, Scene
 from obpose.creation.storage import FACTS, load_scene
 from obpose.data import SceneDataset
 from obpose.errors import UsageError
-from obpose.shipped import list_shipped, shipped_names
+from obpose.shipped import list_shipped, shipped_names, shipped_to_create
 from obpose.types import Observation
 
 Kind = Literal["scene", "model", "dataset"]
@@ -47,7 +47,7 @@ def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: s
         return _infer(str(path), data, split, index)
     if data is not None:
         raise UsageError(f"{path} is a dataset itself; leave out --data, or give a trained model instead.")
-    return _infer(checkpoint or shipped_for(path), path, split, index)
+    return _infer(checkpoint or shipped_to_create(SceneDataset(path, "test").recipe), path, split, index)
 
 
 def kind_of(path: Path) -> Kind:
@@ -71,22 +71,6 @@ _EXPECTED = (
     "expected one of a dataset (obpose-datagen), of a scene (obpose-edit), or of a trained model (obpose-train or the "
     "name of weights that ship)"
 )
-
-
-def shipped_for(data: Path) -> str:
-    """Name of the weights that ship for a dataset's recipe.
-
-    Raises:
-        UsageError: there are none, or there is no dataset.
-    """
-    recipe = SceneDataset(data, "test").recipe
-    names = [name for name in shipped_names() if name.startswith(f"obpose--{recipe}--")]
-    if not names:
-        raise UsageError(
-            f"No weights of obpose for the recipe {recipe} ship with this package; say with --checkpoint which to use. "
-            f"{list_shipped()}"
-        )
-    return names[0]
 
 
 def _infer(checkpoint: str, data: Path, split: str, index: int) -> Opened:

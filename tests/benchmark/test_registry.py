@@ -104,7 +104,7 @@ def test_our_own_models_cost_no_search_for_plugins(monkeypatch: pytest.MonkeyPat
 
 
 def test_every_variant_is_a_model_and_a_constant_of_it_that_changes_makes_new_rows():
-    names = ("obpose", "obpose-loc", "obpose-none", "obpose-l2", "obpose-as-published")
+    names = ("obpose", "obpose-loc", "obpose-none", "obpose-l2", "obpose-sharp", "obpose-as-published")
     specs = [MODELS[name] for name in names]
     assert {spec.kind for spec in specs} == {"learned"}
     assert {spec.extra for spec in specs} == {("att",)}

@@ -12,7 +12,7 @@ from benchmark.leaderboard import Line, to_csv
 from benchmark.tracks import DataFolder, Source, find_track
 from datagen.errors import UsageError
 from obpose.creation.origin import Origin, load_origin
-from obpose.shipped import shipped_name
+from obpose.shipped import shipped_to_create
 from obpose.training.devices import keep_memory
 
 
@@ -25,7 +25,7 @@ class Subject:
     data: Path | None = None
     """A dataset folder in the track's place."""
     checkpoint: str = ""
-    """Folder of a trained model, or the name of weights that ship; by default those of the track."""
+    """Folder of a trained model, or the name of weights that ship; by default those for pictures of the track."""
     split: Literal["train", "val", "test"] = "test"
     """Whose scenes are measured."""
     scenes: int = 100
@@ -64,5 +64,4 @@ class Subject:
         """The model, in a process that is set up for it."""
         torch.set_num_threads(1)
         keep_memory()
-        source = self.source
-        return load_origin(self.checkpoint or shipped_name("obpose", source.name, source.resolution))
+        return load_origin(self.checkpoint or shipped_to_create(self.source.name))

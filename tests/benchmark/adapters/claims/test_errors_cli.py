@@ -6,6 +6,7 @@ import pytest
 from benchmark.adapters.claims.errors_cli import dealt_with, main
 from benchmark.interface import Prediction
 from benchmark.labels import write_labels
+from datagen.errors import EXIT_USAGE
 from datagen.storage import Dataset
 from tests.fabricated import write_dataset
 
@@ -33,5 +34,7 @@ def test_objects_that_share_a_slot_from_the_second_frame_on(tmp_path: Path, caps
 
 
 def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main([str(tmp_path / "none.h5")]) != 0
-    assert "none.h5" in capsys.readouterr().err
+    assert main([str(tmp_path / "none.h5")]) == EXIT_USAGE
+    told = capsys.readouterr().err
+    assert "none.h5; expected label maps" in told
+    assert "delete" not in told
