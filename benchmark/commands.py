@@ -40,11 +40,15 @@ def run(values: arguments.Run) -> int:
     _check_predictions(request)
     if found := estimate(plan, values.workers):
         status().print(in_words(found))
+    elif not plan.jobs:
+        status().print("All rows are there; writing tables and report.")
     prepare(plan.splits, workers=values.workers)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
     outputs.write(values.out, [source.folder for source in request.sources])
     failed = [row for row in load_runs(values.out) if row.key in plan.keys and row.status == "failed"]
+    if failed:
+        status().print(f"{len(failed)} of these rows failed; --retry makes them again.")
     return EXIT_INCOMPLETE if failed else EXIT_OK
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Protocol, runtime_checkable
 
 from benchmark.machine import ROOT, cores, machine_mib, resident_mib
-from datagen.errors import EXIT_INTERRUPTED
+from datagen.errors import EXIT_INTERRUPTED, Busy
 
 LOGS = "logs"
 MEMORY_SHARE = 0.9
@@ -72,7 +72,11 @@ class Outcome:
 
 
 def run_isolated(job: Work, limits: Limits, log: Path, stop: threading.Event, heard: Callable[[str], None]) -> Outcome:
-    """Run a job in its own process; `heard` gets its events at once, `stop` ends it. A failure leaves a log."""
+    """Run a job in its own process; `heard` gets its events at once, `stop` ends it. A failure leaves a log.
+
+    Raises:
+        Busy: another process does the same; nothing is wrong with the job.
+    """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as errors:
         process = subprocess.Popen(
@@ -114,6 +118,8 @@ def _watch(
             done = set(job.results) <= set(events)
             return Outcome(tuple(events), _ending(process.wait(), done))
         event = json.loads(line)
+        if "busy" in event:
+            raise Busy(event["busy"])
         if "failed" in event:
             return Outcome(tuple(events), event["failed"])
         events.append(event["done"])

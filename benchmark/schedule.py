@@ -21,7 +21,11 @@ Task = TypeVar("Task")
 
 
 def run_jobs(plan: Plan, limits_of: Callable[[Job], Limits], workers: int, heard: Heard) -> None:
-    """Do all jobs of a plan. Kill it at any moment: the rows that were written count, the others are made next time."""
+    """Do all jobs of a plan. Kill it at any moment: the rows that were written count, the others are made next time.
+
+    Raises:
+        Busy: another process makes one of them; those at work beside it were ended, and go on the next time.
+    """
     side_by_side(plan.jobs, lambda job, stop: _do(job, limits_of(job), stop, heard), workers)
 
 

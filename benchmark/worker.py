@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, DatagenError
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, Busy, DatagenError
 
 _PARENT_CHECK_SECONDS = 0.5
 _WORST_SCORE = "1000"
@@ -36,6 +36,8 @@ def main() -> int:
         job.run(lambda done: tell(done=done))
     except MemoryError as error:
         tell(failed=f"out of memory: {error}")
+    except Busy as error:
+        tell(busy=str(error))
     except DatagenError as error:
         tell(failed=str(error))
     except Exception as error:  # A model may raise anything; it becomes the reason of a failed row.

@@ -30,6 +30,10 @@ class UsageError(DatagenError):
     exit_code = EXIT_USAGE
 
 
+class Busy(UsageError):
+    """Another process is at work on the same files."""
+
+
 class ImpossibleScene(UsageError):
     """No scene that satisfies the recipe was found within the allowed number of attempts."""
 

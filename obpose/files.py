@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from obpose.errors import DatagenError, UsageError
+from obpose.errors import Busy, DatagenError, UsageError
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -116,7 +116,8 @@ def claimed(folder: Path) -> Iterator[None]:
     """A folder that one process at a time writes to, and what killed ones left half-written is gone.
 
     Raises:
-        UsageError: another process has it, or it is a file.
+        Busy: another process has it.
+        UsageError: it is a file.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; expected a folder, or a place for a new one.")
@@ -141,6 +142,6 @@ def _lock(descriptor: int, folder: Path) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise UsageError(f"Another process is writing to {folder}; let it end, or give another --out.") from None
+        raise Busy(f"Another process is writing to {folder}; let it end, or give another --out.") from None
     except OSError:
         pass  # some file systems of networks have no locks

@@ -12,6 +12,7 @@ import time
 import numpy as np
 
 from benchmark.interface import Prediction
+from datagen.errors import Busy
 
 
 class Good:
@@ -78,6 +79,13 @@ class Raises(Good):
 class RaisesInFit(Good):
     def fit(self, train, val, *, seed, budget):
         raise OSError("no weights")
+
+
+class Taken(Good):
+    """Learns in a folder that another process learns in."""
+
+    def fit(self, train, val, *, seed, budget):
+        raise Busy("Another process is writing to there; let it end.")
 
 
 class Crashes(Good):
@@ -155,6 +163,7 @@ CLASSES = {
     "slow": "Slow",
     "raises": "Raises",
     "raises-in-fit": "RaisesInFit",
+    "taken": "Taken",
     "crashes": "Crashes",
     "killed": "Killed",
     "leaves": "Leaves",

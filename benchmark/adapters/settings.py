@@ -5,9 +5,9 @@ import math
 from functools import reduce
 from typing import Any
 
-from obpose.config import Config
+from obpose.config import Config, SupervisedConfig
 
-LATER: dict[str, Any] = {
+_OF_OBPOSE: dict[str, Any] = {
     "model.attention.kind": "icsbp",
     "model.attention.mask_power": 3.0,
     "model.background": "component",
@@ -27,7 +27,9 @@ LATER: dict[str, Any] = {
     "train.half_life": 0.1,
     "train.skip": 0.0,
 }
-"""Values of ObPose's configuration that came after the first published rows, with what was done before there was a
+
+LATER: dict[type, dict[str, Any]] = {Config: _OF_OBPOSE, SupervisedConfig: {"loss.air_growth": 1.0}}
+"""Values that came after the first published rows of each kind of configuration, with what was done before there was a
 choice: left out where they are that, so that these rows keep their keys."""
 
 
@@ -36,13 +38,11 @@ def settings_of(config: Any) -> dict[str, Any]:
     settings = dataclasses.asdict(config)
     if math.isinf(config.train.minutes):
         settings["train"]["minutes"] = None  # steps count, and JSON has no inf
-    if type(config) is not Config:
-        return settings
-    for name, before in LATER.items():
+    for name, before in LATER.get(type(config), {}).items():
         *parents, last = name.split(".")
         place = reduce(dict.__getitem__, parents, settings)
         if place[last] == before:
             del place[last]
-    if config.model.attention.kind == "icsbp":
+    if type(config) is Config and config.model.attention.kind == "icsbp":
         del settings["model"]["slot_attention"]
     return settings

@@ -79,7 +79,9 @@ def test_a_second_run_makes_only_what_is_missing(data: Path, tmp_path: Path, cap
         ("good", 1),
     ]
     assert run_cli(*command, "chance", "good", "--seeds", 2) == EXIT_OK
-    assert "seed" not in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "seed" not in said
+    assert "All rows are there" in said
 
 
 @pytest.mark.slow
@@ -288,6 +290,17 @@ def test_a_dataset_that_is_incomplete_gets_one_line(tmp_path: Path, capsys):
     next(folder.glob("test-*.h5")).unlink()
     assert run_cli("--model", "good", "--data", folder, "--out", tmp_path / "out") == EXIT_INCOMPLETE
     assert "1 scenes are missing" in capsys.readouterr().err
+
+
+def test_what_another_process_is_making_is_not_a_failure(data: Path, tmp_path: Path, capsys):
+    out = tmp_path / "out"
+    assert run_cli("--model", "taken", "--data", data, "--out", out) == EXIT_USAGE
+    assert "Another process is writing to there; let it end." in capsys.readouterr().err
+    assert not load_runs(out)
+    assert run_cli("--model", "raises", "--data", data, "--seeds", "1", "--out", out) == EXIT_INCOMPLETE
+    capsys.readouterr()
+    assert run_cli("--model", "raises", "--data", data, "--seeds", "1", "--out", out) == EXIT_INCOMPLETE
+    assert "1 of these rows failed; --retry makes them again." in capsys.readouterr().err
 
 
 def test_a_damaged_row_gets_one_line(data: Path, tmp_path: Path, capsys):

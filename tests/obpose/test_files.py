@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from obpose.errors import DatagenError, UsageError
+from obpose.errors import Busy, DatagenError, UsageError
 from obpose.files import claimed, new_file, new_folder, remove_abandoned, write_whole
 
 
@@ -48,7 +48,7 @@ def test_a_folder_is_one_process_s_until_it_lets_go(tmp_path: Path):
     (tmp_path / ".file.123.partial").write_bytes(b"half")
     with claimed(tmp_path):
         (tmp_path / ".file.124.partial").write_bytes(b"of the first")
-        with pytest.raises(UsageError, match="Another process is writing to"), claimed(tmp_path):
+        with pytest.raises(Busy, match="Another process is writing to"), claimed(tmp_path):
             raise AssertionError
         assert [path.name for path in tmp_path.iterdir()] == [".file.124.partial"]
     with claimed(tmp_path):

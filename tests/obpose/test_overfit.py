@@ -76,9 +76,9 @@ objects in one slot with some of them."""
     [
         ("supervised", {}, 1, 400, 0.99),
         ("obpose", {"train.warmup": 100}, 1, 300, 0.99),
+        ("obpose-loc", {"train.warmup": 100}, 1, 300, 0.99),
         ("slot-attention", {}, 16, 900, 0.99),
-        # What was chosen for whole tracks, 3e-3, is too fast for eight scenes.
-        ("ic-sbp", {"train.learning_rate": 1e-3}, 8, 1000, 0.75),
+        ("ic-sbp", {}, 8, 1000, 0.75),
     ],
 )
 def test_two_objects_are_told_apart(system: str, changes: dict[str, Any], count: int, steps: int, least: float):

@@ -1,3 +1,4 @@
+import math
 from dataclasses import fields
 
 import pytest
@@ -6,6 +7,7 @@ import torch
 from obpose.clips import ArrayClips, LabelledArrayClips, observation_of, stack, views_apart
 from obpose.config import SupervisedConfig, override
 from obpose.errors import UsageError
+from obpose.geometry import unproject
 from obpose.model import ObPose
 from obpose.supervised import Supervised, matched_cross_entropy
 from obpose.trainable import Trainable
@@ -20,9 +22,9 @@ def _model() -> Supervised:
     return Supervised(override(SupervisedConfig(), {"model.spacing": 0.024}))
 
 
-def _labelled(labels: torch.Tensor | None = None) -> LabelledObservation:
+def _labelled(labels: torch.Tensor | None = None, *, frames: int = 2, holes: float = 0.0) -> LabelledObservation:
     """Spheres on a table, told by their colour."""
-    scene = table_scene(frames=2, spheres=2)
+    scene = table_scene(frames=frames, spheres=2, holes=holes)
     if labels is None:
         _, labels = scene.rgb.flatten(0, -2).unique(dim=0, return_inverse=True)
     parts = {field.name: getattr(scene, field.name) for field in fields(scene)}
@@ -50,6 +52,14 @@ def test_objects_keep_their_slot_over_the_clip_and_the_best_matching_counts():
     swapped = perfect.clone()
     swapped[:, 1, 1:] = swapped[:, 1, 1:].flip(1)
     assert matched_cross_entropy(swapped, labels) > 1
+
+
+def test_an_object_is_of_the_slot_that_has_most_of_it_though_one_pixel_is_out_of_its_reach():
+    reaches, everywhere = torch.full((10,), 0.9), torch.full((10,), 0.05)
+    reaches[-1] = 1e-30
+    log_masks = torch.stack([1 - reaches - everywhere, everywhere, reaches]).clamp(min=1e-30).log()[None, None]
+    found = matched_cross_entropy(log_masks, torch.ones(1, 1, 10, dtype=torch.long))
+    assert found.item() == pytest.approx((12 - 9 * math.log(0.9)) / 10, abs=1e-4)
 
 
 def test_pixels_that_do_not_count_and_objects_beyond_the_slots_have_no_say():
@@ -81,6 +91,21 @@ def test_every_weight_learns_and_labels_are_all_that_is_learned_from():
         _labelled(torch.zeros_like(labelled.segmentation)), step=0, generator=torch.Generator().manual_seed(0)
     )
     assert other["cross_entropy"] != losses["cross_entropy"]
+
+
+def test_the_total_is_ten_times_the_cross_entropy_and_a_quarter_of_the_scope():
+    terms = _model().losses(_labelled(frames=1), step=0, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(terms["total"].detach(), 10 * terms["cross_entropy"] + 0.25 * terms["scope"])
+    assert terms["scope"] > 0.01
+
+
+def test_pixels_without_depth_do_not_count():
+    model, scene = _model().eval(), _labelled(frames=1, holes=0.3)
+    embeddings, log_prescope = model.embed(scene, unproject(scene))
+    log_masks = model.log_masks_at_pixels(model.attend(embeddings, log_prescope, None), embeddings.valid, scene)
+    seen = scene.valid.flatten()
+    expected = matched_cross_entropy(log_masks[..., seen], scene.segmentation.view(1, 1, -1)[..., seen])
+    torch.testing.assert_close(model.losses(scene, step=0)["cross_entropy"], expected.detach())
 
 
 def test_labels_have_no_influence_on_a_segmentation():

@@ -73,6 +73,25 @@ def test_gradients_reach_mean_and_deviation_and_every_weight():
     assert {"objects.mean", "objects.log_std", "background.mean", "background.log_std"} <= {*net.state_dict()}
 
 
+def test_gradients_are_those_of_every_iteration_and_frame():
+    net, (points, valid, features) = module().eval().double(), scene(batch=1, frames=2)
+
+    def found(given: torch.Tensor) -> torch.Tensor:
+        return net(points.double(), valid, given, generator=None).objects
+
+    assert torch.autograd.gradcheck(found, features.double().requires_grad_(), fast_mode=True)
+
+
+@pytest.mark.parametrize("distribution", ["learned", "untrained"])
+def test_training_draws_have_the_mean_and_deviation_of_the_distribution(distribution: str):
+    net = module(distribution=distribution)
+    for kind in (net.objects, net.background):
+        assert kind is not None
+        drawn = kind.first(20_000, torch.Generator().manual_seed(0))[:, 0]
+        torch.testing.assert_close(drawn.mean(dim=0), kind.mean, rtol=0, atol=0.05)
+        torch.testing.assert_close(drawn.std(dim=0), kind.log_std.exp(), rtol=0.03, atol=0)
+
+
 def test_a_learned_distribution_is_saved_and_gives_the_same_slots_again():
     net = module()
     with torch.no_grad():

@@ -50,6 +50,16 @@ def test_every_weight_learns(variant: str):
     assert [name for name, weight in model.named_parameters() if weight.grad is None or not weight.grad.any()] == []
 
 
+def test_colours_teach_the_layers_that_densities_share_with_them_by_themselves():
+    model = made()
+    with torch.no_grad():
+        model.field.density_logit.weight.zero_()
+    losses(model, table_scene())["total"].backward()
+    shared = (model.field.shifts, model.field.scales, model.field.hidden)
+    gradients = [weight.grad for layers in shared for weight in layers.parameters()]
+    assert all(gradient is not None and gradient.any() for gradient in gradients)
+
+
 def test_the_total_is_the_weighted_sum_with_the_overlap_as_far_as_it_has_grown():
     model = made(**{"loss.colour": 2.0, "loss.surface": 3.0, "loss.air": 0.5, "loss.overlap": 0.1})
     for fraction, share in ((0.1, 0.0), (0.3, 0.5), (0.9, 1.0)):
@@ -147,6 +157,27 @@ def test_the_encoder_is_given_points_in_units_where_there_are_any_and_zeros_else
     )
 
 
+def test_the_encoder_is_given_rays_of_unit_length():
+    model, scene = made(), table_scene(frames=1)
+    seen: list[Tensor] = []
+    model.encoder.register_forward_pre_hook(lambda _, given: seen.append(given[1]))
+    model.segment(scene)
+    toward = (unproject(scene) - scene.world_from_camera[:, None, :, None, None, :3, 3])[0, 0, 0]
+    torch.testing.assert_close(seen[0][0], toward / toward.norm(dim=-1, keepdim=True))
+
+
+def test_colours_mind_where_a_ray_goes_but_not_how_long_its_direction_is():
+    model, scene = made(), table_scene(frames=1)
+    encoded, rays = model.encode(scene, model.attention.evaluation_noise[None]), all_rays(scene)
+    points = rays.origin + rays.direction * rays.depth[..., None]
+    _, hidden = model._densities(encoded, points)
+    plain, longer, turned = (
+        model._colours(encoded, hidden, points, replace(rays, direction=times * rays.direction)) for times in (1, 3, -1)
+    )
+    torch.testing.assert_close(plain, longer)
+    assert not torch.allclose(plain, turned)
+
+
 def _in_units(scene: Observation, middle: tuple[float, float, float]) -> Tensor:
     return 10 * (unproject(scene)[0, 0, 0] - torch.tensor(middle))
 
@@ -215,6 +246,19 @@ def test_a_scene_of_another_size_in_metres_is_the_same_in_units():
     one, other = made(DEPTH), made(DEPTH, **{"model.units_per_metre": 5.0})
     for name, value in losses(one, small).items():
         torch.testing.assert_close(value, losses(other, large)[name], rtol=1e-3, atol=1e-4)
+
+
+def test_the_way_through_the_air_is_as_long_as_the_ray_in_units():
+    """With both parts of the depth of one length the estimate is exact for a density that is everywhere the same."""
+    changes = {"loss.near_share": 0.5, "train.rays": 0, "model.units_per_metre": 4.0}
+    model, scene = made(**changes), table_scene()
+    with torch.no_grad():
+        model.field.density_logit.weight.zero_()
+        model.field.density_logit.bias.zero_()
+    density = (model.config.model.slots + 1) * model.config.model.sigma_max / 2
+    rays = all_rays(scene)
+    metres = (rays.direction * rays.depth[..., None]).norm(dim=-1).mean().item()
+    assert losses(model, scene)["air"].item() == pytest.approx(density * 4 * metres, rel=1e-4)
 
 
 def test_surfaces_are_looked_for_up_to_the_jitter_behind_them_in_units(monkeypatch: pytest.MonkeyPatch):

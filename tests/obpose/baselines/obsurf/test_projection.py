@@ -50,6 +50,14 @@ def test_pixels_fall_into_the_cells_that_cover_them_and_beyond_the_border_into_t
     assert cells.tolist() == [[0, 0, 1, 3, 2, 1]]
 
 
+def test_cells_are_numbered_row_by_row_where_a_grid_is_wider_than_high():
+    v, u = torch.meshgrid(torch.arange(60) + 0.5, torch.arange(80) + 0.5, indexing="ij")
+    cells = nearest_cells(torch.stack([u, v], -1).view(1, -1, 2), size=(60, 80), grid=(30, 40)).view(60, 80)
+    numbers = torch.arange(30 * 40).view(30, 40)
+    for row, column in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        assert torch.equal(cells[row::2, column::2], numbers)
+
+
 def test_the_fourier_code_is_the_published_one():
     point = torch.tensor([0.3, -1.0, 2.0])
     code = fourier_code(point, first=-5, last=10)
