@@ -16,6 +16,9 @@ from obpose.nerf.voxels import lattice_points, occupancy
 
 _TRIES = 200
 _CELLS = 16
+_LEAST_VOXELS = 8
+"""Objects of fewer of these voxels are drawn again: in boxes of 20 cm it is a cube of 25 mm. Where surfaces are sharp a
+Gaussian over codes has some that are hardly anywhere dense."""
 
 
 @torch.no_grad()
@@ -35,7 +38,7 @@ def sample_scene(
     Raises:
         UsageError: there is no room for so many.
     """
-    what = prior.what.draw(objects, generator)
+    what = _draw(origin.model, prior, objects, generator)
     center, rotation = torch.zeros(objects, 3), torch.zeros(objects, 3, 3)
     reaches: list[float] = []
     for place in range(objects):
@@ -59,17 +62,33 @@ def sample_scene(
     )
 
 
+def _draw(model: ObPose, prior: ScenePrior, objects: int, generator: torch.Generator) -> Float[Tensor, "object latent"]:
+    """Codes of objects that are somewhere; of a model that has none, any."""
+    what = prior.what.draw(objects, generator)
+    for _ in range(_TRIES):
+        nowhere = [len(_occupied(model, code)) < _LEAST_VOXELS for code in what]
+        if not any(nowhere):
+            break
+        what[nowhere] = prior.what.draw(sum(nowhere), generator)
+    return what
+
+
 @torch.no_grad()
 def shape_extent(
     model: ObPose, what: Float[Tensor, "latent"], rotation: Float[Tensor, "3 3"]
 ) -> Float[Tensor, "corner 3"]:
     """Occupied voxels of an object relative to the middle of its box, world axes, metres; the middle if none is."""
-    settings = model.config.model
+    voxels = _occupied(model, what)
+    if not len(voxels):
+        voxels = voxels.new_zeros(1, 3)
+    return from_box(voxels, torch.zeros(3), rotation, model.config.model.pose.box_size)
+
+
+def _occupied(model: ObPose, what: Float[Tensor, "latent"]) -> Float[Tensor, "voxel 3"]:
+    """Middles of the voxels that an object is in, in its box."""
     lattice = lattice_points(_CELLS, None, what)
     logits, _ = model.object_field.density(lattice, model.object_field.condition(what))
-    occupied = occupancy(logits) > settings.voxel_threshold
-    voxels = lattice[occupied] if occupied.any() else lattice.new_zeros(1, 3)
-    return from_box(voxels, torch.zeros(3), rotation, settings.pose.box_size)
+    return lattice[occupancy(logits) > model.config.model.voxel_threshold]
 
 
 def _free_place(

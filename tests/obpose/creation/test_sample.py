@@ -9,6 +9,7 @@ from obpose.creation.prior import learned_prior
 from obpose.creation.sample import sample_scene, shape_extent
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
+from obpose.nerf.field import Conditioning
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.creation.scenes import CAMERA, some_model
 
@@ -38,6 +39,30 @@ def test_objects_stand_on_the_table_beside_each_other():
     away = torch.cdist(scene.center[0, :, :2], scene.center[0, :, :2]) + 10 * torch.eye(6)
     assert away.min() > 2 * 0.1 * RADIUS - 0.02
     torch.testing.assert_close(scene.rotation[0, :, 2, 2], torch.ones(6))
+
+
+class SomeBalls(BallField):
+    """Balls of the codes whose first number is positive, and nothing of the others."""
+
+    def __init__(self) -> None:
+        super().__init__(RADIUS, latent=32)
+        with torch.no_grad():
+            self.codes.weight.zero_()[0, 0] = 1
+
+    def density(self, points: torch.Tensor, codes: Conditioning) -> tuple[torch.Tensor, torch.Tensor]:
+        logits, hidden = super().density(points, codes)
+        return torch.where(codes.first[..., 0] > 0, logits, -30.0), hidden
+
+
+def test_objects_that_are_nowhere_are_drawn_again():
+    of = origin()
+    of.model.object_field = SomeBalls()
+    prior = learned_prior(of.model)
+    generator = torch.Generator().manual_seed(0)
+    drawn = prior.what.draw(6, torch.Generator().manual_seed(0))
+    scene = sample_scene(of, prior, objects=6, cameras=(CAMERA,), generator=generator)
+    assert (drawn[:, 0] <= 0).any()
+    assert (scene.what[0, :, 0] > 0).all()
 
 
 def test_the_same_seed_gives_the_same_scene():

@@ -7,7 +7,7 @@ from obpose.creation.storage import save_scene
 from obpose.errors import UsageError
 from obpose.viewer.opening import kind_of, open_path
 
-MODEL = "obpose--moving--64x64"
+MODEL = "obpose-sharp--moving--64x64"
 PLAIN = {"checkpoint": None, "data": None, "split": "test", "index": 0}
 
 
