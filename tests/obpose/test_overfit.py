@@ -2,7 +2,7 @@
 
 Boxes, or labels, tell two objects apart in a single scene. Fields that fill the world explain both of them at once
 just as well; only where they have to explain several scenes is there something to be gained by one slot for each. The
-IC-SBP, which has no background either, takes longest, nearly two minutes.
+IC-SBP, which has no background either, takes longest, about two minutes.
 """
 
 from dataclasses import fields
