@@ -64,7 +64,7 @@ def run(values: Arguments) -> int:
     found = list(rows(learned, tested))
     for row in table(found):
         print(row)
-    values.keep(origin, lines(found))
+    values.write_csv(origin, lines(found))
     return EXIT_OK
 
 

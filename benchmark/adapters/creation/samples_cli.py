@@ -66,7 +66,7 @@ def run(values: Arguments) -> int:
     measured = list(lines(kinds, segmenters, values.seed))
     for row in table(measured):
         print(row)
-    values.keep(origin, measured)
+    values.write_csv(origin, measured)
     if values.picture is not None:
         rows = [kind for name, kind in kinds.items() if name != f"real ({TUNED_ON})"]
         write_png(values.picture, grid(rows))

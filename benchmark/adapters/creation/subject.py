@@ -54,7 +54,7 @@ class Subject:
             if (value := getattr(self, name)) < smallest:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")
 
-    def keep(self, origin: Origin, lines: Sequence[Line]) -> None:
+    def write_csv(self, origin: Origin, lines: Sequence[Line]) -> None:
         """Write the CSV, if there is to be one."""
         if self.csv is not None:
             told: Line = {"model": origin.name, "data": self.source.name, "split": self.split}

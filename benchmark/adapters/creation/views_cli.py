@@ -48,7 +48,7 @@ def run(values: Arguments) -> int:
     print(f"{origin.name}, first {values.scenes} scenes of the split {values.split} of {values.source.name}:\n")
     for row in table(measured):
         print(row)
-    values.keep(origin, measured)
+    values.write_csv(origin, measured)
     return EXIT_OK
 
 
