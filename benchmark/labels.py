@@ -8,10 +8,9 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
-from benchmark.files import replacing
+from benchmark.files import reading_labels, replacing
 from benchmark.interface import Prediction
 from benchmark.pose_files import PoseRows
-from datagen.errors import CorruptFile
 
 LARGEST = 255
 """Labels are bytes."""
@@ -58,27 +57,23 @@ def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view heig
     """Label maps and background slot of every scene, in order.
 
     Raises:
-        CorruptFile: the file is missing or damaged.
+        UsageError: there is no such file.
+        CorruptFile: it is damaged.
     """
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            labels, slots = file["labels"], file["background_slots"]
-            assert isinstance(labels, h5py.Dataset)
-            assert isinstance(slots, h5py.Dataset)
-            for scene in range(len(labels)):
-                yield labels[scene], int(slots[scene])
-    except (OSError, KeyError) as error:
-        raise CorruptFile(f"{path} is missing or damaged ({error}); delete its row in runs/ and run again.") from None
+    with reading_labels(path) as file:
+        labels, slots = file["labels"], file["background_slots"]
+        assert isinstance(labels, h5py.Dataset)
+        assert isinstance(slots, h5py.Dataset)
+        for scene in range(len(labels)):
+            yield labels[scene], int(slots[scene])
 
 
 def dataset_of(path: Path) -> Path:
     """Folder of the dataset that the label maps are of, on the machine that made them.
 
     Raises:
-        CorruptFile: the file is missing or damaged.
+        UsageError: there is no such file.
+        CorruptFile: it is damaged.
     """
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            return Path(str(file.attrs["data"]))
-    except (OSError, KeyError) as error:
-        raise CorruptFile(f"{path} is missing or damaged ({error}); delete its row in runs/ and run again.") from None
+    with reading_labels(path) as file:
+        return Path(str(file.attrs["data"]))

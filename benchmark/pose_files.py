@@ -8,8 +8,9 @@ import h5py
 import numpy as np
 from jaxtyping import Float, Int64
 
+from benchmark.files import reading_labels
 from benchmark.interface import Poses
-from datagen.errors import CorruptFile, UsageError
+from datagen.errors import UsageError
 
 GROUP = "poses"
 INDEX = "index"
@@ -53,7 +54,8 @@ def read_poses(path: Path) -> list[Poses] | None:
     """Poses of every scene of a file of label maps, in order; None where its model gave none.
 
     Raises:
-        CorruptFile: the file is missing or damaged.
+        UsageError: there is no such file.
+        CorruptFile: it is damaged.
     """
     return _read(path, None)
 
@@ -65,16 +67,13 @@ def read_scene_poses(path: Path, scene: int) -> Poses | None:
 
 
 def _read(path: Path, only: int | None) -> list[Poses] | None:
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            if GROUP not in file:
-                return None
-            scenes, frames, views = file["labels"].shape[:3]  # pyright: ignore[reportAttributeAccessIssue]
-            names = (INDEX, *(name for name in _ARRAYS if f"{GROUP}/{name}" in file))
-            rows = {name: np.asarray(file[f"{GROUP}/{name}"]) for name in names}
+    with reading_labels(path) as file:
+        if GROUP not in file:
+            return None
+        scenes, frames, views = file["labels"].shape[:3]  # pyright: ignore[reportAttributeAccessIssue]
+        names = (INDEX, *(name for name in _ARRAYS if f"{GROUP}/{name}" in file))
+        rows = {name: np.asarray(file[f"{GROUP}/{name}"]) for name in names}
         return [_scene(rows, scene, frames, views) for scene in (range(scenes) if only is None else (only,))]
-    except (OSError, KeyError, IndexError, ValueError) as error:
-        raise CorruptFile(f"{path} is missing or damaged ({error}); delete its row in runs/ and run again.") from None
 
 
 def _scene(rows: Mapping[str, np.ndarray], scene: int, frames: int, views: int) -> Poses:

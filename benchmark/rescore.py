@@ -21,7 +21,7 @@ def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = ()) -> 
 
     Raises:
         DatagenError: a row's dataset is not there.
-        CorruptFile: its label maps are missing or damaged.
+        CorruptFile: its label maps are damaged.
     """
     finished = [row for row in rows if row.status == "ok"]
     # All are looked for before any table is written: a folder without some of them stays as it was.

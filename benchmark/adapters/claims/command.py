@@ -7,7 +7,7 @@ from typing import Annotated, TypeVar
 
 import tyro
 
-from datagen.errors import UsageError, run_program
+from datagen.errors import run_program
 
 Options = TypeVar("Options")
 
@@ -20,20 +20,6 @@ class LabelMaps:
     """Label maps of a test split, as a run of obpose-bench leaves them."""
     data: Path | None = None
     """The dataset that the labels are of, if it has moved since."""
-
-    def files(self) -> tuple[Path, ...]:
-        """The label maps.
-
-        Raises:
-            UsageError: one of them is not there.
-        """
-        for path in self.labels:
-            if not path.is_file():
-                raise UsageError(
-                    f"There is no file {path}; expected label maps that a run of obpose-bench left in its folder. "
-                    "Published results are without them: the run's command makes them."
-                )
-        return self.labels
 
 
 def run_command(

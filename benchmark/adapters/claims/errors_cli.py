@@ -32,7 +32,7 @@ def run(values: LabelMaps) -> int:
     """Every file in its turn."""
     for name in ERROR_TYPES:
         print(f"{name}: {MEANINGS[name]}")
-    for path in values.files():
+    for path in values.labels:
         objects, found = dealt_with(path, values.data or dataset_of(path))
         first, last = (found.overlap[objects.frame == frame].mean() for frame in (0, objects.frame.max()))
         print(f"{path.name}: {_shares(found.errors)}")

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(values: LabelMaps) -> int:
     """Every file in its turn."""
     print("ARI-FG / MSC-FG in images where no objects adjoin, and where some do")
-    for path in values.files():
+    for path in values.labels:
         adjoin, scores = images_of(path, values.data or dataset_of(path))
         apart, near = (np.nanmean(scores[kind], axis=0) if kind.any() else [np.nan] * 2 for kind in (~adjoin, adjoin))
         print(f"{path.name}: {apart[0]:.3f} / {apart[1]:.3f}, {near[0]:.3f} / {near[1]:.3f} ({adjoin.mean():.0%})")

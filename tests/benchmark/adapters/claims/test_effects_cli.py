@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmark.adapters.claims import shadows_cli
 from benchmark.adapters.claims.effects_cli import compare, main, shadow_owners
 from benchmark.interface import Prediction
 from benchmark.labels import write_labels
@@ -77,3 +78,11 @@ def test_a_dataset_without_effects_and_one_of_other_scenes_are_refused(
     render(tmp_path / "other", tmp_path / "others", edits=("remove",))
     assert main([str(labels), "--effects", str(tmp_path / "others")]) == EXIT_USAGE
     assert "expected the same with effects" in capsys.readouterr().err
+
+
+def test_missing_label_maps_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for run, more in ((main, []), (shadows_cli.main, ["--without", str(tmp_path)])):
+        assert run([str(tmp_path / "none.h5"), *more]) == EXIT_USAGE
+        told = capsys.readouterr().err
+        assert "none.h5; expected label maps that a run of obpose-bench left" in told
+        assert "delete" not in told
