@@ -41,13 +41,18 @@ def labels_by_colour(rgb: torch.Tensor) -> torch.Tensor:
     return counts.argsort(descending=True).argsort()[labels].view(rgb.shape[:-1])
 
 
-def ball_scenes(count: int, *, size: int = 32, seed: int = 0) -> Observation:
-    """One ball of 7 to 12 cm radius each, half sunk into the table z = 0, anywhere in the middle of the image."""
+def ball_scenes(count: int, *, balls: int = 1, size: int = 32, seed: int = 0) -> Observation:
+    """Balls of 7 to 12 cm radius, half sunk into the table z = 0: one in the middle of the image, or two side by side.
+
+    Of two the first has x < 0.
+    """
     draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
     generator = torch.Generator().manual_seed(seed)
-    centers, radii = 0.3 * (draw(count, 1, 2) - 0.5), 0.07 + 0.05 * draw(count, 1)
+    centers, radii = 0.3 * (draw(count, balls, 2) - 0.5), 0.07 + 0.05 * draw(count, balls)
+    if balls == 2:
+        centers[..., 0] = 0.2 * centers[..., 0] + torch.tensor([-0.13, 0.13])
     k, poses = _cameras(count, 1, size, size)
-    rgb, depth = _trace(k, poses, centers, radii, draw(count, 1, 3), draw(count, 3), size, size)
+    rgb, depth = _trace(k, poses, centers, radii, draw(count, balls, 3), draw(count, 3), size, size)
     return Observation(rgb[:, None], depth[:, None], depth[:, None] > 0, k, poses)
 
 

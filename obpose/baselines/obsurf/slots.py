@@ -25,8 +25,9 @@ class Slots:
 class SlotAttention(nn.Module):
     """Slots compete for tokens, a few times over.
 
-    Deviation: mean and deviation of the first slots are parameters and learn, through reparameterised draws; in the
-    published code no gradient reaches them.
+    Deviations: mean and deviation of the first slots are parameters and learn, through reparameterised draws; in the
+    published code no gradient reaches them. Tokens are prepared by a norm and two layers, as in Locatello et al.; the
+    published code takes the image's features as they are.
     """
 
     evaluation_noise: Tensor

@@ -1,7 +1,8 @@
 """What ObSuRF learns in half a minute: to tell a ball from the table that it lies on.
 
-About every other seed does; with the others the table's slot takes the ball as well. Two balls share a slot for far
-longer than that; and without the overlap loss, or without depth, it takes longer to find even one, and is not sure.
+One or two of six seeds do; with the others the table's slot takes the ball as well. Two balls share a slot for far
+longer than that, with the published parts in the place of ours, too (test_published.py); and without the overlap loss,
+or without depth, it takes longer to find even one, and is not sure.
 """
 
 from typing import Any
@@ -39,13 +40,14 @@ SMALL: dict[str, Any] = {
 
 
 class Balls:
-    """Scenes of one frame with one ball each, and which pixels are its."""
+    """Scenes of one frame with one ball each, or two, and which pixels are whose."""
 
     frames_of_clip = 1
 
-    def __init__(self, scenes: int):
-        self.scenes = ball_scenes(scenes)
-        self.labels = (unproject(self.scenes)[..., 2] > 1e-4).long()
+    def __init__(self, scenes: int, balls: int = 1):
+        self.scenes = ball_scenes(scenes, balls=balls)
+        x, _, z = unproject(self.scenes).unbind(-1)
+        self.labels = (z > 1e-4).long() * (1 + (x > 0) * (balls > 1))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -56,11 +58,13 @@ class Balls:
 
 def test_balls_are_told_from_the_table_with_one_of_six_seeds():
     balls = Balls(200)
-    assert any(_score(balls, seed) > 0.97 for seed in range(6))
+    assert any(train_on(balls, {"train.seed": seed})["ari"] > 0.97 for seed in range(6))
 
 
-def _score(balls: Balls, seed: int) -> float:
-    model = train(balls, None, find_system("obsurf").config("cpu", SMALL | {"train.seed": seed}), device="cpu").model
+def train_on(balls: Balls, changes: dict[str, Any]) -> dict[str, float]:
+    """Mean ARI and ARI-FG on the scenes themselves, after a training with these changes to `SMALL`."""
+    model = train(balls, None, find_system("obsurf").config("cpu", SMALL | changes), device="cpu").model
     labels = model.segment(balls.scenes).labels
     pairs = zip(balls.labels.numpy(), labels.numpy(), strict=True)
-    return float(np.mean([clip_scores(truth, found, 0)["ari"] for truth, found in pairs]))
+    scores = [clip_scores(truth, found, 0) for truth, found in pairs]
+    return {name: float(np.nanmean([score[name] for score in scores])) for name in ("ari", "ari_fg")}

@@ -1,0 +1,190 @@
+"""The parts of ObSuRF beside those of the published code (MIT licence), of which this repository has no copy.
+
+git clone https://github.com/stelzner/obsurf published
+OBSURF=published python -m pytest tests/obpose/baselines/obsurf/test_published.py
+
+Weights are copied from ours to theirs; all numbers have double precision. With `-m slow -s` ObSuRF is trained on scenes
+of two balls, with our parts and with theirs in their place.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from obpose.baselines.obsurf import losses
+from obpose.baselines.obsurf.config import DecoderConfig, SlotConfig
+from obpose.baselines.obsurf.decoder import SlotField
+from obpose.baselines.obsurf.model import Obsurf
+from obpose.baselines.obsurf.projection import code_size, fourier_code
+from obpose.baselines.obsurf.slots import SlotAttention, Slots
+from tests.obpose.baselines.obsurf.test_overfit import Balls, train_on
+
+pytestmark = pytest.mark.skipif("OBSURF" not in os.environ, reason="OBSURF names no checkout of the published code")
+
+IMAGES, POINTS, SLOTS, WIDTH, HIDDEN = 3, 100, 5, 48, 64
+OCTAVES = {"first": -5, "last": 3}
+SIGMA_MAX, STD = 10.0, 0.2
+
+
+@pytest.fixture(scope="module")
+def published() -> Iterator[Any]:
+    """Imports its modules without what they import and do not need here."""
+    folder = Path(os.environ["OBSURF"]).resolve() / "obsurf"
+    made = {name: ModuleType(name) for name in ("obsurf", "obsurf.model", "obsurf.common", "obsurf.config")}
+    made["obsurf"].__path__, made["obsurf.model"].__path__ = [str(folder)], [str(folder / "model")]
+    made["obsurf"].config = made["obsurf.config"]  # pyright: ignore[reportAttributeAccessIssue]
+    made["obsurf.common"].make_2d_grid = None  # pyright: ignore[reportAttributeAccessIssue]
+    model = {"max_density": SIGMA_MAX, "obj_kernel": None}
+    made["obsurf.config"].CFG = {  # pyright: ignore[reportAttributeAccessIssue]
+        "model": model,
+        "training": {"color_std": STD},
+    }
+    sys.modules |= made
+    yield importlib.import_module
+    for name in [name for name in sys.modules if name.split(".")[0] == "obsurf"]:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def double() -> Iterator[None]:
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    torch.manual_seed(0)
+    yield
+    torch.set_default_dtype(before)
+
+
+@pytest.mark.usefixtures("double")
+def test_slots(published: Any, monkeypatch: pytest.MonkeyPatch):
+    ours = SlotAttention(SlotConfig(), slots=SLOTS, width=WIDTH)
+    size = {"height": 0, "width": 0, "dim": WIDTH, "hidden_dim": WIDTH}
+    theirs = published("obsurf.layers").SlotAttention(SLOTS, **size, iters=5, self_attention=True)
+    theirs.mlp[0], theirs.mlp[2] = ours.mlp[0], ours.mlp[2]
+    theirs.slots_mu.data, theirs.slots_sigma.data = ours.mean.data, ours.spread.data
+    theirs.to_q, theirs.to_k, theirs.to_v = ours.query, ours.key, ours.value
+    theirs.norm_input, theirs.norm_slots, theirs.norm_pre_ff = ours.token_norm, ours.slot_norm, ours.mlp_norm
+    theirs.gru = ours.update
+    theirs.self_att.load_state_dict(ours.between.state_dict())
+    tokens, noise = torch.randn(IMAGES, 64, WIDTH), torch.randn(IMAGES, SLOTS, WIDTH)
+    monkeypatch.setattr(torch, "normal", lambda mean, std: mean + std * noise)
+    same(ours(tokens, noise).codes, theirs(ours.prepare(tokens)))
+
+
+@pytest.mark.usefixtures("double")
+def test_fields_and_losses(published: Any):
+    ours = SlotField(DecoderConfig(width=HIDDEN), code=code_size(**OCTAVES), slot=WIDTH, pixel=WIDTH)
+    sizes = {"c_dim": WIDTH, "hidden_size": HIDDEN, "num_layers": 5, "num_color_features": WIDTH}
+    code = {"start_freq": OCTAVES["first"], "num_freqs": OCTAVES["last"] + 1 - OCTAVES["first"]}
+    theirs = published("obsurf.model.decoder_modules").NerfDecoder(
+        **sizes, **code, view_dependent_values=True, net_arch="ain"
+    )
+    copy_field(ours, theirs)
+    points, target = torch.randn(IMAGES, POINTS, 3), torch.rand(IMAGES, POINTS, 3)
+    directions = torch.nn.functional.normalize(torch.randn(IMAGES, POINTS, 3), dim=-1)
+    seen, slots = torch.randn(IMAGES, POINTS, WIDTH), torch.randn(IMAGES, SLOTS, WIDTH)
+    logits, hidden = ours.density(fourier_code(points, **OCTAVES), slots)
+    colours = ours.colour(hidden, directions, seen)
+
+    def each(values: Tensor) -> Tensor:
+        return values.repeat_interleave(SLOTS, dim=0)
+
+    found = theirs(
+        each(points), slots.flatten(0, 1)[:, None], color_features=each(seen), rays=each(directions)
+    ).unflatten(0, (IMAGES, SLOTS))
+    same(logits, found[..., 0])
+    same(colours, found[..., 1:].sigmoid())
+
+    scene = published("obsurf.model.representations").Nerf3dSceneRepresentation(found, None)
+    weight, density = torch.ones(IMAGES, 1, POINTS), scene.global_presence()
+    logits, colours, target = logits[:, None], colours[:, None], target[:, None]
+    composed = losses.mean_colour(logits, colours)
+    same(losses.colour(composed, target, weight, std=STD), -scene.likelihood(target[:, 0]).sum(-1).mean())
+    same(losses.surface(logits, weight, sigma_max=SIGMA_MAX), -density.log().mean())
+    length = torch.rand(IMAGES, POINTS)
+    same(losses.air(logits, length[:, None], weight, sigma_max=SIGMA_MAX), (length * density).mean())
+    overlap = density - scene.local_presence().amax(dim=1)
+    same(losses.overlap(logits, weight, sigma_max=SIGMA_MAX), overlap.mean())
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("whose", ["ours", "theirs"])
+def test_two_balls_stay_together(published: Any, monkeypatch: pytest.MonkeyPatch, whose: str):
+    class Theirs(Obsurf):
+        def __init__(self, config: Any):
+            super().__init__(config)
+            model, width = config.model, config.model.encoder.width
+            slots = model.slots + 1
+            size = {"height": 0, "width": 0, "dim": width, "hidden_dim": width}
+            found = published("obsurf.layers").SlotAttention(slots, **size, iters=5, self_attention=True)
+            self.attention = TheirSlots(found, torch.randn(slots, width))
+            decoder = {"c_dim": width, "hidden_size": model.decoder.width, "num_layers": model.decoder.depth + 1}
+            code = {"start_freq": model.first_octave, "num_freqs": model.last_octave + 1 - model.first_octave}
+            field = published("obsurf.model.decoder_modules").NerfDecoder
+            self.field = TheirField(field(**decoder, **code, view_dependent_values=True, net_arch="ain"))
+
+    if whose == "theirs":
+        monkeypatch.setattr("obpose.baselines.obsurf.model.Obsurf", Theirs)
+    found = train_on(Balls(2000, balls=2), {"model.slots": 2, "train.steps": 4000})
+    print(f"\n{whose}: ARI-FG {found['ari_fg']:.3f}, ARI {found['ari']:.3f}")
+    assert found["ari_fg"] < 0.5
+
+
+class TheirSlots(nn.Module):
+    """Their slot attention in the place of ours. They draw slots at evaluation, too."""
+
+    def __init__(self, theirs: nn.Module, noise: Tensor):
+        super().__init__()
+        self.theirs = theirs
+        self.register_buffer("evaluation_noise", noise)
+
+    def forward(self, tokens: Tensor, _noise: Tensor) -> Slots:
+        codes = self.theirs(tokens)
+        return Slots(codes, tokens.new_zeros(len(tokens), codes.shape[1], tokens.shape[1]))
+
+
+class TheirField(nn.Module):
+    """Their fields in the place of ours, without features of the image."""
+
+    def __init__(self, theirs: Any):
+        super().__init__()
+        self.theirs = theirs
+
+    def density(self, encoded: Tensor, slots: Tensor) -> tuple[Tensor, Tensor]:
+        images, count, points = len(slots), slots.shape[1], encoded.shape[1]
+        found = self.theirs.net(encoded.repeat_interleave(count, dim=0), slots.flatten(0, 1)[:, None])
+        found = found.view(images, count, points, -1)
+        return found[..., 0], found[..., 1:]
+
+    def colour(self, hidden: Tensor, directions: Tensor, _pixels: Tensor) -> Tensor:
+        along = directions[:, None].expand(*hidden.shape[:-1], 3)
+        return self.theirs.color_predictor(torch.cat([hidden, along], dim=-1)).sigmoid()
+
+
+def copy_field(ours: SlotField, theirs: Any) -> None:
+    """Theirs has a linear layer between the hidden ones and the colours, which becomes the identity."""
+    for place, hidden in enumerate(ours.hidden):
+        shift, scale = ours.shifts[place], ours.scales[place]
+        condition = theirs.net.cond_layers[place]
+        condition.weight.data = torch.cat([shift.weight, scale.weight]).data  # pyright: ignore[reportArgumentType]
+        condition.bias.data = torch.cat([shift.bias, scale.bias]).data  # pyright: ignore[reportArgumentType]
+        theirs.net.main_layers[place] = hidden
+    last = theirs.net.main_layers[-1]
+    last.weight.data = torch.cat([ours.density_logit.weight, torch.eye(HIDDEN)]).data
+    last.bias.data = torch.cat([ours.density_logit.bias, torch.zeros(HIDDEN)]).data
+    direction, seen = ours.colour_seen.weight.split([3, WIDTH], dim=1)
+    theirs.color_predictor[0].weight.data = torch.cat([ours.colour_hidden.weight, seen, direction], dim=1).data
+    theirs.color_predictor[0].bias.data = ours.colour_hidden.bias.data
+    theirs.color_predictor[2] = ours.colour_out
+
+
+def same(one: Tensor, other: Tensor) -> None:
+    torch.testing.assert_close(one, other, rtol=1e-6, atol=1e-8)
