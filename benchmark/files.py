@@ -44,6 +44,20 @@ def replacing(path: Path) -> Iterator[Path]:
             partial.unlink(missing_ok=True)
 
 
+def check_labels(*paths: Path) -> None:
+    """Check that files of label maps are there.
+
+    Raises:
+        UsageError: one is not.
+    """
+    for path in paths:
+        if not path.is_file():
+            raise UsageError(
+                f"There is no file {path}; expected label maps that a run of obpose-bench left in its folder. "
+                "Published results are without them: the run's command makes them."
+            )
+
+
 @contextmanager
 def reading_labels(path: Path) -> Iterator[h5py.File]:
     """A run's file of label maps.
@@ -52,11 +66,7 @@ def reading_labels(path: Path) -> Iterator[h5py.File]:
         UsageError: there is none.
         CorruptFile: it is damaged, or what is read of it.
     """
-    if not path.is_file():
-        raise UsageError(
-            f"There is no file {path}; expected label maps that a run of obpose-bench left in its folder. "
-            "Published results are without them: the run's command makes them."
-        )
+    check_labels(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
             yield file

@@ -44,7 +44,7 @@ def labels_by_colour(rgb: torch.Tensor) -> torch.Tensor:
 def ball_scenes(count: int, *, balls: int = 1, size: int = 32, seed: int = 0) -> Observation:
     """Balls of 7 to 12 cm radius, half sunk into the table z = 0: one in the middle of the image, or two side by side.
 
-    Of two the first has x < 0.
+    Of two the first has its middle at x < 0, the second at x > 0.
     """
     draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
     generator = torch.Generator().manual_seed(seed)

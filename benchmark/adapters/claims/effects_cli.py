@@ -17,6 +17,7 @@ from jaxtyping import Integer, UInt8
 
 from benchmark.adapters.claims.command import run_command
 from benchmark.clips import ClipSequence
+from benchmark.files import check_labels
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import clip_scores
 from benchmark.statistics import Summary, draw, summarise
@@ -50,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """A line for each file and each way of counting."""
+    check_labels(*values.labels)
     print("| label maps | shadows are the | " + " | ".join(METRICS.values()) + " |")
     print("|---|---|" + "---|" * len(METRICS))
     counts: set[int] = set()

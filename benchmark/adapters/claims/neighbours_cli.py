@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float64, Integer
 
 from benchmark.adapters.claims.command import LabelMaps, run_command
 from benchmark.clips import ClipSequence
+from benchmark.files import check_labels
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
 from datagen.errors import EXIT_OK
@@ -30,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: LabelMaps) -> int:
     """Every file in its turn."""
+    check_labels(*values.labels)
     print("ARI-FG / MSC-FG in images where no objects adjoin, and where some do")
     for path in values.labels:
         adjoin, scores = images_of(path, values.data or dataset_of(path))

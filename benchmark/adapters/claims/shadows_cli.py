@@ -17,6 +17,7 @@ from jaxtyping import Bool, Integer, UInt8
 
 from benchmark.adapters.claims.command import run_command
 from benchmark.clips import ClipSequence
+from benchmark.files import check_labels
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
 from datagen.errors import EXIT_OK, UsageError
@@ -64,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """Over all scenes of the labels."""
+    check_labels(values.labels)
     scenes = list(read_scenes(values.labels, values.data or dataset_of(values.labels), values.without))
     counts = {field.name: sum(getattr(scene, field.name) for scene in scenes) for field in fields(Shadows)}
     leaked, missed, in_shadow = counts["leaked"], counts["missed"], counts["leaked_in_shadow"]

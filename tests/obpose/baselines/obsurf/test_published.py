@@ -1,10 +1,10 @@
 """The parts of ObSuRF beside those of the published code (MIT licence), of which this repository has no copy.
 
-git clone https://github.com/stelzner/obsurf published
+git clone https://github.com/stelzner/obsurf published && git -C published checkout ff16d23
 OBSURF=published python -m pytest tests/obpose/baselines/obsurf/test_published.py
 
-Weights are copied from ours to theirs; all numbers have double precision. With `-m slow -s` ObSuRF is trained on scenes
-of two balls, with our parts and with theirs in their place.
+Weights are copied from ours to theirs; these numbers have double precision. With `-m slow -s` ObSuRF is trained on
+scenes of two balls, with our slot attention and fields and with theirs in their place; the rest is ours both times.
 """
 
 import importlib
