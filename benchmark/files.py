@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import h5py
-
-from datagen.errors import CorruptFile, DatagenError, UsageError
+from datagen.errors import DatagenError
 
 _PARTIAL = re.compile(r"\..+\.(?P<process>\d+)-\d+\.partial")
 
@@ -42,36 +40,6 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-
-
-def check_labels(*paths: Path) -> None:
-    """Check that files of label maps are there.
-
-    Raises:
-        UsageError: one is not.
-    """
-    for path in paths:
-        if not path.is_file():
-            raise UsageError(
-                f"There is no file {path}; expected label maps that a run of obpose-bench left in its folder. "
-                "Published results are without them: the run's command makes them."
-            )
-
-
-@contextmanager
-def reading_labels(path: Path) -> Iterator[h5py.File]:
-    """A run's file of label maps.
-
-    Raises:
-        UsageError: there is none.
-        CorruptFile: it is damaged, or what is read of it.
-    """
-    check_labels(path)
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            yield file
-    except (OSError, KeyError, IndexError, ValueError) as error:
-        raise CorruptFile(f"{path} is damaged ({error}); delete its row in runs/ and run again.") from None
 
 
 def remove_abandoned(folder: Path) -> None:

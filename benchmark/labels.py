@@ -8,8 +8,9 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
-from benchmark.files import reading_labels, replacing
+from benchmark.files import replacing
 from benchmark.interface import Prediction
+from benchmark.label_files import reading_labels
 from benchmark.pose_files import PoseRows
 
 LARGEST = 255

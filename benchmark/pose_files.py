@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 from jaxtyping import Float, Int64
 
-from benchmark.files import reading_labels
 from benchmark.interface import Poses
+from benchmark.label_files import reading_labels
 from datagen.errors import UsageError
 
 GROUP = "poses"

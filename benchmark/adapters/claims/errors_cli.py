@@ -13,7 +13,7 @@ from jaxtyping import Float64
 
 from benchmark.adapters.claims.command import LabelMaps, run_command
 from benchmark.errors_by_type import ERROR_TYPES, MEANINGS
-from benchmark.files import check_labels
+from benchmark.label_files import check_labels
 from benchmark.labels import dataset_of, read_labels
 from benchmark.report.analysis import outcome
 from benchmark.report.observations import Objects, Outcome, observe, read_truth

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Integer, UInt8
 
 from benchmark.adapters.claims.command import run_command
 from benchmark.clips import ClipSequence
-from benchmark.files import check_labels
+from benchmark.label_files import check_labels
 from benchmark.labels import dataset_of, read_labels
 from benchmark.metrics import score
 from datagen.errors import EXIT_OK, UsageError
