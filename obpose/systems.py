@@ -160,7 +160,7 @@ SYSTEMS: dict[str, System] = {
             changes,
             DESCRIPTIONS[variant],
             ("slots", "camera pose"),
-            version=2,
+            version=3,
             searched=OBSURF_SEARCHED.get(variant, {}),
         )
         for variant, changes in OBSURF_VARIANTS.items()

@@ -12,6 +12,9 @@ _L2: Options = {"loss.attention": "l2", "loss.mask": 5.0}
 _OBJECT_RAYS: Options = {"train.object_rays": 0.5}
 """More rays where the largest component is not, which the systems with a pre-scope have in any case."""
 
+_UNIT_SCALES: Options = {"model.decoder.unit_scales": True}
+"""Slots that matter to ObSuRF's fields from the first step on."""
+
 _FASTEST: Options = {"train.learning_rate": 1e-2}
 _FINER: Options = {"model.object_field.position_frequencies": 8}
 """Fields that fill the world, not a box of 20 cm."""
@@ -20,7 +23,7 @@ _FINEST: Options = {"model.object_field.position_frequencies": 10}
 
 _POSED: tuple[Options, ...] = ({}, _FASTER, _L2, {"train.batch": 2})
 _WORLD: tuple[Options, ...] = ({}, _FASTER, _L2, _OBJECT_RAYS)
-_OBSURF: tuple[Options, ...] = ({}, _FASTER, _FASTEST, {**_FASTER, **_OBJECT_RAYS})
+_OBSURF: tuple[Options, ...] = ({}, _FASTER, {**_FASTER, **_UNIT_SCALES}, {**_FASTER, **_OBJECT_RAYS})
 
 TRIALS: dict[str, tuple[Options, ...]] = {
     "obpose-loc": _POSED,

@@ -44,6 +44,9 @@ class DecoderConfig:
     """[code: 128]"""
     depth: int = 4
     """Hidden layers. [code]"""
+    unit_scales: bool = False
+    """Whether the slots' scales begin at 1. [ours; published they begin small, and fresh densities of different points
+    differ by less than a thousandth]"""
     pixel_features: bool = True
     """Whether colours see the image's features at a point's pixel. [code]"""
 

@@ -22,6 +22,9 @@ class SlotField(nn.Module):
         inputs = [code] + [config.width] * (config.depth - 1)
         self.shifts = nn.ModuleList(nn.Linear(slot, size) for size in inputs)
         self.scales = nn.ModuleList(nn.Linear(slot, size) for size in inputs)
+        if config.unit_scales:
+            for scale in self.scales:
+                nn.init.ones_(scale.bias)
         self.hidden = nn.ModuleList(nn.Linear(size, config.width) for size in inputs)
         self.density_logit = nn.Linear(config.width, 1)
         self.colour_hidden = nn.Linear(config.width, config.width)

@@ -30,6 +30,9 @@ class ImageEncoder(nn.Module):
         strides = [1] * halves + [config.cell // 2] + [1] * (cells - 1)
         self.blocks = nn.Sequential(*(ResidualBlock(width, stride=stride) for stride in strides))
         self.head = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
 
     def forward(
         self,
@@ -57,7 +60,7 @@ class ResidualBlock(nn.Module):
         self.first = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
         self.second = nn.Conv2d(width, width, 3, padding=1, bias=False)
         self.norms = nn.ModuleList(nn.GroupNorm(_GROUPS, width) for _ in range(2))
-        self.skip = nn.Conv2d(width, width, 1, stride=stride, bias=False) if stride > 1 else nn.Identity()
+        self.skip = nn.Identity() if stride == 1 else _narrowed(width, stride)
 
     def forward(
         self, features: Float[Tensor, "image channel height width"]
@@ -65,3 +68,7 @@ class ResidualBlock(nn.Module):
         """The same at the same resolution, or at half of it."""
         branch = F.relu(self.norms[0](self.first(features)))
         return F.relu(self.norms[1](self.second(branch)) + self.skip(features))
+
+
+def _narrowed(width: int, stride: int) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(width, width, 1, stride=stride, bias=False), nn.GroupNorm(_GROUPS, width))

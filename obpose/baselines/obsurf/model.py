@@ -43,7 +43,7 @@ class Encoded:
 
 
 class Obsurf(Trainable):
-    """The model with depth, as published but for its projection, its slot distribution and the norms of its encoder."""
+    """The model with depth, as published but for its projection and the norms of its encoder."""
 
     center: Tensor
 

@@ -25,24 +25,24 @@ class Slots:
 class SlotAttention(nn.Module):
     """Slots compete for tokens, a few times over.
 
-    Deviations: mean and deviation of the first slots are parameters and learn, through reparameterised draws; in the
-    published code no gradient reaches them. Tokens are prepared by a norm and two layers, as in Locatello et al.; the
-    published code takes the image's features as they are.
+    Mean and deviation of the first slots are drawn once and kept, as in the published code, where no gradient reaches
+    them. If they learn, two objects are told apart later or not at all (docs/results.md).
     """
 
+    mean: Tensor
+    spread: Tensor
     evaluation_noise: Tensor
 
     def __init__(self, config: SlotConfig, *, slots: int, width: int):
         """Slots and tokens have the same width."""
         super().__init__()
         self.config = config
-        self.mean = nn.Parameter(torch.randn(width))
-        self.spread = nn.Parameter(torch.randn(width))
+        self.register_buffer("mean", torch.randn(width))
+        self.register_buffer("spread", torch.randn(width))
         # Slots that all began at the mean would stay equal. These draws stand in for noise at evaluation; they are
         # saved with the weights, so that equal images get equal labels.
         self.register_buffer("evaluation_noise", torch.randn(slots, width))
         self.token_norm, self.slot_norm, self.mlp_norm = (nn.LayerNorm(width) for _ in range(3))
-        self.prepare = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, width))
         self.query, self.key, self.value = (nn.Linear(width, width) for _ in range(3))
         self.update = nn.GRUCell(width, width)
         self.between = nn.MultiheadAttention(width, config.heads, batch_first=True)
@@ -51,7 +51,7 @@ class SlotAttention(nn.Module):
 
     def forward(self, tokens: Float[Tensor, "image token width"], noise: Float[Tensor, "image slot width"]) -> Slots:
         """Slots of each image; `noise` is standard normal, or `evaluation_noise`."""
-        tokens = self.token_norm(self.prepare(tokens))
+        tokens = self.token_norm(tokens)
         keys, values = self.key(tokens), self.value(tokens)
         slots = self.first_slots(noise)
         attention = tokens.new_zeros(0)
@@ -64,7 +64,7 @@ class SlotAttention(nn.Module):
         return Slots(slots, attention)
 
     def first_slots(self, noise: Float[Tensor, "*shape width"]) -> Float[Tensor, "*shape width"]:
-        """Draws from the slot distribution N(mean, softplus(spread)^2), reparameterised."""
+        """Draws from the slot distribution N(mean, softplus(spread)^2)."""
         return self.mean + F.softplus(self.spread) * noise
 
 
