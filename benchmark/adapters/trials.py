@@ -42,7 +42,7 @@ _SLOW: Options = {"train.learning_rate": 1e-3}
 
 SEARCHED_FROM: dict[str, Options] = {
     "ic-sbp": _SLOW,
-    "obsurf": _SLOW,
-    "obsurf-no-overlap": {**_SLOW, "train.object_rays": 0.0},
+    "obsurf": {**_SLOW, "model.decoder.unit_scales": False},
+    "obsurf-no-overlap-depth": {**_SLOW, "train.object_rays": 0.0},
 }
 """The defaults that trials are changes of, where the choice of the search was frozen in the variants since."""

@@ -4,6 +4,7 @@ import math
 
 import torch
 
+from obpose.geometry import unproject
 from obpose.types import Observation
 
 
@@ -41,19 +42,20 @@ def labels_by_colour(rgb: torch.Tensor) -> torch.Tensor:
     return counts.argsort(descending=True).argsort()[labels].view(rgb.shape[:-1])
 
 
-def ball_scenes(count: int, *, balls: int = 1, size: int = 32, seed: int = 0) -> Observation:
-    """Balls of 7 to 12 cm radius, half sunk into the table z = 0: one in the middle of the image, or two side by side.
-
-    Of two the first has its middle at x < 0, the second at x > 0.
-    """
+def pairs_of_balls(count: int, *, size: int, seed: int = 0) -> tuple[Observation, torch.Tensor]:
+    """Two halves of balls of 7 to 12 cm radius, one at x < 0, one at x > 0, and nothing else; labels 1 and 2."""
     draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
     generator = torch.Generator().manual_seed(seed)
-    centers, radii = 0.3 * (draw(count, balls, 2) - 0.5), 0.07 + 0.05 * draw(count, balls)
-    if balls == 2:
-        centers[..., 0] = 0.2 * centers[..., 0] + torch.tensor([-0.13, 0.13])
+    centers, radii = 0.3 * (draw(count, 2, 2) - 0.5), 0.07 + 0.05 * draw(count, 2)
+    centers[..., 0] = 0.2 * centers[..., 0] + torch.tensor([-0.13, 0.13])
     k, poses = _cameras(count, 1, size, size)
-    rgb, depth = _trace(k, poses, centers, radii, draw(count, balls, 3), draw(count, 3), size, size)
-    return Observation(rgb[:, None], depth[:, None], depth[:, None] > 0, k, poses)
+    colours = draw(count, 2, 3)
+    rgb, depth = _trace(k, poses, centers, radii, colours, draw(count, 3), size, size)
+    on_table = Observation(rgb[:, None], depth[:, None], depth[:, None] > 0, k, poses)
+    x, _, z = unproject(on_table).unbind(-1)
+    seen = z > 1e-4
+    alone = Observation(on_table.rgb * seen[..., None], on_table.depth * seen, seen, k, poses)
+    return alone, seen.long() * (1 + (x > 0))
 
 
 def _cameras(batch: int, views: int, height: int, width: int) -> tuple[torch.Tensor, torch.Tensor]:

@@ -45,8 +45,8 @@ class DecoderConfig:
     depth: int = 4
     """Hidden layers. [code]"""
     unit_scales: bool = False
-    """Whether the slots' scales begin at 1. [ours; published they begin small, and fresh densities of different points
-    differ by less than a thousandth]"""
+    """Whether the slots' scales begin at 1. [ours; published they begin small, and fresh logits of different points
+    differ by about a thousandth]"""
     pixel_features: bool = True
     """Whether colours see the image's features at a point's pixel. [code]"""
 
@@ -128,8 +128,8 @@ OBSURF_VARIANTS: dict[str, dict[str, Any]] = {
 """What each variant changes, by dotted name."""
 
 OBSURF_SEARCHED: dict[str, dict[str, Any]] = {
-    "obsurf": {"train.learning_rate": 3e-3},
-    "obsurf-no-overlap": {"train.learning_rate": 3e-3, "train.object_rays": 0.5},
+    "obsurf": {"train.learning_rate": 3e-3, "model.decoder.unit_scales": True},
+    "obsurf-no-overlap-depth": {"train.learning_rate": 3e-3, "train.object_rays": 0.5},
 }
 """What variants change besides in the profile `cpu`, for which the declared search chose it (docs/results.md)."""
 

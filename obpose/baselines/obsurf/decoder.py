@@ -21,10 +21,11 @@ class SlotField(nn.Module):
         self.config = config
         inputs = [code] + [config.width] * (config.depth - 1)
         self.shifts = nn.ModuleList(nn.Linear(slot, size) for size in inputs)
-        self.scales = nn.ModuleList(nn.Linear(slot, size) for size in inputs)
+        scales = [nn.Linear(slot, size) for size in inputs]
         if config.unit_scales:
-            for scale in self.scales:
+            for scale in scales:
                 nn.init.ones_(scale.bias)
+        self.scales = nn.ModuleList(scales)
         self.hidden = nn.ModuleList(nn.Linear(size, config.width) for size in inputs)
         self.density_logit = nn.Linear(config.width, 1)
         self.colour_hidden = nn.Linear(config.width, config.width)

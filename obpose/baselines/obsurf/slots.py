@@ -26,7 +26,7 @@ class SlotAttention(nn.Module):
     """Slots compete for tokens, a few times over.
 
     Mean and deviation of the first slots are drawn once and kept, as in the published code, where no gradient reaches
-    them. If they learn, two objects are told apart later or not at all (docs/results.md).
+    them.
     """
 
     mean: Tensor

@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from obpose.baselines.obsurf.config import DecoderConfig
@@ -26,6 +27,17 @@ def test_layers_are_shifted_and_scaled_before_they_are_applied():
     for shift, scale, layer in zip(module.shifts, module.scales, module.hidden, strict=True):
         values = layer((values + shift(slot)) * scale(slot)).relu()
     torch.testing.assert_close(logits[1, 2, 4], module.density_logit(values)[0])
+
+
+def test_scales_can_begin_at_one_and_fresh_densities_then_depend_on_the_point():
+    points = draw(1, 1000, 9)
+    spread = []
+    for begin in (False, True):
+        module = field(unit_scales=begin)
+        scales = torch.cat([scale(draw(1000, 8)) for scale in module.scales], dim=-1)
+        assert scales.mean().item() == pytest.approx(float(begin), abs=0.1)
+        spread.append(module.density(points, CODES[:1])[0].std(dim=-1).mean().item())
+    assert spread[1] > 5 * spread[0]
 
 
 def test_slots_share_weights_and_know_nothing_of_each_other():

@@ -24,8 +24,9 @@ def made(variant: str = "obsurf", **changes: Any) -> Obsurf:
     return Obsurf(find_system(variant).config("cpu", {**small, **changes}))
 
 
-def spread_out(model: Obsurf) -> Obsurf:
+def spread_out(variant: str = "obsurf", **changes: Any) -> Obsurf:
     """Slots that differ enough to share the pixels among them."""
+    model = made(variant, **{"model.decoder.unit_scales": True, **changes})
     with torch.no_grad():
         for layer in model.field.scales:
             layer.weight.mul_(3)
@@ -106,10 +107,10 @@ def test_one_view_is_the_input_and_all_are_supervised(monkeypatch: pytest.Monkey
 
 def test_more_rays_can_be_drawn_where_the_densest_slot_is_not(monkeypatch: pytest.MonkeyPatch):
     """Each still weighs as much as it has to for means over all pixels."""
-    model, scene = spread_out(made(**{"train.object_rays": 0.8, "train.rays": 900})), table_scene(views=2, holes=0.1)
-    with torch.no_grad():  # what fresh weights make of different points differs by less than a thousandth
-        model.field.density_logit.bias.sub_(0.193).mul_(1e4)
-        model.field.density_logit.weight.mul_(1e4)
+    model, scene = spread_out(**{"train.object_rays": 0.8, "train.rays": 900}), table_scene(views=2, holes=0.1)
+    with torch.no_grad():  # slots that fresh weights tell apart but a little
+        model.field.density_logit.weight.mul_(1e3)
+        model.field.density_logit.bias.sub_(1e2)
     encoded = model.encode(one_view(scene, noise()), model.attention.evaluation_noise[None].expand(2, -1, -1))
     rays = all_rays(scene)
     logits, _ = model._densities(encoded, rays.origin + rays.direction * rays.depth[..., None])
@@ -130,7 +131,7 @@ def test_more_rays_can_be_drawn_where_the_densest_slot_is_not(monkeypatch: pytes
 @pytest.mark.parametrize("variant", ["obsurf", DEPTH])
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_depths_that_are_not_valid_have_no_influence(variant: str, share: float):
-    model, scene = spread_out(made(variant, **{"train.object_rays": share})), table_scene(holes=0.2, views=2)
+    model, scene = spread_out(variant, **{"train.object_rays": share}), table_scene(holes=0.2, views=2)
     spoiled = replace(scene, depth=torch.where(scene.valid, scene.depth, 7.7))
     plain, other = model.segment(scene), model.segment(spoiled)
     assert torch.equal(plain.labels, other.labels)
@@ -184,7 +185,7 @@ def _in_units(scene: Observation, middle: tuple[float, float, float]) -> Tensor:
 
 def test_a_scene_without_any_depth_is_background():
     scene = table_scene(holes=1.0)
-    assert not spread_out(made(DEPTH)).segment(scene).labels.any()
+    assert not spread_out(DEPTH).segment(scene).labels.any()
     terms = losses(made(DEPTH), scene)
     terms["total"].backward()
     assert all(value.isfinite() for value in terms.values())
@@ -192,7 +193,7 @@ def test_a_scene_without_any_depth_is_background():
 
 @pytest.mark.parametrize("variant", ["obsurf", DEPTH])
 def test_scenes_frames_and_views_do_not_depend_on_each_other(variant: str):
-    model, scene = spread_out(made(variant)), table_scene(batch=2, frames=2, views=3, holes=0.1)
+    model, scene = spread_out(variant), table_scene(batch=2, frames=2, views=3, holes=0.1)
     whole = model.segment(scene)
     apart = model.segment(views_apart(scene))
     for clip, view, frame in ((0, 0, 0), (1, 2, 1), (1, 0, 1)):
@@ -206,7 +207,7 @@ def test_scenes_frames_and_views_do_not_depend_on_each_other(variant: str):
 
 
 def test_the_largest_slot_of_each_image_is_zero():
-    model, scene = spread_out(made()), table_scene(batch=2, frames=2, views=2, holes=0.1)
+    model, scene = spread_out(), table_scene(batch=2, frames=2, views=2, holes=0.1)
     for _ in range(2):  # whichever slot it is
         found = model.segment(scene)
         assert found.labels.unique().numel() > 1
@@ -216,7 +217,7 @@ def test_the_largest_slot_of_each_image_is_zero():
 
 
 def test_labels_are_those_of_the_densest_slot_at_the_surface():
-    model, scene = spread_out(made()), table_scene(frames=1)
+    model, scene = spread_out(), table_scene(frames=1)
     labels = model.segment(scene).labels[0, 0, 0]
     encoded = model.encode(scene, model.attention.evaluation_noise[None])
     rays = sample_rays(scene, 0, None)
@@ -227,7 +228,7 @@ def test_labels_are_those_of_the_densest_slot_at_the_surface():
 
 
 def test_segmenting_twice_gives_the_same_whatever_the_global_generator():
-    model, scene = spread_out(made()), table_scene()
+    model, scene = spread_out(), table_scene()
     torch.manual_seed(1)
     first = model.segment(scene)
     torch.manual_seed(2)

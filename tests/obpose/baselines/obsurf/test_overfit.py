@@ -1,8 +1,7 @@
-"""What ObSuRF learns in half a minute: to tell a ball from the table that it lies on.
+"""What ObSuRF learns in about a minute: to tell two balls apart that are all there is.
 
-One or two of six seeds do; with the others the table's slot takes the ball as well. Two balls share a slot for far
-longer than that, with the published parts in the place of ours, too (test_published.py); and without the overlap loss,
-or without depth, it takes longer to find even one, and is not sure.
+That is with the image's points as input, or with luck: without them the one of seeds 0 and 1 does it, and the other
+takes longer. With the overlap loss both take longer, and with a table below the balls all do (docs/results.md).
 """
 
 from typing import Any
@@ -12,59 +11,56 @@ import pytest
 import torch
 
 from benchmark.metrics import clip_scores
-from obpose.geometry import unproject
 from obpose.systems import find_system
 from obpose.train import train
-from tests.obpose.scenes import ball_scenes
+from tests.obpose.scenes import pairs_of_balls
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 SMALL: dict[str, Any] = {
     "model.slots": 1,
-    "model.encoder.width": 32,
-    "model.encoder.points": True,
-    "model.encoder.cell": 4,
+    "model.encoder.width": 16,
+    "model.encoder.blocks": (0, 1),
     "model.units_per_metre": 8.0,
-    "model.decoder.width": 16,
-    "model.decoder.depth": 2,
+    "model.decoder.width": 32,
+    "model.decoder.unit_scales": True,
     "model.decoder.pixel_features": False,
     "model.last_octave": -2,
-    "loss.overlap": 0.02,
-    "loss.colour_std": 0.1,
+    "loss.colour_std": 0.05,
     "train.batch": 8,
-    "train.steps": 500,
+    "train.frames": 1,
+    "train.rays": 32,
+    "train.steps": 4000,
+    "train.object_rays": 0.0,
     "train.learning_rate": 2e-3,
-    "train.half_life": 0.2,
+    "train.half_life": 0.5,
 }
-"""Fields so small that two slots describe a table with a ball on it better than one."""
+"""Two slots, the background's among them."""
 
 
 class Balls:
-    """Scenes of one frame with one ball each, or two, and which pixels are whose."""
+    """Clips of one frame of two balls, and which pixels are whose."""
 
     frames_of_clip = 1
 
-    def __init__(self, scenes: int, balls: int = 1):
-        self.scenes = ball_scenes(scenes, balls=balls)
-        x, _, z = unproject(self.scenes).unbind(-1)
-        self.labels = (z > 1e-4).long() * (1 + (x > 0) * (balls > 1))
+    def __init__(self, clips: int):
+        self.clips, self.labels = pairs_of_balls(clips, size=16)
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def window(self, index: int, start: int, frames: int) -> dict[str, torch.Tensor]:
-        return {name: value[index] for name, value in vars(self.scenes).items()}
+        return {name: value[index] for name, value in vars(self.clips).items()}
 
 
-def test_balls_are_told_from_the_table_with_one_of_six_seeds():
-    balls = Balls(200)
-    assert any(train_on(balls, {"train.seed": seed})["ari"] > 0.97 for seed in range(6))
+@pytest.mark.parametrize(("variant", "seed"), [("obsurf-no-overlap-depth", 0), ("obsurf-no-overlap", 1)])
+def test_two_balls_are_told_apart(variant: str, seed: int):
+    assert train_on(Balls(2000), variant, {"train.seed": seed}) > 0.97
 
 
-def train_on(balls: Balls, changes: dict[str, Any]) -> dict[str, float]:
-    """Mean ARI and ARI-FG on the scenes themselves, after a training with these changes to `SMALL`."""
-    model = train(balls, None, find_system("obsurf").config("cpu", SMALL | changes), device="cpu").model
-    labels = model.segment(balls.scenes).labels
+def train_on(balls: Balls, variant: str, changes: dict[str, Any]) -> float:
+    """Mean ARI-FG on the scenes themselves, after a training with these changes to `SMALL`."""
+    model = train(balls, None, find_system(variant).config("cpu", SMALL | changes), device="cpu").model
+    labels = model.segment(balls.clips).labels
     pairs = zip(balls.labels.numpy(), labels.numpy(), strict=True)
-    scores = [clip_scores(truth, found, 0) for truth, found in pairs]
-    return {name: float(np.nanmean([score[name] for score in scores])) for name in ("ari", "ari_fg")}
+    return float(np.mean([clip_scores(truth, found, 0)["ari_fg"] for truth, found in pairs]))
