@@ -1,6 +1,7 @@
 """Files that are there whole or not at all."""
 
 import fcntl
+import glob
 import os
 import shutil
 import threading
@@ -45,10 +46,8 @@ def new_folder(folder: Path) -> Iterator[Path]:
     """
     folder = folder.resolve()
     check_free(folder)
-    partial = folder.with_name(f".{folder.name}.{os.getpid()}-{threading.get_ident()}.unfinished")
+    partial = _unfinished(folder)
     try:
-        # What a process of the same number left when it was killed.
-        shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         yield partial
         check_free(folder)
@@ -59,6 +58,28 @@ def new_folder(folder: Path) -> Iterator[Path]:
         raise DatagenError(f"Cannot write {folder}: {error.strerror}; mend this, or give another --out.") from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def _unfinished(path: Path) -> Path:
+    """Where this thread makes it, after what killed processes left of it was deleted."""
+    partial = path.with_name(f".{path.stem}.{os.getpid()}-{threading.get_ident()}.unfinished{path.suffix}")
+    for left in path.parent.glob(f".{glob.escape(path.stem)}.*-*.unfinished{glob.escape(path.suffix)}"):
+        process = left.name.removeprefix(f".{path.stem}.").partition("-")[0]
+        if left == partial or (process.isdecimal() and not _runs(int(process))):
+            delete = shutil.rmtree if left.is_dir() else os.unlink
+            with suppress(OSError):
+                delete(left)
+    return partial
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def check_free(folder: Path) -> None:
@@ -81,7 +102,7 @@ def new_file(path: Path) -> Iterator[Path]:
         UsageError: there is something already, perhaps since a moment ago; nothing was changed.
     """
     check_new(path)
-    partial = path.with_name(f".{path.stem}.{os.getpid()}-{threading.get_ident()}.unfinished{path.suffix}")
+    partial = _unfinished(path)
     try:
         yield partial
         _rename_new(partial, path)

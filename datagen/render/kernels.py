@@ -3,6 +3,9 @@
 *Samples* are the 3x3 points of each pixel on which visibility is decided; the middle one is the pixel's centre, and it
 alone gives depth and ids. A *light space* is an orthographic view along a direction L: texel coordinates u, v and
 d = -p.L, the distance from the light in metres up to a constant.
+
+All of it is one file, because numba's cache of a function does not notice when another that it calls has changed in a
+file of its own.
 """
 
 import math

@@ -1,3 +1,5 @@
+import os
+import subprocess
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -71,6 +73,19 @@ def test_a_new_folder_is_there_whole_or_not_at_all(tmp_path: Path):
     with pytest.raises(ZeroDivisionError):
         make(tmp_path / "failed", b"half", meanwhile=fail)
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
+
+
+def test_what_killed_processes_left_of_new_ones_goes_when_it_is_made_again(tmp_path: Path):
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    for process in (ended.pid, os.getppid(), 10**12):
+        (tmp_path / f".made.{process}-1.unfinished").mkdir()
+        (tmp_path / f".made.{process}-1.unfinished" / "file").write_bytes(b"half")
+        (tmp_path / f".a[1].{process}-1.unfinished.png").write_bytes(b"half")
+    make(tmp_path / "made", b"whole")
+    write(tmp_path / "a[1].png", b"whole")
+    others = [f".made.{os.getppid()}-1.unfinished", f".a[1].{os.getppid()}-1.unfinished.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "made", "a[1].png"])
 
 
 def assert_missing(path: Path) -> None:
