@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from datagen.errors import DatagenError
+from datagen.processes import is_running
 
 _PARTIAL = re.compile(r"\..+\.(?P<process>\d+)-\d+\.partial")
 
@@ -46,15 +47,5 @@ def remove_abandoned(folder: Path) -> None:
     """Delete what processes that were killed left half-written in a folder and the folders in it."""
     for path in folder.rglob(".*.partial"):
         match = _PARTIAL.fullmatch(path.name)
-        if match and not _is_running(int(match["process"])):
+        if match and not is_running(int(match["process"])):
             path.unlink(missing_ok=True)
-
-
-def _is_running(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from datagen.config import recipe_to_dict
 from datagen.errors import CorruptFile, DatagenError, UsageError
+from datagen.processes import is_running
 from datagen.schema import SPLITS
 from datagen.shard import Shard
 from datagen.spec import (
@@ -218,17 +219,7 @@ def _is_abandoned(partial: Path) -> bool:
     if match["host"] != socket.gethostname():
         return time.time() - partial.stat().st_mtime > _ABANDONED_SECONDS
     process = int(match["process"])
-    return process == os.getpid() or not _is_running(process)
-
-
-def _is_running(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+    return process == os.getpid() or not is_running(process)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from datagen.processes import is_running
 from obpose.errors import Busy, DatagenError, UsageError
 
 
@@ -65,21 +66,11 @@ def _unfinished(path: Path) -> Path:
     partial = path.with_name(f".{path.stem}.{os.getpid()}-{threading.get_ident()}.unfinished{path.suffix}")
     for left in path.parent.glob(f".{glob.escape(path.stem)}.*-*.unfinished{glob.escape(path.suffix)}"):
         process = left.name.removeprefix(f".{path.stem}.").partition("-")[0]
-        if left == partial or (process.isdecimal() and not _runs(int(process))):
+        if left == partial or (process.isdecimal() and not is_running(int(process))):
             delete = shutil.rmtree if left.is_dir() else os.unlink
             with suppress(OSError):
                 delete(left)
     return partial
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 def check_free(folder: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Integer
 
 from benchmark.metrics.images import depth_errors, psnr, ssim
 from datagen import schema
@@ -19,7 +19,9 @@ from obpose.creation.rendering import Renderer
 from obpose.data import SceneDataset
 
 MODEL, CARRIED, COPIED, MEAN = "the model", "its points carried over", "the input image itself", "mean of other scenes"
-"""Who makes a picture: the last three know nothing, or only what they see."""
+FLAT = "true masks, each in one colour"
+"""Who makes a picture: three know nothing, or only what they see; `FLAT` knows the labels, and nothing of what is
+inside a mask."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +39,15 @@ class View:
     """What a camera saw of a frame, and where the objects are in it."""
 
     picture: Picture
-    objects: Bool[np.ndarray, "height width"]
+    labels: Integer[np.ndarray, "height width"]
+    """0 is the background."""
     k: Float[np.ndarray, "3 3"]
     world_from_camera: Float[np.ndarray, "4 4"]
+
+    @property
+    def objects(self) -> Bool[np.ndarray, "height width"]:
+        """The pixels of objects."""
+        return self.labels > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +86,9 @@ def measure_views(origin: Origin, folder: Path, split: str, *, scenes: int, fram
                 for view, camera in enumerate(cameras):
                     rendered = renderer.render(scene, frame, camera)
                     yield likeness(MODEL, Picture(_array(rendered.rgb), _array(rendered.depth)), truth, seen, view)
-                    if view != seen:
+                    if view == seen:
+                        yield likeness(FLAT, flat(truth[seen]), truth, seen, view)
+                    else:
                         yield likeness(CARRIED, carried(truth[seen], truth[view], means[view]), truth, seen, view)
                         yield likeness(COPIED, truth[seen].picture, truth, seen, view)
                         yield likeness(MEAN, means[view], truth, seen, view)
@@ -105,7 +115,7 @@ def read_views(records: Split, index: int, frame: int) -> list[View]:
     return [
         View(
             Picture(record["rgb"][0, view] / 255.0, schema.decode_depth(record["depth"][0, view]).astype(np.float64)),
-            record["segmentation"][0, view] > 0,
+            record["segmentation"][0, view],
             record["camera/K"][view],
             record["camera/world_from_camera"][view],
         )
@@ -134,6 +144,15 @@ def carried(seen: View, target: View, behind: Picture) -> Picture:
     far_to_near = np.flatnonzero(within)[np.argsort(-z[within], kind="stable")]
     row, column = row[far_to_near], column[far_to_near]
     rgb[row, column], depth[row, column] = seen.picture.rgb[known][far_to_near], z[far_to_near]
+    return Picture(rgb, depth)
+
+
+def flat(seen: View) -> Picture:
+    """Every true mask, the background's too, in its mean colour and at its mean depth."""
+    rgb, depth = np.empty_like(seen.picture.rgb), np.empty_like(seen.picture.depth)
+    for label in np.unique(seen.labels):
+        mask = seen.labels == label
+        rgb[mask], depth[mask] = seen.picture.rgb[mask].mean(axis=0), seen.picture.depth[mask].mean()
     return Picture(rgb, depth)
 
 

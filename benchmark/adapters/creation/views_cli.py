@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.creation.subject import Subject
-from benchmark.adapters.creation.views import CARRIED, COPIED, MEAN, MODEL, Likeness, measure_views
+from benchmark.adapters.creation.views import CARRIED, COPIED, FLAT, MEAN, MODEL, Likeness, measure_views
 from benchmark.leaderboard import Line
 from datagen.errors import EXIT_OK
 from datagen.storage import Dataset
@@ -57,7 +57,7 @@ def lines(found: Sequence[Likeness]) -> list[Line]:
     groups = {
         (same_view, maker): [one for one in found if one.same_view == same_view and one.maker == maker]
         for same_view in (True, False)
-        for maker in (MODEL, CARRIED, COPIED, MEAN)
+        for maker in (MODEL, FLAT, CARRIED, COPIED, MEAN)
     }
     return [
         {

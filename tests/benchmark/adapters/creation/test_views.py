@@ -9,11 +9,13 @@ import pytest
 from benchmark.adapters.creation.views import (
     CARRIED,
     COPIED,
+    FLAT,
     MEAN,
     MODEL,
     Picture,
     View,
     carried,
+    flat,
     likeness,
     mean_pictures,
     measure_views,
@@ -80,9 +82,22 @@ def test_the_mean_of_equal_scenes_is_the_scene(scenes: Split, views: list[View])
 def test_every_view_is_once_the_input(stills: Path, origin: Origin):
     found = list(measure_views(origin, stills, "train", scenes=1, frames=3))
     makers = [(one.maker, one.same_view) for one in found]
-    assert makers.count((MODEL, True)) == makers.count((MODEL, False)) == 2
+    assert makers.count((MODEL, True)) == makers.count((FLAT, True)) == makers.count((MODEL, False)) == 2
+    assert makers.count((FLAT, False)) == 0
     assert all(makers.count((maker, False)) == 2 for maker in (CARRIED, COPIED, MEAN))
     assert all(math.isfinite(one.ssim) for one in found)
+
+
+def test_flat_masks_keep_means_and_lose_all_else(views: list[View]):
+    plain = flat(views[0])
+    truth = views[0].picture
+    masks = [views[0].labels == label for label in np.unique(views[0].labels)]
+    assert len(masks) > 2
+    for mask in masks:
+        assert plain.rgb[mask].mean(axis=0) == pytest.approx(truth.rgb[mask].mean(axis=0))
+        assert plain.depth[mask].mean() == pytest.approx(truth.depth[mask].mean())
+        assert np.ptp(plain.rgb[mask], axis=0).max() == np.ptp(plain.depth[mask]) == 0
+    assert np.ptp(truth.depth[masks[1]]) > 0
 
 
 def test_indices_are_spread():
@@ -98,7 +113,8 @@ def test_the_command_prints_a_table_and_keeps_it(
     printed = capsys.readouterr().out
     assert "| the input view | the model | 2 |" in printed
     assert "another view" not in printed
-    [line] = csv.DictReader((tmp_path / "views.csv").read_text().splitlines())
+    line, plain = csv.DictReader((tmp_path / "views.csv").read_text().splitlines())
+    assert (line["by"], plain["by"]) == (MODEL, FLAT)
     assert (line["data"], line["split"], line["pictures"]) == (clips.name, "test", "2")
     assert f"| {float(line['psnr']):.1f} dB | {float(line['psnr_objects']):.1f} dB |" in printed
-    assert printed.rstrip().endswith(f"| {1000 * float(line['depth_errors_objects']):.1f} mm |")
+    assert printed.rstrip().endswith(f"| {1000 * float(plain['depth_errors_objects']):.1f} mm |")
