@@ -20,8 +20,8 @@ from obpose.data import SceneDataset
 
 MODEL, CARRIED, COPIED, MEAN = "the model", "its points carried over", "the input image itself", "mean of other scenes"
 FLAT = "true masks, each in one colour"
-"""Who makes a picture: three know nothing, or only what they see; `FLAT` knows the labels, and nothing of what is
-inside a mask."""
+"""Who makes a picture: `CARRIED`, `COPIED` and `MEAN` know nothing, or only what they see, `FLAT` knows the labels and
+nothing of what is inside a mask."""
 
 
 @dataclass(frozen=True, eq=False)
