@@ -13,14 +13,14 @@ SMALL = FieldConfig(width=16, depth=4, position_frequencies=2, direction_frequen
 
 
 class BallField(Field):
-    """A ball in the middle of the box, of the same colour everywhere; the radius in box coordinates."""
+    """A ball of the same colour everywhere; its radius, and where in the box it is, in box coordinates."""
 
-    def __init__(self, radius: float, latent: int = 2) -> None:
+    def __init__(self, radius: float, latent: int = 2, middle: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         super().__init__(SMALL, latent)
-        self.radius = radius
+        self.radius, self.middle = radius, torch.tensor(middle)
 
     def density(self, points: Float[Tensor, "*shape 3"], codes: Conditioning) -> tuple[Tensor, Tensor]:
-        logits = (400 * (self.radius - points.norm(dim=-1))).clamp(-20, 20)
+        logits = (400 * (self.radius - (points - self.middle).norm(dim=-1))).clamp(-20, 20)
         return logits, points.new_zeros(*logits.shape, 16)
 
     def colour(self, hidden: Tensor, directions: Float[Tensor, "*shape 3"], codes: Conditioning) -> Tensor:

@@ -1,3 +1,5 @@
+import csv
+import math
 import re
 import signal
 import subprocess
@@ -148,24 +150,40 @@ def test_values_of_which_nothing_can_be_made_leave_no_run(
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_run_that_is_ended_goes_on_exactly(data: Path, tmp_path: Path):
-    def command(name: str) -> subprocess.Popen[str]:
-        flags = ["--data", str(data), "--steps", "60", "--out", str(tmp_path / name), *SETTINGS]
-        return subprocess.Popen(
-            [sys.executable, "-m", "obpose.cli", *flags],
-            cwd=ROOT,
-            env={"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"},
-            text=True,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
-        )
-
-    assert "validation" in errors_at_end(command("whole"))
+    assert "validation" in errors_at_end(training(data, tmp_path / "whole"))
     table = tmp_path / "parts" / "training.csv"
-    process = command("parts")
+    process = training(data, tmp_path / "parts")
     wait_until(lambda: table.exists() and table.read_text().count("\n") > 4, seconds=240, what="three steps")
     process.send_signal(signal.SIGTERM)
     assert "Stopped by SIGTERM after step" in errors_at_end(process)
     assert process.returncode == 130
-    assert "validation" in errors_at_end(command("parts"))
+    assert "validation" in errors_at_end(training(data, tmp_path / "parts"))
     one, other = (load(tmp_path / name, ObPose)[0].state_dict() for name in ("whole", "parts"))
     assert all(torch.equal(value, other[name]) for name, value in one.items())
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_two_processes_train_the_model(data: Path, tmp_path: Path):
+    launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
+    process = training(data, tmp_path / "two", *launcher, steps=8)
+    errors = errors_at_end(process)
+    assert process.returncode == 0, errors
+    with (tmp_path / "two" / "training.csv").open(newline="") as file:
+        losses = [float(row["total"]) for row in csv.DictReader(file)]
+    assert len(losses) == 8
+    assert all(map(math.isfinite, losses))
+    assert load(tmp_path / "two", ObPose)[2]["step"] == 8
+
+
+def training(data: Path, out: Path, *python: str, steps: int = 60) -> subprocess.Popen[str]:
+    """The command in a process of its own, with these options of Python's before its module."""
+    flags = ["--data", str(data), "--steps", str(steps), "--out", str(out), *SETTINGS]
+    return subprocess.Popen(
+        [sys.executable, *python, "-m", "obpose.cli", *flags],
+        cwd=ROOT,
+        env={"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"},
+        text=True,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )

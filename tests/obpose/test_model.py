@@ -76,6 +76,17 @@ def test_what_pixels_without_depth_look_like_does_not_matter():
     assert (plain.labels[~scene.valid] == 0).all()
 
 
+@pytest.mark.parametrize("variant", CONDITIONED)
+def test_what_pixels_without_depth_look_like_is_not_learned(variant: str):
+    model, scene = _model(variant).train(), table_scene(holes=0.2)
+    spoiled = replace(scene, rgb=torch.where(scene.valid[..., None], scene.rgb, 0.9))
+    plain, other = (
+        model.losses(each, step=500, generator=torch.Generator().manual_seed(0)) for each in (scene, spoiled)
+    )
+    assert plain.keys() == other.keys()
+    assert all(torch.equal(value, other[name]) for name, value in plain.items())
+
+
 def test_segmenting_twice_gives_the_same_whatever_the_global_generator():
     model, scene = _model().eval(), table_scene()
     torch.manual_seed(1)

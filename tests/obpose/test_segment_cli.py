@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 import assets
@@ -20,7 +21,7 @@ WIDTH, HEIGHT, FRAMES = 32, 24, 2
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Frames on disk, and an untrained model that was measured on them."""
+    """Frames on disk, and a model that was measured on them; untrained, but that it expects objects everywhere."""
     folder = tmp_path_factory.mktemp("scene")
     clip = clip_and_truth(frames=FRAMES, resolution=(WIDTH, HEIGHT))[0]
     for kind, images in (("rgb", clip.rgb), ("depth", (clip.depth * 1000).round().astype(np.uint16))):
@@ -30,8 +31,12 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savetxt(folder / "pose.txt", clip.world_from_camera[0])
     k = clip.k[0]
     (folder / "intrinsics").write_text(",".join(str(k[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))))
-    config = make_config("obpose-loc", **{"model.slots": 2}, **measure_scene(ArrayClips([clip])).changes())
-    save_model(folder / "model", ObPose(config).state_dict(), config, {})
+    config = make_config("obpose", **{"model.slots": 2}, **measure_scene(ArrayClips([clip])).changes())
+    torch.manual_seed(0)
+    model = ObPose(config)
+    with torch.no_grad():
+        model.heads.prescope[-1].bias.copy_(torch.tensor([0.0, 5.0]))
+    save_model(folder / "model", model.state_dict(), config, {})
     return folder
 
 
@@ -55,6 +60,7 @@ def test_frames_become_labels_overlays_and_poses(scene: Path, tmp_path: Path, ca
     np.testing.assert_allclose(facts["world_from_camera"], np.loadtxt(scene / "pose.txt"), atol=1e-6)
     frames = facts["frames"]
     assert len(frames) == FRAMES
+    assert any(frame["objects"] for frame in frames)
     for frame in frames:
         labels = np.asarray(Image.open(tmp_path / frame["labels"]))
         assert labels.shape == (HEIGHT, WIDTH)

@@ -15,6 +15,7 @@ from obpose.checkpoint import load
 from obpose.errors import Diverged, Interrupted, UsageError
 from obpose.train import Status, Trained, train
 from obpose.trainable import Trainable
+from obpose.training.record import Record
 from obpose.types import Observation
 from tests.obpose.toy import QuietToy, ToyClips, ToyModel, toy_config
 from tests.processes import errors_at_end, wait_until
@@ -198,6 +199,17 @@ def test_only_steps_use_up_a_budget_of_time():
 def test_without_clips_there_is_nothing_to_learn():
     with pytest.raises(UsageError, match="no clips"):
         run(source=ToyClips(clips=0))
+
+
+@pytest.mark.parametrize(("seconds", "saved"), [(-1.0, [0, 1, 2, 3, 4, 4]), (180.0, [0, 4])])
+def test_a_checkpoint_is_written_whenever_the_last_one_is_old(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, saved: list[int]
+):
+    found: list[int] = []
+    monkeypatch.setattr("obpose.training.record.SAVE_SECONDS", seconds)
+    monkeypatch.setattr(Record, "save", lambda self, learner, info: found.append(info["step"]))
+    run(tmp_path, **{"train.steps": 4})
+    assert found == saved
 
 
 def test_signals_are_left_alone_without_a_folder():

@@ -75,8 +75,8 @@ def test_voxels_of_a_ball_are_those_in_it():
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_voxels_agree_with_volume_rendering(axis: int):
-    boxes, radius, cell = random_boxes(1, 1, 1, seed=3), 0.55, 0.2 / 12
-    field = BallField(radius)
+    boxes, cell = random_boxes(1, 1, 1, seed=3), 0.2 / 12
+    field = BallField(0.55, middle=(0.4, -0.2, 0.1))
     voxels = occupied_voxels(field, boxes, ONE, CODE, blind(), **OPTIONS).occupied[0, 0, 0].view(12, 12, 12)
     first = (
         lattice_points(12, None, torch.zeros(1)).view(12, 12, 12, 3).select(axis, 0).reshape(1, 1, 1, 144, 3).clone()
