@@ -1,7 +1,7 @@
 """What ObSuRF learns in about a minute: to tell two balls apart that are all there is.
 
-With the image's points as input about every other seed does; without them and with the overlap loss it takes longer
-(docs/results.md).
+With the image's points as input some seeds do; without them, and with the overlap loss, none was seen to
+(docs/results.md has two of each).
 """
 
 from typing import Any
