@@ -66,8 +66,9 @@ class ModelSpec:
     """Seconds of one core that it trains for unless the command says otherwise."""
     extra: tuple[str, ...] = ()
     """Names of the segmentations in `Prediction.extra`, which have rows of their own."""
-    settled_with_labels: bool = False
-    """Whether its constants were chosen by scores on labelled validation scenes; rows are marked like tuned ones."""
+    labelled_trials: int = 0
+    """How many values of its constants were compared by scores on labelled validation scenes before it was declared, if
+    any were; rows are marked like tuned ones."""
     settings: Options = field(default_factory=dict)
     """Constants that its results depend on beside its version and options; rows are made anew when they change."""
 
@@ -89,6 +90,11 @@ class ModelSpec:
     def default(self) -> Options:
         """The first value of the grid."""
         return self.grid[0] if self.grid else {}
+
+    @property
+    def trials_with_labels(self) -> int:
+        """How many values its settings are the best of by scores on labelled validation scenes; 0 if by none."""
+        return self.labelled_trials + (len(self.grid) if len(self.grid) > 1 else 0)
 
     @property
     def takes_slots(self) -> bool:

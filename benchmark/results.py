@@ -109,6 +109,8 @@ class RunRow:
     """Name of the weights that were used in the place of training; empty where the run trained."""
     views: str = ""
     """How many views of a frame the model gets and how many supervise it, where it says so and there are several."""
+    trials: int = 0
+    """How many values were compared by these scores, where that is known."""
     learning_curve: list[dict[str, float]] | None = field(default=None)
     """What a model recorded while it trained, a dict for each of some steps; kept in `curves/`."""
 

@@ -140,7 +140,6 @@ class _Fitted:
     spec: ModelSpec
     segmenter: Segmenter
     options: Options
-    tuned: bool
     seconds: float
     watch: Watch | None
 
@@ -173,7 +172,7 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": watch} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)
     seconds = float(getattr(segmenter, "fit_seconds", time.perf_counter() - started))
-    return _Fitted(spec, segmenter, chosen, tuned or spec.settled_with_labels, seconds, watch)
+    return _Fitted(spec, segmenter, chosen, seconds, watch)
 
 
 def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
@@ -181,7 +180,7 @@ def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
     segmenter.fit([], [], seed=job.seed, budget=0.0)
     # Their training may have changed what the model declares.
     spec = spec.configured(job.checkpoint) if spec.configured and job.checkpoint else spec
-    return _Fitted(spec, segmenter, {}, spec.settled_with_labels, float("nan"), None)
+    return _Fitted(spec, segmenter, {}, float("nan"), None)
 
 
 def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
@@ -192,7 +191,8 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
     row = dataclasses.replace(
         blank_row(target.key, fitted.spec, status="ok"),
         config={**(getattr(segmenter, "fitted_settings", None) or fitted.spec.settings_in(job.profile)), **options},
-        tuned=fitted.tuned,
+        tuned=fitted.spec.trials_with_labels > 0,
+        trials=fitted.spec.trials_with_labels,
         n_scenes=len(scenes),
         parameters=int(getattr(segmenter, "parameters", 0)),
         device=str(getattr(segmenter, "device", "cpu")),

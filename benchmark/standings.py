@@ -69,9 +69,10 @@ class Entry:
 
     @property
     def marks(self) -> str:
-        """`USES_LABELS`, `TUNED` and `PRETRAINED`, where they apply."""
+        """`USES_LABELS`, `TUNED` with the number of trials, and `PRETRAINED`, where they apply."""
         row = self.row
-        return USES_LABELS * row.uses_labels + TUNED * row.tuned + PRETRAINED * bool(row.pretrained)
+        tuned = f"{TUNED}{row.trials or ''}" if row.tuned else ""
+        return f"{USES_LABELS * row.uses_labels}{tuned}{PRETRAINED * bool(row.pretrained)}"
 
     @property
     def views(self) -> str:

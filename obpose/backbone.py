@@ -83,7 +83,7 @@ class Backbone(nn.Module):
         self.head = nn.Sequential(
             nn.Linear(last, last), nn.LayerNorm(last), nn.LeakyReLU(0.1), nn.Linear(last, config.embedding)
         )
-        self.scene = SceneCode(widths) if scene == "coded" else NoSceneCode()
+        self.scene = SceneCode(widths, means=config.scene_means == "given") if scene == "coded" else NoSceneCode()
 
     def forward(
         self,
@@ -161,11 +161,14 @@ class SceneCode(nn.Module):
     hardly hears of what a scene has of its own, the table's colour above all, and collapses to its prior.
     """
 
-    def __init__(self, widths: tuple[int, ...]):
+    def __init__(self, widths: tuple[int, ...], *, means: bool = True):
+        """Means and mean colour can be left out."""
         super().__init__()
+        self.means = means
         self.around = KPConv(widths[-1], widths[-1])
-        self.out = nn.Sequential(nn.Linear(widths[-1] + sum(widths), widths[-1]), nn.LayerNorm(widths[-1]))
-        self.size = widths[-1] + 3
+        inputs = widths[-1] + (sum(widths) if means else 0)
+        self.out = nn.Sequential(nn.Linear(inputs, widths[-1]), nn.LayerNorm(widths[-1]))
+        self.size = widths[-1] + (3 if means else 0)
 
     def forward(
         self, grids: list[Grid], features: list[Tensor], rgb: Tensor, kernel: Tensor, *, center: Tensor, radius: float
@@ -178,6 +181,8 @@ class SceneCode(nn.Module):
             rearrange(features[-1], "image y x channel -> image (y x) channel"),
             rearrange(shares, "image y x kernel -> image (y x) kernel"),
         )
+        if not self.means:
+            return self.out(around)
         means = [masked_mean(level, grid.valid) for level, grid in zip(features, grids, strict=True)]
         code = self.out(torch.cat([around, *means], dim=-1))
         return torch.cat([code, masked_mean(rgb, grids[0].valid)], dim=-1)

@@ -27,6 +27,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "model.attention.evaluation_division": "sticks",
         "model.attention.evaluation_rounds": 0,
         "model.attention.idle_in_training": "bernoulli",
+        "model.backbone.scene_means": "none",
         "model.table": None,
         "model.pose.box_size": 0.4,
         "model.pose.max_translation": 0.1,

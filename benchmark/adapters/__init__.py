@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.adapters.settings import settings_of
-from benchmark.adapters.trials import SEARCHED_FROM, TRIALS
+from benchmark.adapters.trials import LABELLED_TRIALS, SEARCHED_FROM, TRIALS
 from benchmark.interface import Segmenter
 from benchmark.model_spec import ModelSpec, Options, Views
 from obpose.systems import SYSTEMS, System, priors_of
@@ -32,7 +32,7 @@ def _spec(name: str, system: System) -> ModelSpec:
         priors=system.priors,
         budget=60 * config.train.minutes,
         extra=system.extra,
-        settled_with_labels=True,
+        labelled_trials=LABELLED_TRIALS[system.architecture.name],
         settings=settings_of(config),
         profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
         views=_views(config),

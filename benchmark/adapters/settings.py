@@ -7,10 +7,13 @@ from typing import Any
 
 from obpose.config import Config, SupervisedConfig
 
+_OF_THE_BACKBONE: dict[str, Any] = {"model.backbone.scene_means": "given"}
+
 _OF_OBPOSE: dict[str, Any] = {
     "model.attention.kind": "icsbp",
     "model.attention.mask_power": 3.0,
     "model.background": "component",
+    **_OF_THE_BACKBONE,
     "model.latent.colours": "given",
     "model.latent.frequencies": 3,
     "model.latent.means": "given",
@@ -28,7 +31,7 @@ _OF_OBPOSE: dict[str, Any] = {
     "train.skip": 0.0,
 }
 
-LATER: dict[type, dict[str, Any]] = {Config: _OF_OBPOSE, SupervisedConfig: {"loss.air_growth": 1.0}}
+LATER: dict[type, dict[str, Any]] = {Config: _OF_OBPOSE, SupervisedConfig: {**_OF_THE_BACKBONE, "loss.air_growth": 1.0}}
 """Values that came after the first published rows of each kind of configuration, with what was done before there was a
 choice: left out where they are that, so that these rows keep their keys."""
 

@@ -46,3 +46,7 @@ SEARCHED_FROM: dict[str, Options] = {
     "obsurf-no-overlap-depth": {**_SLOW, "train.object_rays": 0.0},
 }
 """The defaults that trials are changes of, where the choice of the search was frozen in the variants since."""
+
+LABELLED_TRIALS: dict[str, int] = {"obpose": 70, "supervised": 70, "obsurf": 30}
+"""About how many short runs, by architecture, were looked at with labels before anything was declared: on validation
+scenes of `moving`, those in which what `obpose` and its variants have in common was found; on pairs of balls."""

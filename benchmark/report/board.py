@@ -40,7 +40,7 @@ NAMES = {
 
 MARKS = {
     USES_LABELS: "sees the truth, and is not ranked",
-    TUNED: "tuned by scores on the validation split, which uses its labels",
+    TUNED: "tuned by scores on the validation split, which uses its labels; the number is that of values compared",
     PRETRAINED: "not trained here: one set of weights, which ships with the package or was given",
 }
 

@@ -74,7 +74,7 @@ def test_one_training_makes_two_rows_a_curve_and_a_checkpoint(whole: Path):
     assert (row.status, row.n_scenes, row.kind) == ("ok", 2, "learned")
     assert row.config["model"]["pose"]["conditioning"] == "full"
     assert row.config["steps"] == STEPS
-    assert row.tuned
+    assert (row.tuned, row.trials) == (True, 70)
     assert row.learning_curve
     assert row.learning_curve[-1]["step"] == STEPS
     assert [path.stem for path in (whole / "curves").iterdir()] == [row.key.name]

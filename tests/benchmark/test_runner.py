@@ -79,7 +79,7 @@ def test_a_model_that_knows_the_truth_scores_one(data: Path, tmp_path: Path, reg
     (row,) = load_runs(tmp_path / "out")
     assert events == ["fitted", row.key.name]
     assert model.fits == [(2, 2, 4, 10.0)]
-    assert (row.status, row.reason, row.n_scenes, row.tuned) == ("ok", "", 2, False)
+    assert (row.status, row.reason, row.n_scenes, row.tuned, row.trials) == ("ok", "", 2, False, 0)
     assert row.config == {"slots": 5}
     assert row.measured.seconds_per_frame > 0
     table = load_scenes(tmp_path / "out", row)
@@ -176,7 +176,7 @@ def test_tuning_takes_half_of_the_budget_and_is_recorded(data: Path, tmp_path: P
     model = register(background, grid=({"reach": 1}, {"reach": 2}))
     run_job(job(data, tmp_path / "out"))
     (row,) = load_runs(tmp_path / "out")
-    assert row.tuned
+    assert (row.tuned, row.trials) == (True, 2)
     assert row.config == {"slots": 5, "reach": 1}
     assert [budget for *_, budget in model.fits] == [2.5, 2.5, 5.0]
 

@@ -92,16 +92,18 @@ def test_floors_oracles_and_label_users_are_never_ranked():
         "oracle": {"kind": "oracle", "uses_labels": True},
         "supervised": {"uses_labels": True},
         "given": {"kind": "predictions"},
-        "classical": {"kind": "classical", "tuned": True},
+        "classical": {"kind": "classical", "tuned": True, "trials": 12},
+        "uncounted": {"kind": "classical", "tuned": True},
     }
     entries = entries_of(*(scored(name, 0.2 if name == "floor" else 0.5, **kinds[name]) for name in kinds))
-    assert {name for name, entry in entries.items() if entry.rank} == {"given", "classical"}
+    assert {name for name, entry in entries.items() if entry.rank} == {"given", "classical", "uncounted"}
     assert {name: entry.marks for name, entry in entries.items()} == {
         "floor": "",
         "oracle": "†",
         "supervised": "†",
         "given": "",
-        "classical": "‡",
+        "classical": "‡12",
+        "uncounted": "‡",
     }
 
 

@@ -1,3 +1,5 @@
+from typing import Literal
+
 import pytest
 import torch
 from torch import Tensor
@@ -106,6 +108,24 @@ def test_every_weight_matters_to_embedding_and_scene_as_it_should(backbone: Back
         assert (gradient is not None and gradient.abs().max() > 0) != name.startswith("scene"), name
     for name, gradient in gradients(backbone, out.scene).items():
         assert (gradient is not None and gradient.abs().max() > 0) != name.startswith(("up", "head")), name
+
+
+@torch.no_grad()
+@pytest.mark.parametrize(("means", "hears"), [("given", True), ("none", False)])
+def test_the_scenes_code_hears_of_what_is_far_from_the_middle_by_its_means_alone(
+    means: Literal["given", "none"], hears: bool
+):
+    torch.manual_seed(0)
+    backbone = Backbone(BackboneConfig(widths=(8, 16, 16, 16), scene_means=means))
+    points, rgb, valid = cloud(1, 64, 64, holes=0.0)
+    corner = rgb.clone()
+    corner[:, :6, :6] = 1 - corner[:, :6, :6]
+    one, other = (
+        backbone(points, colours, valid, spacing=SPACING, center=torch.zeros(3), workspace_radius=0.15).scene
+        for colours in (rgb, corner)
+    )
+    assert one.shape == (1, backbone.scene.size)
+    assert (one.sub(other).abs().max() > 0) == hears
 
 
 def gradients(backbone: Backbone, output: Tensor) -> dict[str, Tensor | None]:
