@@ -35,8 +35,8 @@ class BackboneConfig:
     feature: int = 16
     """D_f. [code]"""
     scene_means: Literal["given", "none"] = "given"
-    """Whether the means of all levels and the mean colour stand beside the KPConv in the code of the whole image. [ours;
-    code: none]"""
+    """Whether means of all levels and the mean colour stand beside the KPConv in the code of an image. [ours; code:
+    none]"""
 
 
 @dataclass(frozen=True)
