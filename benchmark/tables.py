@@ -58,8 +58,8 @@ NOTES = (
     f"{USES_LABELS} in a heading: with the slot as background that suits the truth best; no model is ranked by it, and "
     "none is bold.",
     f"{USES_LABELS} behind a name: uses labels, and is not ranked. {TUNED} labels of the validation split were used "
-    f"for tuning, and the number of values or short runs that were compared stands behind it. {PRETRAINED} weights that "
-    "ship with the package or were given, of one seed.",
+    f"for tuning, and the number of values or short runs that were compared stands behind it. {PRETRAINED} weights "
+    "that ship with the package or were given, of one seed.",
     "A seed failed if its loss or a score was nan, its mIoU-BG is under 0.5 (swap), or its MSC-FG is within 0.05 of "
     "the best floor's (collapse). A model whose every seed failed is not ranked.",
     "Seeds are those that a mean is over; failed ones that have scores count until the row beneath leaves them out.",
