@@ -40,6 +40,8 @@ class Infer(Frames):
     """Which of the split's scenes."""
     resolution: str | None = None
     """Of the picture, such as 128x128; that of the data if left out."""
+    refine: int = 0
+    """Steps in which what was inferred is then fitted to the frames; 100 are plenty, and take seconds."""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ PROGRAM = "obpose-edit"
 FPS = 8.0
 MOST_OBJECTS = 100
 MOST_CELLS = 256
+MOST_REFINEMENTS = 10_000
 MOST_TURNS = 360
 LARGEST = 2048
 """Pixels along a side of a picture."""
@@ -77,14 +78,16 @@ def _infer(values: Infer) -> None:
     framed = any((values.rgb, values.depth, values.intrinsics, values.camera_pose))
     if framed == (values.data is not None):
         raise UsageError("Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own.")
+    if not 0 <= values.refine <= MOST_REFINEMENTS:
+        raise UsageError(f"--refine {values.refine}: expected 0 to {MOST_REFINEMENTS}.")
     origin = load_origin(values.checkpoint)
     if values.data is not None:
         place = (values.data, values.split, values.scene)
-        scene = replace(infer_scene(origin, read_clip(*place)), clip=name_clip(*place))
+        scene = replace(infer_scene(origin, read_clip(*place), refinements=values.refine), clip=name_clip(*place))
     else:
         sight = look(values, origin.model)
         print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
-        scene = infer_scene(origin, sight.observation)
+        scene = infer_scene(origin, sight.observation, refinements=values.refine)
     _show(scene, origin, values.out, values.resolution)
 
 

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from obpose.clips import clip_part
 from obpose.creation.origin import Origin
+from obpose.creation.refine import refine
 from obpose.creation.scene import Camera, Scene
 from obpose.model import ObPose
 from obpose.resolution import fitting_model
@@ -22,21 +23,23 @@ class Inferred:
     """Name of the object of every pixel in the views that the model got, 0 = background."""
 
 
-def infer_scene(origin: Origin, observation: Observation) -> Scene:
+def infer_scene(origin: Origin, observation: Observation, *, refinements: int = 0) -> Scene:
     """The scene of a batch of one clip, with the posterior means of its latents, as it is segmented.
 
     Of several views the model gets what it was trained with, all or the first; the scene has the cameras of all.
+    Latents and places are then fitted to these views in so many steps (`obpose.creation.refine`).
     """
-    return infer_labelled(origin, observation).scene
+    return infer_labelled(origin, observation, refinements=refinements).scene
 
 
-def infer_labelled(origin: Origin, observation: Observation) -> Inferred:
+def infer_labelled(origin: Origin, observation: Observation, *, refinements: int = 0) -> Inferred:
     """The same with its segmentation."""
     cameras = cameras_of(observation)
     observation = views_as_trained(origin.model, observation)
     model = fitting_model(origin.model, observation)
     found = model.segment(observation)
-    return Inferred(scene_of(found.inference, cameras, origin), found.labels[0])
+    inference = refine(model, observation, found.inference, steps=refinements) if refinements else found.inference
+    return Inferred(scene_of(inference, cameras, origin), found.labels[0])
 
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:

@@ -48,7 +48,7 @@ def loss_terms(evidence: Evidence, config: LossConfig, *, fraction: float) -> di
         "kl_what": config.kl,
         "kl_where": config.kl_where,
     }
-    terms = _observation_terms(evidence, config)
+    terms = _all_observation_terms(evidence, config)
     if evidence.inference is not None:
         terms |= _object_terms(evidence, evidence.inference, config)
     elif evidence.log_prescope is not None:
@@ -66,15 +66,16 @@ def growth(most: float, fraction: float) -> float:
     return most ** min(1.0, max(0.0, 4 * fraction - 2))
 
 
-def _observation_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
-    terms = _terms_along(evidence.fields, config)
+def _all_observation_terms(evidence: Evidence, config: LossConfig) -> dict[str, Tensor]:
+    terms = observation_terms(evidence.fields, config)
     if evidence.beyond is not None:
-        others = _terms_along(evidence.beyond, config)
+        others = observation_terms(evidence.beyond, config)
         terms = {name: (term + others[name]) / 2 for name, term in terms.items()}
     return terms if evidence.background is None else terms | {"kl_background": kl(evidence.background)}
 
 
-def _terms_along(fields: FieldsAlongRays, config: LossConfig) -> dict[str, Tensor]:
+def observation_terms(fields: FieldsAlongRays, config: LossConfig) -> dict[str, Tensor]:
+    """The three terms of L_obs along these rays, unweighted (paper, section Training)."""
     weight, logits = fields.rays.weight, fields.surface.logits
     return {
         "colour": observation.colour_mixture(log_share(logits), _likelihood(fields, config), weight),

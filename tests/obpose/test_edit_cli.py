@@ -86,6 +86,18 @@ def test_a_scene_is_of_a_dataset_or_of_frames(tiny_dataset: Path, frames: list[s
     assert not (tmp_path / "new").exists()
 
 
+def test_a_refined_scene_is_nearer_to_its_frames(inferred: Path, tiny_dataset: Path, tmp_path: Path, capsys):
+    flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--out", tmp_path / "refined", "--refine"]
+    assert run("infer", *flags, -1) == EXIT_USAGE
+    assert "--refine -1: expected 0 to 10000" in capsys.readouterr().err
+    assert run("infer", *flags, 20) == EXIT_OK
+    before, after = load_scene(inferred), load_scene(tmp_path / "refined")
+    renderer, clip = Renderer(origin_of(after).model), tiny_dataset_clip(tiny_dataset)
+    errors = [(renderer.render(scene).rgb - clip["rgb"][0, 0]).square().mean() for scene in (before, after)]
+    assert errors[1] < errors[0]
+    assert after.ids == before.ids
+
+
 def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):
     before = load_scene(inferred)
     name = before.ids[0]

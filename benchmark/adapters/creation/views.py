@@ -66,7 +66,9 @@ class Likeness:
     depth_errors_objects: Float[np.ndarray, "object_pixel"]
 
 
-def measure_views(origin: Origin, folder: Path, split: str, *, scenes: int, frames: int) -> Iterator[Likeness]:
+def measure_views(
+    origin: Origin, folder: Path, split: str, *, scenes: int, frames: int, refinements: int = 0
+) -> Iterator[Likeness]:
     """Each view of each scene once as the input, all views rendered; of clips so many frames, spread evenly.
 
     The mean images are of as many training scenes, if there are other views to be guessed.
@@ -80,7 +82,8 @@ def measure_views(origin: Origin, folder: Path, split: str, *, scenes: int, fram
         observation = observation_of([source.window(index, 0, source.frames_of_clip)])
         cameras = cameras_of(observation)
         for seen in range(number):
-            scene = infer_scene(origin, clip_part(observation, views=slice(seen, seen + 1)))
+            one = clip_part(observation, views=slice(seen, seen + 1))
+            scene = infer_scene(origin, one, refinements=refinements)
             for frame in spread(source.frames_of_clip, frames):
                 truth = read_views(records, index, frame)
                 for view, camera in enumerate(cameras):

@@ -29,6 +29,8 @@ class Arguments(Subject):
     """How many of them, from the first on."""
     frames: int = 3
     """Of each clip, spread evenly."""
+    refine: int = 0
+    """Steps in which the model's scenes are fitted to the input view, as `obpose-edit infer --refine` does."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,14 +40,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """Of one model and dataset."""
-    values.check(scenes=1, frames=1)
+    values.check(scenes=1, frames=1, refine=0)
     origin = values.origin()
     folder = values.folder()
     if Dataset(folder).views > 1:
         values.folder(("train",))
-    found = measure_views(origin, folder, values.split, scenes=values.scenes, frames=values.frames)
-    measured = lines(list(found))
-    print(f"{origin.name}, first {values.scenes} scenes of the split {values.split} of {values.source.name}:\n")
+    looked_at = {"scenes": values.scenes, "frames": values.frames}
+    measured = lines(list(measure_views(origin, folder, values.split, **looked_at, refinements=values.refine)))
+    refined = f", refined in {values.refine} steps" if values.refine else ""
+    print(
+        f"{origin.name}{refined}, first {values.scenes} scenes of the split {values.split} of {values.source.name}:\n"
+    )
     for row in table(measured):
         print(row)
     values.write_csv(origin, measured)
