@@ -97,7 +97,8 @@ class ObPose(SceneEncoder):
     ) -> Decoded:
         """Densities, and colours if asked for, of all components at world points.
 
-        As in training boxes are held fixed, unless they are `free` to take a gradient. Where the order of the components is all that counts, the background's field is wanted `in boxes` only.
+        As in training boxes are held fixed, unless they are `free` to take a gradient. Where the order of the
+        components is all that counts, the background's field is wanted `in boxes` only.
         """
         active, what = inference.masks.active, inference.what.z
         background = None if inference.background is None else inference.background.z

@@ -1,4 +1,4 @@
-"""A scene that was inferred, fitted to its frames: latents and places go on by gradient from where the encoders leave them.
+"""A scene fitted to its frames: latents and places go on by gradient from where the encoders leave them.
 
 An addition: semi-amortised inference (Kim et al. 2018). The paper reads latents once.
 """

@@ -48,9 +48,8 @@ def run(values: Arguments) -> int:
     looked_at = {"scenes": values.scenes, "frames": values.frames}
     measured = lines(list(measure_views(origin, folder, values.split, **looked_at, refinements=values.refine)))
     refined = f", refined in {values.refine} steps" if values.refine else ""
-    print(
-        f"{origin.name}{refined}, first {values.scenes} scenes of the split {values.split} of {values.source.name}:\n"
-    )
+    place = f"first {values.scenes} scenes of the split {values.split} of {values.source.name}"
+    print(f"{origin.name}{refined}, {place}:\n")
     for row in table(measured):
         print(row)
     values.write_csv(origin, measured)
