@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from datagen.config import load_recipe, recipe_names
-from datagen.errors import DatagenError, unknown_name
+from datagen.errors import DatagenError, UsageError, unknown_name
 from datagen.schema import EditKind
 from datagen.storage import Dataset
 
@@ -177,6 +177,8 @@ def find_track(name: str, profile: Profile = "cpu") -> Track:
     names = recipe_names()
     if name in names:
         return Track(name, profile)
+    if name in GROUPS:
+        raise UsageError(f"{name!r} is a group of tracks; expected one of its members: {', '.join(GROUPS[name])}.")
     raise unknown_name("track", name, [*names, *GROUPS])
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from obpose.checkpoint import load_obpose
 from obpose.errors import EXIT_OK, run_program
+from obpose.files import check_free
 from obpose.model import ObPose
 from obpose.recordings.frames import Frames, look
 from obpose.recordings.writing import Found, write_results
@@ -50,6 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(values: Arguments) -> int:
     """Segment and write."""
+    check_free(values.out)
     model = load_obpose(find_checkpoint(values.checkpoint))
     sight = look(values, model)
     found = fitting_model(model, sight.observation).segment(sight.observation)

@@ -27,6 +27,7 @@ from obpose.trainable import Configuration, Trainable
 from obpose.training.batches import Sampling, Share, batches, readers_for
 from obpose.training.budget import Budget, Stopwatch, learning_rate
 from obpose.training.devices import keep_memory, leave, make_fabric, mean_over_processes
+from obpose.training.guard import check_validation
 from obpose.training.learner import Learner
 from obpose.training.record import Record
 from obpose.training.signals import StopRequest, stop_on_signals
@@ -240,6 +241,7 @@ class _Run:
                 device=device,
                 score=_ari_fg,
             )
+            check_validation(point.losses, step=progress.step)
             progress.curve.append(point)
             if self.record:
                 self.record.log_validation(point)

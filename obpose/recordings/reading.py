@@ -185,8 +185,8 @@ def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path
     median, (low, high) = float(np.median(seen)), PLAUSIBLE
     if not low < median < high:
         raise UsageError(
-            f"The median depth is {median:.3g} m; expected {low:g} to {high:g}. Give the metres of one unit with "
-            "--depth-scale: 0.001 for millimetres."
+            f"The median depth is {median:.3g} m; expected {low:g} to {high:g}. Floats have to be metres; of whole "
+            "numbers give the metres of one unit with --depth-scale: 0.001 for millimetres."
         )
 
 

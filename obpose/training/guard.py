@@ -9,6 +9,10 @@ from obpose.errors import Diverged
 
 _NAMED = 3
 """Parameters that a message names."""
+_ADVICE = (
+    "Try half the learning rate (--set train.learning_rate=...), --set train.clip=1, another --seed, or look for clips "
+    "with depths or poses that are not finite."
+)
 
 
 def check_finite(
@@ -26,14 +30,29 @@ def check_finite(
         terms = [f"the weighted sum is {losses['total']} though no term is"]
     cause = f"among the losses {', '.join(terms)}" if terms else _gradients(parameters)
     raise Diverged(
-        f"Training diverged in step {step}: {cause}. The weights before this step are sound, and so is the last "
-        "checkpoint. Try half the learning rate (--set train.learning_rate=...), --set train.clip=1, another --seed, "
-        "or look for clips with depths or poses that are not finite."
+        f"Training diverged in step {step}: {cause}. The weights are those before this step, and the last checkpoint "
+        f"is kept. {_ADVICE}"
     )
+
+
+def check_validation(losses: Mapping[str, float], *, step: int) -> None:
+    """Let a training go on only with finite losses on validation clips: the last step may have blown up the weights.
+
+    Raises:
+        Diverged: names the loss terms, and what to try.
+    """
+    wrong = [f"{name} is {value}" for name, value in losses.items() if not math.isfinite(value)]
+    if wrong:
+        raise Diverged(
+            f"Training diverged by step {step}: among the losses on validation clips {', '.join(wrong)}. The last "
+            f"checkpoint is kept. {_ADVICE}"
+        )
 
 
 def _gradients(parameters: Iterable[tuple[str, nn.Parameter]]) -> str:
     wrong = [name for name, parameter in parameters if not _is_finite(parameter.grad)]
+    if not wrong:
+        return "the losses are finite, but not the norm of the gradients"
     more = f" and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
     return f"the losses are finite, but not the gradients of {', '.join(wrong[:_NAMED])}{more}"
 

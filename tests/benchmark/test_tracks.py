@@ -71,6 +71,8 @@ def test_a_group_stands_for_its_tracks():
 
 
 def test_an_unknown_track_gets_the_nearest():
+    with pytest.raises(UsageError, match="'paper' is a group of tracks; expected one of its members: moving, static"):
+        find_track("paper")
     with pytest.raises(UsageError, match="Unknown track 'movin'; did you mean 'moving'"):
         find_track("movin")
 

@@ -40,6 +40,8 @@ def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
         ("model.backbone.widths=[]", "model.backbone.widths is (); expected numbers of 4 or more"),
         ("model.backbone.widths=[3,8,8,8]", "model.backbone.widths is (3, 8, 8, 8); expected numbers of 4 or more"),
         ("model.backbone.blocks=1", "model.backbone.blocks is (1,); expected 4 numbers"),
+        ("model.workspace_center=[NaN,0,0]", "model.workspace_center is (nan, 0.0, 0.0); expected finite numbers"),
+        ("model.workspace_center=[0,Infinity,0]", "model.workspace_center is (0.0, inf, 0.0); expected finite numbers"),
         ("model.backbone.output_level=4", "model.backbone.output_level is 4; expected 0 to 3"),
     ],
 )

@@ -108,8 +108,8 @@ def test_a_world_elsewhere_is_pointed_out(scene: Path, tmp_path: Path):
     pose = np.loadtxt(scene / "pose.txt")
     pose[0, 3] += 5
     np.savetxt(tmp_path / "pose.txt", pose)
-    assert run(scene, tmp_path, "--camera-pose", tmp_path / "pose.txt") == EXIT_OK
-    assert "lies 5.00 m from" in str(facts_of(tmp_path)["world"])
+    assert run(scene, tmp_path / "out", "--camera-pose", tmp_path / "pose.txt") == EXIT_OK
+    assert "lies 5.00 m from" in str(facts_of(tmp_path / "out")["world"])
 
 
 def test_weights_that_ship_go_by_their_name(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -142,3 +142,11 @@ def test_bad_requests_get_one_line(scene: Path, tmp_path: Path, capsys, changes,
     assert errors.count("\n") == 1
     assert message in errors
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_in_the_folder_already_is_left_alone(scene: Path, tmp_path: Path, capsys):
+    (tmp_path / "objects.json").write_text("mine")
+    assert run(scene, tmp_path) == EXIT_USAGE
+    assert "is there already and not empty; give another --out" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["objects.json"]
+    assert (tmp_path / "objects.json").read_text() == "mine"

@@ -183,6 +183,19 @@ def test_numbers_that_are_not_finite_stop_the_run_before_they_reach_the_weights(
     assert all(value.isfinite().all() for value in model.state_dict().values())
 
 
+class Bursting(ToyModel):
+    """Its losses are finite in training and not on validation clips."""
+
+    def losses(self, observation: Observation, **options) -> dict[str, Tensor]:
+        terms = super().losses(observation, **options)
+        return terms if torch.is_grad_enabled() else terms | {"colour": terms["colour"] * float("inf")}
+
+
+def test_losses_on_validation_clips_that_are_not_finite_stop_the_run_too(tmp_path: Path):
+    with pytest.raises(Diverged, match="by step 1: among the losses on validation clips colour is inf"):
+        run(tmp_path, build=Bursting, val_source=ToyClips(labels=True), **{"train.steps": 1, "train.warmup": 0})
+
+
 def test_only_steps_use_up_a_budget_of_time():
     burnt = 0.02
 

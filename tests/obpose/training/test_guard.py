@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from obpose.errors import Diverged
-from obpose.training.guard import check_finite
+from obpose.training.guard import check_finite, check_validation
 
 NAN, INF = math.nan, math.inf
 
@@ -34,6 +34,7 @@ def test_a_term_outside_the_sum_may_be_anything():
         ({"total": INF, "air": 1.0, "scope": INF}, 1.0, [1.0], "among the losses scope is inf"),
         ({"total": INF, "air": 1.0}, 1.0, [1.0], "the weighted sum is inf though no term is"),
         ({"total": 1.0, "air": 1.0}, NAN, [1.0, INF, None, NAN], r"not the gradients of p1, p3\."),
+        ({"total": 1.0}, INF, [1.0], "not the norm of the gradients"),
         ({"total": 1.0}, INF, [NAN] * 5, "not the gradients of p0, p1, p2 and 2 more"),
     ],
 )
@@ -41,3 +42,9 @@ def test_the_cause_is_named(losses: dict[str, float], norm: float, gradients: li
     with pytest.raises(Diverged, match=message) as raised:
         check_finite(losses, norm, parameters(*gradients), step=4)
     assert "--set train.learning_rate" in str(raised.value)
+
+
+def test_a_loss_on_validation_clips_that_is_not_finite_is_named():
+    check_validation({"total": 1.0, "air": -3.0}, step=7)
+    with pytest.raises(Diverged, match=r"by step 7: .* on validation clips air is nan, total is inf"):
+        check_validation({"air": NAN, "total": INF, "scope": 1.0}, step=7)
