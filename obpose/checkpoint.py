@@ -23,6 +23,8 @@ from obpose.systems import ARCHITECTURES, OBPOSE, architecture_of, build_model
 from obpose.trainable import Configuration, Trainable
 
 MODEL, CONFIG, TRAINING = "model.safetensors", "config.json", "training.safetensors"
+TABLES = STEPS, VALIDATIONS = "training.csv", "validation.csv"
+"""Curves of a training, beside its files."""
 VERSION = 1
 """Of the files; raised when older ones can no longer be read."""
 
@@ -181,6 +183,12 @@ def _check_free(folder: Path) -> None:
         if (folder / name).exists() and _read_tensors(folder / name)[1].get("step") != 0:
             raise UsageError(
                 f"{folder} has a {name} but no {CONFIG}; it would be overwritten. Give another --out, or move it away."
+            )
+    for table in folder.glob("*.csv"):
+        if table.name in TABLES and table.read_bytes().count(b"\n") > 1:
+            raise UsageError(
+                f"{table} has rows, but there is no {CONFIG} beside it; it would be overwritten. Give another --out, "
+                "or move it away."
             )
 
 

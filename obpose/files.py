@@ -146,7 +146,9 @@ def claimed(folder: Path) -> Iterator[None]:
 def remove_abandoned(folder: Path) -> None:
     """Delete what a process that was killed left half-written; only for folders that one process writes to."""
     for path in folder.glob(".*.partial"):
-        path.unlink(missing_ok=True)
+        # Named as `write_whole` does; what is called otherwise is somebody else's.
+        if path.suffixes[-2:-1] and path.suffixes[-2][1:].isdecimal():
+            path.unlink(missing_ok=True)
 
 
 def _lock(descriptor: int, folder: Path) -> None:

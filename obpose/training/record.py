@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from obpose.checkpoint import TrainingState, save_model, save_training
+from obpose.checkpoint import STEPS, VALIDATIONS, TrainingState, save_model, save_training
 from obpose.clips import ClipSource, observation_of
 from obpose.pictures import write_picture
 from obpose.trainable import Configuration, Trainable
@@ -31,8 +31,8 @@ class Record:
     def __init__(self, folder: Path, config: Configuration, *, steps: int, tensorboard: bool):
         """Begin, or go on after so many steps."""
         self._folder, self._config = folder, config
-        self._steps = CsvLog(folder / "training.csv", steps=steps)
-        self._validations = CsvLog(folder / "validation.csv", steps=steps)
+        self._steps = CsvLog(folder / STEPS, steps=steps)
+        self._validations = CsvLog(folder / VALIDATIONS, steps=steps)
         self._board = TensorBoardLog(folder / "tensorboard", steps=steps) if tensorboard else None
         self._saved = time.monotonic()
 

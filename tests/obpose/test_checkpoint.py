@@ -9,6 +9,7 @@ from obpose.baselines.obsurf.model import Obsurf
 from obpose.checkpoint import (
     CONFIG,
     MODEL,
+    TABLES,
     TRAINING,
     TrainingState,
     load,
@@ -193,3 +194,12 @@ def test_nobody_is_told_to_delete_what_is_intact(run: Path, name: str):
     with pytest.raises(CorruptFile, match="missing") as caught:
         load_training(run, CONFIGURATION) if name == TRAINING else load(run, ToyModel)
     assert "delete the folder" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_somebody_else_are_not_overwritten(tmp_path: Path, name: str):
+    (tmp_path / name).write_text("step\n")
+    assert load_training(tmp_path, CONFIGURATION) is None
+    (tmp_path / name).write_text("step,accuracy\n1,0.9\n")
+    with pytest.raises(UsageError, match=f"{name} has rows, but there is no config.json beside it"):
+        load_training(tmp_path, CONFIGURATION)

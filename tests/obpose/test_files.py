@@ -42,8 +42,9 @@ def test_a_file_is_no_folder(tmp_path: Path):
 def test_what_killed_processes_left_is_removed(tmp_path: Path):
     (tmp_path / ".file.123.partial").write_bytes(b"half")
     (tmp_path / "file").write_bytes(b"whole")
+    (tmp_path / ".thesis.partial").write_bytes(b"somebody else's")
     remove_abandoned(tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert {path.name for path in tmp_path.iterdir()} == {"file", ".thesis.partial"}
 
 
 def test_a_folder_is_one_process_s_until_it_lets_go(tmp_path: Path):
