@@ -184,10 +184,10 @@ def _check_free(folder: Path) -> None:
             raise UsageError(
                 f"{folder} has a {name} but no {CONFIG}; it would be overwritten. Give another --out, or move it away."
             )
-    for table in folder.glob("*.csv"):
-        if table.name in TABLES and table.read_bytes().count(b"\n") > 1:
+    for name in TABLES:
+        if (folder / name).exists() and (folder / name).read_bytes().count(b"\n") > 1:
             raise UsageError(
-                f"{table} has rows, but there is no {CONFIG} beside it; it would be overwritten. Give another --out, "
+                f"{folder / name} has rows, but there is no {CONFIG} beside it; it would be overwritten. Give another --out, "
                 "or move it away."
             )
 

@@ -91,7 +91,8 @@ def check_values(config: Any, rules: Iterable[Rule]) -> None:
     for name, value in dotted_values(config):
         expect(not (isinstance(value, float) and math.isnan(value)), name, value, "a number")
         within = value if isinstance(value, tuple) else ()
-        expect(all(math.isfinite(each) for each in within), name, value, "finite numbers")
+        finite = all(math.isfinite(each) for each in within if isinstance(each, float))
+        expect(finite, name, value, "finite numbers")
     for names, holds, expected in rules:
         for name in names.split():
             value = reduce(getattr, name.split("."), config)

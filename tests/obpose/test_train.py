@@ -188,11 +188,11 @@ class Bursting(ToyModel):
 
     def losses(self, observation: Observation, **options) -> dict[str, Tensor]:
         terms = super().losses(observation, **options)
-        return terms if torch.is_grad_enabled() else terms | {"colour": terms["colour"] * float("inf")}
+        return terms if torch.is_grad_enabled() else terms | {"total": terms["total"] * float("inf")}
 
 
 def test_losses_on_validation_clips_that_are_not_finite_stop_the_run_too(tmp_path: Path):
-    with pytest.raises(Diverged, match="by step 1: among the losses on validation clips colour is inf"):
+    with pytest.raises(Diverged, match="by step 1: among the losses on validation clips total is inf"):
         run(tmp_path, build=Bursting, val_source=ToyClips(labels=True), **{"train.steps": 1, "train.warmup": 0})
 
 

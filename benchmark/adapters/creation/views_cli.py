@@ -45,8 +45,10 @@ def run(values: Arguments) -> int:
     folder = values.folder()
     if Dataset(folder).views > 1:
         values.folder(("train",))
-    looked_at = {"scenes": values.scenes, "frames": values.frames}
-    measured = lines(list(measure_views(origin, folder, values.split, **looked_at, refinements=values.refine)))
+    found = measure_views(
+        origin, folder, values.split, scenes=values.scenes, frames=values.frames, refinements=values.refine
+    )
+    measured = lines(list(found))
     refined = f", refined in {values.refine} steps" if values.refine else ""
     place = f"first {values.scenes} scenes of the split {values.split} of {values.source.name}"
     print(f"{origin.name}{refined}, {place}:\n")

@@ -45,6 +45,6 @@ def test_the_cause_is_named(losses: dict[str, float], norm: float, gradients: li
 
 
 def test_a_loss_on_validation_clips_that_is_not_finite_is_named():
-    check_validation({"total": 1.0, "air": -3.0}, step=7)
+    check_validation({"total": 1.0, "air": INF}, step=7)
     with pytest.raises(Diverged, match=r"by step 7: .* on validation clips air is nan, total is inf"):
         check_validation({"air": NAN, "total": INF, "scope": 1.0}, step=7)
