@@ -187,8 +187,8 @@ def _check_free(folder: Path) -> None:
     for name in TABLES:
         if (folder / name).exists() and (folder / name).read_bytes().count(b"\n") > 1:
             raise UsageError(
-                f"{folder / name} has rows, but there is no {CONFIG} beside it; it would be overwritten. Give another --out, "
-                "or move it away."
+                f"{folder / name} has rows, but there is no {CONFIG} beside it; it would be overwritten. Give another "
+                "--out, or move it away."
             )
 
 
