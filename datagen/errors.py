@@ -83,7 +83,7 @@ def interruptible_imports(program: str) -> Iterator[None]:
     """Let Ctrl-C end the process at once, in one line: what is raised while a library is imported may be lost in it."""
 
     def leave(_signal: int, _frame: FrameType | None) -> None:
-        os.write(sys.stderr.fileno(), f"{program}: Interrupted before anything was done.\n".encode())
+        os.write(sys.stderr.fileno(), f"{program}: Interrupted while it began.\n".encode())
         os._exit(EXIT_INTERRUPTED)
 
     before = signal.signal(signal.SIGINT, leave)

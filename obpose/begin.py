@@ -1,6 +1,20 @@
-"""Where those commands begin that import PyTorch at once, which takes seconds, in which Ctrl-C may come."""
+"""Where our commands begin: imports take seconds, in which Ctrl-C may come."""
 
 from obpose.errors import interruptible_imports
+
+
+def train() -> int:
+    """Run `obpose-train`; give its exit code."""
+    with interruptible_imports("obpose-train"):
+        from obpose.cli import main
+    return main()
+
+
+def view() -> int:
+    """Run `obpose-view`; give its exit code."""
+    with interruptible_imports("obpose-view"):
+        from obpose.view_cli import main
+    return main()
 
 
 def segment() -> None:

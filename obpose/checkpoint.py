@@ -169,7 +169,7 @@ def _stored_config(folder: Path) -> Configuration:
         raise CorruptFile(f"{path} is damaged; train again into another folder.")
     # Files that do not say it are older than the second architecture.
     name = facts.get("architecture", OBPOSE.name)
-    if name not in ARCHITECTURES:
+    if not isinstance(name, str) or name not in ARCHITECTURES:
         raise UsageError(f"{path} is of architecture {name!r}; this version has {', '.join(ARCHITECTURES)}.")
     try:
         return from_plain(plain, ARCHITECTURES[name].config)

@@ -20,7 +20,7 @@ from benchmark.tracks import DataFolder, Track, find_track
 from obpose.arguments import Train
 from obpose.config import TrainConfig
 from obpose.config_text import parse_changes
-from obpose.errors import EXIT_OK, UsageError, run_program, unknown_name
+from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program, unknown_name
 from obpose.scene_bar import scene_bar
 from obpose.systems import System, find_system
 
@@ -52,12 +52,13 @@ def run(values: Train) -> int:
     folder = _prepare(data, values, console)
 
     # Late, because PyTorch takes seconds to import.
-    import torch
+    with interruptible_imports(PROGRAM):
+        import torch
 
-    from obpose.data import SceneDataset
-    from obpose.measure import measure_scene
-    from obpose.progress import progress_bar
-    from obpose.train import train
+        from obpose.data import SceneDataset
+        from obpose.measure import measure_scene
+        from obpose.progress import progress_bar
+        from obpose.train import train
 
     torch.set_num_threads(values.threads)
     source = SceneDataset(folder, extra=["segmentation"] if system.uses_labels else ())

@@ -33,8 +33,16 @@ def between_0_and_1(names: str) -> Rule:
     return names, lambda value: 0 < value < 1, "between 0 and 1"
 
 
+def at_most(names: str, limit: int) -> Rule:
+    """Not so much that only a slip of the finger explains it, or numbers stop making sense."""
+    return names, lambda value: value <= limit, f"at most {limit}"
+
+
 TRAINING: tuple[Rule, ...] = (
     counts("train.batch train.frames train.steps"),
+    at_most("train.batch train.frames train.rays", 1_000_000),
+    # Label images have 8 bits: the background, and so many objects.
+    at_most("model.slots", 254),
     positive("train.learning_rate train.minutes train.half_life"),
     not_negative("train.rays train.clip train.skip train.warmup"),
     ("train.seed", lambda value: 0 <= value < 2**63, "0 or more, and less than 2^63"),
@@ -59,6 +67,13 @@ model.background_field.direction_frequencies loss.colour loss.surface loss.air l
 loss.kl loss.kl_where loss.jitter
 model.slot_attention.position_frequencies model.latent.frequencies"""
 
+_FREQUENCIES = """model.object_field.position_frequencies model.object_field.direction_frequencies
+model.background_field.position_frequencies model.background_field.direction_frequencies
+model.slot_attention.position_frequencies model.latent.frequencies"""
+_SIZES = """model.voxels model.backbone.embedding model.backbone.feature model.latent.where model.latent.what
+model.latent.background model.latent.hidden model.latent.encoder model.object_field.width model.object_field.depth
+model.background_field.width model.background_field.depth model.slot_attention.width"""
+
 
 def check_bounds(config: Config) -> None:
     """Let a configuration pass only if a model can be made of it and trained.
@@ -73,6 +88,11 @@ def check_bounds(config: Config) -> None:
             positive(_POSITIVE),
             not_negative(_NOT_NEGATIVE),
             between_0_and_1("loss.near_share model.attention.idle_scope"),
+            # Each level has eight times the rotations of the one before: at 4 these are 294,912.
+            at_most("model.pose.grid_level", 4),
+            # 2^k turns in single precision.
+            at_most(_FREQUENCIES, 24),
+            at_most(_SIZES, 65_536),
             # The position is added to three of them, the colour to three more.
             ("model.backbone.colour", lambda value: value >= 6, "6 or more"),
             *TRAINING,

@@ -83,6 +83,8 @@ def _conform(value: Any, kind: Any, name: str) -> Any:
     """
     if dataclasses.is_dataclass(kind) and isinstance(kind, type) and isinstance(value, Mapping):
         return _build(kind, value, f"{name}.")
+    if isinstance(value, int) and abs(value) >= 2**63:
+        raise UsageError(f"{name} is a whole number of {value.bit_length()} bits; expected one of at most 63.")
     for choice in get_args(kind) if get_origin(kind) in (UnionType, Union) else (kind,):
         origin = get_origin(choice)
         if origin is Literal and value in get_args(choice):
@@ -112,7 +114,7 @@ def _read(text: str, kind: Any) -> Any:
         return None
     try:
         return json.loads(text)
-    except json.JSONDecodeError:
+    except ValueError:  # Not only of bad JSON: whole numbers of thousands of digits are refused as well.
         return text
 
 

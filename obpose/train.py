@@ -17,9 +17,9 @@ import torch
 from lightning_fabric import Fabric
 
 from benchmark.metrics import clip_scores
-from obpose.checkpoint import Build, load_training
+from obpose.checkpoint import TRAINING, Build, load_training
 from obpose.clips import ClipSource
-from obpose.errors import Interrupted, UsageError
+from obpose.errors import CorruptFile, Interrupted, UsageError
 from obpose.files import claimed
 from obpose.labels import Labels
 from obpose.systems import build_model
@@ -270,14 +270,18 @@ def _resume(learner: Learner, folder: Path, config: Configuration, processes: in
     state = load_training(folder, config)
     if state is None:
         return _Progress()
-    if state.info["processes"] != processes:
+    try:
+        began, curve = state.info["processes"], [CurvePoint(**point) for point in state.info["curve"]]
+        progress = _Progress(state.info["step"], state.info["seconds"], curve)
+    except (KeyError, TypeError):
+        raise CorruptFile(f"{folder / TRAINING} does not say how far it came; begin anew with another --out.") from None
+    if began != processes:
         raise UsageError(
-            f"{folder} holds a run of {state.info['processes']} processes, this is one of {processes}; "
+            f"{folder} holds a run of {began} processes, this is one of {processes}; "
             "start as many, or give another --out."
         )
     learner.restore(state)
-    curve = [CurvePoint(**point) for point in state.info["curve"]]
-    return _Progress(state.info["step"], state.info["seconds"], curve)
+    return progress
 
 
 def _ari_fg(truth: Labels, labels: Labels) -> float:

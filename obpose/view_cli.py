@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from obpose.errors import EXIT_OK, UsageError, run_program
+from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program
 
 if TYPE_CHECKING:
     from obpose.viewer.page import Page
@@ -103,9 +103,10 @@ def serve(values: Arguments) -> "Page":
         UsageError: as `obpose.viewer.opening.open_path`, or the port was taken meanwhile.
     """
     # Late, because PyTorch takes seconds to import.
-    from obpose.viewer.opening import open_path
-    from obpose.viewer.page import Page
-    from obpose.viewer.serving import open_server
+    with interruptible_imports(PROGRAM):
+        from obpose.viewer.opening import open_path
+        from obpose.viewer.page import Page
+        from obpose.viewer.serving import open_server
 
     opened = open_path(
         values.path, checkpoint=values.checkpoint, data=values.data, split=values.split, index=values.scene

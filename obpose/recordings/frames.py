@@ -17,6 +17,9 @@ from obpose.recordings.world import FITTED, GIVEN, Pose, middle_of, pose_over_pl
 from obpose.resolution import fitting_model, surface_spacing
 from obpose.types import Observation
 
+_COARSE = 5.0
+"""Times the distance of neighbouring pixels in training; what is coarser most likely has depth of another unit."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Frames:
@@ -115,4 +118,6 @@ def _resolution_note(model: ObPose, observation: Observation) -> str:
         return words
     step = round(trained / spacing)
     hint = f"; --every {step} comes near to it" if step > 1 else ""
+    if spacing > _COARSE * trained:
+        hint = "; is --depth-scale right?"
     return f"{words}: the model was not trained for this and its neighbourhoods were scaled{hint}"

@@ -28,7 +28,8 @@ def read_pose(path: Path) -> Pose:
     """
     try:
         if path.suffix == ".npy":
-            pose = np.load(path, allow_pickle=False)
+            # A file of several arrays that has this ending becomes an object, which the line below refuses.
+            pose = np.array(np.load(path, allow_pickle=False))
         else:
             text = path.read_text()
             pose = np.array(json.loads(text) if path.suffix == ".json" else _rows(text))

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from obpose.checkpoint import Build, State, TrainingState, put_weights
 from obpose.clips import views_apart
+from obpose.errors import UsageError
 from obpose.trainable import Configuration, Trainable
 from obpose.training.budget import is_skipped
 from obpose.training.devices import mean_over_processes, noise_of
@@ -75,13 +76,19 @@ class Learner:
         }
 
     def restore(self, state: TrainingState) -> None:
-        """Go on from a checkpoint."""
+        """Go on from a checkpoint.
+
+        Raises:
+            UsageError: its weights or its optimiser's state are another model's.
+        """
         put_weights(self.model, state.weights, "the checkpoint")
-        numbers = {name: number for number, (name, _) in enumerate(self.model.named_parameters())}
+        places = {name: place for place, (name, _) in enumerate(self.model.named_parameters())}
         values: dict[int, dict[str, Tensor]] = {}
         for name, tensor in state.optimizer.items():
             parameter, _, value = name.rpartition(".")
-            values.setdefault(numbers[parameter], {})[value] = tensor
+            if parameter not in places:
+                raise UsageError(f"The checkpoint's optimiser knows {name!r}, which the model of this version has not.")
+            values.setdefault(places[parameter], {})[value] = tensor
         groups = self._optimizer.state_dict()["param_groups"]
         self._optimizer.load_state_dict({"state": values, "param_groups": groups})
 

@@ -11,6 +11,8 @@ from datagen.errors import EXIT_INTERRUPTED, EXIT_OK
 from tests.processes import wait_until
 
 COMMANDS = {
+    "obpose-train": "from obpose.begin import train as main",
+    "obpose-view": "from obpose.begin import view as main",
     "obpose-segment": "from obpose.begin import segment as main",
     "obpose-edit": "from obpose.begin import edit as main",
     "obpose-bench": "from benchmark.begin import main",
@@ -37,4 +39,4 @@ def test_ctrl_c_during_the_imports_is_one_line(program: str):
         process.send_signal(signal.SIGINT)
         output, errors = process.communicate(timeout=60)
     assert (process.returncode, output) == (EXIT_INTERRUPTED, "")
-    assert errors == f"{program}: Interrupted before anything was done.\n"
+    assert errors == f"{program}: Interrupted while it began.\n"

@@ -19,6 +19,11 @@ def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
     [
         ("model.slots=0", "model.slots is 0; expected 1 or more"),
         ("train.batch=-1", "train.batch is -1; expected 1 or more"),
+        ("train.batch=100000000", "train.batch is 100000000; expected at most 1000000"),
+        ("model.slots=255", "model.slots is 255; expected at most 254"),
+        ("model.pose.grid_level=5", "model.pose.grid_level is 5; expected at most 4"),
+        ("model.latent.frequencies=25", "model.latent.frequencies is 25; expected at most 24"),
+        ("model.voxels=65537", "model.voxels is 65537; expected at most 65536"),
         ("train.steps=-3", "train.steps is -3; expected 1 or more"),
         ("train.rays=-5", "train.rays is -5; expected 0 or more, and finite"),
         ("train.seed=-1", "train.seed is -1; expected 0 or more, and less than 2^63"),

@@ -104,6 +104,13 @@ def test_a_finer_one_is_told_which_pixels_to_take(scene: Path, tmp_path: Path):
     assert "was not trained" not in str(facts_of(tmp_path / "coarse")["resolution"])
 
 
+def test_depth_of_another_unit_is_suspected(scene: Path, tmp_path: Path):
+    assert run(scene, tmp_path / "out", "--depth-scale", 0.01) == EXIT_OK
+    assert "is --depth-scale right?" in str(facts_of(tmp_path / "out")["resolution"])
+    assert run(scene, tmp_path / "right", "--every", 2) == EXIT_OK
+    assert "--depth-scale" not in str(facts_of(tmp_path / "right")["resolution"])
+
+
 def test_a_world_elsewhere_is_pointed_out(scene: Path, tmp_path: Path):
     pose = np.loadtxt(scene / "pose.txt")
     pose[0, 3] += 5

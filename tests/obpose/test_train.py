@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from obpose.checkpoint import load
-from obpose.errors import Diverged, Interrupted, UsageError
+from obpose.checkpoint import TrainingState, load, save_training
+from obpose.errors import CorruptFile, Diverged, Interrupted, UsageError
 from obpose.train import Status, Trained, train
 from obpose.trainable import Trainable
 from obpose.training.record import Record
@@ -91,6 +91,7 @@ def test_a_run_that_was_stopped_goes_on_exactly(tmp_path: Path, step: int):
     whole = run(tmp_path / "whole", val_source=val)
     with pytest.raises(Interrupted, match=f"SIGTERM after step {step}"):
         run(tmp_path / "parts", val_source=val, report=interrupted_at(step))
+    assert load(tmp_path / "parts", ToyModel)[2]["step"] == step
     parts = run(tmp_path / "parts", val_source=val)
     assert_same_weights(whole, parts)
     assert [point.losses for point in whole.curve] == [point.losses for point in parts.curve]
@@ -105,6 +106,13 @@ def test_a_run_that_is_done_does_nothing_more(tmp_path: Path):
     second = run(tmp_path, report=lambda status: pytest.fail("a step was made"))
     assert_same_weights(first, second)
     assert (second.steps, second.seconds) == (6, first.seconds)
+
+
+def test_a_checkpoint_that_does_not_say_how_far_it_came_is_damaged(tmp_path: Path):
+    trained = run(tmp_path)
+    save_training(tmp_path, TrainingState(trained.model.state_dict(), {}, {"processes": 1, "step": 3}))
+    with pytest.raises(CorruptFile, match="does not say how far it came"):
+        run(tmp_path)
 
 
 def test_a_run_of_another_configuration_is_refused(tmp_path: Path):

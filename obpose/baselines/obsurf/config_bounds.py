@@ -1,13 +1,26 @@
 """Which values of ObSuRF's configuration make sense."""
 
 from obpose.baselines.obsurf.config import ObsurfConfig
-from obpose.config_bounds import TRAINING, Rule, between_0_and_1, check_values, counts, expect, not_negative, positive
+from obpose.config_bounds import (
+    TRAINING,
+    Rule,
+    at_most,
+    between_0_and_1,
+    check_values,
+    counts,
+    expect,
+    not_negative,
+    positive,
+)
 
 _RULES: tuple[Rule, ...] = (
     counts(
         """model.slots model.encoder.width model.attention.iterations model.attention.heads model.decoder.width
         model.decoder.depth"""
     ),
+    at_most("model.encoder.width model.decoder.width model.decoder.depth", 65_536),
+    # 2^k turns in single precision.
+    at_most("model.last_octave", 24),
     positive("model.sigma_max model.units_per_metre loss.colour_std"),
     not_negative("loss.colour loss.surface loss.air loss.overlap loss.overlap_start loss.jitter"),
     between_0_and_1("loss.near_share"),

@@ -122,6 +122,14 @@ def test_priors_and_latents_train_every_weight():
         assert parameter.grad.abs().sum() > 0, name
 
 
+def test_a_prior_teaches_the_latents_that_it_follows_from():
+    encoding = encodings(1, 3, 2).requires_grad_()
+    module()(encoding, "mean").prior_mean[:, 2].sum().backward()
+    assert encoding.grad is not None
+    taught = encoding.grad.abs().sum(dim=(0, 2, 3))
+    assert (taught > 0).tolist() == [True, True, False]
+
+
 def test_a_posterior_can_be_wide_read_the_state_alone_and_begin_with_plain_weights():
     config = LatentConfig(hidden=HIDDEN, posterior_std=0.7, posterior_input="state")
     torch.manual_seed(0)

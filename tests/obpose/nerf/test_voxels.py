@@ -197,11 +197,13 @@ def test_idle_slots_and_empty_fields_have_no_shape():
 
 
 def test_one_frame_of_each_clip_is_found_as_if_all_were_looked_at():
-    boxes, active, codes = random_boxes(2, 3, 2), torch.ones(2, 2, dtype=torch.bool), torch.zeros(2, 3, 2, 2)
-    observation = blind(2, 3)
-    everything = estimate_shape(BallField(0.6), boxes, active, codes, observation, **OPTIONS)
+    boxes, active = random_boxes(2, 3, 2), torch.ones(2, 2, dtype=torch.bool)
+    codes = torch.randn(2, 3, 2, 5, generator=torch.Generator().manual_seed(0))
+    torch.manual_seed(0)
+    field, observation = Field(BallField(0.6).config, 5), blind(2, 3)
+    everything = estimate_shape(field, boxes, active, codes, observation, **OPTIONS)
     frame = torch.tensor([2, 0])
-    some = estimate_shape(BallField(0.6), boxes, active, codes, observation, frame=frame, **OPTIONS)
+    some = estimate_shape(field, boxes, active, codes, observation, frame=frame, **OPTIONS)
     expected = torch.zeros(2, 3, 2, dtype=torch.bool)
     expected[0, 2] = expected[1, 0] = True
     assert some.found.equal(expected)

@@ -88,6 +88,13 @@ def test_an_empty_array_is_named(tmp_path: Path):
         read_pose(tmp_path / "pose.npy")
 
 
+def test_several_arrays_are_no_pose(tmp_path: Path):
+    np.savez(tmp_path / "pose.npz", POSE)
+    (tmp_path / "pose.npz").rename(tmp_path / "pose.npy")
+    with pytest.raises(CorruptFile, match=r"pose\.npy cannot be read"):
+        read_pose(tmp_path / "pose.npy")
+
+
 def test_a_pose_that_cannot_be_read_is_named(tmp_path: Path):
     for name in ("pose.txt", "pose.json", "pose.npy"):
         (tmp_path / name).write_text("up and away")

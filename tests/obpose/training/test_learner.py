@@ -4,6 +4,7 @@ from torch import Tensor
 
 from obpose.checkpoint import TrainingState
 from obpose.clips import stack
+from obpose.errors import UsageError
 from obpose.training.devices import make_fabric
 from obpose.training.learner import Learner
 from tests.obpose.toy import ToyClips, ToyModel, toy_config
@@ -63,6 +64,12 @@ def test_state_is_taken_over_exactly(batch: dict[str, Tensor]):
         made._config = toy_config().train  # the same noise
         made.learn(batch, step=5, fraction=0.5, learning_rate=0.01)
     assert all(torch.equal(value, other.weights()[name]) for name, value in one.weights().items())
+
+
+def test_state_of_another_optimiser_is_named():
+    made = learner()
+    with pytest.raises(UsageError, match=r"knows 'elsewhere\.exp_avg'"):
+        made.restore(TrainingState(made.weights(), {"elsewhere.exp_avg": torch.zeros(1)}, {}))
 
 
 @pytest.mark.parametrize(("fraction", "changed"), [(0.05, True), (0.5, False)])
