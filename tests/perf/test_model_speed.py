@@ -13,13 +13,15 @@ import torch
 from obpose.model import ObPose
 from obpose.training.devices import keep_memory
 from tests.obpose.scenes import table_scene
-from tests.perf.training_step import Step, clips, config_for_clips, measure_steps
+from tests.perf.training_step import Step, clips, config_for_clips, measure_steps, sgemm_rate
 
 GFLOP = 1e9
 AUTHORS_GFLOP = 365
 """Of a step of the authors' size."""
-STEP_GOAL, MOST_A_STEP = 0.25, 0.4
-"""Seconds: the goal for `obpose-loc`, which is missed (docs/performance.md), and what both variants keep within."""
+STEP_GOAL = 0.25
+"""Seconds, for `obpose-loc`; it is missed (docs/performance.md)."""
+MOST_A_STEP = 36 * GFLOP
+"""What a matrix product gets done meanwhile, at most, in the same run: 28 on the machine of docs/performance.md."""
 
 
 @pytest.fixture(autouse=True)
@@ -35,12 +37,15 @@ def as_in_training() -> Iterator[None]:
 def test_training_step(variant: str):
     """4 clips of 5 frames of 64x64, 512 rays a frame."""
     config = config_for_clips(variant, "cpu", **{"train.batch": 4, "train.rays": 512})
+    before = sgemm_rate()
     step = measure_steps(config, clips(4, 64))
+    rate = median([before, sgemm_rate()])
     print(
-        f"\n{variant}, 4 clips of 5 frames of 64x64: {step.total:.3f} s a step (goal {STEP_GOAL}); forward + backward:"
+        f"\n{variant}, 4 clips of 5 frames of 64x64: {step.total:.3f} s a step (goal {STEP_GOAL}; "
+        f"sgemm {rate / GFLOP:.0f} GFLOP/s); forward + backward:"
     )
     print(step)
-    assert step.total <= MOST_A_STEP
+    assert step.total * rate <= MOST_A_STEP
     assert sum(map(sum, step.parts.values())) == pytest.approx(step.total, rel=0.2)
 
 
