@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from benchmark.tracks import Source
+from benchmark.tracks import Source, Track
 
 
 def status() -> Console:
@@ -31,6 +31,6 @@ def prepare(splits: Mapping[Source, tuple[str, ...]], *, workers: int) -> None:
     """
     console = status()
     for source, names in splits.items():
-        if missing := source.missing(names):
+        if isinstance(source, Track) and (missing := source.missing(names)):
             console.print(f"Making track {source.name}: {missing} scenes into {source.folder}")
         source.prepare(names, workers=workers, progress=lambda total: progress_bar(console, "scenes", total))

@@ -156,9 +156,10 @@ class DataFolder:
         Raises:
             DatagenError: scenes are missing.
         """
-        if missing := self.missing(splits):
+        names = tuple(splits)
+        if missing := self.missing(names):
             raise DatagenError(
-                f"{self.folder} is incomplete: {missing} scenes are missing. "
+                f"{self.folder} is incomplete: {missing} scenes are missing ({', '.join(names)}). "
                 "Run the command that began it again to complete it."
             )
         return self.folder

@@ -1,4 +1,4 @@
-"""Where our commands begin: imports take seconds, in which Ctrl-C may come."""
+"""Where those commands begin whose imports take seconds, in which Ctrl-C may come."""
 
 from obpose.errors import interruptible_imports
 
@@ -7,13 +7,6 @@ def train() -> int:
     """Run `obpose-train`; give its exit code."""
     with interruptible_imports("obpose-train"):
         from obpose.cli import main
-    return main()
-
-
-def view() -> int:
-    """Run `obpose-view`; give its exit code."""
-    with interruptible_imports("obpose-view"):
-        from obpose.view_cli import main
     return main()
 
 
