@@ -39,6 +39,7 @@ from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, R
 from obpose.errors import EXIT_OK, UsageError, run_program
 from obpose.files import check_free, check_new, new_file
 from obpose.recordings.frames import look
+from obpose.resolution import spacing_note
 
 PROGRAM = "obpose-edit"
 FPS = 8.0
@@ -83,7 +84,9 @@ def _infer(values: Infer) -> None:
     origin = load_origin(values.checkpoint)
     if values.data is not None:
         place = (values.data, values.split, values.scene)
-        scene = replace(infer_scene(origin, read_clip(*place), refinements=values.refine), clip=name_clip(*place))
+        clip = read_clip(*place)
+        print(f"Resolution: {spacing_note(origin.model, clip)}.")
+        scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
     else:
         sight = look(values, origin.model)
         print(f"World: {sight.world}.\nResolution: {sight.resolution}.")

@@ -17,6 +17,19 @@ def surface_spacing(observation: Observation) -> float | None:
     return float(distances.median()) if len(distances) else None
 
 
+def spacing_note(model: ObPose, observation: Observation) -> str:
+    """How far neighbouring pixels lie apart on the surfaces, in training too, and whether that is something else."""
+    trained, spacing = model.config.model.spacing, surface_spacing(observation)
+    if spacing is None:
+        return "no neighbouring pixels have a depth"
+    words = (
+        f"neighbouring pixels are {1000 * spacing:.1f} mm apart on the surfaces, in training {1000 * trained:.1f} mm"
+    )
+    if fitting_model(model, observation) is model:
+        return words
+    return f"{words}: the model was not trained for this and its neighbourhoods were scaled"
+
+
 def fitting_model(model: ObPose, observation: Observation) -> ObPose:
     """The model with its neighbourhoods scaled to the images' spacing, where that is another; the weights are shared.
 

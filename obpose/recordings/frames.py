@@ -14,7 +14,7 @@ from obpose.geometry import unproject
 from obpose.model import ObPose
 from obpose.recordings.reading import Recording, parse_intrinsics, read_recording
 from obpose.recordings.world import FITTED, GIVEN, Pose, middle_of, pose_over_plane, read_pose
-from obpose.resolution import fitting_model, surface_spacing
+from obpose.resolution import fitting_model, spacing_note, surface_spacing
 from obpose.types import Observation
 
 _COARSE = 5.0
@@ -108,16 +108,11 @@ def _first_points(observation: Observation) -> Float64[np.ndarray, "point 3"]:
 
 
 def _resolution_note(model: ObPose, observation: Observation) -> str:
-    trained, spacing = model.config.model.spacing, surface_spacing(observation)
-    if spacing is None:
-        return "no neighbouring pixels have a depth"
-    words = (
-        f"neighbouring pixels are {1000 * spacing:.1f} mm apart on the surfaces, in training {1000 * trained:.1f} mm"
-    )
-    if fitting_model(model, observation) is model:
+    """How the distance of neighbouring pixels compares to the training's, and what brings it nearer."""
+    words, trained, spacing = spacing_note(model, observation), model.config.model.spacing, surface_spacing(observation)
+    if spacing is None or fitting_model(model, observation) is model:
         return words
-    step = round(trained / spacing)
-    hint = f"; --every {step} comes near to it" if step > 1 else ""
     if spacing > _COARSE * trained:
-        hint = "; is --depth-scale right?"
-    return f"{words}: the model was not trained for this and its neighbourhoods were scaled{hint}"
+        return f"{words}; is --depth-scale right?"
+    step = round(trained / spacing)
+    return f"{words}; --every {step} comes near to it" if step > 1 else words

@@ -91,6 +91,7 @@ def test_a_refined_scene_is_nearer_to_its_frames(inferred: Path, tiny_dataset: P
     assert run("infer", *flags, -1) == EXIT_USAGE
     assert "--refine -1: expected 0 to 10000" in capsys.readouterr().err
     assert run("infer", *flags, 20) == EXIT_OK
+    assert "Resolution: neighbouring pixels are" in capsys.readouterr().out
     before, after = load_scene(inferred), load_scene(tmp_path / "refined")
     renderer, clip = Renderer(origin_of(after).model), tiny_dataset_clip(tiny_dataset)
     errors = [(renderer.render(scene).rgb - clip["rgb"][0, 0]).square().mean() for scene in (before, after)]
