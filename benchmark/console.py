@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from benchmark.tracks import Source, Track
+from benchmark.tracks import Source
 
 
 def status() -> Console:
@@ -31,6 +32,11 @@ def prepare(splits: Mapping[Source, tuple[str, ...]], *, workers: int) -> None:
     """
     console = status()
     for source, names in splits.items():
-        if isinstance(source, Track) and (missing := source.missing(names)):
-            console.print(f"Making track {source.name}: {missing} scenes into {source.folder}")
-        source.prepare(names, workers=workers, progress=lambda total: progress_bar(console, "scenes", total))
+        source.prepare(names, workers=workers, progress=partial(_making, console, source))
+
+
+@contextmanager
+def _making(console: Console, source: Source, total: int) -> Iterator[Callable[[], None]]:
+    console.print(f"Making track {source.name}: {total} scenes into {source.folder}")
+    with progress_bar(console, "scenes", total) as advance:
+        yield advance
