@@ -21,6 +21,7 @@ from obpose.config import BackboneConfig
 from obpose.layers.grid import Grid, Windows, all_places, on_grid, thin, upsample, windows
 from obpose.layers.kernel_points import kernel_points
 from obpose.layers.kpconv import KPConv, influence
+from obpose.layers.mlp import Linear
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class Backbone(nn.Module):
         self.config = config
         widths = config.widths
         self.register_buffer("kernel", kernel_points(), persistent=False)
-        self.input = nn.Sequential(nn.Linear(6, widths[0]), nn.LayerNorm(widths[0]), nn.ReLU())
+        self.input = nn.Sequential(Linear(6, widths[0]), nn.LayerNorm(widths[0]), nn.ReLU())
         self.down = nn.ModuleList(Block(fine, coarse) for fine, coarse in pairwise(widths))
         self.blocks = nn.ModuleList(
             nn.ModuleList(Block(width, width) for _ in range(count))
@@ -220,7 +221,7 @@ class Block(nn.Module):
         narrow = outputs // 4
         self.before = nn.Linear(inputs, narrow)
         self.convolution = KPConv(narrow, narrow)
-        self.after = nn.Linear(narrow, outputs)
+        self.after = Linear(narrow, outputs)
         self.norm = nn.LayerNorm(outputs)
         self.skip = nn.Linear(inputs, outputs)
 

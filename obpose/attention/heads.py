@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn.functional import log_softmax, pad
 
 from obpose.config import AttentionConfig, BackboneConfig
-from obpose.layers.mlp import mlp
+from obpose.layers.mlp import Linear, mlp
 
 _HIDDEN = 32
 """Width of the heads' hidden layer, as in the authors' code."""
@@ -50,7 +50,7 @@ class Heads(nn.Module):
         self.semi_colour = attention.semi_colour
         self.colour = self.features = self.prescope = None
         if attention.kind == "icsbp":
-            self.position = nn.Linear(3, backbone.embedding, bias=False)
+            self.position = Linear(3, backbone.embedding, bias=False)
             self.colour = mlp(backbone.embedding, _HIDDEN, backbone.colour, activation=nn.ReLU)
         if features:
             self.features = mlp(backbone.embedding, _HIDDEN, backbone.feature, activation=nn.ReLU)

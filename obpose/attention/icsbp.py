@@ -31,6 +31,8 @@ EXCLUDED = -1e4
 
 _SEEN = 0.5
 """A sharpened mask that sums to less, in points, covers nothing of which the middle could be told."""
+_LEAST = -80.0
+"""Log of next to nothing."""
 _CANDIDATES = 256
 """So many points are compared for the densest."""
 
@@ -103,14 +105,14 @@ class ICSBP(nn.Module):
         active: Bool[Tensor, "batch slot"],
     ) -> Float[Tensor, "batch frame slot colour"]:
         """Seeds of all frames, each looked for from where it was in the frame before."""
+        scope = log_prescope[..., 1].detach().exp() * valid
         seed, places = first, []
         for frame in range(colour.shape[1]):
-            here = slice(frame, frame + 1)
             for _ in range(self.config.looks):
                 with torch.no_grad():
-                    alpha = self._log_alpha(colour[:, here], seed[:, None])
-                    masks = _break_sticks(alpha, log_prescope[:, here], valid[:, here], active).log_masks[:, 0, 1:]
-                seed = _look(seed.detach(), masks, colour[:, frame], self.config.mask_power)
+                    alpha = _exp(self._alpha_around(seed, colour[:, frame])) * active[..., None]
+                    masks = scope[:, frame, None] * alpha * _left_before(alpha)
+                seed = _look(seed.detach(), masks**self.config.mask_power, colour[:, frame])
             places.append(seed)
         return torch.stack(places, dim=1)
 
@@ -139,7 +141,7 @@ class ICSBP(nn.Module):
             with torch.no_grad():
                 for _ in range(self.config.looks):
                     log_mask = log_scope[:, None] + self._alpha_around(seed, colour)
-                    seed = _look(seed, log_mask, colour, self.config.mask_power)
+                    seed = _look(seed, _exp(sharpen(log_mask, self.config.mask_power)), colour)
                 alpha = self._alpha_around(seed, colour)[:, 0]
                 near = sharpen(alpha, self.config.mask_power)
                 log_claims.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
@@ -192,17 +194,28 @@ class ICSBP(nn.Module):
 
 def _look(
     seed: Float[Tensor, "batch slot colour"],
-    log_masks: Float[Tensor, "batch slot point"],
+    weights: Float[Tensor, "batch slot point"],
     colour: Float[Tensor, "batch point colour"],
-    power: float,
 ) -> Float[Tensor, "batch slot colour"]:
-    """The mean embedding under each mask, sharpened; a seed whose mask covers next to nothing waits where it was.
+    """The mean embedding under each sharpened mask; a seed whose mask covers next to nothing waits where it was.
 
     So does that of an object out of sight.
     """
-    weights = sharpen(log_masks, power).exp()
     total = weights.sum(dim=-1, keepdim=True)
     return torch.where(total >= _SEEN, weights @ colour / total.clamp(min=_SEEN), seed)
+
+
+def _left_before(alpha: Float[Tensor, "batch slot point"]) -> Float[Tensor, "batch slot point"]:
+    """What the slots before each leave to it."""
+    return pad(1 - alpha[:, :-1], (0, 0, 1, 0), value=1).cumprod(dim=1)
+
+
+def _exp(logarithm: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """Shares of which sums are made, where next to nothing is as good as nothing.
+
+    On a CPU the exponential of what has none in single precision takes ten times as long.
+    """
+    return logarithm.clamp(min=_LEAST).exp()
 
 
 def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:

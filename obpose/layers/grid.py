@@ -46,14 +46,16 @@ class Windows:
 
 def windows(grid: Grid, places: Int[Tensor, " point"], *, radius: float, kernel: Float[Tensor, "kernel 3"]) -> Windows:
     """The 3x3 windows around the points at `places`, with influences for neighbourhoods of `radius` metres."""
+    height, width = grid.valid.shape[1:]
     beyond = grid.valid.numel()
-    padded = F.pad(all_places(grid).view(grid.valid.shape), (1, 1, 1, 1), value=beyond)
-    shifted = padded.unfold(1, 3, 1).unfold(2, 3, 1)
-    neighbours = rearrange(shifted, "image y x row column -> (image y x) (row column)")[places]
+    step = torch.arange(-1, 2, device=places.device)
+    row, column = (places // width % height)[:, None] + step, (places % width)[:, None] + step
+    inside = ((row >= 0) & (row < height))[:, :, None] & ((column >= 0) & (column < width))[:, None]
+    neighbours = places[:, None] + (width * step[:, None] + step).flatten()
     points = grid.points.reshape(-1, 3) / radius
     apart = F.pad(points.masked_fill(~grid.valid.view(-1, 1), FAR), (0, 0, 0, 1), value=FAR)
-    around = apart.index_select(0, neighbours.flatten()).view(-1, 9, 3)
-    return Windows(neighbours.clamp(max=beyond - 1), influence(around - points[places][:, None], kernel))
+    around = apart.index_select(0, neighbours.where(inside.flatten(1), beyond).flatten()).view(-1, 9, 3)
+    return Windows(neighbours.clamp(0, beyond - 1), influence(around - points[places][:, None], kernel))
 
 
 def all_places(grid: Grid) -> Int[Tensor, " point"]:

@@ -44,5 +44,7 @@ class KPConv(nn.Module):
         self, features: Float[Tensor, "point neighbour inputs"], influences: Float[Tensor, "point neighbour kernel"]
     ) -> Float[Tensor, "point outputs"]:
         """Features of the neighbours to features of the points."""
-        gathered = torch.bmm(features.mT, influences)
-        return F.linear(rearrange(gathered, "point inputs kernel -> point (inputs kernel)"), self.weight)
+        gathered = torch.bmm(influences.mT, features)
+        inputs = features.shape[-1]
+        weight = rearrange(self.weight, "outputs (inputs kernel) -> outputs (kernel inputs)", inputs=inputs)
+        return F.linear(rearrange(gathered, "point kernel inputs -> point (kernel inputs)"), weight)

@@ -3,7 +3,9 @@
 from itertools import pairwise
 
 import torch
-from torch import nn
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
 
 
 def mlp(*sizes: int, activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
@@ -13,8 +15,22 @@ def mlp(*sizes: int, activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
     """
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
-        layers += [activation(), nn.Linear(inputs, outputs)]
+        layers += [activation(), Linear(inputs, outputs)]
     return nn.Sequential(*layers[1:])
+
+
+class Linear(nn.Linear):
+    """PyTorch's, faster to train on a CPU where many rows with few inputs become wider.
+
+    The gradient of its weight is a product of two tall matrices, which takes up to six times as long if the narrower
+    one comes second. The order follows from how the weight lies in memory.
+    """
+
+    def forward(self, input: Float[Tensor, "*rows inputs"]) -> Float[Tensor, "*rows outputs"]:
+        """A linear map of the last axis."""
+        if self.in_features >= self.out_features:
+            return super().forward(input)
+        return F.linear(input, self.weight.t().contiguous().t(), self.bias)
 
 
 def pass_on(layer: nn.Linear, *, gain: float = 1.0, outputs: int | None = None) -> None:

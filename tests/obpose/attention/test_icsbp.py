@@ -233,6 +233,23 @@ def test_seeds_that_do_not_move_give_the_same_as_objects_that_do_not():
     torch.testing.assert_close(moving.log_masks, still.log_masks)
 
 
+def test_seeds_come_to_rest_at_the_means_under_their_sharpened_masks():
+    colour, valid, log_prescope = _scene(batch=1, frames=2, points=80, spread=0.05)
+    colour[:, :, ::2, 0] += 0.7
+    log_prescope[:, 0] += math.log(0.03)  # Of so little some slots find nothing in the first frame and are idle.
+    looks = AttentionConfig(looks=30)
+    drawn = (_attend(colour, valid, log_prescope, config=looks, idle="bernoulli", seed=seed) for seed in range(50))
+    masks = next(masks for masks in drawn if masks.active[0].tolist()[:3] == [True, False, True])
+    left, sigma = log_prescope[0, 1, :, 1].exp() * valid[0, 1], initial_sigma("gaussian", slots=SLOTS)
+    for slot in (0, 2):
+        mask = masks.log_masks[0, 1, 1 + slot].exp()
+        weight = mask**3
+        assert weight.sum() > 0.5
+        alpha = torch.exp(-(colour[0, 1] - weight @ colour[0, 1] / weight.sum()).square().sum(-1) / sigma)
+        torch.testing.assert_close(mask, left * alpha, rtol=1e-3, atol=1e-4)
+        left = left * (1 - alpha)
+
+
 def test_later_frames_have_no_influence_on_earlier_ones():
     colour, valid, log_prescope = _scene()
     other = _scene(seed=9)

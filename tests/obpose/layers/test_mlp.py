@@ -1,12 +1,13 @@
+import pytest
 import torch
 from torch import nn
 
-from obpose.layers.mlp import mlp, pass_on
+from obpose.layers.mlp import Linear, mlp, pass_on
 
 
 def test_elu_stands_between_layers_and_not_after_the_last():
     layers = mlp(3, 5, 7, 2)
-    assert [type(layer) for layer in layers] == [nn.Linear, nn.ELU, nn.Linear, nn.ELU, nn.Linear]
+    assert [type(layer) for layer in layers] == [Linear, nn.ELU, Linear, nn.ELU, Linear]
     assert layers(torch.zeros(4, 3)).shape == (4, 2)
 
 
@@ -17,7 +18,23 @@ def test_two_sizes_are_one_linear_map():
 
 
 def test_another_activation_takes_the_place_of_elu():
-    assert [type(layer) for layer in mlp(3, 5, 2, activation=nn.ReLU)] == [nn.Linear, nn.ReLU, nn.Linear]
+    assert [type(layer) for layer in mlp(3, 5, 2, activation=nn.ReLU)] == [Linear, nn.ReLU, Linear]
+
+
+@pytest.mark.parametrize("bias", [True, False])
+@pytest.mark.parametrize(("inputs", "outputs"), [(3, 16), (16, 3), (4, 4)])
+def test_linear_layers_are_pytorchs(inputs: int, outputs: int, bias: bool):
+    torch.manual_seed(0)
+    ours, theirs = Linear(inputs, outputs, bias=bias).double(), nn.Linear(inputs, outputs, bias=bias).double()
+    theirs.load_state_dict(ours.state_dict())
+    x, sought = torch.randn(2, 50, inputs).double(), torch.randn(2, 50, outputs).double()
+    found = []
+    for layer in (ours, theirs):
+        rows = x.clone().requires_grad_()
+        out = layer(rows)
+        out.backward(sought)
+        found.append((out, rows.grad, *(parameter.grad for parameter in layer.parameters())))
+    torch.testing.assert_close(*found)
 
 
 def test_a_layer_that_passes_on_keeps_all_lengths_and_distances():
