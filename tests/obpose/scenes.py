@@ -1,6 +1,7 @@
 """Small observations made from formulas, for tests of the model."""
 
 import math
+from dataclasses import replace
 
 import torch
 
@@ -51,14 +52,40 @@ def pairs_of_balls(count: int, *, size: int, seed: int = 0) -> tuple[Observation
     k, poses = _cameras(count, 1, size, size)
     colours = draw(count, 2, 3)
     rgb, depth = _trace(k, poses, centers, radii, colours, draw(count, 3), size, size)
-    on_table = Observation(rgb[:, None], depth[:, None], depth[:, None] > 0, k, poses)
-    x, _, z = unproject(on_table).unbind(-1)
-    seen = z > 1e-4
-    alone = Observation(on_table.rgb * seen[..., None], on_table.depth * seen, seen, k, poses)
-    return alone, seen.long() * (1 + (x > 0))
+    alone, points, seen = _without_table(Observation(rgb[:, None], depth[:, None], depth[:, None] > 0, k, poses))
+    return alone, seen.long() * (1 + (points[..., 0] > 0))
 
 
-def _cameras(batch: int, views: int, height: int, width: int) -> tuple[torch.Tensor, torch.Tensor]:
+def balls_anywhere(count: int, *, size: int, seed: int = 0) -> tuple[Observation, torch.Tensor]:
+    """Halves of balls of 10 cm radius on 34 x 34 cm, and nothing else; labels 1 and 2.
+
+    One ball in the first half of the scenes, two in the others, with 22 cm between their middles at least.
+    """
+    draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
+    generator = torch.Generator().manual_seed(seed)
+    tries = 0.34 * (draw(count, 400, 2, 2) - 0.5)
+    apart = (tries[:, :, 0] - tries[:, :, 1]).norm(dim=-1) > 0.22
+    centers = tries[torch.arange(count), apart.float().argmax(1)]
+    radii = torch.full((count, 2), 0.1)
+    radii[: count // 2, 1] = 1e-6
+    k, poses = _cameras(count, 1, size, size, distance=0.8)
+    rgb, depth = _trace(k, poses, centers, radii, draw(count, 2, 3), torch.full((count, 3), 0.5), size, size)
+    alone, points, seen = _without_table(Observation(rgb[:, None], depth[:, None], depth[:, None] > 0, k, poses))
+    distance = (points[..., None, :2] - centers[:, None, None, None, None]).norm(dim=-1)
+    return alone, seen.long() * (1 + distance.argmin(-1))
+
+
+def _without_table(on_table: Observation) -> tuple[Observation, torch.Tensor, torch.Tensor]:
+    """The same with nothing where the table was, the points, and which of them are not the table's."""
+    points = unproject(on_table)
+    seen = points[..., 2] > 1e-4
+    alone = replace(on_table, rgb=on_table.rgb * seen[..., None], depth=on_table.depth * seen, valid=seen)
+    return alone, points, seen
+
+
+def _cameras(
+    batch: int, views: int, height: int, width: int, *, distance: float = 1.03
+) -> tuple[torch.Tensor, torch.Tensor]:
     focal = height / 2 / math.tan(math.radians(20))
     k = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]).expand(batch, views, 3, 3)
     tilt = math.radians(55)
@@ -70,7 +97,7 @@ def _cameras(batch: int, views: int, height: int, width: int) -> tuple[torch.Ten
         rotation = torch.stack([right, torch.linalg.cross(forward, right), forward], dim=1)
         spin = torch.tensor([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1.0]])
         poses[:, view, :3, :3] = spin @ rotation
-        poses[:, view, :3, 3] = spin @ (-1.03 * forward)
+        poses[:, view, :3, 3] = spin @ (-distance * forward)
         poses[:, view, 3, 3] = 1
     return k.clone(), poses
 

@@ -129,23 +129,31 @@ class Step:
 
 
 def measure_steps(config: Config, clips: Observation, *, steps: int = 7) -> Step:
-    """Training steps after the warm-up."""
+    """Training steps after the warm-up; those with a stopwatch in the middle, for a machine is not always as fast."""
     learn = _learner(config, clips)
-    totals, watches = [], []
-    for _ in range(steps + 1):
-        start = time.process_time()
-        learn()
-        totals.append(time.process_time() - start)
+    learn()
+    before, watches = _timed(learn, steps), []
     for _ in range(steps):
         with watched() as watch:
             learn()
         watches.append(watch)
+    learn()
+    totals = before + _timed(learn, steps)
     names = {name for watch in watches for name in (*watch.forward, *watch.backward)}
     parts = {
         name: (median(watch.forward[name] for watch in watches), median(watch.backward[name] for watch in watches))
         for name in names
     }
-    return Step(median(totals[1:]), parts)
+    return Step(median(totals), parts)
+
+
+def _timed(learn: Callable[[], None], steps: int) -> list[float]:
+    times = []
+    for _ in range(steps):
+        start = time.process_time()
+        learn()
+        times.append(time.process_time() - start)
+    return times
 
 
 def _learner(config: Config, clips: Observation) -> Callable[[], None]:
