@@ -1,10 +1,11 @@
 """Instance colouring stick-breaking process for video (paper, section IC-SBP; Engelcke et al. 2021, GENESIS-V2).
 
-Everything is kept as logarithms. Seeds are points of the first frame, chosen slot by slot. The paper's stay there, and
-where a point is at the edge of its object its mask covers half of it. An addition lets seeds move to the mean
-embedding under their masks, a few times in the first frame, and again in every later one from where they were in the
-frame before, since with embeddings that hold the position an object slides out of a mask that stays. Where seeds are
-has no gradient, but for the embeddings that they are means of; the masks of all frames are then computed at once.
+Masks are kept as logarithms, but where seeds look. Seeds are points of the first frame, chosen slot by slot. The
+paper's stay there, and where a point is at the edge of its object its mask covers half of it. An addition lets seeds
+move to the mean embedding under their masks, a few times in the first frame, and again in every later one from where
+they were in the frame before, since with embeddings that hold the position an object slides out of a mask that stays.
+Where seeds are has no gradient, but for the embeddings that they are means of; the masks of all frames are then
+computed at once.
 """
 
 import math
