@@ -1,7 +1,7 @@
 """What ObSuRF learns in one or two minutes: to tell two balls apart that are all there is.
 
-Some seeds do, others do not (docs/results.md has six of each). Without depth and without overlap none was seen to do it
-well enough to be a test.
+Some seeds do, others do not (docs/results.md has six of each). Without depth and without overlap one in six does: too few
+for a test.
 """
 
 from typing import Any
