@@ -3,6 +3,8 @@
 Some seeds do, others do not; docs/results.md has six of each.
 """
 
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -48,9 +50,9 @@ FROM_COLOURS = SMALL | {
 }
 """Without the points beside the image: a wider encoder, simpler and softer fields, more images, published colours."""
 SETTINGS: dict[str, dict[str, Any]] = {
-    "obsurf-no-overlap-depth": SMALL,
-    "obsurf-no-overlap": FROM_COLOURS,
     "obsurf": FROM_COLOURS,
+    "obsurf-no-overlap": FROM_COLOURS,
+    "obsurf-no-overlap-depth": SMALL,
 }
 
 
@@ -69,13 +71,15 @@ class Balls:
         return {name: value[index] for name, value in vars(self.clips).items()}
 
 
-def test_two_balls_are_told_apart_from_points():
-    assert any(train_on("obsurf-no-overlap-depth", seed) > 0.97 for seed in range(4))
+def test_two_balls_are_told_apart():
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as two_at_a_time:
+        assert all(two_at_a_time.map(is_learned, SETTINGS))
 
 
-@pytest.mark.parametrize("variant", ["obsurf-no-overlap", "obsurf"])
-def test_two_balls_are_told_apart_from_colours(variant: str):
-    assert any(train_on(variant, seed) > 0.6 for seed in range(6))
+def is_learned(variant: str) -> bool:
+    """Whether one of six seeds is above what tells balls apart, nearly always with depth, mostly without."""
+    enough = 0.97 if SETTINGS[variant] is SMALL else 0.6
+    return any(train_on(variant, seed) > enough for seed in range(6))
 
 
 def train_on(variant: str, seed: int) -> float:
