@@ -56,15 +56,15 @@ def pairs_of_balls(count: int, *, size: int, seed: int = 0) -> tuple[Observation
     return alone, seen.long() * (1 + (points[..., 0] > 0))
 
 
-def balls_anywhere(count: int, *, size: int, seed: int = 0) -> tuple[Observation, torch.Tensor]:
-    """Halves of balls of 10 cm radius on 34 x 34 cm, and nothing else; labels 1 and 2.
+def balls_in_depth(count: int, *, size: int, seed: int = 0) -> tuple[Observation, torch.Tensor]:
+    """Halves of balls of 10 cm radius on 20 x 40 cm, and nothing else; labels 1 and 2.
 
-    One ball in the first half of the scenes, two in the others, with 22 cm between their middles at least.
+    One ball in the first half of the scenes, two in the others, one behind the other as the camera sees them.
     """
     draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
     generator = torch.Generator().manual_seed(seed)
-    tries = 0.34 * (draw(count, 400, 2, 2) - 0.5)
-    apart = (tries[:, :, 0] - tries[:, :, 1]).norm(dim=-1) > 0.22
+    tries = torch.tensor([0.2, 0.4]) * (draw(count, 400, 2, 2) - 0.5)
+    apart = (tries[:, :, 0, 1] - tries[:, :, 1, 1]).abs() > 0.2
     centers = tries[torch.arange(count), apart.float().argmax(1)]
     radii = torch.full((count, 2), 0.1)
     radii[: count // 2, 1] = 1e-6

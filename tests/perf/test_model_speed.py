@@ -19,9 +19,9 @@ GFLOP = 1e9
 AUTHORS_GFLOP = 365
 """Of a step of the authors' size."""
 STEP_GOAL = 0.25
-"""Seconds, for `obpose-loc`; it is missed (docs/performance.md)."""
-MOST_A_STEP = 45 * GFLOP
-"""What a matrix product gets done meanwhile, at most, in the same run: 28 on the machine of docs/performance.md."""
+"""Seconds, for `obpose-loc`; with embeddings of all pixels it is missed (docs/performance.md)."""
+MOST_A_STEP = {1: 30 * GFLOP, 0: 45 * GFLOP}
+"""What a matrix product gets done meanwhile, at most, in the same run, by level of the embeddings."""
 
 
 @pytest.fixture(autouse=True)
@@ -33,19 +33,20 @@ def as_in_training() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-@pytest.mark.parametrize("variant", ["obpose-loc", "obpose"])
-def test_training_step(variant: str):
-    """4 clips of 5 frames of 64x64, 512 rays a frame."""
-    config = config_for_clips(variant, "cpu", **{"train.batch": 4, "train.rays": 512})
+@pytest.mark.parametrize(("variant", "level"), [("obpose-loc", 1), ("obpose-loc", 0), ("obpose", 0)])
+def test_training_step(variant: str, level: int):
+    """4 clips of 5 frames of 64x64, 512 rays a frame; embeddings of a quarter of the pixels, then of all."""
+    sizes = {"train.batch": 4, "train.rays": 512, "model.backbone.output_level": level}
+    config = config_for_clips(variant, "cpu", **sizes)
     before = sgemm_rate()
     step = measure_steps(config, clips(4, 64))
     rate = median([before, sgemm_rate()])
     print(
-        f"\n{variant}, 4 clips of 5 frames of 64x64: {step.total:.3f} s a step (goal {STEP_GOAL}; "
-        f"sgemm {rate / GFLOP:.0f} GFLOP/s); forward + backward:"
+        f"\n{variant}, embeddings of level {level}, 4 clips of 5 frames of 64x64: {step.total:.3f} s a step "
+        f"(goal {STEP_GOAL}; sgemm {rate / GFLOP:.0f} GFLOP/s); forward + backward:"
     )
     print(step)
-    assert step.total * rate <= MOST_A_STEP
+    assert step.total * rate <= MOST_A_STEP[level]
     assert sum(map(sum, step.parts.values())) == pytest.approx(step.total, rel=0.2)
 
 

@@ -1,4 +1,4 @@
-"""What ObSuRF learns in one or two minutes: to tell two balls apart that are all there is.
+"""What ObSuRF learns in little more than a minute: to tell two balls apart that are all there is.
 
 Some seeds do, others do not; docs/results.md has six of each.
 """
@@ -15,7 +15,7 @@ from benchmark.metrics import clip_scores
 from obpose.systems import find_system
 from obpose.train import train
 from obpose.types import Observation
-from tests.obpose.scenes import balls_anywhere, pairs_of_balls
+from tests.obpose.scenes import balls_in_depth, pairs_of_balls
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
@@ -46,6 +46,7 @@ FROM_COLOURS = SMALL | {
     "loss.overlap_start": 0.5,
     "loss.overlap_full": 0.7,
     "train.batch": 32,
+    "train.steps": 3000,
     "train.learning_rate": 4e-3,
 }
 """Without the points beside the image: a wider encoder, simpler and softer fields, more images, published colours."""
@@ -73,21 +74,21 @@ class Balls:
 
 def test_two_balls_are_told_apart():
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as two_at_a_time:
-        assert all(two_at_a_time.map(is_learned, SETTINGS))
+        learned = dict(zip(SETTINGS, two_at_a_time.map(is_learned, SETTINGS), strict=True))
+    assert learned == dict.fromkeys(SETTINGS, True)
 
 
 def is_learned(variant: str) -> bool:
-    """Whether one of six seeds is above what tells balls apart, nearly always with depth, mostly without."""
-    enough = 0.97 if SETTINGS[variant] is SMALL else 0.6
-    return any(train_on(variant, seed) > enough for seed in range(6))
+    """Whether one of six seeds segments nearly every scene perfectly."""
+    return any(train_on(variant, seed).mean() > 0.97 for seed in range(6))
 
 
-def train_on(variant: str, seed: int) -> float:
-    """Mean ARI-FG on the last 1000 scenes, which all have two balls, after a training on all 2000."""
-    world = pairs_of_balls if SETTINGS[variant] is SMALL else balls_anywhere
+def train_on(variant: str, seed: int) -> np.ndarray:
+    """ARI-FG of each of the last 1000 scenes, which all have two balls, after a training on all 2000."""
+    world = pairs_of_balls if SETTINGS[variant] is SMALL else balls_in_depth
     balls = Balls(*world(2000, size=16))
     config = find_system(variant).config("cpu", SETTINGS[variant] | {"train.seed": seed})
     model = train(balls, None, config, device="cpu").model
     scored = Observation(**{name: value[-1000:] for name, value in vars(balls.clips).items()})
     pairs = zip(balls.labels[-1000:].numpy(), model.segment(scored).labels.numpy(), strict=True)
-    return float(np.mean([clip_scores(truth, found, 0)["ari_fg"] for truth, found in pairs]))
+    return np.array([clip_scores(truth, found, 0)["ari_fg"] for truth, found in pairs])
