@@ -1,5 +1,6 @@
-"""The world that a model knows: fields say nothing of what lies outside the background's cube."""
+"""Where objects can be put: the workspace that the model was trained on, from the table up."""
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -7,25 +8,39 @@ from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.model import ObPose
 
+TABLE = 0.0
+"""Height of the table in the world frame, metres."""
+_SUNK = 0.01
+"""Metres that the middle of a box may lie below the table nevertheless: of thin objects that a model infers some do."""
 
-def world_bounds(model: ObPose) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
-    """Lowest and highest corner of the cube that holds workspace and cameras, world frame, metres."""
-    half = model.config.model.background_size / 2
-    return model.center - half, model.center + half
+
+def workspace_bounds(model: ObPose) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
+    """Lowest and highest corner of where the middles of objects' boxes can be, world frame, metres.
+
+    It is the cube that holds what the cameras saw in training, without what is below the table of models that have one:
+    elsewhere no object was ever seen, and below the table none is drawn.
+    """
+    settings = model.config.model
+    half = settings.workspace_size / 2
+    low, high = model.center - half, model.center + half
+    if settings.table is not None:
+        low = torch.cat([low[:2], low[2:].clamp(min=TABLE)])
+    return low, high
 
 
 def check_inside(scene: Scene, model: ObPose) -> None:
     """Check that all objects are where the model knows the world, in all frames.
 
     Raises:
-        UsageError: some are not; says which.
+        UsageError: some are not; says which, and where they can be.
     """
-    low, high = world_bounds(model)
-    outside = ((scene.center < low) | (scene.center > high)).any(dim=2).any(dim=0).tolist()
+    low, high = workspace_bounds(model)
+    lowest = low - torch.tensor([0.0, 0.0, _SUNK])
+    outside = ((scene.center < lowest) | (scene.center > high)).any(dim=2).any(dim=0).tolist()
     names = [str(name) for name, out in zip(scene.ids, outside, strict=True) if out]
     if names:
-        x, y, z = model.center.tolist()
+        ranges = [f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in zip("xyz", low.tolist(), high.tolist(), strict=True)]
         raise UsageError(
-            f"Object {', '.join(names)} would be outside the world that the model knows, a cube of "
-            f"{float(high[0] - low[0]):.2f} m around {x:.2f}, {y:.2f}, {z:.2f}."
+            f"Object {', '.join(names)} would be outside the workspace that the model knows; expected the middle of "
+            f"its box at {', '.join(ranges)} m in all frames: put it there, or in frames of your own move the world."
         )

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
@@ -20,6 +21,8 @@ LARGEST_ID, LARGEST_SIDE = 2**31 - 1, 2**13
 """Of an object's name, and pixels along a side of a camera's image."""
 _LARGEST_VALUE = 1e6
 """Metres, pixels or units of a latent, far beyond all that are meant."""
+_ROUNDING = 1e-3
+"""By how much R^T R may differ from 1 after many turns."""
 
 
 def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> None:
@@ -132,7 +135,14 @@ def _is_whole(scene: Scene) -> bool:
     values += [value for camera in scene.cameras for value in (camera.k, camera.world_from_camera)]
     numbers = all(value.dtype == torch.float32 and bool((value.abs() <= _LARGEST_VALUE).all()) for value in values)
     distinct = len(set(scene.ids)) == objects
-    return sizes and numbers and distinct and len(scene.cameras) > 0 and all(map(_is_camera, scene.cameras))
+    seen = len(scene.cameras) > 0 and all(map(_is_camera, scene.cameras))
+    return sizes and numbers and distinct and seen and _are_rotations(scene.rotation)
+
+
+def _are_rotations(rotation: Float[torch.Tensor, "*batch 3 3"]) -> bool:
+    """Others would stretch, flatten or mirror the objects."""
+    off = (rotation.mT @ rotation - torch.eye(3)).abs()
+    return bool((off <= _ROUNDING).all()) and bool((torch.linalg.det(rotation) > 0).all())
 
 
 def _is_camera(camera: Camera) -> bool:

@@ -12,6 +12,7 @@ from jaxtyping import Float64
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.model import ObPose
+from obpose.plane import TOLERANCE, fit_plane
 from obpose.recordings.reading import Recording, parse_intrinsics, read_recording
 from obpose.recordings.world import FITTED, GIVEN, Pose, middle_of, pose_over_plane, read_pose
 from obpose.resolution import fitting_model, spacing_note, surface_spacing
@@ -19,6 +20,11 @@ from obpose.types import Observation
 
 _COARSE = 5.0
 """Times the distance of neighbouring pixels in training; what is coarser most likely has depth of another unit."""
+_MOST_OUTSIDE = 0.5
+"""Share of the points in view."""
+_MOST_TILT, _MOST_HEIGHT = 10.0, 0.02
+"""Degrees and metres by which the table may differ from the plane z = 0: objects stand on that for the model, and it
+leaves out what is beneath it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,15 +97,41 @@ def _pose_over_plane(recording: Recording, model: ObPose) -> Pose:
 
 def _given_note(observation: Observation, model: ObPose) -> str:
     """Whether the given world is one that the model knows."""
-    points, trained = _first_points(observation), model.config.model
-    away = float(np.linalg.norm(middle_of(points) - trained.workspace_center)) if len(points) else 0.0
-    if away < trained.workspace_size / 2:
-        return GIVEN
-    x, y, z = trained.workspace_center
+    points = _first_points(observation)
+    faults = [fault for fault in (_away(points, model), _off_the_table(points)) if fault]
+    return "; ".join([GIVEN, *faults, *(["results may be poor"] if faults else [])])
+
+
+def _away(points: Float64[np.ndarray, "point 3"], model: ObPose) -> str | None:
+    """How much of what is in view lies outside the cube that the model was trained on, if that is most of it."""
+    trained = model.config.model
+    center = np.array(trained.workspace_center)
+    outside = (np.abs(points - center) > trained.workspace_size / 2).any(axis=1)
+    if not len(points) or outside.mean() <= _MOST_OUTSIDE:
+        return None
+    away = float(np.linalg.norm(middle_of(points) - center))
+    x, y, z = center
     return (
-        f"{GIVEN}; what is in view lies {away:.2f} m from ({x:.2f}, {y:.2f}, {z:.2f}), around which the model was "
-        "trained: results may be poor, move the world's origin there"
+        f"what is in view lies {away:.2f} m from ({x:.2f}, {y:.2f}, {z:.2f}), around which the model was trained, and "
+        f"{100 * outside.mean():.0f} % of it outside the {trained.workspace_size:.2f} m there: move the world's origin"
     )
+
+
+def _off_the_table(points: Float64[np.ndarray, "point 3"]) -> str | None:
+    """How the largest plane in view lies, if that is not at z = 0."""
+    plane = fit_plane(points, np.random.default_rng(0))
+    if plane is None:
+        return None
+    tilt = math.degrees(math.acos(min(1.0, abs(float(plane.normal[2])))))
+    if tilt > _MOST_TILT:
+        return (
+            f"the largest plane in view is tilted by {tilt:.0f} degrees: let the world's z axis point up from the table"
+        )
+    heights = points[np.abs(plane.height(points)) < TOLERANCE, 2]
+    height = float(np.median(heights)) if len(heights) else 0.0
+    if abs(height) <= _MOST_HEIGHT:
+        return None
+    return f"the largest plane in view lies at z = {height:.2f} m: move the world's origin onto the table"
 
 
 def _first_points(observation: Observation) -> Float64[np.ndarray, "point 3"]:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.creation import edit
-from obpose.creation.bounds import world_bounds
+from obpose.creation.bounds import workspace_bounds
 from obpose.creation.scene import Scene
 from obpose.model import ObPose
 
@@ -36,14 +36,14 @@ class Session:
     """One scene that is edited step by step; not for several threads at once."""
 
     def __init__(self, scene: Scene, model: ObPose):
-        """The model says where the world ends and how large objects are."""
+        """The model says where objects can be and how large they are."""
         self.version = Version(scene, {name: name for name in scene.ids}, began=scene)
         self.selected: int | None = None
         self.frame = 0
         self.view = 0
         self._past: deque[Version] = deque(maxlen=_MOST_VERSIONS)
         self._grabbed: Version | None = None
-        self._low, self._high = world_bounds(model)
+        self._low, self._high = workspace_bounds(model)
         self._box = model.config.model.pose.box_size
 
     @property
@@ -122,7 +122,7 @@ class Session:
             self._grabbed = self.version
 
     def drag(self, to: Float[Tensor, "3"], turn: Float[Tensor, "3 3"]) -> None:
-        """Move the middle of the held object there in this frame, as far as the world reaches, and turn it.
+        """Move the middle of the held object there in this frame, as far as the workspace reaches, and turn it.
 
         Args:
             to: World frame, metres.
@@ -169,7 +169,7 @@ class Session:
         self.view = min(self.view, len(self.scene.cameras) - 1)
 
     def _within(self, name: int, by: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
-        """As much of a displacement as leaves the object inside the world in all frames."""
+        """As much of a displacement as leaves the object inside the workspace in all frames."""
         way = self._grabbed.scene if self._grabbed else self.scene
         center = way.center[:, way.place(name)]
         return by.clamp(self._low - center.amin(dim=0), self._high - center.amax(dim=0))

@@ -77,6 +77,31 @@ def test_frames_of_ones_own_give_the_scene_of_the_same_clip(inferred: Path, fram
     torch.testing.assert_close(own.what, scene.what, atol=0.1, rtol=0)
 
 
+def in_another_world(frames: list[str], folder: Path, *, axis: int, by: float) -> list[str]:
+    """The same flags with a camera that was moved along an axis, metres."""
+    *others, camera = frames
+    pose = np.loadtxt(camera.removeprefix("--camera-pose="))
+    pose[axis, 3] += by
+    np.savetxt(folder / "pose.txt", pose)
+    return [*others, f"--camera-pose={folder}/pose.txt"]
+
+
+def test_objects_of_frames_outside_the_workspace_are_refused(frames: list[str], tmp_path: Path, capsys):
+    flags = in_another_world(frames, tmp_path, axis=0, by=-0.8)
+    assert run("infer", "--checkpoint", MODEL, *flags, "--out", tmp_path / "own") == EXIT_USAGE
+    told = capsys.readouterr()
+    assert "of it outside the 1.01 m there: move the world's origin" in told.out
+    assert "would be outside the workspace" in told.err
+    assert told.err.count("\n") == 1
+    assert not (tmp_path / "own").exists()
+
+
+def test_a_table_that_is_not_at_zero_is_pointed_out(frames: list[str], tmp_path: Path, capsys):
+    flags = in_another_world(frames, tmp_path, axis=2, by=-0.4)
+    assert run("infer", "--checkpoint", MODEL, *flags, "--out", tmp_path / "own") == EXIT_OK
+    assert "the largest plane in view lies at z = -0.40 m: move the world's origin onto" in capsys.readouterr().out
+
+
 def test_a_scene_is_of_a_dataset_or_of_frames(tiny_dataset: Path, frames: list[str], tmp_path: Path, capsys):
     for flags in ([], [*frames, "--data", tiny_dataset]):
         assert run("infer", "--checkpoint", MODEL, *flags, "--out", tmp_path / "new") == EXIT_USAGE
@@ -149,7 +174,12 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["remove", "SCENE", "--object", "9", "--out", "new"], "no object 9. There are"),
         (["move", "SCENE", "--object", "1", "--out", "new"], "Give either --by or --to"),
         (["move", "SCENE", "--object", "1", "--by", "1,2", "--out", "new"], "expected x,y,z in metres"),
-        (["move", "SCENE", "--object", "1", "--by", "5,0,0", "--out", "new"], "outside the world that the model knows"),
+        (
+            ["move", "SCENE", "--object", "FIRST", "--by", "0.8,0,0", "--out", "new"],
+            "FIRST would be outside the workspace",
+        ),
+        (["move", "SCENE", "--object", "FIRST", "--to", "0,0,-0.43", "--out", "new"], "z 0.00 to 0.58 m in all frames"),
+        (["add", "SCENE", "--object", "FIRST", "--to", "0,0.6,0.05", "--out", "new"], "would be outside the workspace"),
         (["move", "SCENE", "--object", "1", "--by", "nan,0,0", "--out", "new"], "expected x,y,z in metres"),
         (["move", "nowhere", "--object", "1", "--by", "0,0,0", "--out", "new"], "holds no scene"),
         (["remove", "SCENE", "--object", "1", "--out", "SCENE"], "is there already and not empty"),
@@ -187,6 +217,7 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     places = {"SCENE": str(inferred), "FIRST": str(load_scene(inferred).ids[0])}
     for name, place in places.items():
         command = [part.replace(name, place) for part in command]
+        message = message.replace(name, place)
     assert main(command) == EXIT_USAGE
     errors = capsys.readouterr().err
     assert message in errors

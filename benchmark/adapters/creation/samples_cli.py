@@ -20,11 +20,14 @@ from benchmark.registry import find_model
 from benchmark.tuning import choose
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage import Dataset
-from obpose.creation.origin import Origin
+from obpose.creation.origin import Origin, load_origin
 from obpose.creation.pictures import enlarged, write_png
+from obpose.shipped import shipped_names
 
 PROGRAM = "python -m benchmark.adapters.creation.samples_cli"
 TUNED_ON = "val"
+SEGMENTS = "obpose"
+"""Whose weights segment, as those of `obpose-sharp` sample."""
 OURS, CLUSTERING = "ObPose", "plane-hdbscan"
 FEATURES = ("size", "colour")
 COLUMNS, TILE, GAP = 10, 96, 2
@@ -37,6 +40,9 @@ class Arguments(Subject):
 
     seed: int = 0
     """Of the samples."""
+    segmenter: str = ""
+    """Folder of a trained model, or the name of weights that ship, to segment the scenes with: other weights than those
+    that sample. By default those of `obpose` that ship for the track, or the sampling ones where there are none."""
     picture: Path | None = None
     """PNG to write: real scenes, beneath them some of the fitted prior, and then of the learned one."""
 
@@ -50,6 +56,7 @@ def run(values: Arguments) -> int:
     """Of one model and dataset."""
     values.check(scenes=1, seed=0)
     origin = values.origin()
+    segmenter = load_origin(values.segmenter or shipped_to_segment(values.source.name) or origin.name)
     if values.picture is not None and values.picture.suffix != ".png":
         raise UsageError(f"--picture {values.picture}: expected a name that ends with .png.")
     if values.split == TUNED_ON:
@@ -62,16 +69,27 @@ def run(values: Arguments) -> int:
     for prior in ("fitted", "learned"):
         kinds[f"sampled, prior {prior}"] = list(sampled_scenes(origin, prior, real, seed=values.seed))
     print(f"{origin.name}, {len(real)} scenes of {values.source.name}, first view and frame, seed {values.seed}:\n")
-    segmenters = {OURS: _model(origin), CLUSTERING: _clustering(others, values.source.slots)}
+    print(f"{OURS} segments with {segmenter.name}{_circular(origin, segmenter)}.\n")
+    segmenters = {OURS: _model(segmenter), CLUSTERING: _clustering(others, values.source.slots)}
     measured = list(lines(kinds, segmenters, values.seed))
     for row in table(measured):
         print(row)
-    values.write_csv(origin, measured)
+    values.write_csv(origin, [{"segmenter": segmenter.name, **line} for line in measured])
     if values.picture is not None:
         rows = [kind for name, kind in kinds.items() if name != f"real ({TUNED_ON})"]
         write_png(values.picture, grid(rows))
         print(values.picture)
     return EXIT_OK
+
+
+def shipped_to_segment(track: str) -> str | None:
+    """Name of the weights of `obpose` that ship for a track, if there are any."""
+    return next((name for name in shipped_names() if name.startswith(f"{SEGMENTS}--{track}--")), None)
+
+
+def _circular(origin: Origin, segmenter: Origin) -> str:
+    same = origin.hash == segmenter.hash
+    return ", the weights that sample: what they draw they also recognise" if same else ""
 
 
 def grid(rows: Sequence[Sequence[Labelled]]) -> np.ndarray:

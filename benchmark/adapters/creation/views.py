@@ -54,6 +54,8 @@ class View:
 class Likeness:
     """How like the truth a picture is."""
 
+    scene: int
+    """Of the split."""
     maker: str
     same_view: bool
     """Whether it is of the view that was seen, or of another."""
@@ -88,19 +90,21 @@ def measure_views(
                 truth = read_views(records, index, frame)
                 for view, camera in enumerate(cameras):
                     rendered = renderer.render(scene, frame, camera)
-                    yield likeness(MODEL, Picture(_array(rendered.rgb), _array(rendered.depth)), truth, seen, view)
+                    pictures = {MODEL: Picture(_array(rendered.rgb), _array(rendered.depth))}
                     if view == seen:
-                        yield likeness(FLAT, flat(truth[seen]), truth, seen, view)
+                        pictures[FLAT] = flat(truth[seen])
                     else:
-                        yield likeness(CARRIED, carried(truth[seen], truth[view], means[view]), truth, seen, view)
-                        yield likeness(COPIED, truth[seen].picture, truth, seen, view)
-                        yield likeness(MEAN, means[view], truth, seen, view)
+                        pictures[CARRIED] = carried(truth[seen], truth[view], means[view])
+                        pictures |= {COPIED: truth[seen].picture, MEAN: means[view]}
+                    for maker, picture in pictures.items():
+                        yield likeness(maker, picture, truth, seen, view, scene=index)
 
 
-def likeness(maker: str, picture: Picture, truth: Sequence[View], seen: int, view: int) -> Likeness:
+def likeness(maker: str, picture: Picture, truth: Sequence[View], seen: int, view: int, *, scene: int = 0) -> Likeness:
     """A picture of a view beside that view."""
     true, objects = truth[view].picture, truth[view].objects
     return Likeness(
+        scene=scene,
         maker=maker,
         same_view=seen == view,
         psnr=psnr(picture.rgb, true.rgb),

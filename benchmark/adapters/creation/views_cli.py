@@ -13,11 +13,14 @@ from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.creation.subject import Subject
 from benchmark.adapters.creation.views import CARRIED, COPIED, FLAT, MEAN, MODEL, Likeness, measure_views
 from benchmark.leaderboard import Line
+from benchmark.statistics import draw, summarise
 from datagen.errors import EXIT_OK
 from datagen.storage import Dataset
 
 PROGRAM = "python -m benchmark.adapters.creation.views_cli"
 MEANS = ("psnr", "psnr_objects", "ssim")
+INTERVALS = ("psnr", "psnr_objects")
+"""Of the means those that get a 95 % interval, over scenes drawn anew."""
 MEDIANS = ("depth_errors", "depth_errors_objects")
 
 
@@ -48,7 +51,7 @@ def run(values: Arguments) -> int:
     found = measure_views(
         origin, folder, values.split, scenes=values.scenes, frames=values.frames, refinements=values.refine
     )
-    measured = lines(list(found))
+    measured = lines(list(found), values.refine)
     refined = f", refined in {values.refine} steps" if values.refine else ""
     place = f"first {values.scenes} scenes of the split {values.split} of {values.source.name}"
     print(f"{origin.name}{refined}, {place}:\n")
@@ -58,8 +61,13 @@ def run(values: Arguments) -> int:
     return EXIT_OK
 
 
-def lines(found: Sequence[Likeness]) -> list[Line]:
-    """Of each kind of picture and who makes it: means over pictures, medians of depth over all of their pixels."""
+def lines(found: Sequence[Likeness], refinements: int) -> list[Line]:
+    """Of each kind of picture and who makes it: means over pictures, medians of depth over all of their pixels.
+
+    Args:
+        found: All pictures.
+        refinements: Steps in which the model's scenes were refined.
+    """
     groups = {
         (same_view, maker): [one for one in found if one.same_view == same_view and one.maker == maker]
         for same_view in (True, False)
@@ -69,8 +77,10 @@ def lines(found: Sequence[Likeness]) -> list[Line]:
         {
             "picture": "the input view" if same_view else "another view",
             "by": maker,
+            "refinements": refinements if maker == MODEL else 0,
             "pictures": len(group),
             **{name: float(np.nanmean([getattr(one, name) for one in group])) for name in MEANS},
+            **{key: value for name in INTERVALS for key, value in _interval(group, name).items()},
             **{name: float(np.median(np.concatenate([getattr(one, name) for one in group]))) for name in MEDIANS},
         }
         for (same_view, maker), group in groups.items()
@@ -78,14 +88,30 @@ def lines(found: Sequence[Likeness]) -> list[Line]:
     ]
 
 
+def _interval(group: Sequence[Likeness], name: str) -> dict[str, float]:
+    """Of a mean over pictures, by drawing scenes: pictures of one scene are no independent ones."""
+    members = [
+        [getattr(one, name) for one in group if one.scene == scene] for scene in {one.scene: None for one in group}
+    ]
+    counts = np.array([[np.sum(~np.isnan(scores)) for scores in members]], float)
+    means = np.array([[np.nansum(scores) for scores in members]]) / np.maximum(counts, 1)
+    found = summarise(means, counts, draw(1, len(members), np.random.default_rng(0)))
+    return {f"{name}_ci_low": found.low, f"{name}_ci_high": found.high}
+
+
 def table(measured: Sequence[Line]) -> Iterator[str]:
     """As Markdown."""
-    yield "| picture of | by | pictures | PSNR | on objects | SSIM | depth error, median | on objects |"
+    columns = ("picture of", "by", "pictures", "PSNR (95 % over scenes)", "on objects", "SSIM", "depth error, median")
+    yield f"| {' | '.join(columns)} | on objects |"
     yield "|---|---|---:|---:|---:|---:|---:|---:|"
     for line in measured:
-        quality = f"{line['psnr']:.1f} dB | {line['psnr_objects']:.1f} dB | {line['ssim']:.3f}"
+        quality = " | ".join([*(_with_interval(line, name) for name in INTERVALS), f"{line['ssim']:.3f}"])
         depth = " | ".join(f"{1000 * float(line[name]):.1f} mm" for name in MEDIANS)
         yield f"| {line['picture']} | {line['by']} | {line['pictures']} | {quality} | {depth} |"
+
+
+def _with_interval(line: Line, name: str) -> str:
+    return f"{line[name]:.1f} dB ({line[f'{name}_ci_low']:.1f} to {line[f'{name}_ci_high']:.1f})"
 
 
 if __name__ == "__main__":

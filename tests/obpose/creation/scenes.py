@@ -26,10 +26,11 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
     generator = torch.Generator().manual_seed(seed)
     draw = lambda *shape: torch.randn(shape, generator=generator)  # noqa: E731
     rotation = torch.linalg.qr(draw(frames, objects, 3, 3))[0]
+    above = torch.tensor([0.0, 0.0, 0.2])
     return Scene(
         ids=tuple(range(1, objects + 1)),
         what=draw(frames, objects, 32),
-        center=0.2 * draw(frames, objects, 3).clamp(-1, 1),
+        center=above + 0.2 * draw(frames, objects, 3).clamp(-1, 1),
         rotation=rotation * torch.linalg.det(rotation)[..., None, None],
         background=draw(frames, 32),
         cameras=(CAMERA,),

@@ -1,7 +1,15 @@
+from pathlib import Path
+
+import pytest
 import torch
 
+from benchmark.metrics.images import psnr
 from obpose.creation import edit
+from obpose.creation.clip import read_clip
+from obpose.creation.infer import infer_scene
+from obpose.creation.origin import load_origin
 from obpose.creation.rendering import Renderer
+from tests.obpose.creation.dense import densely
 from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
 
 
@@ -32,3 +40,20 @@ def test_the_order_of_objects_does_not_matter():
     one, two = renderer.render(scene), renderer.render(other)
     torch.testing.assert_close(two.rgb, one.rgb, atol=1e-4, rtol=0)
     torch.testing.assert_close(two.shares[[0, 2, 1]], one.shares, atol=1e-4, rtol=0)
+
+
+@pytest.mark.slow
+def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path):
+    """More than the goal of 40 dB, which colours of the surface instead of from behind it meet too, just.
+
+    The time that leaving things out saves is measured in tests/perf.
+    """
+    origin = load_origin("obpose--moving--64x64")
+    scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0))
+    camera, renderer = scene.cameras[0].resized(24, 24), Renderer(origin.model)
+    image = renderer.render(scene, camera=camera)
+    dense = densely(renderer, scene, camera, behind=origin.model.config.loss.jitter)
+    assert len(scene.ids) > 1
+    assert float(image.shares[1:].sum(dim=0).max()) > 0.9
+    assert psnr(image.rgb.numpy(), dense.colour[0, 0].view_as(image.rgb).numpy()) > 60
+    torch.testing.assert_close(image.depth, dense.depth[0, 0].view_as(image.depth), atol=2e-3, rtol=0)

@@ -13,6 +13,9 @@ from tests.processes import wait_until
 SHOWN = "document.querySelector('canvas') && document.body.innerText.includes('after the last change')"
 BUTTON = "[...document.querySelectorAll('button')].filter(found => found.innerText.trim() == {label!r})[{place}]"
 
+ARC = 0.65
+"""Radius of viser's arcs, in the scale of the gizmo."""
+
 
 class Person:
     """Whoever looks at the first tab that opened the page."""
@@ -65,6 +68,14 @@ class Person:
         axis = np.array(by) / np.linalg.norm(by)
         start = middle + 0.6 * scale * abs(axis)
         self.tab.drag(self.pixel(start), self.pixel(start + np.array(by)), look=look)
+
+    def turn_gizmo(self, degrees: float) -> None:
+        """Take the gizmo by its arc around the world's z axis, between x and y, and pull it along as far."""
+        gizmo = self.page.server.scene.get_handle_by_name("/gizmo")
+        middle, radius = np.array(gizmo.position), ARC * gizmo.scale  # pyright: ignore
+        angles = np.radians([45.0, 45.0 + degrees])
+        start, end = (middle + radius * np.array([np.cos(angle), np.sin(angle), 0.0]) for angle in angles)
+        self.tab.drag(self.pixel(start), self.pixel(end))
 
     def pixel(self, point: np.ndarray) -> tuple[float, float]:
         """Where a world point is seen, pixels of the page."""

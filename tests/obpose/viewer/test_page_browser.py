@@ -1,4 +1,4 @@
-"""The page in headless Chromium: start, orbit, drag, remove, undo, save."""
+"""The page in headless Chromium: start, orbit, drag, turn, hide, remove, undo, save."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,6 +73,48 @@ def test_a_scene_is_looked_at_edited_and_saved(page: Page, tmp_path: Path):
         person.press("Undo")
         wait_until(lambda: not page.session.can_undo, what="the drag to be undone")
         assert torch.equal(page.session.scene.center, before.center)
+        assert tab.complaints == []
+
+
+def test_an_object_is_turned_and_hidden(page: Page, tmp_path: Path):
+    with browser(f"http://127.0.0.1:{page.server.get_port()}", tmp_path / "profile", width=1000, height=640) as tab:
+        person = Person(tab, page)
+        before, name = page.session.scene, page.session.scene.ids[0]
+        person.press("move")
+        wait_until(lambda: page.session.selected == name, what="the object to be held")
+        person.settle()
+        held = seen(person, tmp_path / "held.png")
+        person.turn_gizmo(40)
+        wait_until(lambda: page.session.can_undo, what="the turn to end")
+        turned = page.session.scene
+        turn = turned.rotation[0, 0] @ before.rotation[0, 0].T
+        assert float(torch.rad2deg(torch.atan2(turn[1, 0], turn[0, 0]))) == pytest.approx(40, abs=8)
+        assert float(turn[2, 2]) == pytest.approx(1, abs=1e-4)
+        assert torch.equal(turned.rotation[:, 1:], before.rotation[:, 1:])
+        torch.testing.assert_close(turned.center, before.center)
+        person.settle()
+        assert differs(seen(person, tmp_path / "turned.png"), held)
+
+        person.press("move")
+        wait_until(lambda: page.session.selected is None, what="the object to be let go of")
+        person.settle()
+        shown = seen(person, tmp_path / "shown.png")
+        person.press("hide")
+        wait_until(lambda: page.session.hidden == {name}, what="the object to be hidden")
+        person.settle()
+        hidden = seen(person, tmp_path / "hidden.png")
+        assert differs(hidden, shown)
+        # The picture that is rendered, on the right, goes without it as well; the scene does not.
+        assert (hidden[:, 500:] != shown[:, 500:]).any(axis=-1).mean() > 0.005
+        assert page.session.scene is turned
+        person.press("show")
+        wait_until(lambda: not page.session.hidden, what="the object to be shown again")
+        person.settle()
+        assert not differs(seen(person, tmp_path / "back.png"), shown)
+
+        person.press("Undo")
+        wait_until(lambda: not page.session.can_undo, what="the turn to be undone")
+        assert torch.equal(page.session.scene.rotation, before.rotation)
         assert tab.complaints == []
 
 

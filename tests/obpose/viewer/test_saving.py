@@ -28,6 +28,6 @@ def test_what_cannot_be_saved_leaves_nothing(tmp_path: Path):
     with pytest.raises(UsageError, match="is a file"):
         save_new(tmp_path / "file", scene, renderer)
     outside = edit.move(scene, 1, torch.tensor([9.0, 0.0, 0.0]))
-    with pytest.raises(UsageError, match="Object 1 would be outside"):
+    with pytest.raises(UsageError, match="Object 1 would be outside the workspace"):
         save_new(tmp_path / "out", outside, renderer)
     assert not (tmp_path / "out").exists()

@@ -3,6 +3,7 @@ import math
 import pytest
 import torch
 
+from obpose.creation.bounds import check_inside
 from obpose.creation.scene import upright
 from obpose.errors import UsageError
 from obpose.viewer.session import Session
@@ -60,10 +61,11 @@ def test_a_drag_is_of_this_frame_and_displaces_the_whole_way():
     session.go_to_frame(1)
     session.select(1)
     session.grab()
-    session.drag(torch.zeros(3), torch.eye(3))
+    to = torch.tensor([0.0, 0.0, 0.2])
+    session.drag(to, torch.eye(3))
     session.drop()
-    torch.testing.assert_close(session.scene.center[1, 0], torch.zeros(3))
-    torch.testing.assert_close(session.scene.center[0, 0], before.center[0, 0] - before.center[1, 0])
+    torch.testing.assert_close(session.scene.center[1, 0], to)
+    torch.testing.assert_close(session.scene.center[0, 0], before.center[0, 0] - before.center[1, 0] + to)
 
 
 def test_what_is_grabbed_and_not_moved_is_no_edit():
@@ -83,16 +85,18 @@ def test_nothing_is_dragged_that_is_not_held():
     assert not session.can_undo
 
 
-def test_an_object_stops_where_the_world_does_in_all_frames():
+def test_an_object_stops_where_the_workspace_does_in_all_frames():
     session = some_session()
     session.select(3)
     session.grab()
-    session.drag(torch.tensor([9.0, -9.0, 0.0]), torch.eye(3))
+    session.drag(torch.tensor([9.0, -9.0, -9.0]), torch.eye(3))
     session.drop()
-    half = 2.5 / 2
+    half = 1.0 / 2
     center = session.scene.center[:, 2]
     assert float(center[:, 0].max()) == pytest.approx(half)
     assert float(center[:, 1].min()) == pytest.approx(-half)
+    assert float(center[:, 2].min()) == pytest.approx(0, abs=1e-6)
+    check_inside(session.scene, some_model())
 
 
 def test_what_is_hidden_is_not_shown_and_stays_in_the_scene():

@@ -7,12 +7,13 @@ import torch
 from PIL import Image as Pillow
 
 from benchmark.adapters.creation.sampled import ari_fg, labelled, looks, mean_ari_fg, real_scenes, sampled_scenes
-from benchmark.adapters.creation.samples_cli import COLUMNS, GAP, main
+from benchmark.adapters.creation.samples_cli import COLUMNS, GAP, main, shipped_to_segment
 from benchmark.interface import Prediction
 from datagen.storage import Dataset
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior, save_prior
 from obpose.creation.rendering import Image
+from obpose.shipped import shipped_to_create
 from tests.obpose.creation.scenes import CAMERA
 
 
@@ -86,6 +87,8 @@ def test_the_command_prints_and_draws(
     printed = capsys.readouterr().out
     assert all(f"| {name} |" in printed for name in ("real (test)", "real (val)", "sampled, prior fitted"))
     kept = list(csv.DictReader((tmp_path / "samples.csv").read_text().splitlines()))
+    assert {line["segmenter"] for line in kept} == {str(checkpoint)}
+    assert f"segments with {checkpoint}, the weights that sample" in printed
     assert [line["mmd2 size p"] != "" for line in kept[:2]] == [False, True]
     assert f"| {float(kept[1]['mmd2 size']):z.4f} ({float(kept[1]['mmd2 size p']):.3f}) |" in printed
     width = 2 * (96 + 2 * GAP)
@@ -93,3 +96,23 @@ def test_the_command_prints_and_draws(
         assert picture.size == (width, 3 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("track", "name"), [("moving", "obpose--moving--64x64"), ("clevr3d", "obpose--clevr3d--80x60")]
+)
+def test_other_weights_segment_what_the_ones_for_pictures_sample(track: str, name: str):
+    assert shipped_to_segment(track) == name != shipped_to_create(track)
+    assert shipped_to_segment("nowhere") is None
+
+
+def test_the_segmenter_is_the_one_that_is_named(
+    clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    save_prior(origin, learned_prior(origin.model))
+    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2", "--segmenter"]
+    assert main([*flags, "obpose--moving--64x64", "--csv", str(tmp_path / "samples.csv")]) == 0
+    assert "segments with obpose--moving--64x64.\n" in capsys.readouterr().out
+    kept = list(csv.DictReader((tmp_path / "samples.csv").read_text().splitlines()))
+    assert {(line["model"], line["segmenter"]) for line in kept} == {(str(checkpoint), "obpose--moving--64x64")}
+    assert main([*flags, "nowhere"]) == 2

@@ -22,7 +22,7 @@ from benchmark.adapters.creation.views import (
     read_views,
     spread,
 )
-from benchmark.adapters.creation.views_cli import main
+from benchmark.adapters.creation.views_cli import lines, main
 from datagen.storage import Dataset, Split
 from obpose.creation.origin import Origin
 
@@ -105,6 +105,32 @@ def test_indices_are_spread():
     assert spread(2, 3) == [0, 1]
 
 
+def test_intervals_are_over_scenes_and_not_over_their_pictures(views: list[View]):
+    one = likeness(MODEL, views[0].picture, views, 0, 1)
+    rng = np.random.default_rng(0)
+    hardness = rng.normal(25, 3, 40)
+    alike = [replace(one, scene=scene, psnr=float(hardness[scene])) for scene in range(40) for _ in range(9)]
+    (line,) = lines(alike, 0)
+    mean, low, high = (float(line[name]) for name in ("psnr", "psnr_ci_low", "psnr_ci_high"))
+    assert mean == pytest.approx(hardness.mean())
+    assert low < mean < high
+    assert high - low == pytest.approx(2 * 1.96 * hardness.std() / 40**0.5, rel=0.1)
+
+
+def test_a_scene_without_objects_counts_for_the_image_alone(views: list[View]):
+    one = likeness(MODEL, views[0].picture, views, 0, 1)
+    found = [replace(one, scene=scene, psnr=20.0 + scene, psnr_objects=float("nan")) for scene in range(2)]
+    found += [replace(one, scene=2, psnr=22.0, psnr_objects=15.0)]
+    (line,) = lines(found, 0)
+    assert line["psnr"] == pytest.approx(21)
+    assert line["psnr_objects"] == line["psnr_objects_ci_low"] == line["psnr_objects_ci_high"] == 15
+
+
+def test_what_was_refined_is_said_of_the_model_alone(views: list[View]):
+    both = [likeness(maker, views[0].picture, views, 0, 1) for maker in (MODEL, COPIED)]
+    assert {line["by"]: line["refinements"] for line in lines(both, 100)} == {MODEL: 100, COPIED: 0}
+
+
 def test_the_command_prints_a_table_and_keeps_it(
     clips: Path, checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -116,5 +142,8 @@ def test_the_command_prints_a_table_and_keeps_it(
     line, plain = csv.DictReader((tmp_path / "views.csv").read_text().splitlines())
     assert (line["by"], plain["by"]) == (MODEL, FLAT)
     assert (line["data"], line["split"], line["pictures"]) == (clips.name, "test", "2")
-    assert f"| {float(line['psnr']):.1f} dB | {float(line['psnr_objects']):.1f} dB |" in printed
+    assert (line["refinements"], plain["refinements"]) == ("0", "0")
+    for name in ("psnr", "psnr_objects"):
+        mean, low, high = (float(line[key]) for key in (name, f"{name}_ci_low", f"{name}_ci_high"))
+        assert f"| {mean:.1f} dB ({low:.1f} to {high:.1f}) |" in printed
     assert printed.rstrip().endswith(f"| {1000 * float(plain['depth_errors_objects']):.1f} mm |")

@@ -1,0 +1,59 @@
+import numpy as np
+import pytest
+import torch
+
+from obpose.clips import ArrayClips
+from obpose.measure import measure_scene
+from obpose.model import ObPose
+from obpose.recordings.frames import _given_note
+from obpose.recordings.world import GIVEN
+from obpose.types import Observation
+from obpose.variants import make_config
+from tests.sphere_clips import clip_and_truth
+
+CLIP = clip_and_truth(frames=1, resolution=(32, 24))[0]
+
+
+@pytest.fixture(scope="module")
+def model() -> ObPose:
+    """Measured on the clip."""
+    return ObPose(make_config("obpose", **measure_scene(ArrayClips([CLIP])).changes()))
+
+
+def seen(pose: np.ndarray) -> Observation:
+    """The clip in a world that was moved."""
+    values = (CLIP.rgb / 255, CLIP.depth, CLIP.k, pose @ CLIP.world_from_camera)
+    rgb, depth, k, world_from_camera = (torch.from_numpy(np.asarray(value, np.float32))[None] for value in values)
+    return Observation(
+        rgb=rgb, depth=depth, valid=torch.from_numpy(CLIP.valid)[None], k=k, world_from_camera=world_from_camera
+    )
+
+
+def moved(x: float = 0.0, z: float = 0.0, degrees: float = 0.0) -> np.ndarray:
+    """world_from_world, turned about x by some degrees."""
+    pose, angle = np.eye(4), np.radians(degrees)
+    pose[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    pose[0, 3], pose[2, 3] = x, z
+    return pose
+
+
+def test_nothing_is_said_of_the_world_of_the_training(model: ObPose):
+    assert _given_note(seen(moved()), model) == GIVEN
+    assert _given_note(seen(moved(x=0.05, z=0.01)), model) == GIVEN
+
+
+@pytest.mark.parametrize(
+    ("pose", "said"),
+    [
+        (moved(x=5), "100 % of it outside the"),
+        (moved(x=5), "lies 5.00 m from"),
+        (moved(z=-0.1), "the largest plane in view lies at z = -0.10 m: move the world's origin onto the table"),
+        (moved(z=0.05), "lies at z = 0.05 m"),
+        (moved(degrees=30), "the largest plane in view is tilted by 30 degrees"),
+    ],
+)
+def test_what_is_wrong_with_another_world_is_said(model: ObPose, pose: np.ndarray, said: str):
+    note = _given_note(seen(pose), model)
+    assert note.startswith(GIVEN)
+    assert said in note
+    assert note.endswith("results may be poor")
