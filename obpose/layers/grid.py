@@ -96,10 +96,14 @@ def upsample(
     """
     height, width = like.valid.shape[1:]
     weight = valid[..., None].to(features.dtype)
-    both = rearrange(torch.cat([features * weight, weight], dim=-1), "image y x channel -> image channel y x")
-    fine = F.interpolate(both, scale_factor=2, mode="bilinear", align_corners=False)
-    fine = rearrange(fine, "image channel y x -> image y x channel")[:, :height, :width]
-    return fine[..., :-1] / fine[..., -1:].clamp(min=1e-3)
+    fine, share = (_twice_as_fine(values)[:, :height, :width] for values in (features * weight, weight))
+    return fine * share.clamp(min=1e-3).reciprocal()
+
+
+def _twice_as_fine(values: Float[Tensor, "image y x channel"]) -> Float[Tensor, "image yy xx channel"]:
+    images = rearrange(values, "image y x channel -> image channel y x")
+    fine = F.interpolate(images, scale_factor=2, mode="bilinear", align_corners=False)
+    return rearrange(fine, "image channel y x -> image y x channel")
 
 
 def _from_the_middle(stride: int) -> Int[Tensor, " cell"]:

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.layers.numerics import log_sum_exp
 from obpose.losses.observation import mean_over
 
 
@@ -29,7 +30,7 @@ def attention_mixture(
     """
     share = log_share.detach()[..., None]
     targets = torch.cat([log_likelihood.detach() + share, share], dim=-1)
-    mixtures = torch.logsumexp(log_masks[..., None] + targets, dim=2)
+    mixtures = log_sum_exp(log_masks[..., None] + targets, dim=2)
     return mean_over(-torch.logaddexp(mixtures, mixtures.new_tensor(floor)).sum(dim=-1), weight)
 
 

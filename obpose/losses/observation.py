@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.layers.numerics import log_sum_exp
 from obpose.nerf.compose import air_density, log_density
 
 _LEAST = 1e-6
@@ -38,7 +39,7 @@ def colour_mixture(
     Deviation: with `channel` likelihoods there is a mixture for each colour channel, as in the authors' code, where the
     paper's is one over the three together. No constant is added inside the logarithm: far colours keep a gradient.
     """
-    mixture = torch.logsumexp(log_share[..., None] + log_likelihood, dim=2)
+    mixture = log_sum_exp(log_share[..., None] + log_likelihood, dim=2)
     return mean_over(-mixture.sum(dim=-1), weight)
 
 

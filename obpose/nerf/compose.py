@@ -9,6 +9,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.layers.numerics import log_sum_exp
+
 OUTSIDE = -30000.0
 """Logit outside a slot's box and of idle slots: lower than what fields give, finite also in half precision."""
 
@@ -26,7 +28,7 @@ def log_density(
 
     Finite, with a gradient that does not vanish where the density does, for all logits.
     """
-    return _log_tanh_exp(torch.logsumexp(_log_softplus(logits), dim=-2))
+    return _log_tanh_exp(log_sum_exp(_log_softplus(logits), dim=-2))
 
 
 def log_share(

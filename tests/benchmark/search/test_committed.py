@@ -4,6 +4,7 @@ from functools import cache
 
 import pytest
 
+from benchmark.adapters.trials import TRIALS
 from benchmark.registry import MODELS
 from benchmark.search.choice import choices
 from benchmark.search.plan import make_trials, missing
@@ -21,7 +22,7 @@ def outcomes():
     return tuple(load_outcomes(SEARCH))
 
 
-SYSTEMS = sorted({outcome.model for outcome in outcomes()})
+SYSTEMS = sorted(TRIALS)
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

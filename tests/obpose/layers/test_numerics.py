@@ -3,7 +3,7 @@ from decimal import Decimal, localcontext
 import pytest
 import torch
 
-from obpose.layers.numerics import log1mexp, sharpen
+from obpose.layers.numerics import log1mexp, log_sum_exp, sharpen
 
 ARGUMENTS = (-1e-30, -1e-7, -1e-3, -0.5, -0.6931, -0.6932, -1.0, -10.0, -40.0, -80.0)
 
@@ -33,6 +33,15 @@ def test_finite_far_beyond_the_range_of_the_exponential():
     (gradient,) = torch.autograd.grad(value.sum(), x)
     assert value.eq(0).all()
     assert gradient.eq(0).all()
+
+
+def test_sum_of_exponentials_is_torchs_where_some_terms_are_nothing():
+    x = torch.tensor([[0.3, -2.0, -79.0, -81.0, -1e4], [-3e4, -3e4, -3e4 - 1, -1e5, -1e6]], requires_grad=True)
+    value, expected = log_sum_exp(x, dim=1), torch.logsumexp(x, dim=1)
+    (gradient,), (other,) = (torch.autograd.grad(total.sum(), x) for total in (value, expected))
+    assert value.equal(expected)
+    torch.testing.assert_close(gradient, other, rtol=0, atol=1e-30)
+    assert gradient[:, 0].gt(0).all()
 
 
 def test_sharpening_is_a_power():
