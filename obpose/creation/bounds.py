@@ -39,7 +39,8 @@ def check_inside(scene: Scene, model: ObPose) -> None:
     outside = ((scene.center < lowest) | (scene.center > high)).any(dim=2).any(dim=0).tolist()
     names = [str(name) for name, out in zip(scene.ids, outside, strict=True) if out]
     if names:
-        ranges = [f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in zip("xyz", low.tolist(), high.tolist(), strict=True)]
+        within = zip("xyz", (low * 100).ceil() / 100, (high * 100).floor() / 100, strict=True)
+        ranges = [f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in within]
         raise UsageError(
             f"Object {', '.join(names)} would be outside the workspace that the model knows; expected the middle of "
             f"its box at {', '.join(ranges)} m in all frames: put it there, or in frames of your own move the world."

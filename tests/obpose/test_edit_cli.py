@@ -178,7 +178,7 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
             ["move", "SCENE", "--object", "FIRST", "--by", "0.8,0,0", "--out", "new"],
             "FIRST would be outside the workspace",
         ),
-        (["move", "SCENE", "--object", "FIRST", "--to", "0,0,-0.43", "--out", "new"], "z 0.00 to 0.58 m in all frames"),
+        (["move", "SCENE", "--object", "FIRST", "--to", "0,0,-0.43", "--out", "new"], "z 0.00 to 0.57 m in all frames"),
         (["add", "SCENE", "--object", "FIRST", "--to", "0,0.6,0.05", "--out", "new"], "would be outside the workspace"),
         (["move", "SCENE", "--object", "1", "--by", "nan,0,0", "--out", "new"], "expected x,y,z in metres"),
         (["move", "nowhere", "--object", "1", "--by", "0,0,0", "--out", "new"], "holds no scene"),
