@@ -18,14 +18,24 @@ def table_scene(
     width: int = 32,
     spheres: int = 2,
     holes: float = 0.0,
+    anywhere: bool = False,
     seed: int = 0,
 ) -> Observation:
-    """Coloured spheres of 3 to 5 cm radius on the table z = 0, apart, seen as in the `moving` recipe."""
+    """Coloured spheres of 3 to 5 cm radius on the table z = 0, apart, seen as in the `moving` recipe.
+
+    They stand from left to right; or `anywhere`, half as far from each other, so that no division of the table serves
+    all scenes.
+    """
     generator = torch.Generator().manual_seed(seed)
     draw = lambda *shape: torch.rand(shape, generator=generator)  # noqa: E731
     centers = torch.stack([torch.linspace(-0.18, 0.18, spheres).expand(batch, -1), 0.1 * draw(batch, spheres)], -1)
     radii = 0.03 + 0.02 * draw(batch, spheres)
     colours, table = draw(batch, spheres, 3), draw(batch, 3)
+    if anywhere:
+        angles = 2 * math.pi * draw(batch)[:, None]
+        x, y = (centers / 2).unbind(-1)
+        turned = torch.stack([angles.cos() * x - angles.sin() * y, angles.sin() * x + angles.cos() * y], -1)
+        centers = turned + 0.3 * (draw(batch, 1, 2) - 0.5)
     k, poses = _cameras(batch, views, height, width)
     rgb, depth = [], []
     for frame in range(frames):

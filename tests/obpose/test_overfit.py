@@ -32,9 +32,10 @@ SCENE = {
 }
 
 
-def scenes(count: int, frames: int) -> LabelledObservation:
+def scenes(count: int, frames: int, *, anywhere: bool = False) -> LabelledObservation:
     """Spheres on tables; colours say what is what, and what there is most of is the table."""
-    seen = table_scene(batch=count, frames=frames, spheres=OBJECTS, height=SIZE, width=SIZE)
+    size = {"height": SIZE, "width": SIZE}
+    seen = table_scene(batch=count, frames=frames, spheres=OBJECTS, anywhere=anywhere, **size)
     labels = torch.stack([labels_by_colour(rgb) for rgb in seen.rgb])
     parts = {field.name: getattr(seen, field.name) for field in fields(seen)}
     return LabelledObservation(**parts, segmentation=labels)
@@ -92,6 +93,17 @@ def test_two_objects_are_told_apart(system: str, changes: dict[str, Any], count:
         if tries[-1]["ari_fg"] > least and tries[-1]["ari"] > 0.97:
             return
     pytest.fail(f"Of {_SEEDS} seeds none tells them apart: {tries}.")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_slot_attention_tells_objects_apart_that_stand_anywhere():
+    """Where no division of the table that is the same in all scenes would do."""
+    clips = scenes(64, frames=1, anywhere=True)
+    torch.manual_seed(0)
+    model = fresh_model("slot-attention", {})
+    overfit(model, clips, steps=2000, batch=4)
+    assert scores(model, clips)["ari_fg"] > 0.9
 
 
 def fresh_model(system: str, changes: dict[str, Any]) -> Trainable:
