@@ -57,15 +57,15 @@ class Sample:
     objects: int = 3
     seed: int = 0
     prior: Literal["fitted", "learned"] = "fitted"
-    """`fitted`: Gaussians of what the model infers from training clips, which `obpose-edit fit` made and shipped
-    weights have; `learned`: the model's own priors."""
+    """`fitted`: mixtures of Gaussians of what the model infers from training clips, which `obpose-edit fit` made and
+    shipped weights have; `learned`: the model's own priors."""
     resolution: str | None = None
     """Of the picture, such as 128x128; that of the camera if left out."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Fit the Gaussians that scenes are sampled from, beside a model's weights."""
+    """Fit the mixtures that scenes are sampled from, beside a model's weights."""
 
     checkpoint: str
     """Folder of a trained model."""
@@ -86,7 +86,7 @@ class Render:
     frame: int = 0
     view: int = 0
     """Which of the scene's cameras."""
-    turntable: int = 0
+    turntable: int | None = None
     """Pictures of a whole turn around the scene, as a GIF."""
     clip: Switch = False
     """All frames, as a GIF."""

@@ -122,9 +122,9 @@ def _fit(values: Fit) -> None:
 
 def _render(values: Render) -> None:
     check_new(values.out)
-    if not 0 <= values.turntable <= MOST_TURNS:
-        raise UsageError(f"--turntable {values.turntable}: expected 0 to {MOST_TURNS}.")
-    moving = values.turntable > 0 or values.clip
+    if values.turntable is not None and not 0 < values.turntable <= MOST_TURNS:
+        raise UsageError(f"--turntable {values.turntable}: expected 1 to {MOST_TURNS}.")
+    moving = values.turntable is not None or values.clip
     if values.out.suffix != (".gif" if moving else ".png"):
         raise UsageError(f"--out {values.out}: expected a name that ends with {'.gif' if moving else '.png'}.")
     scene = load_scene(values.scene)
@@ -133,7 +133,7 @@ def _render(values: Render) -> None:
     camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
     renderer = Renderer(origin.model)
     with new_file(values.out) as out:
-        if values.turntable > 0:
+        if values.turntable is not None:
             around = turntable(camera, origin.model.center, values.turntable)
             write_gif(out, (strip(renderer.render(scene, frame, each), scene.ids) for each in around), fps=FPS)
         elif values.clip:

@@ -58,7 +58,13 @@ def carry(scene: Scene, name: int, by: Float[Tensor, "4 4"]) -> Scene:
 
 
 def swap(scene: Scene, one: int, other: int) -> Scene:
-    """With two objects in each other's places; what they are and how they are turned goes along with them."""
+    """With two objects in each other's places; what they are and how they are turned goes along with them.
+
+    Raises:
+        UsageError: no such object, or both are the same.
+    """
+    if one == other:
+        raise UsageError(f"Object {one} cannot change places with itself; name two objects.")
     a, b = scene.place(one), scene.place(other)
     center = scene.center.clone()
     center[:, [a, b]] = scene.center[:, [b, a]]

@@ -1,13 +1,16 @@
-"""What scenes are sampled from: the priors that the model learned, or Gaussians fitted to what it infers.
+"""What scenes are sampled from: the priors that the model learned, or mixtures fitted to what it infers.
 
 The learned priors hardly weigh in training (`loss.kl`), and latents of real scenes fill only a few of their directions.
-Gaussians that are fitted afterwards to the posterior means of training clips (ex-post density estimation, Ghosh et al.
-2020) stay nearer to them. Neither uses labels.
+Mixtures of Gaussians that are fitted afterwards to the posterior means of training clips (ex-post density estimation,
+Ghosh et al. 2020) stay nearer to them: of one Gaussian most of the mass is between the kinds of objects. Neither uses
+labels.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from safetensors import SafetensorError, safe_open
@@ -20,34 +23,52 @@ from obpose.files import write_whole
 from obpose.model import ObPose
 from obpose.types import Observation
 
+if TYPE_CHECKING:  # it takes a second to import, which only fitting needs
+    from sklearn.mixture import GaussianMixture
+
 FILE = "prior.safetensors"
 """Beside the model's weights."""
 _WEIGHTS = "weights"
 """In the file's metadata: SHA-256 of the file of the weights that it was fitted to."""
 _AGAIN = "make it again with obpose-edit fit, or give --prior learned."
+_PARTS = "weights", "means", "factors"
+_HELD = 5
+"""Every so many values are held out when the number of Gaussians is chosen."""
+_LEAST_VALUES = 16
+"""For each Gaussian."""
+_MOST_POWER = 6
+"""At most 2 to this many Gaussians."""
+_LEAST_VARIANCE = 1e-3
+"""Of a Gaussian along any axis, as a share of that of all values, on average over the axes."""
 _MARGIN = 0.02
 """Share of the objects at each end that do not say how far from the middle they are found."""
 
 
 @dataclass(frozen=True, eq=False)
-class Gaussian:
-    """A normal distribution."""
+class Mixture:
+    """A mixture of normal distributions."""
 
-    mean: Float[Tensor, "latent"]
-    factor: Float[Tensor, "latent latent"]
-    """The covariance is factor factor^T."""
+    weights: Float[Tensor, "part"]
+    """They sum to one."""
+    means: Float[Tensor, "part latent"]
+    factors: Float[Tensor, "part latent latent"]
+    """The covariance of a part is factor factor^T."""
 
     def draw(self, count: int, generator: torch.Generator) -> Float[Tensor, "count latent"]:
         """Independent samples."""
-        return self.mean + torch.randn(count, len(self.mean), generator=generator) @ self.factor.T
+        if count == 0:
+            return self.means[:0]
+        part = self.weights.multinomial(count, replacement=True, generator=generator)
+        noise = torch.randn(count, self.means.shape[1], generator=generator)
+        return self.means[part] + torch.einsum("nij,nj->ni", self.factors[part], noise)
 
 
 @dataclass(frozen=True, eq=False)
 class ScenePrior:
     """Of the latents of the first frame, and the part of the table on which objects stand."""
 
-    what: Gaussian
-    background: Gaussian
+    what: Mixture
+    background: Mixture
     low: Float[Tensor, "2"]
     """Of the objects' middles, world x and y, metres."""
     high: Float[Tensor, "2"]
@@ -61,13 +82,16 @@ def learned_prior(model: ObPose) -> ScenePrior:
     assert model.background is not None
     half = model.config.model.workspace_size / 4
     middle = model.center[:2]
-    gaussians = (Gaussian(mean, torch.diag(std)) for mean, std in (model.what.first(), model.background.first()))
+    gaussians = (
+        Mixture(torch.ones(1), mean[None], torch.diag(std)[None])
+        for mean, std in (model.what.first(), model.background.first())
+    )
     return ScenePrior(*gaussians, low=middle - half, high=middle + half)
 
 
 @torch.no_grad()
 def fit_prior(model: ObPose, clips: Iterable[Observation]) -> ScenePrior:
-    """Gaussians of the posterior means of the first frames of clips, a batch of one each.
+    """Mixtures of the posterior means of the first frames of clips, a batch of one each.
 
     Raises:
         UsageError: too few objects were found for a covariance.
@@ -85,19 +109,14 @@ def fit_prior(model: ObPose, clips: Iterable[Observation]) -> ScenePrior:
         raise UsageError(f"{len(objects)} objects were found in {scenes} clips; expected at least 2 in 2 clips.")
     places = torch.cat(center)
     low, high = (torch.quantile(places, share, dim=0) for share in (_MARGIN, 1 - _MARGIN))
-    return ScenePrior(_gaussian(objects), _gaussian(torch.stack(background)), low, high)
+    return ScenePrior(fit_mixture(objects), fit_mixture(torch.stack(background)), low, high)
 
 
 def save_prior(origin: Origin, prior: ScenePrior) -> None:
     """Write what `load_prior` reads beside a model's weights, with their hash: to other weights it means nothing."""
-    tensors = {
-        "what.mean": prior.what.mean,
-        "what.factor": prior.what.factor,
-        "background.mean": prior.background.mean,
-        "background.factor": prior.background.factor,
-        "low": prior.low,
-        "high": prior.high,
-    }
+    tensors = {"low": prior.low, "high": prior.high}
+    for name, mixture in (("what", prior.what), ("background", prior.background)):
+        tensors |= {f"{name}.{part}": getattr(mixture, part) for part in _PARTS}
     contents = {name: tensor.contiguous() for name, tensor in tensors.items()}
     write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
 
@@ -116,12 +135,8 @@ def load_prior(origin: Origin) -> ScenePrior:
         with safe_open(path, framework="pt") as file:
             found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             weights = (file.metadata() or {}).get(_WEIGHTS)
-        prior = ScenePrior(
-            Gaussian(found["what.mean"], found["what.factor"]),
-            Gaussian(found["background.mean"], found["background.factor"]),
-            found["low"],
-            found["high"],
-        )
+        what, background = (Mixture(*(found[f"{name}.{part}"] for part in _PARTS)) for name in ("what", "background"))
+        prior = ScenePrior(what, background, found["low"], found["high"])
     except (SafetensorError, KeyError, TypeError, ValueError):
         raise CorruptFile(f"{path} is damaged; {_AGAIN}") from None
     if weights is None:
@@ -135,19 +150,52 @@ def load_prior(origin: Origin) -> ScenePrior:
 
 def _is_whole(prior: ScenePrior, model: ObPose) -> bool:
     latent = model.config.model.latent
-    sizes = {prior.what: latent.what, prior.background: latent.background}
-    values = [prior.low, prior.high, *(value for one in sizes for value in (one.mean, one.factor))]
-    return (
-        all(one.mean.shape == (size,) and one.factor.shape == (size, size) for one, size in sizes.items())
-        and prior.low.shape == prior.high.shape == (2,)
-        and all(value.dtype == torch.float32 and bool(value.isfinite().all()) for value in values)
+    values = [prior.low, prior.high]
+    for mixture, size in ((prior.what, latent.what), (prior.background, latent.background)):
+        parts = len(mixture.weights)
+        if not parts or mixture.means.shape != (parts, size) or mixture.factors.shape != (parts, size, size):
+            return False
+        if not bool((mixture.weights >= 0).all() & (mixture.weights.sum() > 0)):
+            return False
+        values += [mixture.weights, mixture.means, mixture.factors]
+    return prior.low.shape == prior.high.shape == (2,) and all(
+        value.dtype == torch.float32 and bool(value.isfinite().all()) for value in values
     )
 
 
-def _gaussian(values: Float[Tensor, "n latent"]) -> Gaussian:
+def fit_mixture(values: Float[Tensor, "n latent"]) -> Mixture:
+    """Of 1, 2, 4 ... Gaussians, for as long as more of them make values likelier that they were not fitted to.
+
+    Where there are few values it is one Gaussian with their mean and covariance. What comes out depends on the values
+    and their order alone.
+    """
+    held = torch.arange(len(values)) % _HELD == 0
+    count, best = 1, -torch.inf
+    for power in range(_MOST_POWER + 1):
+        if 2**power * _LEAST_VALUES > (~held).sum():
+            break
+        score = _expectation_maximisation(values[~held], 2**power).score(values[held].numpy())
+        if score <= best:
+            break
+        count, best = 2**power, score
+    if count == 1:
+        return _gaussian(values)
+    found = _expectation_maximisation(values, count)
+    parts = found.weights_, found.means_, np.linalg.cholesky(np.asarray(found.covariances_))
+    return Mixture(*(torch.from_numpy(part).float() for part in parts))
+
+
+def _expectation_maximisation(values: Float[Tensor, "n latent"], count: int) -> "GaussianMixture":
+    from sklearn.mixture import GaussianMixture
+
+    least = _LEAST_VARIANCE * float(values.var(dim=0).mean())
+    return GaussianMixture(count, reg_covar=least, max_iter=200, random_state=0).fit(values.double().numpy())
+
+
+def _gaussian(values: Float[Tensor, "n latent"]) -> Mixture:
     """By the principal axes, as there may be fewer values than dimensions."""
     mean = values.mean(dim=0)
     _, spread, axes = torch.linalg.svd(values - mean, full_matrices=False)
     factor = torch.zeros(values.shape[1], values.shape[1])
     factor[:, : len(spread)] = axes.T * (spread / (len(values) - 1) ** 0.5)
-    return Gaussian(mean, factor)
+    return Mixture(torch.ones(1), mean[None], factor[None])

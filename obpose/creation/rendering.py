@@ -5,19 +5,25 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+import torch.nn.functional as F
+from einops import rearrange
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.creation.scene import Camera, Scene
 from obpose.geometry import camera_rays
 from obpose.model import ObPose
-from obpose.nerf.marching import Component, make_component, march, moved
+from obpose.nerf.marching import Component, Picture, make_component, march, moved
 
 _OPAQUE = 5.0
 """Optical thickness of as much of an opaque thing as lies between the surface points of neighbouring pixels. The
 fields were trained with such a spacing, and are no sharper."""
 _STEPS = 2.5
 """Samples over that length."""
+_ACROSS = 2
+"""Rays along each side of a pixel at an outline."""
+_OUTLINE = 0.1
+"""Outlines are where the share of a component differs by more than this between neighbours."""
 _KEPT = 256
 """Components that are remembered."""
 _OBJECT_CELLS = 16
@@ -49,25 +55,29 @@ class Renderer:
         self.model = model.eval()
         self._known: dict[bytes, Component] = {}
 
-    def render(self, scene: Scene, frame: int = 0, camera: Camera | None = None) -> Image:
-        """One frame, from the first camera that the scene was seen with where no other is given."""
+    def render(self, scene: Scene, frame: int = 0, camera: Camera | None = None, *, antialiased: bool = True) -> Image:
+        """One frame, from the first camera that the scene was seen with where no other is given.
+
+        Depth and shares are those of a ray through the middle of each pixel, and so are colours, but for pixels at
+        outlines: where not asked otherwise, these have the mean colour of `_ACROSS`^2 rays, as images of datasets are
+        antialiased, too. It takes 1.4 times as long.
+        """
         camera = scene.cameras[0] if camera is None else camera
-        settings = self.model.config.model
-        components = self.components(scene, frame)
-        direction, origin = camera_rays(camera.k, camera.world_from_camera, camera.height, camera.width)
-        picture = march(
-            components,
-            origin.expand_as(direction).flatten(0, 1),
-            direction.flatten(0, 1),
-            floor=settings.table,
-            **self.quadrature(camera),
-        )
+        components, direction = self.components(scene, frame), _directions(camera).flatten(0, 1)
+        picture = self._march(components, direction, camera)
         size = (camera.height, camera.width)
-        return Image(
-            rgb=picture.colour.clamp(0, 1).unflatten(0, size),
-            depth=picture.depth.unflatten(0, size),
-            shares=picture.weights.unflatten(1, size),
-        )
+        rgb, shares = picture.colour, picture.weights.unflatten(1, size)
+        if antialiased:
+            at = outlines(shares).flatten().nonzero()[:, 0]
+            finer = _directions(camera.resized(camera.width * _ACROSS, camera.height * _ACROSS))
+            several = rearrange(finer, "(h y) (w x) c -> (h w) (y x) c", y=_ACROSS, x=_ACROSS)[at]
+            seen = self._march(components, several.flatten(0, 1), camera).colour
+            rgb = rgb.index_copy(0, at, seen.unflatten(0, several.shape[:2]).mean(dim=1))
+        return Image(rgb=rgb.clamp(0, 1).unflatten(0, size), depth=picture.depth.unflatten(0, size), shares=shares)
+
+    def _march(self, components: list[Component], direction: Float[Tensor, "ray 3"], camera: Camera) -> Picture:
+        origin = camera.world_from_camera[:3, 3].expand_as(direction)
+        return march(components, origin, direction, floor=self.model.config.model.table, **self.quadrature(camera))
 
     def quadrature(self, camera: Camera) -> dict[str, Any]:
         """Between which depths rays are sampled, how densely, and what counts as opaque, for a camera."""
@@ -114,6 +124,17 @@ class Renderer:
                 self._known.clear()
             self._known[name] = make()
         return self._known[name]
+
+
+def outlines(shares: Float[Tensor, "component height width"]) -> Bool[Tensor, "height width"]:
+    """Pixels around which, in themselves and their eight neighbours, the share of a component is not all the same."""
+    visible = F.pad(shares, (1, 1, 1, 1), mode="replicate")
+    most, least = (F.max_pool2d(sign * visible, 3, stride=1) for sign in (1, -1))
+    return ((most + least) > _OUTLINE).any(dim=0)
+
+
+def _directions(camera: Camera) -> Float[Tensor, "height width 3"]:
+    return camera_rays(camera.k, camera.world_from_camera, camera.height, camera.width)[0]
 
 
 def _reach(camera: Camera, model: ObPose) -> tuple[float, float]:

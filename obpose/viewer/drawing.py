@@ -78,7 +78,7 @@ class Drawer:
     def draw(self, wish: Wish) -> Iterator[Piece]:
         """A small picture, the observed points, the shapes, and the picture in the camera's size where that is more."""
         small = preview_camera(wish.camera)
-        yield Picture(self._renderer.render(wish.scene, wish.frame, small), is_preview=small is not wish.camera)
+        yield Picture(self._render(wish, small), is_preview=small is not wish.camera)
         if self._clip is not None and wish.frame < self._inferred.frames:
             yield Clouds(self._clouds_of(wish.frame, self._clip))
         for name in wish.scene.ids:
@@ -90,9 +90,13 @@ class Drawer:
         """In bands, as a large picture takes seconds in which a newer wish may come."""
         images = []
         for band in bands(wish.camera):
-            images.append(self._renderer.render(wish.scene, wish.frame, band))
+            images.append(self._render(wish, band))
             yield Unfinished()
         yield Picture(joined(images), is_preview=False)
+
+    def _render(self, wish: Wish, camera: Camera) -> Image:
+        """Without antialiasing: it takes longer, and would leave the borders of bands out."""
+        return self._renderer.render(wish.scene, wish.frame, camera, antialiased=False)
 
     def _clouds_of(self, frame: int, clip: Observation) -> dict[int, Cloud]:
         if frame not in self._clouds:

@@ -7,7 +7,7 @@ from typing import Annotated, TypeVar
 
 import tyro
 
-from datagen.errors import run_program
+from datagen.errors import UsageError, run_program
 
 Options = TypeVar("Options")
 
@@ -20,6 +20,16 @@ class LabelMaps:
     """Label maps of a test split, as a run of obpose-bench leaves them."""
     data: Path | None = None
     """The dataset that the labels are of, if it has moved since."""
+
+
+def check_csv(path: Path | None) -> None:
+    """Refuse a CSV of another name.
+
+    Raises:
+        UsageError: it has one.
+    """
+    if path is not None and path.suffix != ".csv":
+        raise UsageError(f"--csv {path}: expected a name that ends with .csv.")
 
 
 def run_command(

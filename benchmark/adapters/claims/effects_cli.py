@@ -15,10 +15,12 @@ import numpy as np
 import tyro
 from jaxtyping import Integer, UInt8
 
-from benchmark.adapters.claims.command import run_command
+from benchmark.adapters.claims.command import check_csv, run_command
 from benchmark.clips import ClipSequence
+from benchmark.files import write_whole
 from benchmark.label_files import check_labels
 from benchmark.labels import dataset_of, read_labels
+from benchmark.leaderboard import Line, to_csv
 from benchmark.metrics import clip_scores
 from benchmark.statistics import Summary, draw, summarise
 from datagen.errors import EXIT_OK, UsageError
@@ -42,6 +44,8 @@ class Arguments:
     """The same scenes with effect masks; the dataset that the labels are of, if left out."""
     data: Path | None = None
     """The dataset that the labels are of, if it has moved since."""
+    csv: Path | None = None
+    """CSV to write what is printed to, with all digits."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,9 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(values: Arguments) -> int:
     """A line for each file and each way of counting."""
     check_labels(*values.labels)
+    check_csv(values.csv)
     print("| label maps | shadows are the | " + " | ".join(METRICS.values()) + " |")
     print("|---|---|" + "---|" * len(METRICS))
     counts: set[int] = set()
+    lines: list[Line] = []
     for labels in values.labels:
         data = values.data or dataset_of(labels)
         scenes = list(read_scenes(labels, data, values.effects or data))
@@ -63,7 +69,13 @@ def run(values: Arguments) -> int:
             found = [_summary([scene[way][name] for scene in scenes]) for name in METRICS]
             cells = (f"{each.mean:.3f} ({each.low:.3f} to {each.high:.3f})" for each in found)
             print(f"| {labels.stem} | {words} | {' | '.join(cells)} |")
+            line: Line = {"labels": labels.stem, "shadows are the": words, "scenes": len(scenes)}
+            for name, each in zip(METRICS, found, strict=True):
+                line |= {name: each.mean, f"{name} low": each.low, f"{name} high": each.high}
+            lines.append(line)
     print(f"\nMeans over {' or '.join(map(str, sorted(counts)))} test scenes, with 95 % bootstrap intervals.")
+    if values.csv is not None:
+        write_whole(values.csv, to_csv(lines).encode())
     return EXIT_OK
 
 

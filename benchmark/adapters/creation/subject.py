@@ -7,6 +7,7 @@ from typing import Literal
 
 import torch
 
+from benchmark.adapters.claims.command import check_csv
 from benchmark.files import write_whole
 from benchmark.leaderboard import Line, to_csv
 from benchmark.tracks import DataFolder, Source, find_track
@@ -48,8 +49,7 @@ class Subject:
         Raises:
             UsageError: one is.
         """
-        if self.csv is not None and self.csv.suffix != ".csv":
-            raise UsageError(f"--csv {self.csv}: expected a name that ends with .csv.")
+        check_csv(self.csv)
         for name, smallest in least.items():
             if (value := getattr(self, name)) < smallest:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")

@@ -58,6 +58,11 @@ def test_what_is_undone_is_as_before():
     torch.testing.assert_close(again.rotation, scene.rotation, atol=1e-5, rtol=0)
 
 
+def test_an_object_cannot_change_places_with_itself():
+    with pytest.raises(UsageError, match="Object 2 cannot change places with itself; name two objects"):
+        edit.swap(some_scene(), 2, 2)
+
+
 def test_swapped_objects_stay_what_they_are():
     scene = some_scene()
     swapped = edit.swap(scene, 1, 2)

@@ -4,20 +4,54 @@ from pathlib import Path
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 from obpose.creation.origin import Origin, load_origin
-from obpose.creation.prior import Gaussian, fit_prior, learned_prior, load_prior, save_prior
+from obpose.creation.prior import Mixture, fit_mixture, fit_prior, learned_prior, load_prior, save_prior
 from obpose.errors import CorruptFile, UsageError
 from obpose.shipped import shipped_names
 from tests.obpose.creation.scenes import some_model
 from tests.obpose.scenes import table_scene
 
 
+def gaussian(mean: Tensor, factor: Tensor) -> Mixture:
+    return Mixture(torch.ones(1), mean[None], factor[None])
+
+
 def test_a_gaussian_draws_with_its_mean_and_covariance():
     factor = torch.tensor([[2.0, 0.0], [1.0, 0.5]])
-    drawn = Gaussian(torch.tensor([3.0, -1.0]), factor).draw(20000, torch.Generator().manual_seed(0))
+    drawn = gaussian(torch.tensor([3.0, -1.0]), factor).draw(20000, torch.Generator().manual_seed(0))
     torch.testing.assert_close(drawn.mean(dim=0), torch.tensor([3.0, -1.0]), atol=0.05, rtol=0)
     torch.testing.assert_close(drawn.T.cov(), factor @ factor.T, atol=0.1, rtol=0)
+
+
+def test_a_mixture_draws_from_its_parts_by_their_weights():
+    mixture = Mixture(torch.tensor([0.25, 0.75]), torch.tensor([[-9.0], [9.0]]), torch.tensor([[[1.0]], [[2.0]]]))
+    drawn = mixture.draw(20000, torch.Generator().manual_seed(0))[:, 0]
+    low, high = drawn[drawn < 0], drawn[drawn > 0]
+    assert len(low) / len(drawn) == pytest.approx(0.25, abs=0.01)
+    assert [float(low.mean()), float(low.std())] == pytest.approx([-9, 1], abs=0.05)
+    assert [float(high.mean()), float(high.std())] == pytest.approx([9, 2], abs=0.05)
+    assert mixture.draw(0, torch.Generator()).shape == (0, 1)
+
+
+def test_a_fitted_mixture_has_as_many_parts_as_there_are_clusters():
+    noise, places = torch.Generator().manual_seed(0), 10 * torch.eye(4)
+    values = places.repeat(100, 1) + torch.randn(400, 4, generator=noise)
+    mixture = fit_mixture(values)
+    nearest = torch.cdist(places, mixture.means).min(dim=1)
+    torch.testing.assert_close(mixture.weights[nearest.indices], torch.full((4,), 0.25), atol=0.01, rtol=0)
+    assert nearest.values.max() < 0.4
+    covariances = mixture.factors @ mixture.factors.mT
+    torch.testing.assert_close(covariances[nearest.indices], torch.eye(4).expand(4, 4, 4), atol=0.5, rtol=0)
+    assert torch.equal(fit_mixture(values).means, mixture.means)
+
+
+def test_one_cluster_is_one_gaussian():
+    values = torch.randn(400, 4, generator=torch.Generator().manual_seed(0))
+    mixture = fit_mixture(values)
+    assert mixture.weights.tolist() == [1]
+    torch.testing.assert_close(mixture.factors[0] @ mixture.factors[0].T, values.T.cov(), atol=1e-5, rtol=0)
 
 
 def test_the_first_learned_prior_is_that_of_training():
@@ -25,10 +59,10 @@ def test_the_first_learned_prior_is_that_of_training():
     prior = learned_prior(model)
     inference = model.infer(table_scene(batch=1))
     assert inference.background is not None
-    torch.testing.assert_close(prior.background.mean, inference.background.prior_mean[0, 0])
-    torch.testing.assert_close(prior.background.factor.diag(), inference.background.prior_std[0, 0])
-    torch.testing.assert_close(prior.what.mean, inference.what.prior_mean[0, 0, 0])
-    torch.testing.assert_close(prior.what.factor, torch.diag(inference.what.prior_std[0, 0, 0]))
+    torch.testing.assert_close(prior.background.means[0], inference.background.prior_mean[0, 0])
+    torch.testing.assert_close(prior.background.factors[0].diag(), inference.background.prior_std[0, 0])
+    torch.testing.assert_close(prior.what.means[0], inference.what.prior_mean[0, 0, 0])
+    torch.testing.assert_close(prior.what.factors[0], torch.diag(inference.what.prior_std[0, 0, 0]))
 
 
 def test_a_fitted_prior_has_the_moments_of_what_was_inferred():
@@ -36,8 +70,9 @@ def test_a_fitted_prior_has_the_moments_of_what_was_inferred():
     clips = [table_scene(batch=1, frames=1, seed=seed) for seed in range(6)]
     prior = fit_prior(model, clips)
     seen = torch.stack([model.segment(clip).inference.background.mean[0, 0] for clip in clips])  # pyright: ignore
-    torch.testing.assert_close(prior.background.mean, seen.mean(dim=0))
-    torch.testing.assert_close(prior.background.factor @ prior.background.factor.T, seen.T.cov(), atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(prior.background.means[0], seen.mean(dim=0))
+    factor = prior.background.factors[0]
+    torch.testing.assert_close(factor @ factor.T, seen.T.cov(), atol=1e-5, rtol=1e-4)
     assert (prior.low <= prior.high).all()
 
 
@@ -57,10 +92,13 @@ def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
     prior = learned_prior(origin.model)
     save_prior(origin, prior)
     found = load_prior(origin)
-    assert torch.equal(found.what.factor, prior.what.factor)
+    assert torch.equal(found.what.factors, prior.what.factors)
     assert torch.equal(found.high, prior.high)
-    short = Gaussian(torch.zeros(3), torch.eye(3))
+    short = gaussian(torch.zeros(3), torch.eye(3))
     save_prior(origin, replace(prior, what=short))
+    with pytest.raises(CorruptFile, match="is damaged"):
+        load_prior(origin)
+    save_prior(origin, replace(prior, what=replace(prior.what, weights=torch.zeros(1))))
     with pytest.raises(CorruptFile, match="is damaged"):
         load_prior(origin)
     save_prior(origin, replace(prior, low=prior.low * torch.nan))
@@ -83,4 +121,4 @@ def test_a_prior_is_of_the_weights_that_it_was_fitted_to(tmp_path: Path):
 
 @pytest.mark.parametrize("name", shipped_names())
 def test_priors_that_ship_are_of_the_weights_beside_them(name: str):
-    assert load_prior(load_origin(name)).what.mean.isfinite().all()
+    assert load_prior(load_origin(name)).what.means.isfinite().all()

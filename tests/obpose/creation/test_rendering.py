@@ -8,7 +8,7 @@ from obpose.creation import edit
 from obpose.creation.clip import read_clip
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import load_origin
-from obpose.creation.rendering import Renderer
+from obpose.creation.rendering import Renderer, outlines
 from tests.obpose.creation.dense import densely
 from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
 
@@ -42,6 +42,35 @@ def test_the_order_of_objects_does_not_matter():
     torch.testing.assert_close(two.shares[[0, 2, 1]], one.shares, atol=1e-4, rtol=0)
 
 
+def test_outlines_are_averages_of_a_finer_picture_and_the_rest_is_as_it_was():
+    model, scene = some_model(), some_scene(objects=2, frames=1)
+    assert model.background_field is not None
+    with torch.no_grad():
+        model.background_field.density_logit.bias.fill_(-10)
+        model.object_field.density_logit.bias.fill_(10)
+        model.object_field.colour_out.bias.fill_(3)
+    renderer = Renderer(model)
+    image, plain = (renderer.render(scene, antialiased=smooth) for smooth in (True, False))
+    finer = renderer.render(scene, camera=CAMERA.resized(2 * CAMERA.width, 2 * CAMERA.height), antialiased=False)
+    averages = finer.rgb.unflatten(0, (CAMERA.height, 2)).unflatten(2, (CAMERA.width, 2)).mean(dim=(1, 3))
+    edge = outlines(plain.shares)
+    assert 0 < float(edge.float().mean()) < 1
+    torch.testing.assert_close(image.rgb[edge], averages[edge], atol=1e-5, rtol=0)
+    assert float((image.rgb - plain.rgb)[edge].abs().max()) > 0.01
+    torch.testing.assert_close(image.rgb[~edge], plain.rgb[~edge], atol=0, rtol=0)
+    assert torch.equal(image.depth, plain.depth)
+    assert torch.equal(image.shares, plain.shares)
+
+
+def test_outlines_are_pixels_beside_another_component():
+    object_at = torch.zeros(4, 7)
+    object_at[:, 5:] = 1
+    found = outlines(torch.stack([1 - object_at, object_at]))
+    assert found.all(dim=0).tolist() == [False, False, False, False, True, True, False]
+    assert torch.equal(found.any(dim=0), found.all(dim=0))
+    assert not outlines(torch.full((2, 3, 3), 0.5)).any()
+
+
 @pytest.mark.slow
 def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path):
     """More than the goal of 40 dB, which colours of the surface instead of from behind it meet too, just.
@@ -51,7 +80,7 @@ def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path):
     origin = load_origin("obpose--moving--64x64")
     scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0))
     camera, renderer = scene.cameras[0].resized(24, 24), Renderer(origin.model)
-    image = renderer.render(scene, camera=camera)
+    image = renderer.render(scene, camera=camera, antialiased=False)
     dense = densely(renderer, scene, camera, behind=origin.model.config.loss.jitter)
     assert len(scene.ids) > 1
     assert float(image.shares[1:].sum(dim=0).max()) > 0.9

@@ -60,11 +60,17 @@ def test_the_report_counts_shadows_in_three_ways(tmp_path: Path, datasets: tuple
     plain, effects = datasets
     record = Dataset(effects).split("test")[0]
     assert any(np.any(effect_mask(record["edits/remove/effects"], name)) for name in (1, 2))
-    assert main([str(write(tmp_path / "true.h5", plain)), "--effects", str(effects)]) == 0
+    table = tmp_path / "effects.csv"
+    assert main([str(write(tmp_path / "true.h5", plain)), "--effects", str(effects), "--csv", str(table)]) == 0
     lines = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| true")]
     assert [line[1] for line in lines] == ["background's", "object's", "nobody's"]
     first = [line[2].startswith("1.000 (1.000 to 1.000)") for line in lines]
     assert first == [True, False, True]
+    written = [line.split(",") for line in table.read_text().splitlines()]
+    assert written[0][:4] == ["labels", "shadows are the", "scenes", "ari"]
+    assert [(line[1], float(line[3]) == 1) for line in written[1:]] == list(
+        zip([x[1] for x in lines], first, strict=True)
+    )
 
 
 def test_a_dataset_without_effects_and_one_of_other_scenes_are_refused(
