@@ -11,8 +11,10 @@ obpose-bench report RUN                                        write tables and 
 obpose-bench selftest                                          check the metrics against golden cases
 """
 
+import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import tyro
@@ -29,7 +31,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script; leaves with an exit code of `datagen.errors`."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     kept = "Interrupted; finished rows are kept, the same command again goes on."
-    sys.exit(run_program(PROGRAM, lambda: _run(given), interrupted=kept))
+    with _termination_is_an_interrupt():
+        code = run_program(PROGRAM, lambda: _run(given), interrupted=kept)
+    sys.exit(code)
+
+
+@contextmanager
+def _termination_is_an_interrupt() -> Iterator[None]:
+    """Let SIGTERM, which schedulers send, do what Ctrl-C does: trainings save how far they are."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _run(arguments: list[str]) -> int:

@@ -22,7 +22,7 @@ LOGS = "logs"
 MEMORY_SHARE = 0.9
 """Of the machine's memory, for all jobs together."""
 _POLL_SECONDS = 0.05
-_SAVING_SECONDS = 5.0
+SAVING_SECONDS = 5.0
 """Between asking a process to end and ending it."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -161,7 +161,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
     if process.poll() is None:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
-            process.wait(_SAVING_SECONDS)
+            process.wait(SAVING_SECONDS)
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()

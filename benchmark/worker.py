@@ -15,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from benchmark.isolation import SAVING_SECONDS
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, Busy, DatagenError
 
 _PARENT_CHECK_SECONDS = 0.5
@@ -30,7 +31,8 @@ def main() -> int:
     _be_killed_first()
 
     def tell(**event: Any) -> None:
-        events.write(json.dumps(event) + "\n")
+        with suppress(BrokenPipeError):  # the parent may be gone, which is no failure of the job
+            events.write(json.dumps(event) + "\n")
 
     try:
         job.run(lambda done: tell(done=done))
@@ -48,14 +50,24 @@ def main() -> int:
         raise
     else:
         return EXIT_OK
+    finally:
+        if os.getppid() != parent:
+            _end_all()
     return EXIT_INCOMPLETE
 
 
 def _end_with(parent: int) -> None:
-    """End when the parent is gone, even if it was killed, and end what the model has started."""
+    """End when the parent is gone, even if it was killed, after a moment in which a model may save how far it is."""
     while os.getppid() == parent:
         time.sleep(_PARENT_CHECK_SECONDS)
-    # `benchmark.isolation` has made this process the leader of a group.
+    if signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(SAVING_SECONDS)
+    _end_all()
+
+
+def _end_all() -> None:
+    """End this process and what the model has started: `benchmark.isolation` has made it the leader of a group."""
     os.killpg(os.getpid(), signal.SIGKILL)
 
 

@@ -44,13 +44,18 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
     """Look at some clips of a source.
 
     Raises:
-        UsageError: no pixel has a depth, or there are no clips.
+        UsageError: no pixel has a depth, or there are no clips, or their points are not finite.
     """
     images = list(_first_frames(source))
     points = torch.cat([unproject(image)[image.valid] for image in images]) if images else torch.zeros(0, 3)
     steps = torch.cat([neighbour_distances(image) for image in images]) if images else torch.zeros(0)
     if not len(points) or not len(steps):
         raise UsageError("The training clips show nothing: no neighbouring pixels with a depth in the first frames.")
+    if not points.isfinite().all():
+        raise UsageError(
+            "The surface points of the training clips are not finite: their depths, camera matrices or poses hold "
+            "numbers that are none. obpose-datagen verify says where."
+        )
     low, high = _quantile(points, TAIL), _quantile(points, 1 - TAIL)
     middle = (low + high) / 2
     x, y, z = middle.tolist()

@@ -3,7 +3,8 @@
     trained = train(SceneDataset(folder), SceneDataset(folder, "val"), config, folder=Path("runs/one"))
 
 Which clips a step sees and all its noise follow from the seed and the number of the step, so that a run that was
-stopped goes on exactly as if it had not been.
+stopped goes on exactly as if it had not been. With a budget in minutes the learning rate follows the time that steps
+took, which is never the same twice; with one in steps the weights are equal to the last bit.
 """
 
 from collections.abc import Callable

@@ -23,7 +23,8 @@ _ROUNDING = 1e-3
 """Distances below this are rounded off to squares in the Laplacian kernel: its tip has no gradient."""
 
 _EPANECHNIKOV_FLOOR = 1e-6
-"""Alpha outside the support of the Epanechnikov kernel."""
+"""Alpha at the end of the support of the Epanechnikov kernel. Beyond it is 0, and no seed would be drawn nearer: there
+log alpha goes on falling, like that of the Gaussian."""
 
 
 def initial_sigma(kernel: Kernel, *, slots: int) -> float:
@@ -45,5 +46,7 @@ def log_alpha(
     elif kernel == "laplacian":
         exponent = ((distance.square() + _ROUNDING**2).sqrt() - _ROUNDING) * inverse
     else:
-        exponent = -torch.log((1 - distance.square() * inverse).clamp(min=_EPANECHNIKOV_FLOOR))
+        left = 1 - distance.square() * inverse
+        beyond = (_EPANECHNIKOV_FLOOR - left).clamp(min=0)
+        exponent = beyond - torch.log(left.clamp(min=_EPANECHNIKOV_FLOOR))
     return -(exponent + NEVER_ALL).clamp(max=NEVER_NONE)

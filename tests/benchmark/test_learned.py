@@ -1,6 +1,7 @@
 """`obpose-bench` with models that really learn, for a few steps on the smallest real dataset."""
 
 import csv
+import json
 import os
 import re
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from safetensors import safe_open
 
 import assets
 from benchmark.cli import main
@@ -42,6 +44,14 @@ def start(data: Path, out: Path, *, steps: int = STEPS) -> subprocess.Popen[str]
         text=True,
         start_new_session=True,
     )
+
+
+def saved_step(out: Path) -> int:
+    """Of the training's state on disk; -1 before there is one."""
+    for path in out.glob("training/*/training.safetensors"):
+        with safe_open(path, framework="pt") as file:
+            return json.loads(file.metadata()["info"])["step"]
+    return -1
 
 
 def steps_in(out: Path) -> list[str]:
@@ -87,7 +97,7 @@ def test_one_training_makes_two_rows_a_curve_and_a_checkpoint(whole: Path):
         assert {line["model"]: line["pretrained"] for line in csv.DictReader(file)} == {"obpose": "", "obpose-att": ""}
 
 
-@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_was_ended_goes_on_and_gives_the_same_labels(
     tiny_dataset: Path, whole: Path, tmp_path: Path, ending: signal.Signals
 ):
@@ -99,6 +109,8 @@ def test_a_run_that_was_ended_goes_on_and_gives_the_same_labels(
     assert load_runs(tmp_path) == []
     before = len(steps_in(tmp_path))
     assert before < STEPS
+    # Even if the command was killed: its worker sees that, and saves.
+    wait_until(lambda: saved_step(tmp_path) >= before, seconds=20, what="the last step to be saved")
     errors_at_end(start(tiny_dataset, tmp_path), seconds=280)
     assert steps_in(tmp_path) == [str(step) for step in range(1, STEPS + 1)]
     for model, labels in labels_in(whole).items():

@@ -76,6 +76,16 @@ def test_clips_that_show_nothing_are_refused(source: Wall):
         measure_scene(source)
 
 
+def test_poses_that_are_no_numbers_are_refused():
+    source = Wall()
+    window = source.window
+    source.window = lambda *place: {  # pyright: ignore[reportAttributeAccessIssue]
+        name: value * float("nan") if name == "world_from_camera" else value for name, value in window(*place).items()
+    }
+    with pytest.raises(UsageError, match="not finite: their depths, camera matrices or poses"):
+        measure_scene(source)
+
+
 def test_only_pairs_with_both_depths_count():
     depth = torch.tensor([[1.0, 1.0, 0.0], [1.0, 0.0, 1.0]])[None, None, None]
     camera = torch.tensor([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1]])[None, None]

@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -149,6 +150,15 @@ def test_bad_requests_get_one_line(scene: Path, tmp_path: Path, capsys, changes,
     assert errors.count("\n") == 1
     assert message in errors
     assert not (tmp_path / "out").exists()
+
+
+def test_a_first_frame_without_depth_is_refused(scene: Path, tmp_path: Path, capsys):
+    depth = tmp_path / "depth"
+    shutil.copytree(scene / "depth", depth)
+    first = min(depth.iterdir())
+    Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
+    assert run(scene, tmp_path / "out", "--camera-pose", scene / "pose.txt", depth=depth) == EXIT_USAGE
+    assert "first frame has no depth, and objects are looked for there: leave it out" in capsys.readouterr().err
 
 
 def test_what_is_in_the_folder_already_is_left_alone(scene: Path, tmp_path: Path, capsys):

@@ -46,3 +46,13 @@ def test_gradient_at_the_seed_is_zero_not_undefined(kernel: Kernel):
     distance = torch.zeros(1, requires_grad=True)
     (gradient,) = torch.autograd.grad(log_alpha(distance, _log_sigma(kernel), kernel).sum(), distance)
     assert gradient.item() == 0
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_points_out_of_reach_draw_a_seed_nearer(kernel: Kernel):
+    distance = torch.tensor([0.8, 1.5, 3.0], requires_grad=True)
+    value = log_alpha(distance, _log_sigma(kernel), kernel)
+    (gradient,) = torch.autograd.grad(value.sum(), distance)
+    assert (gradient < -1).all()
+    if kernel == "epanechnikov":
+        assert (value.exp() <= 1e-6).all()

@@ -69,6 +69,22 @@ def test_the_air_keeps_its_weight_where_it_does_not_grow():
     assert {growth(1.0, fraction) for fraction in (0.0, 0.6, 1.0)} == {1.0}
 
 
+def test_numbers_of_the_configuration_are_those_of_the_terms(monkeypatch: pytest.MonkeyPatch):
+    seen: list[Evidence] = []
+    monkeypatch.setattr("obpose.model.loss_terms", lambda evidence, *_, **__: seen.append(evidence) or {})
+    losses("obpose")
+    (plain,) = seen
+    dense = replace(plain.fields, air=replace(plain.fields.air, logits=plain.fields.air.logits.clamp(-9, 9).abs() + 9))
+    for changed, evidence, term in (
+        (LossConfig(air_saturation=None), replace(plain, fields=dense), "air"),
+        (LossConfig(attention_floor=-0.5), plain, "attention"),
+        (LossConfig(colour_std=0.3), plain, "colour"),
+        (LossConfig(sigma_max=5.0), plain, "surface"),
+    ):
+        one, other = (loss_terms(evidence, config, fraction=0.0)[term] for config in (LossConfig(), changed))
+        assert abs(float(one - other)) > 1e-3, term
+
+
 def losses(variant: str, *, step: int = 1000, views: int = 1, **changes: Any) -> dict[str, torch.Tensor]:
     """Of a fresh model on one scene."""
     torch.manual_seed(0)
