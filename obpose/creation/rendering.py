@@ -60,7 +60,7 @@ class Renderer:
 
         Depth and shares are those of a ray through the middle of each pixel, and so are colours, but for pixels at
         outlines: where not asked otherwise, these have the mean colour of `_ACROSS`^2 rays, as images of datasets are
-        antialiased, too. It takes 1.4 times as long.
+        antialiased, too. It takes about half as long again.
         """
         camera = scene.cameras[0] if camera is None else camera
         components, direction = self.components(scene, frame), _directions(camera).flatten(0, 1)
