@@ -20,7 +20,7 @@ AUTHORS_GFLOP = 365
 """Of a step of the authors' size."""
 STEP_GOAL = 0.25
 """Seconds, for `obpose-loc`; with embeddings of all pixels it is missed (docs/performance.md)."""
-MOST_A_STEP = {1: 26 * GFLOP, 0: 38 * GFLOP}
+MOST_A_STEP = {1: 23 * GFLOP, 0: 33 * GFLOP}
 """What a matrix product gets done meanwhile, at most, in the same run, by level of the embeddings."""
 
 
