@@ -109,8 +109,8 @@ def test_an_object_is_turned_and_hidden(page: Page, tmp_path: Path):
         assert page.session.scene is turned
         person.press("show")
         wait_until(lambda: not page.session.hidden, what="the object to be shown again")
-        person.settle()
-        assert not differs(seen(person, tmp_path / "back.png"), shown)
+        # On a machine with other work shapes come some time after pictures.
+        wait_until(lambda: not differs(seen(person, tmp_path / "back.png"), shown), what="the object to be seen again")
 
         person.press("Undo")
         wait_until(lambda: not page.session.can_undo, what="the turn to be undone")
