@@ -58,7 +58,9 @@ def carry(scene: Scene, name: int, by: Float[Tensor, "4 4"]) -> Scene:
 
 
 def swap(scene: Scene, one: int, other: int) -> Scene:
-    """With two objects in each other's places; what they are and how they are turned goes along with them.
+    """With two objects in each other's places; what they are, how they are turned and how high they are goes along.
+
+    Places are those seen from above: of another size an object would stand in the table, or float.
 
     Raises:
         UsageError: no such object, or both are the same.
@@ -67,7 +69,7 @@ def swap(scene: Scene, one: int, other: int) -> Scene:
         raise UsageError(f"Object {one} cannot change places with itself; name two objects.")
     a, b = scene.place(one), scene.place(other)
     center = scene.center.clone()
-    center[:, [a, b]] = scene.center[:, [b, a]]
+    center[:, [a, b], :2] = scene.center[:, [b, a], :2]
     return replace(scene, center=center)
 
 

@@ -74,7 +74,9 @@ def look(frames: Frames, model: ObPose) -> Sight:
     whole = read_recording(frames.rgb, frames.depth, k, depth_scale=frames.depth_scale)
     recording = whole.every(frames.every)
     if (recording.depth > 0).any() and not (recording.depth[0] > 0).any():
-        raise UsageError("The first frame has no depth, and objects are looked for there: leave it out.")
+        raise UsageError(
+            "The first frame has no depth, and objects are looked for there: leave out its image and its depth."
+        )
     pose = read_pose(frames.camera_pose) if frames.camera_pose else _pose_over_plane(recording, model)
     observation = _observation(recording, pose)
     world = _given_note(observation, model) if frames.camera_pose else FITTED

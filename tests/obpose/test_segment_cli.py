@@ -158,7 +158,10 @@ def test_a_first_frame_without_depth_is_refused(scene: Path, tmp_path: Path, cap
     first = min(depth.iterdir())
     Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
     assert run(scene, tmp_path / "out", "--camera-pose", scene / "pose.txt", depth=depth) == EXIT_USAGE
-    assert "first frame has no depth, and objects are looked for there: leave it out" in capsys.readouterr().err
+    assert (
+        "first frame has no depth, and objects are looked for there: leave out its image and its depth"
+        in capsys.readouterr().err
+    )
 
 
 def test_what_is_in_the_folder_already_is_left_alone(scene: Path, tmp_path: Path, capsys):

@@ -66,7 +66,8 @@ def test_an_object_cannot_change_places_with_itself():
 def test_swapped_objects_stay_what_they_are():
     scene = some_scene()
     swapped = edit.swap(scene, 1, 2)
-    assert torch.equal(swapped.center, scene.center[:, [1, 0, 2]])
+    assert torch.equal(swapped.center[..., :2], scene.center[:, [1, 0, 2], :2])
+    assert torch.equal(swapped.center[..., 2], scene.center[..., 2])
     assert torch.equal(swapped.what, scene.what)
     assert torch.equal(swapped.rotation, scene.rotation)
 
