@@ -30,7 +30,7 @@ from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
 from obpose.creation.prior import fit_prior, learned_prior, load_prior, save_prior
-from obpose.creation.rendering import Renderer
+from obpose.creation.rendering import Image, Renderer
 from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Camera, Scene, axis_rotation
 from obpose.creation.storage import load_scene, save_scene
@@ -135,13 +135,24 @@ def _render(values: Render) -> None:
     with new_file(values.out) as out:
         if values.turntable is not None:
             around = turntable(camera, origin.model.center, values.turntable)
-            write_gif(out, (strip(renderer.render(scene, frame, each), scene.ids) for each in around), fps=FPS)
+            images = [renderer.render(scene, frame, each) for each in around]
+            write_gif(out, (strip(image, scene.ids) for image in images), fps=FPS)
+            _tell_of_fog(images, float((origin.model.center - camera.world_from_camera[:3, 3]).norm()))
         elif values.clip:
             frames = range(scene.frames)
             write_gif(out, (strip(renderer.render(scene, each, camera), scene.ids) for each in frames), fps=FPS)
         else:
             write_png(out, strip(renderer.render(scene, frame, camera), scene.ids))
     print(values.out)
+
+
+def _tell_of_fog(images: list[Image], distance: float) -> None:
+    """Say if there is something before most of what a camera should see, so many metres away."""
+    if fogged := sum(float(image.depth.median()) < distance / 2 for image in images):
+        print(
+            f"In {fogged} of {len(images)} pictures there is fog before the scene: these weights know what is empty "
+            "only where their training's cameras looked. Turntables want weights that were trained with several views."
+        )
 
 
 def _mesh(values: Mesh) -> None:

@@ -1,5 +1,6 @@
 """The whole command, with the weights that ship."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -153,12 +154,19 @@ def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, tmp_path: Path, pri
     assert (tmp_path / "one" / "picture.png").read_bytes() == (tmp_path / "again" / "picture.png").read_bytes()
 
 
-def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path):
+def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path, capsys):
     assert run("render", inferred, "--turntable", 3, "--resolution", "16x16", "--out", tmp_path / "turn.gif") == EXIT_OK
+    # The one camera of `moving` never looked from there.
+    assert re.search("In [12] of 3 pictures there is fog before the scene", capsys.readouterr().out)
     assert run("render", inferred, "--clip", "--resolution", "16x16", "--out", tmp_path / "clip.gif") == EXIT_OK
     for name, frames in (("turn.gif", 3), ("clip.gif", 10)):
         with Image.open(tmp_path / name) as animation:
             assert animation.n_frames == frames  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_clear_turn_is_not_said_to_have_fog(inferred: Path, tmp_path: Path, capsys):
+    assert run("render", inferred, "--turntable", 1, "--resolution", "16x16", "--out", tmp_path / "turn.gif") == EXIT_OK
+    assert "fog" not in capsys.readouterr().out
 
 
 def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
