@@ -74,6 +74,10 @@ def _check(values: arguments.Run) -> None:
         raise UsageError("--name is for --predictions or one --checkpoint; models go by their own names.")
     if values.scenes is not None and values.task != "editing":
         raise UsageError("--scenes is for --task editing; segmentations are scored on all test scenes.")
+    if values.refine and values.task != "editing":
+        raise UsageError("--refine is for --task editing; segmentations are scored as they are inferred.")
+    if values.refine < 0:
+        raise UsageError(f"--refine {values.refine}: expected 0 or more.")
     for flag, number in (
         ("seeds", values.seeds),
         ("workers", values.workers),

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from obpose.creation.refine import STEPS
 from obpose.recordings.frames import Frames
 
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -40,8 +41,9 @@ class Infer(Frames):
     """Which of the split's scenes."""
     resolution: str | None = None
     """Of the picture, such as 128x128; that of the data if left out."""
-    refine: int = 0
-    """Steps in which what was inferred is then fitted to the frames; 100 are plenty, and take seconds."""
+    refine: int = STEPS
+    """Steps in which what was inferred is then fitted to the frames, which takes seconds; 0: codes as the model reads
+    them, without any detail."""
 
 
 @dataclass(frozen=True)

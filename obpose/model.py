@@ -4,7 +4,7 @@ The paper's ablations and the other systems of its tables but one are values of 
 """
 
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -93,12 +93,11 @@ class ObPose(SceneEncoder):
         directions: Points,
         colours: Colours = "without",
         where_background: Background = "everywhere",
-        boxes: Literal["fixed", "free"] = "fixed",
     ) -> Decoded:
         """Densities, and colours if asked for, of all components at world points.
 
-        As in training boxes are held fixed, unless they are `free` to take a gradient. Where the order of the
-        components is all that counts, the background's field is wanted `in boxes` only.
+        Boxes are held fixed, they take no gradient. Where the order of the components is all that counts, the
+        background's field is wanted `in boxes` only.
         """
         active, what = inference.masks.active, inference.what.z
         background = None if inference.background is None else inference.background.z
@@ -106,9 +105,8 @@ class ObPose(SceneEncoder):
         fields = self.object_field, self.background_field
         if self.config.model.pose.conditioning == "world":
             return decode_world(*fields, active, what, background, points, directions, **options)
-        where = fixed(inference.boxes) if boxes == "fixed" else inference.boxes
         options |= {"where_background": where_background}
-        return decode(*fields, where, active, what, background, points, directions, **options)
+        return decode(*fields, fixed(inference.boxes), active, what, background, points, directions, **options)
 
     @property
     def _world(self) -> dict[str, Any]:

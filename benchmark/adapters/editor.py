@@ -21,15 +21,18 @@ from obpose.creation.scene import Scene
 class SceneEditor:
     """A model from a checkpoint; implements `benchmark.editing.interface.Editor`."""
 
-    def __init__(self, checkpoint: Path):
+    def __init__(self, checkpoint: Path, *, refinements: int = 0):
+        """Inferred scenes are fitted to their frames in so many steps (`obpose.creation.refine`)."""
         torch.set_num_threads(1)
+        self._refinements = refinements
         self._origin = load_origin(str(checkpoint))
 
     def infer(self, clip: Clip) -> "InferredScene":
         """The scene of a clip."""
         source = ArrayClips([clip])
         observation = observation_of([source.window(0, 0, source.frames_of_clip)])
-        return InferredScene(infer_labelled(self._origin, observation), Renderer(self._origin.model))
+        inferred = infer_labelled(self._origin, observation, refinements=self._refinements)
+        return InferredScene(inferred, Renderer(self._origin.model))
 
 
 class InferredScene:

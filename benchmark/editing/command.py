@@ -67,15 +67,23 @@ def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJ
     return [
         EditJob(
             track=source.name,
-            model=model,
+            model=f"{model}-refined" if checkpoint and values.refine else model,
             data=source.folder,
             checkpoint=checkpoint,
+            refinements=values.refine,
             scenes=scenes,
-            digest=digest({"facts": [VERSION, source.spec_hash, checkpoint and content_hash(checkpoint)]}),
+            digest=digest({"facts": _facts(source, checkpoint, values.refine)}),
             out=values.out,
         )
         for model, checkpoint in answers.items()
     ]
+
+
+def _facts(source: Source, checkpoint: Path | None, refinements: int) -> list[object]:
+    """What scores depend on."""
+    if checkpoint is None:
+        return [VERSION, source.spec_hash, None]
+    return [VERSION, source.spec_hash, content_hash(checkpoint), *([refinements] if refinements else [])]
 
 
 def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:

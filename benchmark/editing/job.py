@@ -33,10 +33,12 @@ class EditJob:
     """Dataset with edits."""
     checkpoint: Path | None
     """Of the model; None for the references."""
+    refinements: int
+    """Steps in which its scenes are fitted to their frames."""
     scenes: int
     """How many test scenes, from the first on."""
     digest: str
-    """Of weights, dataset and version."""
+    """Of weights, dataset, refinements and version."""
     out: Path
     """The run folder."""
 
@@ -85,5 +87,5 @@ class EditJob:
         # PyTorch takes seconds to import.
         from benchmark.adapters.editor import SceneEditor
 
-        editor: Editor = SceneEditor(self.checkpoint)
+        editor: Editor = SceneEditor(self.checkpoint, refinements=self.refinements)
         return lambda truth, clip: answers_of(editor.infer(clip()), truth)

@@ -27,6 +27,7 @@ def remove(scene: Scene, name: int) -> Scene:
         what=scene.what[:, rest],
         center=scene.center[:, rest],
         rotation=scene.rotation[:, rest],
+        detail=scene.detail[rest],
     )
 
 
@@ -99,6 +100,7 @@ def transfer(source: Scene, name: int, target: Scene, by: Float[Tensor, "3"] | N
         what=_with(target.what, source.what[frames, place]),
         center=_with(target.center, center),
         rotation=_with(target.rotation, source.rotation[frames, place]),
+        detail=torch.cat([target.detail, source.detail[place, None]]),
     )
 
 

@@ -10,6 +10,7 @@ from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.creation.scene import Camera, Scene
 from obpose.model import ObPose
+from obpose.nerf.detail import no_detail
 from obpose.resolution import fitting_model
 from obpose.types import Inference, Observation
 
@@ -27,7 +28,7 @@ def infer_scene(origin: Origin, observation: Observation, *, refinements: int = 
     """The scene of a batch of one clip, with the posterior means of its latents, as it is segmented.
 
     Of several views the model gets what it was trained with, all or the first; the scene has the cameras of all.
-    Latents and places are then fitted to these views in so many steps (`obpose.creation.refine`).
+    It is then fitted to these views in so many steps (`obpose.creation.refine`).
     """
     return infer_labelled(origin, observation, refinements=refinements).scene
 
@@ -38,8 +39,16 @@ def infer_labelled(origin: Origin, observation: Observation, *, refinements: int
     observation = views_as_trained(origin.model, observation)
     model = fitting_model(origin.model, observation)
     found = model.segment(observation)
-    inference = refine(model, observation, found.inference, steps=refinements) if refinements else found.inference
-    return Inferred(scene_of(inference, cameras, origin), found.labels[0])
+    scene = scene_of(found.inference, cameras, origin)
+    if refinements:
+        scene = refine(model, observation, scene, steps=refinements)
+    return Inferred(scene, found.labels[0])
+
+
+def fit_to_frames(scene: Scene, model: ObPose, observation: Observation, *, refinements: int) -> Scene:
+    """What `infer_scene` comes to with refinements, from what it comes to without."""
+    observation = views_as_trained(model, observation)
+    return refine(fitting_model(model, observation), observation, scene, steps=refinements)
 
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:
@@ -57,6 +66,7 @@ def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) 
         what=inference.what.z[0, :, slots].detach(),
         center=inference.boxes.center[0, :, slots].detach(),
         rotation=inference.boxes.rotation[0, :, slots].detach(),
+        detail=no_detail(len(slots), inference.what.z.detach()),
         background=inference.background.z[0].detach(),
         cameras=cameras,
         model=origin.hash,

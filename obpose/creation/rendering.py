@@ -13,6 +13,8 @@ from torch import Tensor
 from obpose.creation.scene import Camera, Scene
 from obpose.geometry import camera_rays
 from obpose.model import ObPose
+from obpose.nerf.detail import Detail
+from obpose.nerf.field import Conditioning
 from obpose.nerf.marching import Component, Picture, make_component, march, moved
 
 _OPAQUE = 5.0
@@ -101,29 +103,42 @@ class Renderer:
         fixed |= {"threshold": settings.voxel_threshold}
         code = scene.background[frame]
         background = self._keep(
-            code,
-            lambda: make_component(field, code, **fixed, bounded=False, resolution=_BACKGROUND_CELLS),
+            code.numpy().tobytes(),
+            lambda: make_component(field, field.condition(code), **fixed, bounded=False, resolution=_BACKGROUND_CELLS),
         )
         return [background, *(self._object(scene, frame, place) for place in range(len(scene.ids)))]
 
     def _object(self, scene: Scene, frame: int, place: int) -> Component:
-        model, code = self.model, scene.what[frame, place]
+        model = self.model
         center, rotation = scene.center[frame, place], scene.rotation[frame, place]
         box = {"center": center, "rotation": rotation, "size": model.config.model.pose.box_size}
         box |= {"threshold": model.config.model.voxel_threshold}
         known = self._keep(
-            code, lambda: make_component(model.object_field, code, **box, bounded=True, resolution=_OBJECT_CELLS)
+            scene.look(frame, place),
+            lambda: make_component(
+                model.object_field,
+                conditioning(model, scene, frame, place),
+                **box,
+                bounded=True,
+                resolution=_OBJECT_CELLS,
+            ),
         )
         return moved(known, center, rotation)
 
-    def _keep(self, code: Float[Tensor, "latent"], make: Callable[[], Component]) -> Component:
-        """Components by their codes, as edits leave most of them as they were."""
-        name = code.numpy().tobytes()
+    def _keep(self, name: bytes, make: Callable[[], Component]) -> Component:
+        """Components by what they look like, as edits leave most of them as they were."""
         if name not in self._known:
             if len(self._known) >= _KEPT:
                 self._known.clear()
             self._known[name] = make()
         return self._known[name]
+
+
+def conditioning(model: ObPose, scene: Scene, frame: int, place: int) -> Conditioning:
+    """What an object's latent and its detail add to the objects' field."""
+    detail = scene.detail[place, None]
+    corrections = Detail(detail, torch.zeros((), dtype=torch.long)) if detail.any() else None
+    return model.object_field.condition(scene.what[frame, place]).corrected(corrections)
 
 
 def outlines(shares: Float[Tensor, "component height width"]) -> Bool[Tensor, "height width"]:

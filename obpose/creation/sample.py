@@ -12,6 +12,7 @@ from obpose.creation.scene import Camera, Scene, upright
 from obpose.errors import UsageError
 from obpose.geometry import from_box
 from obpose.model import ObPose
+from obpose.nerf.detail import no_detail
 from obpose.nerf.voxels import lattice_points, occupancy
 
 _TRIES = 200
@@ -55,6 +56,7 @@ def sample_scene(
         what=what[None],
         center=center[None],
         rotation=rotation[None],
+        detail=no_detail(objects, what),
         background=prior.background.draw(1, generator),
         cameras=cameras,
         model=origin.hash,

@@ -56,6 +56,8 @@ class Scene:
     """Of the objects' boxes, world frame, metres."""
     rotation: Float[Tensor, "frame object 3 3"]
     """World from object."""
+    detail: Float[Tensor, "object edge edge edge 4"]
+    """What their latents leave out (`obpose.nerf.detail`); 0 where nobody has looked for it."""
     background: Float[Tensor, "frame background"]
     """z_bg."""
     cameras: tuple[Camera, ...]
@@ -82,6 +84,10 @@ class Scene:
             there = f"There are {_listed(self.ids)}." if self.ids else "There are none at all."
             raise UsageError(f"The scene has no object {name}. {there}")
         return self.ids.index(name)
+
+    def look(self, frame: int, place: int) -> bytes:
+        """What an object looks like, wherever it is: equal for those that look the same."""
+        return self.what[frame, place].numpy().tobytes() + self.detail[place].numpy().tobytes()
 
     def new_id(self) -> int:
         """A name that no object has."""

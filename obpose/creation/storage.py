@@ -13,6 +13,7 @@ from obpose.creation.pictures import PICTURE, Picture, write_png
 from obpose.creation.scene import Camera, ClipName, Scene
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import new_folder, write_whole
+from obpose.nerf.detail import no_detail
 
 TENSORS, FACTS = "scene.safetensors", "scene.json"
 VERSION = 1
@@ -67,6 +68,7 @@ def _write(folder: Path, scene: Scene) -> None:
         "what": scene.what,
         "center": scene.center,
         "rotation": scene.rotation,
+        "detail": scene.detail,
         "background": scene.background,
         "k": torch.stack([camera.k for camera in scene.cameras]),
         "world_from_camera": torch.stack([camera.world_from_camera for camera in scene.cameras]),
@@ -96,6 +98,8 @@ def _assemble(facts: dict, tensors: dict[str, torch.Tensor]) -> Scene:
         what=tensors["what"],
         center=tensors["center"],
         rotation=tensors["rotation"],
+        # Scenes of older versions have none.
+        detail=tensors.get("detail", no_detail(len(facts["objects"]), tensors["what"])),
         background=tensors["background"],
         cameras=tuple(
             Camera(k, pose, _number(width, LARGEST_SIDE), _number(height, LARGEST_SIDE))
@@ -128,10 +132,11 @@ def _is_whole(scene: Scene) -> bool:
         and scene.what.ndim == 3
         and scene.center.shape == (frames, objects, 3)
         and scene.rotation.shape == (frames, objects, 3, 3)
+        and scene.detail.shape == no_detail(objects, scene.what).shape
         and scene.background.ndim == 2
         and frames > 0
     )
-    values = [scene.what, scene.center, scene.rotation, scene.background]
+    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.background]
     values += [value for camera in scene.cameras for value in (camera.k, camera.world_from_camera)]
     numbers = all(value.dtype == torch.float32 and bool((value.abs() <= _LARGEST_VALUE).all()) for value in values)
     distinct = len(set(scene.ids)) == objects

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from obpose.geometry import to_box
 from obpose.nerf.compose import OUTSIDE
+from obpose.nerf.detail import Detail
 from obpose.nerf.field import Field
 from obpose.types import Boxes, Decoded
 
@@ -48,11 +49,13 @@ def decode(
     colours: Colours,
     floor: float | None = None,
     where_background: Background = "everywhere",
+    detail: Detail | None = None,
 ) -> Decoded:
     """Density logits and colours of the components at world points seen along directions of any length.
 
     Where only the order of the components counts, the background's field need not be evaluated outside the boxes: with
-    `in boxes` it has the logit 0 and black colours there.
+    `in boxes` it has the logit 0 and black colours there. `detail`, with an owner for each of batch x frame x slot,
+    corrects the objects' field.
 
     Addition: below the world's z = `floor`, where there is one, there are no objects. What lies on the table is the
     background's then, also in an object's shadow, which the object's field would explain better.
@@ -72,7 +75,8 @@ def decode(
         colours=colours,
         only=None if where_background == "everywhere" else inside.ray.unique(),
     )
-    codes = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).at(inside.owner)
+    of_slots = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).corrected(detail)
+    codes = of_slots.at(inside.owner)
     logits, hidden = object_field.density(inside.points, codes)
     shape = (*z_what.shape[:3], points.shape[2])
     all_logits = torch.cat([of_background.logits, spread(logits, inside.index, shape, OUTSIDE)], dim=2)

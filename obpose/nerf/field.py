@@ -5,7 +5,8 @@ Codes broadcast to points: all points of a frame may share one, or each point of
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -13,6 +14,7 @@ from torch import Tensor, nn
 
 from obpose.config import FieldConfig, Weights
 from obpose.layers.mlp import pass_on
+from obpose.nerf.detail import Detail
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,8 @@ class Conditioning:
     first: Float[Tensor, "*code width"]
     again: Float[Tensor, "*code width"]
     colour: Float[Tensor, "*code width"]
+    detail: Detail | None = None
+    """Corrections of what comes out; only of codes that have a single axis, or none."""
 
     def of_all_points(self) -> "Conditioning":
         """With an axis, before the last, for the points that share a code."""
@@ -33,7 +37,20 @@ class Conditioning:
 
     def at(self, owner: Int[Tensor, " n"]) -> "Conditioning":
         """One for each of a flat list of points; `owner` is the place of a point's code."""
-        return Conditioning(self.first[owner], self.again[owner], self.colour[owner])
+        detail = self.detail and self.detail.at(owner)
+        return Conditioning(self.first[owner], self.again[owner], self.colour[owner], detail)
+
+    def corrected(self, detail: Detail | None) -> "Conditioning":
+        """With the corrections of one thing for each code; with none where None."""
+        return replace(self, detail=detail)
+
+
+class Hidden(NamedTuple):
+    """What the colours at points are computed from."""
+
+    values: Float[Tensor, "*value width"]
+    correction: Float[Tensor, "*value 3"] | None
+    """Added to the logits of the colours."""
 
 
 class Field(nn.Module):
@@ -65,8 +82,8 @@ class Field(nn.Module):
 
     def density(
         self, points: Float[Tensor, "*points 3"], codes: Conditioning
-    ) -> tuple[Float[Tensor, "*value"], Float[Tensor, "*value width"]]:
-        """Density logits at points, -1..1 in the field's box, and the hidden values that `colour` takes.
+    ) -> tuple[Float[Tensor, "*value"], Hidden]:
+        """Density logits at points, -1..1 in the field's box, and what `colour` takes.
 
         Points and codes broadcast to each other.
         """
@@ -78,19 +95,23 @@ class Field(nn.Module):
                 hidden = (layer(hidden) + self.again(encoded)).add_(codes.again).relu_()
             else:
                 hidden = layer(hidden).relu()
-        logit = self.density_logit(hidden)[..., 0]
-        return logit if self.config.density == "raw" else squash(logit), hidden
+        logit, correction = self.density_logit(hidden)[..., 0], None
+        if codes.detail is not None:
+            density, correction = codes.detail.of(points).split([1, 3], dim=-1)
+            logit = logit + density[..., 0]
+        return logit if self.config.density == "raw" else squash(logit), Hidden(hidden, correction)
 
     def colour(
         self,
-        hidden: Float[Tensor, "*value width"],
+        hidden: Hidden,
         directions: Float[Tensor, "*points 3"],
         codes: Conditioning,
     ) -> Float[Tensor, "*value 3"]:
         """Colours in 0..1 seen along unit directions."""
         encoded = positional_encoding(directions, self.config.direction_frequencies)
-        seen = (self.colour_hidden(hidden) + self.colour_direction(encoded)).add_(codes.colour).relu_()
-        return torch.sigmoid(self.colour_out(seen))
+        seen = (self.colour_hidden(hidden.values) + self.colour_direction(encoded)).add_(codes.colour).relu_()
+        logits = self.colour_out(seen)
+        return torch.sigmoid(logits if hidden.correction is None else logits + hidden.correction)
 
 
 def squash(logit: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:

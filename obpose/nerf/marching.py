@@ -64,7 +64,7 @@ class Picture:
 @torch.no_grad()
 def make_component(
     field: Field,
-    code: Float[Tensor, "latent"],
+    codes: Conditioning,
     *,
     center: Float[Tensor, "3"],
     rotation: Float[Tensor, "3 3"],
@@ -73,12 +73,14 @@ def make_component(
     resolution: int,
     threshold: float = 0.0,
 ) -> Component:
-    """Look for the cells of the field's cube, `resolution` along each edge, that are not empty for this threshold."""
-    codes = field.condition(code)
-    lattice = lattice_points(resolution, None, code)
+    """Look for the cells of the field's cube, `resolution` along each edge, that are not empty for this threshold.
+
+    `codes` is of a single code.
+    """
+    lattice = lattice_points(resolution, None, codes.first)
     logits = torch.cat([field.density(part, codes)[0] for part in lattice.split(_CHUNK)])
     dense = log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)
-    grid = dense.view(1, 1, resolution, resolution, resolution).to(code.dtype)
+    grid = dense.view(1, 1, resolution, resolution, resolution).to(lattice.dtype)
     cells = F.max_pool3d(grid, 3, stride=1, padding=1)[0, 0] > 0
     return Component(field, codes, center, rotation, size, bounded, cells)
 

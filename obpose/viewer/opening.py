@@ -27,6 +27,8 @@ class Opened:
     clip: Observation | None
     """A batch of one."""
     title: str
+    is_inferred: bool
+    """Whether the scene is what the model infers from the clip, and nothing else."""
 
 
 def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: str, index: int) -> Opened:
@@ -77,7 +79,7 @@ def _infer(checkpoint: str, data: Path, split: str, index: int) -> Opened:
     clip = read_clip(data, split, index)
     origin = load_origin(checkpoint)
     scene = replace(infer_scene(origin, clip), clip=name_clip(data, split, index))
-    return Opened(scene, origin, clip, f"{data.resolve().name}, {split} {index}")
+    return Opened(scene, origin, clip, f"{data.resolve().name}, {split} {index}", is_inferred=True)
 
 
 def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: str, index: int) -> Opened:
@@ -91,7 +93,7 @@ def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: st
             f"Scene {index} of {data} has {frames} frames and {views} views, {path} has {scene.frames} and "
             f"{len(scene.cameras)}; give the clip that it was inferred from, or leave out --data."
         )
-    return Opened(scene, origin_of(scene, checkpoint), clip, path.resolve().name)
+    return Opened(scene, origin_of(scene, checkpoint), clip, path.resolve().name, is_inferred=False)
 
 
 def _check_clip(path: Path, scene: Scene, data: Path, given: ClipName) -> None:

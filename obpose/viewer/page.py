@@ -19,6 +19,8 @@ import viser
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.creation.infer import fit_to_frames
+from obpose.creation.refine import STEPS
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
 from obpose.errors import DatagenError, UsageError
@@ -50,7 +52,7 @@ class Page:
         self.events = Events(select=self._toggle, look=self._look, drag=self._drag)
         self.actions = self._all_actions()
         self._stage = Stage(server, opened.origin.model, opened.scene, self.events)
-        self._panel = Panel(server, self.session, self.actions, str(out))
+        self._panel = Panel(server, self.session, self.actions, str(out), can_fit=opened.is_inferred)
         self._inputs_of: int | None = None
         self._wanted: tuple | None = None
         drawer = Drawer(self._renderer, opened.scene, opened.clip)
@@ -73,6 +75,7 @@ class Page:
             look=self._look,
             draw=lambda: self._edit(lambda _: None),
             undo=lambda: self._edit(lambda session: session.undo()),
+            fit=lambda: self.work.run(self._fit),
             sample=lambda objects: self.work.run(lambda: self._sample(objects)),
             save=self._save,
         )
@@ -108,6 +111,24 @@ class Page:
                 session.drop()
 
         self._edit(change)
+
+    def _fit(self) -> None:
+        """Fit what was inferred to its frames; what was edited shows something else than they do."""
+        scene, clip = self._opened.scene, self._opened.clip
+        assert clip is not None
+        self._check_as_inferred(self.session)
+        self._tell("Fitting", "to the frames; takes some seconds")
+        fitted = fit_to_frames(scene, self._opened.origin.model, clip, refinements=STEPS)
+
+        def change(session: Session) -> None:
+            self._check_as_inferred(session)
+            session.fit(fitted)
+
+        self._edit(change)
+
+    def _check_as_inferred(self, session: Session) -> None:
+        if session.scene is not self._opened.scene:
+            raise UsageError("The scene is no longer what was inferred; undo the edits, and fit again.")
 
     def _sample(self, objects: int) -> None:
         scene = self._sampler.next(objects, self._opened.scene.cameras)

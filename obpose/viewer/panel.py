@@ -29,6 +29,7 @@ class Actions:
     draw: Callable[[], None]
     """Other layers are wanted."""
     undo: Callable[[], None]
+    fit: Callable[[], None]
     sample: Callable[[int], None]
     """With so many objects."""
     save: Callable[[], None]
@@ -43,7 +44,7 @@ class _Row:
 class Panel:
     """The widgets of one page."""
 
-    def __init__(self, server: viser.ViserServer, session: Session, actions: Actions, out: str):
+    def __init__(self, server: viser.ViserServer, session: Session, actions: Actions, out: str, *, can_fit: bool):
         self._gui, self._actions = server.gui, actions
         self._gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self._gui.main_panel.dock_right()
@@ -52,7 +53,8 @@ class Panel:
         self._note = self._gui.add_html(_small("rendering ..."))
         self._frame, self._view = self._add_time_and_view(session)
         self._objects = self._gui.add_folder("Objects")
-        self._undo = self._add_scene(out)
+        self._undo, self._fit = self._add_scene(out, can_fit)
+        self._as_inferred = session.scene
         self._points, self._shapes, self._boxes, self._cameras = self._add_layers()
 
     @property
@@ -75,6 +77,7 @@ class Panel:
         self._frame.value = session.frame
         self._view.value = _view_name(session.view)
         self._undo.disabled = not session.can_undo
+        self._fit.disabled = session.scene is not self._as_inferred
 
     def put_picture(self, picture: np.ndarray, note: str) -> None:
         """Show what was rendered, and a line about it."""
@@ -112,16 +115,23 @@ class Panel:
         view.on_update(lambda event: self._actions.look(names.index(event.target.value)))
         return frame, view
 
-    def _add_scene(self, out: str) -> viser.GuiButtonHandle:
+    def _add_scene(self, out: str, can_fit: bool) -> tuple[viser.GuiButtonHandle, viser.GuiButtonHandle]:
         with self._gui.add_folder("Scene"):
+            fit = self._gui.add_button(
+                "Fit to the frames",
+                icon=viser.Icon.FOCUS_2,
+                hint="Takes some seconds, before any edit",
+                visible=can_fit,
+            )
             undo = self._gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP)
             save = self._gui.add_button("Save", icon=viser.Icon.DEVICE_FLOPPY, hint=f"Into a new folder in {out}")
             count = self._gui.add_slider("New objects", min=0, max=MOST_SAMPLED, step=1, initial_value=4)
             sample = self._gui.add_button("Sample a new scene", icon=viser.Icon.DICE_5)
+        fit.on_click(lambda _: self._actions.fit())
         undo.on_click(lambda _: self._actions.undo())
         save.on_click(lambda _: self._actions.save())
         sample.on_click(lambda _: self._actions.sample(count.value))
-        return undo
+        return undo, fit
 
     def _add_layers(self) -> tuple:
         with self._gui.add_folder("Show", expand_by_default=False):

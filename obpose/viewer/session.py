@@ -146,6 +146,10 @@ class Session:
         self._become(Version(scene, None, began=scene))
         self.selected = None
 
+    def fit(self, scene: Scene) -> None:
+        """Go on with the same objects in the same places, only that they look more like the input."""
+        self._become(replace(self.version, scene=scene))
+
     def undo(self) -> None:
         """Go back to before the last edit, if there was one; what is hidden stays so."""
         if self._past:

@@ -22,12 +22,12 @@ class Shapes:
 
     def of(self, scene: Scene, frame: int, name: int) -> bytes | None:
         """The surface of an object, metres, the middle of its box at the origin; None where it is nowhere dense."""
-        code = scene.what[frame, scene.place(name)].numpy().tobytes()
-        if code not in self._known:
+        look = scene.look(frame, scene.place(name))
+        if look not in self._known:
             if len(self._known) >= _KEPT:
                 self._known.clear()
-            self._known[code] = self._make(scene, frame, name)
-        return self._known[code]
+            self._known[look] = self._make(scene, frame, name)
+        return self._known[look]
 
     def _make(self, scene: Scene, frame: int, name: int) -> bytes | None:
         # Late, because trimesh and marching cubes take a second to import, for which the first picture need not wait.

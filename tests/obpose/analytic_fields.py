@@ -6,7 +6,7 @@ from torch import Tensor
 
 from obpose.config import FieldConfig
 from obpose.geometry import view_directions
-from obpose.nerf.field import Conditioning, Field
+from obpose.nerf.field import Conditioning, Field, Hidden
 from obpose.types import Boxes, Observation
 
 SMALL = FieldConfig(width=16, depth=4, position_frequencies=2, direction_frequencies=1)
@@ -19,11 +19,11 @@ class BallField(Field):
         super().__init__(SMALL, latent)
         self.radius, self.middle = radius, torch.tensor(middle)
 
-    def density(self, points: Float[Tensor, "*shape 3"], codes: Conditioning) -> tuple[Tensor, Tensor]:
+    def density(self, points: Float[Tensor, "*shape 3"], codes: Conditioning) -> tuple[Tensor, Hidden]:
         logits = (400 * (self.radius - (points - self.middle).norm(dim=-1))).clamp(-20, 20)
-        return logits, points.new_zeros(*logits.shape, 16)
+        return logits, Hidden(points.new_zeros(*logits.shape, 16), None)
 
-    def colour(self, hidden: Tensor, directions: Float[Tensor, "*shape 3"], codes: Conditioning) -> Tensor:
+    def colour(self, hidden: Hidden, directions: Float[Tensor, "*shape 3"], codes: Conditioning) -> Tensor:
         return torch.tensor([1.0, 0.5, 0.25]).expand_as(directions)
 
 

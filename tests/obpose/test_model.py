@@ -1,7 +1,7 @@
 """The model as a whole: what each part does is tested with the part."""
 
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import pytest
 import torch
@@ -167,16 +167,15 @@ def test_boxes_are_no_farther_from_the_observed_centers_than_t_max():
     assert 0.015 < (inference.boxes.center - inference.observed_center).abs().max() <= 0.02 + 1e-6
 
 
-@pytest.mark.parametrize("boxes", ["fixed", "free"])
-def test_fields_move_no_boxes_unless_these_are_free(boxes: Literal["fixed", "free"]):
+def test_fields_move_no_boxes():
     model, scene = _model(), table_scene()
     inference = model.infer(scene)
     center = inference.boxes.center.detach().requires_grad_()
     inference = replace(inference, boxes=replace(inference.boxes, center=center))
     points = center.detach() + torch.tensor([0.01, 0.02, 0.05])
-    logits = model.decode(inference, points, points, boxes=boxes).logits
+    logits = model.decode(inference, points, points).logits
     (gradient,) = torch.autograd.grad(logits[:, :, 1:].sum(), center, allow_unused=True)
-    assert (gradient is not None and bool(gradient.any())) == (boxes == "free")
+    assert gradient is None
 
 
 def test_views_are_one_cloud_whose_order_does_not_matter():

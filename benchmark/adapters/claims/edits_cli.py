@@ -42,6 +42,8 @@ class Arguments:
     """The picture, PNG."""
     scenes: tuple[int, ...] = (0,)
     """Test scenes, one below the other."""
+    refine: int = 0
+    """Steps in which inferred scenes are fitted to their frames, as by `obpose-edit infer`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,7 +57,7 @@ def run(values: Arguments) -> int:
     count, kinds = dataset.splits[SPLIT], kinds_in(dataset)
     if unknown := [scene for scene in values.scenes if not 0 <= scene < count]:
         raise UsageError(f"--scenes {unknown[0]}: split {SPLIT} of {values.data} has scenes 0 to {count - 1}.")
-    editor, scenes = SceneEditor(find_checkpoint(values.checkpoint)), dataset.split(SPLIT)
+    editor, scenes = SceneEditor(find_checkpoint(values.checkpoint), refinements=values.refine), dataset.split(SPLIT)
     clips, rows = ClipSequence(scenes), []
     for index in values.scenes:
         truth = read_edits(scenes, index, kinds)

@@ -6,6 +6,7 @@ import pytest
 
 from benchmark.cli import main
 from benchmark.editing import command
+from benchmark.editing.lines import load_all
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.generate import generate
 from datagen.schema import EDITS
@@ -35,6 +36,8 @@ def fitting(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ((*MODEL[:4], "plane-dbscan", *MODEL[4:]), "'plane-dbscan' infers no scenes"),
         ((*MODEL, "--scenes", 0), "--scenes 0: expected 1 or more"),
         (("--model", "obpose", "--pretrained", "--scenes", 3), "--scenes is for --task editing"),
+        (("--model", "obpose", "--pretrained", "--refine", 3), "--refine is for --task editing"),
+        ((*MODEL, "--refine", -1), "--refine -1: expected 0 or more"),
         (("--task", "editing", "--model", "supervised", "--pretrained"), "No weights of 'supervised'"),
         (("--task", "editing", "--predictions", "maps", "--track", "moving"), "label maps cannot be edited"),
         (("--task", "drawing", "--model", "obpose"), "drawing"),
@@ -64,6 +67,15 @@ def test_the_bar_counts_each_scene_once(fitting: Path, tmp_path: Path, monkeypat
     assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path) == EXIT_OK
     # The scene of the references and that of the model.
     assert seen == [2, 2]
+
+
+def test_refined_scenes_have_rows_of_their_own(fitting: Path, tmp_path: Path, capsys):
+    assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path) == EXIT_OK
+    assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path, "--refine", 3) == EXIT_OK
+    assert "scenes, obpose-pretrained-refined: 1 scenes" in capsys.readouterr().err
+    lines = {line["model"]: line for line in load_all(tmp_path) if line["answer"] == "edit"}
+    assert set(lines) == {"obpose-pretrained", "obpose-pretrained-refined"}
+    assert len({line["psnr_outside"] for line in lines.values()}) == 2
 
 
 def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path, capsys):

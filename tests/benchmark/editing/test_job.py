@@ -13,7 +13,7 @@ from tests.benchmark.editing import oracle
 
 
 def some_job(edits: Path, out: Path, scenes: int = oracle.SCENES) -> EditJob:
-    return EditJob("moving", REFERENCES, edits, None, scenes, "0123456789", out)
+    return EditJob("moving", REFERENCES, edits, None, 0, scenes, "0123456789", out)
 
 
 def test_a_job_scores_every_scene_edit_and_answer(edits: Path, tmp_path: Path):

@@ -4,6 +4,7 @@ import torch
 
 from obpose.creation.scene import Camera, Scene
 from obpose.model import ObPose
+from obpose.nerf.detail import no_detail
 from obpose.variants import make_config
 
 CAMERA = Camera(
@@ -33,6 +34,7 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
         center=above + 0.2 * draw(frames, objects, 3).clamp(-1, 1),
         rotation=rotation * torch.linalg.det(rotation)[..., None, None],
         background=draw(frames, 32),
+        detail=draw(*no_detail(objects, above).shape),
         cameras=(CAMERA,),
         model=model,
         checkpoint="somewhere",
@@ -40,5 +42,5 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
 
 
 def equal(one: Scene, other: Scene) -> bool:
-    names = ("what", "center", "rotation", "background")
+    names = ("what", "center", "rotation", "detail", "background")
     return one.ids == other.ids and all(torch.equal(getattr(one, name), getattr(other, name)) for name in names)

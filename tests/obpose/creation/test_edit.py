@@ -16,6 +16,7 @@ def test_removed_is_removed_and_the_others_keep_their_names():
     without = edit.remove(scene, 2)
     assert without.ids == (1, 3)
     assert torch.equal(without.center, scene.center[:, [0, 2]])
+    assert torch.equal(without.detail, scene.detail[[0, 2]])
     assert edit.remove(edit.remove(without, 1), 3).ids == ()
 
 
@@ -69,6 +70,7 @@ def test_swapped_objects_stay_what_they_are():
     assert torch.equal(swapped.center[..., :2], scene.center[:, [1, 0, 2], :2])
     assert torch.equal(swapped.center[..., 2], scene.center[..., 2])
     assert torch.equal(swapped.what, scene.what)
+    assert torch.equal(swapped.detail, scene.detail)
     assert torch.equal(swapped.rotation, scene.rotation)
 
 
@@ -78,6 +80,7 @@ def test_an_object_of_another_scene_is_added_and_stays_where_its_frames_end():
     assert added.ids == (1, 2, 3, 4)
     frames = [0, 1, 1, 1]
     assert torch.equal(added.what[:, 3], source.what[frames, 2])
+    assert torch.equal(added.detail[3], source.detail[2])
     assert torch.equal(added.center[:, 3], source.center[frames, 2])
     assert equal(edit.remove(added, 4), target)
 

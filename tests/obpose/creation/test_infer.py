@@ -5,7 +5,9 @@ import torch
 
 from obpose.creation.infer import infer_labelled, infer_scene, views_as_trained
 from obpose.creation.origin import Origin
-from tests.obpose.creation.scenes import some_model
+from obpose.creation.refine import refine
+from obpose.resolution import fitting_model
+from tests.obpose.creation.scenes import equal, some_model
 from tests.obpose.scenes import table_scene
 
 
@@ -16,9 +18,19 @@ def test_a_scene_holds_the_posterior_means_of_the_objects_in_use():
     inference = origin.model.segment(clip).inference
     assert scene.ids == (1, 2, 3, 4)
     assert torch.equal(scene.what, inference.what.mean[0])
+    assert not scene.detail.any()
     assert torch.equal(scene.center, inference.boxes.center[0])
     assert (scene.model, scene.checkpoint, scene.frames) == ("hash", "name", 3)
     assert torch.equal(scene.cameras[0].world_from_camera, clip.world_from_camera[0, 0])
+
+
+def test_a_scene_can_be_refined_at_once():
+    origin = Origin(some_model(), Path("folder"), "name", "hash")
+    clip = table_scene(batch=1, frames=2, height=20, width=20)
+    model = fitting_model(origin.model, clip)
+    refined = infer_scene(origin, clip, refinements=2)
+    assert equal(refined, refine(model, clip, infer_scene(origin, clip), steps=2))
+    assert refined.detail.any()
 
 
 def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cameras():

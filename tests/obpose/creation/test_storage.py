@@ -94,6 +94,9 @@ CAMERAS = {"k": CAMERA.k[None], "world_from_camera": CAMERA.world_from_camera[No
         {"rotation": torch.zeros(2, 3, 3, 3)},
         {"rotation": 30 * torch.eye(3).repeat(2, 3, 1, 1)},
         {"rotation": torch.diag(torch.tensor([1.0, 1.0, -1.0])).repeat(2, 3, 1, 1)},
+        {"detail": torch.zeros(2, 16, 16, 16, 4)},
+        {"detail": torch.zeros(3, 8, 8, 8, 4)},
+        {"detail": torch.full((3, 16, 16, 16, 4), torch.nan)},
         {"background": torch.zeros(())},
         {"background": torch.zeros(2, 4, 8)},
     ],
@@ -119,6 +122,14 @@ def test_a_scene_knows_its_clip_and_older_ones_do_not(tmp_path: Path):
     save_scene(tmp_path / "old", some_scene())
     assert "clip" not in json.loads((tmp_path / "old" / "scene.json").read_text())
     assert load_scene(tmp_path / "old").clip is None
+
+
+def test_scenes_of_older_versions_have_no_detail(tmp_path: Path):
+    save_scene(tmp_path, some_scene())
+    tensors = load_file(tmp_path / "scene.safetensors")
+    del tensors["detail"]
+    save_file(tensors, tmp_path / "scene.safetensors")
+    assert equal(load_scene(tmp_path), replace(some_scene(), detail=torch.zeros(3, 16, 16, 16, 4)))
 
 
 def test_the_model_s_folder_is_found_from_everywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -1,3 +1,5 @@
+from typing import Any
+
 import pytest
 import torch
 
@@ -31,6 +33,10 @@ def objects(count: int, seed: int = 0) -> tuple[torch.Tensor, Boxes]:
     return torch.randn(count, 2, generator=generator), Boxes(center[None, None], rotation[None, None], 0.3)
 
 
+def of_code(field: Field, code: torch.Tensor, **options: Any) -> Component:
+    return make_component(field, field.condition(code), **options)
+
+
 def both(
     object_field: Field, background_field: Field, *, floor: float | None, threshold: float = 0.0
 ) -> tuple[Picture, Picture]:
@@ -38,13 +44,11 @@ def both(
     codes, boxes = objects(3)
     background_code = torch.tensor([0.5, -1.0])
     components = [
-        make_component(background_field, background_code, **WORLD, bounded=False, resolution=24, threshold=threshold)
+        of_code(background_field, background_code, **WORLD, bounded=False, resolution=24, threshold=threshold)
     ]
     for place in range(3):
         box = {"center": boxes.center[0, 0, place], "rotation": boxes.rotation[0, 0, place], "size": boxes.size}
-        components.append(
-            make_component(object_field, codes[place], **box, bounded=True, resolution=24, threshold=threshold)
-        )
+        components.append(of_code(object_field, codes[place], **box, bounded=True, resolution=24, threshold=threshold))
     origin, direction = rays()
     along = {"near": NEAR, "far": FAR, "samples": SAMPLES, "sigma_max": SIGMA, "threshold": threshold}
     fast = march(components, origin, direction, **along, floor=floor)
@@ -90,7 +94,7 @@ def test_colours_can_be_those_a_little_behind():
             return (hidden[:, 2:] < 0).float().expand(-1, 3)
 
     box = {"center": torch.zeros(3), "rotation": torch.eye(3), "size": 0.3}
-    component = make_component(TwoColours(0.5), torch.zeros(2), **box, bounded=True, resolution=8)
+    component = of_code(TwoColours(0.5), torch.zeros(2), **box, bounded=True, resolution=8)
     down = torch.tensor([[0.0, 0.0, -1.0]])
     along = {"near": NEAR, "far": FAR, "samples": 1200, "sigma_max": 1000.0, "floor": None}
     seen = [
@@ -109,7 +113,7 @@ def test_fields_are_evaluated_in_few_places():
             return super().density(points, codes)
 
     field = Counting(0.3)
-    component = make_component(field, torch.zeros(2), **BOX, bounded=True, resolution=16)
+    component = of_code(field, torch.zeros(2), **BOX, bounded=True, resolution=16)
     field.evaluated = 0
     origin, direction = rays()
     march([component], origin, direction, near=NEAR, far=FAR, samples=SAMPLES, sigma_max=SIGMA, floor=None)
@@ -117,7 +121,7 @@ def test_fields_are_evaluated_in_few_places():
 
 
 def test_nothing_is_black_and_as_far_as_can_be_seen():
-    component = make_component(empty_field(), torch.zeros(2), **BOX, bounded=True, resolution=8)
+    component = of_code(empty_field(), torch.zeros(2), **BOX, bounded=True, resolution=8)
     assert not component.cells.any()
     origin, direction = rays()
     seen = march([component], origin, direction, near=NEAR, far=FAR, samples=10, sigma_max=SIGMA, floor=None)
@@ -127,10 +131,10 @@ def test_nothing_is_black_and_as_far_as_can_be_seen():
 
 
 def test_a_component_that_is_moved_is_as_if_it_had_been_made_there():
-    made = make_component(BallField(0.5), torch.zeros(2), **BOX, bounded=True, resolution=16)
+    made = of_code(BallField(0.5), torch.zeros(2), **BOX, bounded=True, resolution=16)
     turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     there = moved(made, torch.tensor([-0.1, 0.1, 0.0]), turn)
-    anew = make_component(
+    anew = of_code(
         BallField(0.5), torch.zeros(2), center=there.center, rotation=turn, size=0.3, bounded=True, resolution=16
     )
     torch.testing.assert_close(seen_of(there).colour, seen_of(anew).colour)

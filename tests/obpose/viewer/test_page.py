@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+from obpose.creation.infer import infer_scene
+from obpose.creation.refine import STEPS
 from obpose.creation.scene import upright
 from obpose.creation.storage import load_scene
 from obpose.viewer.opening import Opened, open_path
@@ -90,6 +92,18 @@ def test_dragging_is_followed_and_undone_as_one(page: Page):
     assert node("/gizmo").wxyz.tolist() == [1, 0, 0, 0]  # the next turn begins anew
     page.actions.undo()
     assert page.session.scene is before
+
+
+def test_what_was_inferred_is_fitted_to_its_frames_once_and_can_be_undone(page: Page, opened: Opened):
+    page.actions.fit()
+    fitted = settled(page).session.scene
+    assert fitted.detail.any()
+    assert equal(fitted, infer_scene(opened.origin, opened.clip, refinements=STEPS))
+    assert page.session.version.seen_as == {name: name for name in opened.scene.ids}
+    page.actions.fit()
+    assert settled(page).session.scene is fitted
+    page.actions.undo()
+    assert page.session.scene is opened.scene
 
 
 def test_a_sampled_scene_replaces_all_and_has_no_input(page: Page):

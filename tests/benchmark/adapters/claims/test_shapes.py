@@ -8,7 +8,7 @@ from torch import Tensor
 
 from benchmark.adapters.claims.shapes import measure_times, shape_errors
 from datagen.shapes.shape import Shape
-from obpose.nerf.field import Conditioning, Field
+from obpose.nerf.field import Conditioning, Field, Hidden
 from obpose.types import SceneSegmentation
 from tests.benchmark.adapters.claims.told import only_scene, true_account
 from tests.obpose.analytic_fields import SMALL, empty_field
@@ -28,10 +28,10 @@ class TrueField(Field):
         super().__init__(SMALL, latent=32)
         self.shape = shape
 
-    def density(self, points: Tensor, codes: Conditioning) -> tuple[Tensor, Tensor]:
+    def density(self, points: Tensor, codes: Conditioning) -> tuple[Tensor, Hidden]:
         distance = self.shape.signed_distance(0.15 * points.reshape(-1, 3).double().numpy())
         logits = torch.from_numpy(np.clip(-1e5 * distance, -20, 20)).float().view(points.shape[:-1])
-        return logits, points.new_zeros(*logits.shape, 16)
+        return logits, Hidden(points.new_zeros(*logits.shape, 16), None)
 
 
 def test_a_true_field_has_the_true_voxels(claims_dataset: Path):
