@@ -62,6 +62,11 @@ class Subject:
 
     def origin(self) -> Origin:
         """The model, in a process that is set up for it."""
-        torch.set_num_threads(1)
-        keep_memory()
-        return load_origin(self.checkpoint or shipped_to_create(self.source.name))
+        return chosen_origin(self.checkpoint, self.source.name)
+
+
+def chosen_origin(checkpoint: str, track: str) -> Origin:
+    """The model of a checkpoint, or where it is empty the one for pictures that ships for the track."""
+    torch.set_num_threads(1)
+    keep_memory()
+    return load_origin(checkpoint or shipped_to_create(track))
