@@ -58,9 +58,14 @@ class Sample:
     """Folder of a scene whose cameras are used."""
     objects: int = 3
     seed: int = 0
-    prior: Literal["fitted", "learned"] = "fitted"
+    prior: Literal["fitted", "learned", "found"] = "fitted"
     """`fitted`: mixtures of Gaussians of what the model infers from training clips, which `obpose-edit fit` made and
-    shipped weights have; `learned`: the model's own priors."""
+    shipped weights have; `learned`: the model's own priors; `found`: whole objects, with details, that the model finds
+    in training clips of --data, of which only company and place are new."""
+    data: Path | None = None
+    """Folder of the dataset whose objects are taken, for --prior found."""
+    clips: int = 8
+    """How many of its training clips are looked at, chosen by the seed; each takes some seconds."""
     resolution: str | None = None
     """Of the picture, such as 128x128; that of the camera if left out."""
 

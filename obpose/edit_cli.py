@@ -25,11 +25,13 @@ from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
 from obpose.creation.clip import name_clip, one_of, read_clip
+from obpose.creation.found import FoundObjects, find_objects
 from obpose.creation.infer import infer_scene, views_as_trained
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
 from obpose.creation.prior import fit_prior, learned_prior, load_prior, save_prior
+from obpose.creation.refine import STEPS
 from obpose.creation.rendering import Image, Renderer
 from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Camera, Scene, axis_rotation
@@ -100,11 +102,24 @@ def _sample(values: Sample) -> None:
         raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
     if not 0 <= values.seed < 2**63:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
+    if (values.data is None) == (values.prior == "found"):
+        raise UsageError("--data says where the objects of --prior found are; give both, or neither.")
+    if values.clips < 1:
+        raise UsageError(f"--clips {values.clips}: expected 1 or more.")
     origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
-    prior = load_prior(origin) if values.prior == "fitted" else learned_prior(origin.model)
     generator = torch.Generator().manual_seed(values.seed)
-    scene = sample_scene(origin, prior, objects=values.objects, cameras=cameras, generator=generator)
+    if values.data is not None:
+        source = _found(origin, values.data, values.clips, generator)
+    else:
+        source = load_prior(origin) if values.prior == "fitted" else learned_prior(origin.model)
+    scene = sample_scene(origin, source, objects=values.objects, cameras=cameras, generator=generator)
     _show(scene, origin, values.out, values.resolution)
+
+
+def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -> FoundObjects:
+    number = len(SceneDataset(data, "train"))
+    chosen = torch.randperm(number, generator=generator)[:clips].tolist()
+    return find_objects(origin, (read_clip(data, "train", index) for index in chosen), refinements=STEPS)
 
 
 def _fit(values: Fit) -> None:

@@ -107,9 +107,13 @@ def fit_prior(model: ObPose, clips: Iterable[Observation]) -> ScenePrior:
     objects, scenes = (torch.cat(what) if what else torch.zeros(0, 1)), len(background)
     if len(objects) < 2 or scenes < 2:
         raise UsageError(f"{len(objects)} objects were found in {scenes} clips; expected at least 2 in 2 clips.")
-    places = torch.cat(center)
+    return ScenePrior(fit_mixture(objects), fit_mixture(torch.stack(background)), *table_part(torch.cat(center)))
+
+
+def table_part(places: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:
+    """The part of the table on which nearly all objects are, by its lowest and highest x and y."""
     low, high = (torch.quantile(places, share, dim=0) for share in (_MARGIN, 1 - _MARGIN))
-    return ScenePrior(fit_mixture(objects), fit_mixture(torch.stack(background)), low, high)
+    return low, high
 
 
 def save_prior(origin: Origin, prior: ScenePrior) -> None:

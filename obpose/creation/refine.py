@@ -48,7 +48,8 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     """The scene with latents, places of objects and details after so many steps down the observation loss.
 
     With the details' prior it is, for a pixel, minus the log of what is made large. Objects are not turned. The model
-    keeps its weights. What comes out depends on the arguments alone.
+    keeps its weights. What comes out depends on the arguments alone, to
+    rounding.
 
     Args:
         model: That the scene is of.

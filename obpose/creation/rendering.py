@@ -117,7 +117,7 @@ class Renderer:
             scene.look(frame, place),
             lambda: make_component(
                 model.object_field,
-                conditioning(model, scene, frame, place),
+                conditioning(model, scene.what[frame, place], scene.detail[place]),
                 **box,
                 bounded=True,
                 resolution=_OBJECT_CELLS,
@@ -134,11 +134,10 @@ class Renderer:
         return self._known[name]
 
 
-def conditioning(model: ObPose, scene: Scene, frame: int, place: int) -> Conditioning:
+def conditioning(model: ObPose, what: Float[Tensor, "what"], detail: Float[Tensor, "edge edge edge 4"]) -> Conditioning:
     """What an object's latent and its detail add to the objects' field."""
-    detail = scene.detail[place, None]
-    corrections = Detail(detail, torch.zeros((), dtype=torch.long)) if detail.any() else None
-    return model.object_field.condition(scene.what[frame, place]).corrected(corrections)
+    corrections = Detail(detail[None], torch.zeros((), dtype=torch.long)) if detail.any() else None
+    return model.object_field.condition(what).corrected(corrections)
 
 
 def outlines(shares: Float[Tensor, "component height width"]) -> Bool[Tensor, "height width"]:

@@ -11,6 +11,7 @@ import trimesh
 from PIL import Image
 
 from datagen.errors import EXIT_OK, EXIT_USAGE
+from datagen.generate import generate
 from datagen.schema import decode_depth
 from datagen.storage import Dataset
 from obpose.creation.origin import origin_of
@@ -19,6 +20,8 @@ from obpose.creation.scene import ClipName
 from obpose.creation.storage import load_scene
 from obpose.data import SceneDataset
 from obpose.edit_cli import main
+from tests import small
+from tests.obpose.creation.scenes import alike
 
 MODEL = "obpose--moving--64x64"
 
@@ -156,6 +159,23 @@ def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, tmp_path: Path, pri
     assert one.ids == (1, 2)
     assert torch.equal(one.what, again.what)
     assert (tmp_path / "one" / "picture.png").read_bytes() == (tmp_path / "again" / "picture.png").read_bytes()
+
+
+def test_objects_of_training_clips_are_put_together_anew(
+    inferred: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    data = tmp_path / "data"
+    generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
+    flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", "found", "--objects", 3]
+    assert run("sample", *flags, "--out", tmp_path / "none") == EXIT_USAGE
+    assert "--data says where the objects of --prior found are" in capsys.readouterr().err
+    assert run("sample", *flags, "--data", data, "--clips", 0, "--out", tmp_path / "none") == EXIT_USAGE
+    for out in ("one", "again"):
+        assert run("sample", *flags, "--data", data, "--clips", 2, "--out", tmp_path / out) == EXIT_OK
+    one, again = load_scene(tmp_path / "one"), load_scene(tmp_path / "again")
+    assert one.ids == (1, 2, 3)
+    assert one.detail.flatten(1).any(dim=1).all()
+    assert alike(one, again, by=0.01)
 
 
 def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path, capsys):

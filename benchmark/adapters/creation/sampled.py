@@ -13,6 +13,7 @@ from benchmark.interface import Clip, Prediction, Segmenter
 from benchmark.metrics import score
 from benchmark.true_poses import world_points
 from datagen.storage import Split
+from obpose.creation.found import FoundObjects
 from obpose.creation.origin import Origin
 from obpose.creation.prior import ScenePrior, learned_prior, load_prior
 from obpose.creation.rendering import Image, Renderer
@@ -21,6 +22,9 @@ from obpose.creation.scene import Camera, Scene
 from obpose.errors import UsageError
 
 PriorName = Literal["fitted", "learned"]
+
+Source = ScenePrior | FoundObjects
+"""What scenes are sampled from."""
 OPAQUE = 0.5
 """Share of a ray's light that must come from something for the pixel to have a depth."""
 TRIES = 20
@@ -54,13 +58,17 @@ def real_scenes(scenes: Split, count: int) -> list[Labelled]:
     return [_first_image(clips[i], truths[i].astype(np.int64)) for i in range(min(count, len(clips)))]
 
 
-def sampled_scenes(origin: Origin, prior_name: PriorName, like: Sequence[Labelled], *, seed: int) -> Iterator[Labelled]:
+def prior_of(origin: Origin, name: PriorName) -> ScenePrior:
+    """That a model learned, or that was fitted to it."""
+    return load_prior(origin) if name == "fitted" else learned_prior(origin.model)
+
+
+def sampled_scenes(origin: Origin, source: Source, like: Sequence[Labelled], *, seed: int) -> Iterator[Labelled]:
     """One for each real scene, with its camera and as many objects as are in view there."""
-    prior = load_prior(origin) if prior_name == "fitted" else learned_prior(origin.model)
     renderer, generator = Renderer(origin.model), torch.Generator().manual_seed(seed)
     for real in like:
         camera = _camera(real.clip)
-        scene = _sample(origin, prior, len(np.unique(real.labels)) - 1, camera, generator)
+        scene = _sample(origin, source, len(np.unique(real.labels)) - 1, camera, generator)
         yield labelled(renderer.render(scene), camera)
 
 
@@ -116,10 +124,10 @@ def _camera(clip: Clip) -> Camera:
     return Camera(k, pose, width, height)
 
 
-def _sample(origin: Origin, prior: ScenePrior, objects: int, camera: Camera, generator: torch.Generator) -> Scene:
+def _sample(origin: Origin, source: Source, objects: int, camera: Camera, generator: torch.Generator) -> Scene:
     for attempt in range(TRIES):
         try:
-            return sample_scene(origin, prior, objects=objects, cameras=(camera,), generator=generator)
+            return sample_scene(origin, source, objects=objects, cameras=(camera,), generator=generator)
         except UsageError:
             if attempt == TRIES - 1:
                 raise

@@ -10,7 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.adapters.claims.command import run_command
-from benchmark.adapters.creation.sampled import Labelled, Looks, looks, mean_ari_fg, real_scenes, sampled_scenes
+from benchmark.adapters.creation.sampled import (
+    Labelled,
+    Looks,
+    PriorName,
+    Source,
+    looks,
+    mean_ari_fg,
+    prior_of,
+    real_scenes,
+    sampled_scenes,
+)
 from benchmark.adapters.creation.subject import Subject
 from benchmark.adapters.learned import LearnedSegmenter
 from benchmark.interface import Segmenter
@@ -20,12 +30,16 @@ from benchmark.registry import find_model
 from benchmark.tuning import choose
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage import Dataset
+from obpose.creation.clip import read_clip
+from obpose.creation.found import find_objects
 from obpose.creation.origin import Origin, load_origin
 from obpose.creation.pictures import enlarged, write_png
+from obpose.creation.refine import STEPS
+from obpose.data import SceneDataset
 from obpose.shipped import shipped_names
 
 PROGRAM = "python -m benchmark.adapters.creation.samples_cli"
-TUNED_ON = "val"
+TUNED_ON, FOUND_IN = "val", "train"
 SEGMENTS = "obpose"
 """Whose weights segment, as those of `obpose-sharp` sample."""
 OURS, CLUSTERING = "ObPose", "plane-hdbscan"
@@ -43,8 +57,10 @@ class Arguments(Subject):
     segmenter: str = ""
     """Folder of a trained model, or the name of weights that ship, to segment the scenes with: other weights than those
     that sample. By default those of `obpose` that ship for the track, or the sampling ones where there are none."""
+    found: int = 60
+    """Training clips whose objects are put together anew; 0 for none."""
     picture: Path | None = None
-    """PNG to write: real scenes, beneath them some of the fitted prior, and then of the learned one."""
+    """PNG to write: real scenes, beneath them some of the fitted prior, of the learned one, and of found objects."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """Of one model and dataset."""
-    values.check(scenes=1, seed=0)
+    values.check(scenes=1, seed=0, found=0)
     origin = values.origin()
     segmenter = load_origin(values.segmenter or shipped_to_segment(values.source.name) or origin.name)
     if values.picture is not None and values.picture.suffix != ".png":
@@ -63,11 +79,11 @@ def run(values: Arguments) -> int:
         raise UsageError(
             f"--split {TUNED_ON}: real scenes are compared with those of {TUNED_ON}; expected test or train."
         )
-    dataset = Dataset(values.folder((TUNED_ON,)))
+    dataset = Dataset(values.folder((TUNED_ON, *([FOUND_IN] if values.found else []))))
     real, others = (real_scenes(dataset.split(name), values.scenes) for name in (values.split, TUNED_ON))
     kinds = {f"real ({values.split})": real, f"real ({TUNED_ON})": others}
-    for prior in ("fitted", "learned"):
-        kinds[f"sampled, prior {prior}"] = list(sampled_scenes(origin, prior, real, seed=values.seed))
+    for name, source in _sources(origin, dataset.folder, values.found):
+        kinds[f"sampled, {name}"] = list(sampled_scenes(origin, source, real, seed=values.seed))
     print(f"{origin.name}, {len(real)} scenes of {values.source.name}, first view and frame, seed {values.seed}:\n")
     print(f"{OURS} segments with {segmenter.name}{_circular(origin, segmenter)}.\n")
     segmenters = {OURS: _model(segmenter), CLUSTERING: _clustering(others, values.source.slots)}
@@ -80,6 +96,16 @@ def run(values: Arguments) -> int:
         write_png(values.picture, grid(rows))
         print(values.picture)
     return EXIT_OK
+
+
+def _sources(origin: Origin, folder: Path, clips: int) -> Iterator[tuple[str, Source]]:
+    priors: tuple[PriorName, ...] = ("fitted", "learned")
+    for name in priors:
+        yield f"prior {name}", prior_of(origin, name)
+    if clips:
+        count = min(clips, len(SceneDataset(folder, FOUND_IN)))
+        inputs = (read_clip(folder, FOUND_IN, index) for index in range(count))
+        yield f"objects found in {count} clips", find_objects(origin, inputs, refinements=STEPS)
 
 
 def shipped_to_segment(track: str) -> str | None:

@@ -7,7 +7,7 @@ from obpose.creation.infer import infer_labelled, infer_scene, views_as_trained
 from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.resolution import fitting_model
-from tests.obpose.creation.scenes import equal, some_model
+from tests.obpose.creation.scenes import alike, some_model
 from tests.obpose.scenes import table_scene
 
 
@@ -29,7 +29,7 @@ def test_a_scene_can_be_refined_at_once():
     clip = table_scene(batch=1, frames=2, height=20, width=20)
     model = fitting_model(origin.model, clip)
     refined = infer_scene(origin, clip, refinements=2)
-    assert equal(refined, refine(model, clip, infer_scene(origin, clip), steps=2))
+    assert alike(refined, refine(model, clip, infer_scene(origin, clip), steps=2))
     assert refined.detail.any()
 
 

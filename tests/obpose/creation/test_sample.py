@@ -4,14 +4,19 @@ from pathlib import Path
 import pytest
 import torch
 
+from obpose.creation.extent import shape_extent
+from obpose.creation.found import FoundObjects, find_objects
+from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior
-from obpose.creation.sample import sample_scene, shape_extent
+from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
+from obpose.model import ObPose
 from obpose.nerf.field import Conditioning
 from tests.obpose.analytic_fields import BallField
-from tests.obpose.creation.scenes import CAMERA, some_model
+from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
+from tests.obpose.scenes import table_scene
 
 RADIUS = 0.4
 """Of the balls, in half edges of the box of 20 cm."""
@@ -42,16 +47,17 @@ def test_objects_stand_on_the_table_beside_each_other():
 
 
 class SomeBalls(BallField):
-    """Balls of the codes whose first number is positive, and nothing of the others."""
+    """Balls of the codes whose first number is above something, and nothing of the others."""
 
-    def __init__(self) -> None:
+    def __init__(self, least: float = 0.0) -> None:
         super().__init__(RADIUS, latent=32)
+        self.least = least
         with torch.no_grad():
             self.codes.weight.zero_()[0, 0] = 1
 
     def density(self, points: torch.Tensor, codes: Conditioning) -> tuple[torch.Tensor, torch.Tensor]:
         logits, hidden = super().density(points, codes)
-        return torch.where(codes.first[..., 0] > 0, logits, -30.0), hidden
+        return torch.where(codes.first[..., 0] > self.least, logits, -30.0), hidden
 
 
 def test_objects_that_are_nowhere_are_drawn_again():
@@ -78,8 +84,53 @@ def test_there_may_be_none_and_there_may_be_too_many():
 
 
 def test_the_extent_is_that_of_the_field():
-    extent = shape_extent(origin().model, torch.zeros(32), torch.eye(3))
+    extent = extent_of(origin().model)
     assert extent.norm(dim=-1).max() == pytest.approx(0.1 * RADIUS, abs=0.007)
     empty = some_model()
     empty.object_field = BallField(-10.0, latent=32)
-    assert torch.equal(shape_extent(empty, torch.zeros(32), torch.eye(3)), torch.zeros(1, 3))
+    assert torch.equal(extent_of(empty), torch.zeros(1, 3))
+
+
+def extent_of(model: ObPose) -> torch.Tensor:
+    return shape_extent(model, model.object_field.condition(torch.zeros(32)), torch.eye(3))
+
+
+def found(*, objects: int = 3) -> FoundObjects:
+    """Balls with details and rotations of their own."""
+    scene = some_scene(objects=objects)
+    corner = torch.tensor([0.5, 0.5])
+    parts = (scene.what[0], scene.rotation[0], 0.01 * scene.detail, scene.background)
+    return FoundObjects(*parts, low=-corner, high=corner)
+
+
+def test_found_objects_are_what_they_were_with_their_details():
+    of, source = origin(), found()
+    generator = torch.Generator().manual_seed(0)
+    scene = sample_scene(of, source, objects=5, cameras=(CAMERA,), generator=generator)
+    for place in range(5):
+        (same,) = (source.what == scene.what[0, place]).all(dim=1).nonzero()
+        assert torch.equal(scene.detail[place], source.detail[same[0]])
+        # Turned about the vertical: what was level, or up, stays so.
+        turn = scene.rotation[0, place] @ source.rotation[same[0]].T
+        torch.testing.assert_close(turn[2], torch.tensor([0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
+    assert (source.background == scene.background[0]).all(dim=1).any()
+    assert (scene.center[0, :, 2] - 0.1 * RADIUS).abs().max() < 0.01
+
+
+def test_objects_are_found_as_scenes_are_inferred():
+    # Codes that do not depend on the field, so that it can be chosen by them.
+    of = Origin(some_model(**{"model.attention.evaluation_rounds": 0}), Path("folder"), "name", "hash")
+    clips = [table_scene(batch=1, frames=2, height=16, width=16, seed=seed) for seed in (0, 1)]
+    scenes = [infer_scene(of, clip) for clip in clips]
+    middle = float(torch.stack([scene.what[0, :, 0] for scene in scenes]).median())
+    of.model.object_field = SomeBalls(middle)
+    source = find_objects(of, clips, refinements=0)
+    scenes = [infer_scene(of, clip) for clip in clips]
+    there = [(scene, place) for scene in scenes for place in range(4) if scene.what[0, place, 0] > middle]
+    assert 0 < len(there) < 8
+    assert torch.equal(source.what, torch.stack([scene.what[0, place] for scene, place in there]))
+    assert torch.equal(source.rotation, torch.stack([scene.rotation[0, place] for scene, place in there]))
+    assert torch.equal(source.background, torch.stack([scene.background[0] for scene in scenes]))
+    of.model.object_field = BallField(-10.0, latent=32)
+    with pytest.raises(UsageError, match="No objects were found in 2 clips"):
+        find_objects(of, clips, refinements=0)

@@ -6,7 +6,15 @@ import pytest
 import torch
 from PIL import Image as Pillow
 
-from benchmark.adapters.creation.sampled import ari_fg, labelled, looks, mean_ari_fg, real_scenes, sampled_scenes
+from benchmark.adapters.creation.sampled import (
+    ari_fg,
+    labelled,
+    looks,
+    mean_ari_fg,
+    prior_of,
+    real_scenes,
+    sampled_scenes,
+)
 from benchmark.adapters.creation.samples_cli import COLUMNS, GAP, main, shipped_to_segment
 from benchmark.interface import Prediction
 from datagen.storage import Dataset
@@ -70,7 +78,9 @@ def test_real_scenes_are_the_first_image_of_each(clips: Path):
 
 def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(clips: Path, origin: Origin):
     real = real_scenes(Dataset(clips).split("test"), 2)
-    one, same, other = (list(sampled_scenes(origin, "learned", real, seed=seed)) for seed in (0, 0, 1))
+    one, same, other = (
+        list(sampled_scenes(origin, prior_of(origin, "learned"), real, seed=seed)) for seed in (0, 0, 1)
+    )
     for scene, like in zip(one, real, strict=True):
         assert scene.clip.rgb.shape == like.clip.rgb.shape
         np.testing.assert_allclose(scene.clip.world_from_camera, like.clip.world_from_camera, atol=1e-6)
@@ -86,6 +96,7 @@ def test_the_command_prints_and_draws(
     assert main([*flags, "--picture", str(tmp_path / "grid.png"), "--csv", str(tmp_path / "samples.csv")]) == 0
     printed = capsys.readouterr().out
     assert all(f"| {name} |" in printed for name in ("real (test)", "real (val)", "sampled, prior fitted"))
+    assert "| sampled, objects found in 2 clips |" in printed
     kept = list(csv.DictReader((tmp_path / "samples.csv").read_text().splitlines()))
     assert {line["segmenter"] for line in kept} == {str(checkpoint)}
     assert f"segments with {checkpoint}, the weights that sample" in printed
@@ -93,7 +104,7 @@ def test_the_command_prints_and_draws(
     assert f"| {float(kept[1]['mmd2 size']):z.4f} ({float(kept[1]['mmd2 size p']):.3f}) |" in printed
     width = 2 * (96 + 2 * GAP)
     with Pillow.open(tmp_path / "grid.png") as picture:
-        assert picture.size == (width, 3 * (96 + 2 * GAP))
+        assert picture.size == (width, 4 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
 
@@ -110,7 +121,7 @@ def test_the_segmenter_is_the_one_that_is_named(
     clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     save_prior(origin, learned_prior(origin.model))
-    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2", "--segmenter"]
+    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2", "--found", "0", "--segmenter"]
     assert main([*flags, "obpose--moving--64x64", "--csv", str(tmp_path / "samples.csv")]) == 0
     assert "segments with obpose--moving--64x64.\n" in capsys.readouterr().out
     kept = list(csv.DictReader((tmp_path / "samples.csv").read_text().splitlines()))

@@ -1,0 +1,30 @@
+"""How much of its box an object fills."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.geometry import from_box
+from obpose.model import ObPose
+from obpose.nerf.field import Conditioning
+from obpose.nerf.voxels import lattice_points, occupancy
+
+LEAST_VOXELS = 8
+"""Objects of fewer of these voxels are hardly anywhere: in boxes of 20 cm it is a cube of 25 mm."""
+_CELLS = 16
+
+
+@torch.no_grad()
+def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
+    """Middles of the voxels that the object of a single code is in, in its box."""
+    lattice = lattice_points(_CELLS, None, codes.first)
+    logits, _ = model.object_field.density(lattice, codes)
+    return lattice[occupancy(logits) > model.config.model.voxel_threshold]
+
+
+def shape_extent(model: ObPose, codes: Conditioning, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "corner 3"]:
+    """Occupied voxels of an object relative to the middle of its box, world axes, metres; the middle if none is."""
+    voxels = occupied(model, codes)
+    if not len(voxels):
+        voxels = voxels.new_zeros(1, 3)
+    return from_box(voxels, torch.zeros(3), rotation, model.config.model.pose.box_size)

@@ -1,0 +1,62 @@
+"""Objects as a model found them in clips, to be put together anew: whole, with the details that codes leave out.
+
+An addition, and no model of objects: each of them was seen, only its company and its place are new.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.creation.extent import LEAST_VOXELS, occupied
+from obpose.creation.infer import infer_scene
+from obpose.creation.origin import Origin
+from obpose.creation.prior import table_part
+from obpose.creation.rendering import conditioning
+from obpose.creation.scene import Scene
+from obpose.errors import UsageError
+from obpose.types import Observation
+
+
+@dataclass(frozen=True, eq=False)
+class FoundObjects:
+    """Objects and backgrounds of the first frames of clips, and the part of the table on which objects were."""
+
+    what: Float[Tensor, "object what"]
+    rotation: Float[Tensor, "object 3 3"]
+    """World from object, as it was found."""
+    detail: Float[Tensor, "object edge edge edge 4"]
+    background: Float[Tensor, "clip background"]
+    low: Float[Tensor, "2"]
+    """Of the objects' middles, world x and y, metres."""
+    high: Float[Tensor, "2"]
+
+
+def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: int) -> FoundObjects:
+    """Those of scenes that are inferred from clips, a batch of one each, and fitted to them in so many steps.
+
+    Objects that are hardly anywhere dense are left out.
+
+    Raises:
+        UsageError: there is no object at all.
+    """
+    scenes = [infer_scene(origin, clip, refinements=refinements) for clip in clips]
+    places = [(scene, place) for scene in scenes for place in range(len(scene.ids)) if _is_there(origin, scene, place)]
+    if not places:
+        raise UsageError(f"No objects were found in {len(scenes)} clips; give more, or others.")
+    low, high = table_part(torch.stack([scene.center[0, place, :2] for scene, place in places]))
+    return FoundObjects(
+        what=torch.stack([scene.what[0, place] for scene, place in places]),
+        rotation=torch.stack([scene.rotation[0, place] for scene, place in places]),
+        detail=torch.stack([scene.detail[place] for scene, place in places]),
+        background=torch.stack([scene.background[0] for scene in scenes]),
+        low=low,
+        high=high,
+    )
+
+
+def _is_there(origin: Origin, scene: Scene, place: int) -> bool:
+    codes = conditioning(origin.model, scene.what[0, place], scene.detail[place])
+    return len(occupied(origin.model, codes)) >= LEAST_VOXELS
