@@ -1,4 +1,7 @@
-"""Pictures of inferred scenes against dense sampling of all slots: CPU time, and whether the pictures are equal."""
+"""Pictures of inferred scenes against dense sampling of all slots: CPU time, and whether the pictures are equal.
+
+And what fitting a scene to its frames takes, and costs its pictures.
+"""
 
 import time
 from collections.abc import Callable
@@ -9,26 +12,26 @@ from typing import TypeVar
 import torch
 
 from benchmark.metrics.images import psnr
-from obpose.creation.infer import infer_scene
+from obpose.creation.clip import read_clip
+from obpose.creation.infer import fit_to_frames, infer_scene
 from obpose.creation.origin import load_origin
+from obpose.creation.refine import STEPS
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
-from obpose.data import SceneDataset
-from obpose.types import Observation
 from tests.obpose.creation.dense import densely
 
 MODEL = "obpose--moving--64x64"
 ROUNDS = 3
 GOAL_RATIO, GOAL_DB = 10, 40
+GOAL_SECONDS = 10
+"""Of the fit to a clip of ten frames: seconds of a core."""
 T = TypeVar("T")
 
 
 def test_a_picture_is_that_of_dense_sampling_and_takes_a_tenth_of_the_time(tiny_dataset: Path):
     torch.set_num_threads(1)
     origin = load_origin(MODEL)
-    item = SceneDataset(tiny_dataset, "test")[0]
-    names = ("rgb", "depth", "valid", "k", "world_from_camera")
-    scene = infer_scene(origin, Observation(**{name: item[name][None] for name in names}))
+    scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0))
     camera = scene.cameras[0]
     fresh = [Renderer(origin.model) for _ in range(ROUNDS)]
     first, again, smooth = (median(cpu_seconds(fresh, scene, antialiased=each)) for each in (False, False, True))
@@ -45,6 +48,24 @@ def test_a_picture_is_that_of_dense_sampling_and_takes_a_tenth_of_the_time(tiny_
     )
     assert seconds / first >= GOAL_RATIO
     assert equality >= GOAL_DB
+
+
+def test_a_clip_is_fitted_within_seconds_and_its_details_cost_pictures_little(tiny_dataset: Path):
+    torch.set_num_threads(1)
+    origin, clip = load_origin(MODEL), read_clip(tiny_dataset, "test", 0)
+    scene, seconds = timed(lambda: infer_scene(origin, clip))
+    fitted, longer = timed(lambda: fit_to_frames(scene, origin.model, clip, refinements=STEPS))
+    renderers = [Renderer(origin.model) for _ in range(2 * ROUNDS)]
+    plain, detailed = (
+        median(cpu_seconds(some, each, antialiased=False))
+        for some, each in ((renderers[::2], scene), (renderers[1::2], fitted))
+    )
+    print(
+        f"\n10 frames of 64x64, {len(scene.ids)} objects: inferred in {seconds:.1f} s, fitted in {longer:.1f} s more "
+        f"(goal {GOAL_SECONDS}); a first picture {1000 * plain:.0f} ms, with details {1000 * detailed:.0f} ms"
+    )
+    assert longer <= GOAL_SECONDS
+    assert detailed <= 2 * plain
 
 
 def cpu_seconds(renderers: list[Renderer], scene: Scene, *, antialiased: bool) -> list[float]:

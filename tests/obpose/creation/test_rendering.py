@@ -72,13 +72,14 @@ def test_outlines_are_pixels_beside_another_component():
 
 
 @pytest.mark.slow
-def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path):
+@pytest.mark.parametrize("refinements", [0, 60])
+def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, refinements: int):
     """More than the goal of 40 dB, which colours of the surface instead of from behind it meet too, just.
 
     The time that leaving things out saves is measured in tests/perf.
     """
     origin = load_origin("obpose--moving--64x64")
-    scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0))
+    scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0), refinements=refinements)
     camera, renderer = scene.cameras[0].resized(24, 24), Renderer(origin.model)
     image = renderer.render(scene, camera=camera, antialiased=False)
     dense = densely(renderer, scene, camera, behind=origin.model.config.loss.jitter)

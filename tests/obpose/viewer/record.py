@@ -48,8 +48,10 @@ class Film:
 
 
 def play(person: Person, film: Film) -> None:
-    """Look around, go through time, move an object, put a copy beside it, remove one, take that back, sample, save."""
+    """Fit, look around, go through time, move an object, copy it, remove one, take that back, sample, save."""
     film.take(LONGER)
+    person.press("Fit to the frames")
+    settled(person, film)
     person.orbit(-70, look=film.take)
     for share in (0.33, 0.67, 0.0):
         person.slide(share)

@@ -73,6 +73,12 @@ def test_a_scene_is_looked_at_edited_and_saved(page: Page, tmp_path: Path):
         person.press("Undo")
         wait_until(lambda: not page.session.can_undo, what="the drag to be undone")
         assert torch.equal(page.session.scene.center, before.center)
+        person.settle()
+        plain = seen(person, tmp_path / "plain.png")
+        person.press("Fit to the frames")
+        wait_until(lambda: page.session.scene.detail.any(), seconds=120, what="the scene to be fitted")
+        person.settle()
+        assert differs(seen(person, tmp_path / "fitted.png"), plain)
         assert tab.complaints == []
 
 
