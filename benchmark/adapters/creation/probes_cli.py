@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.creation.objects import Objects, infer_objects
@@ -20,6 +21,8 @@ from datagen.errors import EXIT_OK, UsageError
 
 PROGRAM = "python -m benchmark.adapters.creation.probes_cli"
 LEARNED_FROM = "train"
+LEAST_HEIGHT = 0.001
+"""Standard deviation in metres of what is left of heights, below which there is nothing to ask for."""
 MOST_COLOURS = 16
 """Up to so many colours have names, beyond which they are numbers only."""
 
@@ -78,6 +81,25 @@ def rows(learned: Objects, tested: Objects) -> Iterator[Row]:
     yield _row("size", "R²", learned, tested, lambda objects: objects.size)
     for axis, name in enumerate("xyz"):
         yield _row(f"position, {name}", "R²", learned, tested, partial(_coordinate, axis))
+    beyond = height_beyond_shape(learned)
+    if beyond(learned).std() >= LEAST_HEIGHT:
+        yield _row("position, z, beyond shape and size", "R²", learned, tested, beyond)
+
+
+def height_beyond_shape(learned: Objects) -> Callable[[Objects], Float[np.ndarray, "object"]]:
+    """What of an object's height, metres, the line of height over size of all objects of its shape leaves over.
+
+    Objects stand on the table, and the middles of larger ones are higher: a latent that holds shape and size holds that
+    much of the height as well.
+    """
+    kinds = np.unique(learned.shape)
+
+    def known(objects: Objects) -> Float[np.ndarray, "object number"]:
+        is_kind = (objects.shape[:, None] == kinds).astype(float)
+        return np.concatenate([is_kind, is_kind * objects.size[:, None]], axis=1)
+
+    slopes, *_ = np.linalg.lstsq(known(learned), learned.position[:, 2], rcond=None)
+    return lambda objects: objects.position[:, 2] - known(objects) @ slopes
 
 
 def lines(found: Iterable[Row]) -> list[Line]:

@@ -6,7 +6,7 @@ import pytest
 
 from benchmark.adapters.creation.objects import Objects, _middle_frames, facts
 from benchmark.adapters.creation.probes import Probe, Sample, probe_names, probe_numbers
-from benchmark.adapters.creation.probes_cli import lines, main, rows, table
+from benchmark.adapters.creation.probes_cli import height_beyond_shape, lines, main, rows, table
 from datagen.storage import Dataset
 
 RNG = np.random.default_rng(0)
@@ -68,7 +68,8 @@ def objects(seed: int, count: int = 120) -> Objects:
 
 def test_the_table_says_what_latents_hold():
     found = {row.what: row for row in rows(objects(0), objects(1))}
-    assert list(found) == ["shape", "colour, of a palette", "colour", "size", *(f"position, {axis}" for axis in "xyz")]
+    positions = [*(f"position, {axis}" for axis in "xyz"), "position, z, beyond shape and size"]
+    assert list(found) == ["shape", "colour, of a palette", "colour", "size", *positions]
     for name in ("shape", "colour", "size"):
         assert found[name].by_latent.score > 0.99
         assert found[name].by_place.score < 0.6
@@ -79,8 +80,27 @@ def test_the_table_says_what_latents_hold():
     *_, last = table(found.values())
     kept = lines(found.values())
     assert [line["what"] for line in kept] == list(found)
-    assert last.startswith(f"| position, z | R² | {kept[-1]['z_what']:.2f} ({kept[-1]['z_what_ci_low']:.2f} to ")
+    assert last.startswith(
+        f"| position, z, beyond shape and size | R² | {kept[-1]['z_what']:.2f} ({kept[-1]['z_what_ci_low']:.2f} to "
+    )
     assert last.endswith(f"| {kept[-1]['t_hat']:.2f} | {kept[-1]['no_input']:z.2f} | 120, 120 |")
+
+
+def test_height_is_asked_for_beyond_what_shape_and_size_tell():
+    """Of objects that all stand there is nothing left; of those of which some float, how high."""
+    standing, others = objects(0), objects(1)
+    heights = {"ball": 0.5, "cube": 0.4, "cone": 0.25}
+    for each in (standing, others):
+        each.position[:, 2] = [heights[name] * size for name, size in zip(each.shape, each.size, strict=True)]
+    np.testing.assert_allclose(height_beyond_shape(standing)(others), 0, atol=1e-9)
+    assert "position, z, beyond shape and size" not in {row.what for row in rows(standing, others)}
+    floating = np.where(np.arange(120) % 2, 0.2, 0.0)
+    others.position[:, 2] += floating
+    np.testing.assert_allclose(height_beyond_shape(standing)(others), floating, atol=1e-9)
+    others.what[:, -1] = floating
+    # Held by the latent, and asked for: found, though size and shape say nothing of it.
+    held = {row.what: row for row in rows(others, others)}
+    assert held["position, z, beyond shape and size"].by_latent.score > 0.95
 
 
 def test_an_object_is_taken_where_it_is_found():
