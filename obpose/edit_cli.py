@@ -83,6 +83,7 @@ def _infer(values: Infer) -> None:
         raise UsageError("Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own.")
     if not 0 <= values.refine <= MOST_REFINEMENTS:
         raise UsageError(f"--refine {values.refine}: expected 0 to {MOST_REFINEMENTS}.")
+    _size(values.resolution)
     origin = load_origin(values.checkpoint)
     if values.data is not None:
         place = (values.data, values.split, values.scene)
@@ -106,6 +107,7 @@ def _sample(values: Sample) -> None:
         raise UsageError("--data says where the objects of --prior found are; give both, or neither.")
     if values.clips < 1:
         raise UsageError(f"--clips {values.clips}: expected 1 or more.")
+    _size(values.resolution)
     origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
     generator = torch.Generator().manual_seed(values.seed)
     if values.data is not None:
@@ -264,15 +266,20 @@ def _vector(flag: str, text: str | None) -> Float[Tensor, "3"]:
 
 
 def _sized(camera: Camera, resolution: str | None) -> Camera:
+    return camera.resized(*(_size(resolution) or (camera.width, camera.height)))
+
+
+def _size(resolution: str | None) -> tuple[int, int] | None:
+    """Width and height; looked at before anything slow is done, too."""
     if resolution is None:
-        return camera
+        return None
     try:
         width, height = (int(part) for part in resolution.lower().split("x"))
     except ValueError:
         width = height = 0
     if not (0 < width <= LARGEST and 0 < height <= LARGEST):
         raise UsageError(f"--resolution {resolution}: expected WIDTHxHEIGHT, such as 128x128, at most {LARGEST}.")
-    return camera.resized(width, height)
+    return width, height
 
 
 Command = tuple[type, Callable[[Any], None]]

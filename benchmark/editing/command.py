@@ -93,8 +93,8 @@ def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
         for other in (path for path in (job.out / FOLDER).glob(place) if path != job.path):
             if not overwrite:
                 raise UsageError(
-                    f"{other} has edits of other weights, or of another dataset of that name. Give another folder with "
-                    "--out, or --overwrite to replace them."
+                    f"{other} has edits of other weights, of another dataset of that name, or with another --refine. "
+                    "Give another folder with --out, or --overwrite to replace them."
                 )
             other.unlink()
 

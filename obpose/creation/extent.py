@@ -22,6 +22,11 @@ def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
     return lattice[occupancy(logits) > model.config.model.voxel_threshold]
 
 
+def above_table(extent: Float[Tensor, "corner 3"], height: float) -> Float[Tensor, "some 3"]:
+    """Those of the voxels that are above the world's z = 0 where the middle of the box is so high, metres."""
+    return extent[extent[:, 2] > -height]
+
+
 def shape_extent(model: ObPose, codes: Conditioning, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "corner 3"]:
     """Occupied voxels of an object relative to the middle of its box, world axes, metres; the middle if none is."""
     voxels = occupied(model, codes)

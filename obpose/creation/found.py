@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.creation.extent import LEAST_VOXELS, occupied
+from obpose.creation.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.prior import table_part
@@ -22,11 +22,14 @@ from obpose.types import Observation
 
 @dataclass(frozen=True, eq=False)
 class FoundObjects:
-    """Objects and backgrounds of the first frames of clips, and the part of the table on which objects were."""
+    """Objects and backgrounds of the last frames of clips, in which most have come to rest, and where they were."""
 
     what: Float[Tensor, "object what"]
     rotation: Float[Tensor, "object 3 3"]
     """World from object, as it was found."""
+    height: Float[Tensor, "object"]
+    """Of the middle of its box above the table, metres: what a field has below the table no camera can have seen, and
+    it is shown as little where an object keeps its height."""
     detail: Float[Tensor, "object edge edge edge 4"]
     background: Float[Tensor, "clip background"]
     low: Float[Tensor, "2"]
@@ -37,7 +40,7 @@ class FoundObjects:
 def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: int) -> FoundObjects:
     """Those of scenes that are inferred from clips, a batch of one each, and fitted to them in so many steps.
 
-    Objects that are hardly anywhere dense are left out.
+    Objects that are hardly anywhere dense above the table are left out.
 
     Raises:
         UsageError: there is no object at all.
@@ -46,17 +49,20 @@ def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: i
     places = [(scene, place) for scene in scenes for place in range(len(scene.ids)) if _is_there(origin, scene, place)]
     if not places:
         raise UsageError(f"No objects were found in {len(scenes)} clips; give more, or others.")
-    low, high = table_part(torch.stack([scene.center[0, place, :2] for scene, place in places]))
+    center = torch.stack([scene.center[-1, place] for scene, place in places])
+    low, high = table_part(center[:, :2])
     return FoundObjects(
-        what=torch.stack([scene.what[0, place] for scene, place in places]),
-        rotation=torch.stack([scene.rotation[0, place] for scene, place in places]),
+        what=torch.stack([scene.what[-1, place] for scene, place in places]),
+        rotation=torch.stack([scene.rotation[-1, place] for scene, place in places]),
+        height=center[:, 2],
         detail=torch.stack([scene.detail[place] for scene, place in places]),
-        background=torch.stack([scene.background[0] for scene in scenes]),
+        background=torch.stack([scene.background[-1] for scene in scenes]),
         low=low,
         high=high,
     )
 
 
 def _is_there(origin: Origin, scene: Scene, place: int) -> bool:
-    codes = conditioning(origin.model, scene.what[0, place], scene.detail[place])
-    return len(occupied(origin.model, codes)) >= LEAST_VOXELS
+    codes = conditioning(origin.model, scene.what[-1, place], scene.detail[place])
+    extent = shape_extent(origin.model, codes, scene.rotation[-1, place])
+    return len(above_table(extent, float(scene.center[-1, place, 2]))) >= LEAST_VOXELS

@@ -3,6 +3,7 @@
 An addition: semi-amortised inference (Kim et al. 2018). The paper reads latents once, and has no details.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,15 +14,16 @@ from obpose.creation.scene import Scene
 from obpose.geometry import all_rays, sample_rays_where
 from obpose.losses.objective import observation_terms
 from obpose.model import ObPose
-from obpose.nerf.along import Decode, fields_along
-from obpose.nerf.components import Colours, decode
+from obpose.nerf.along import fields_along
+from obpose.nerf.components import Background, Colours, decode
 from obpose.nerf.detail import Detail, roughness
 from obpose.types import Boxes, Decoded, Observation
 
 STEPS = 100
 """Are plenty, and take seconds."""
-RAYS = 512
-"""Of each frame in each step, half of them where objects are."""
+RAYS, RAYS_OF_CLIP, LEAST_RAYS = 512, 5120, 32
+"""Of each frame in each step, half of them where objects are; fewer where a clip of many frames would have more in all,
+but not less than the last."""
 LATENT_STEP, PLACE_STEP, DETAIL_STEP = 0.05, 5e-4, 0.1
 """Learning rates of Adam (Kingma and Ba 2015) at the beginning, from which they fall to 0; the second in metres."""
 AIR = 10.0
@@ -48,8 +50,7 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     """The scene with latents, places of objects and details after so many steps down the observation loss.
 
     With the details' prior it is, for a pixel, minus the log of what is made large. Objects are not turned. The model
-    keeps its weights. What comes out depends on the arguments alone, to
-    rounding.
+    keeps its weights. What comes out depends on the arguments alone, to rounding.
 
     Args:
         model: That the scene is of.
@@ -66,9 +67,10 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     fall = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, steps))
     decoding, pixels = _decoding(model, scene, leaves), max(1, int(observation.valid.sum()))
     shown = _shows_objects(observation, decoding)
+    count = max(LEAST_RAYS, min(RAYS, RAYS_OF_CLIP // scene.frames))
     with torch.enable_grad():
         for _ in range(steps):
-            rays = sample_rays_where(observation, RAYS, shown, share=0.5, generator=noise)
+            rays = sample_rays_where(observation, count, shown, share=0.5, generator=noise)
             terms = observation_terms(fields_along(rays, decoding, loss, noise), loss)
             total = loss.colour * terms["colour"] + loss.surface * terms["surface"] + AIR * loss.air * terms["air"]
             total = total + roughness(leaves.detail, neighbours=NEIGHBOURS, size=SIZE) / pixels
@@ -80,7 +82,7 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     return replace(scene, what=what, background=background, center=center, detail=detail)
 
 
-def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Decode:
+def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Decoded]:
     """The scene's fields."""
     frames, objects = scene.what.shape[:2]
     owner = torch.arange(objects).repeat(frames)
@@ -88,7 +90,10 @@ def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Decode:
     settings = model.config.model
 
     def at(
-        points: Float[Tensor, "1 frame ray 3"], directions: Float[Tensor, "1 frame ray 3"], colours: Colours
+        points: Float[Tensor, "1 frame ray 3"],
+        directions: Float[Tensor, "1 frame ray 3"],
+        colours: Colours,
+        where_background: Background = "everywhere",
     ) -> Decoded:
         return decode(
             model.object_field,
@@ -103,6 +108,7 @@ def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Decode:
             workspace_size=settings.background_size,
             colours=colours,
             floor=settings.table,
+            where_background=where_background,
             detail=Detail(leaves.detail, owner),
         )
 
@@ -110,8 +116,11 @@ def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Decode:
 
 
 @torch.no_grad()
-def _shows_objects(observation: Observation, decoding: Decode) -> Float[Tensor, "1 frame view height width"]:
+def _shows_objects(
+    observation: Observation, decoding: Callable[..., Decoded]
+) -> Float[Tensor, "1 frame view height width"]:
     """1 where an object is denser than the background at the observed surface, else 0."""
     rays = all_rays(observation)
-    logits = decoding(rays.origin + rays.direction * rays.depth[..., None], rays.direction, "without").logits
+    points = rays.origin + rays.direction * rays.depth[..., None]
+    logits = decoding(points, rays.direction, "without", "in boxes").logits
     return (logits.argmax(dim=2) > 0).view(observation.depth.shape).to(observation.depth.dtype)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.creation.extent import LEAST_VOXELS, occupied, shape_extent
+from obpose.creation.extent import LEAST_VOXELS, above_table, occupied, shape_extent
 from obpose.creation.found import FoundObjects
 from obpose.creation.origin import Origin
 from obpose.creation.prior import ScenePrior
@@ -18,14 +18,18 @@ from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
 
 _TRIES = 200
+_SKIN = 1e-6
+"""Metres that leave what stands on the table above it, whatever the rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Objects without a place."""
+    """Objects without a place on the table."""
 
     what: Float[Tensor, "object what"]
     rotation: Float[Tensor, "object 3 3"]
+    height: Float[Tensor, "object"] | None
+    """Of the middles of their boxes, metres; None where their lowest voxels are to lie on the table."""
     detail: Float[Tensor, "object edge edge edge 4"]
 
 
@@ -38,7 +42,9 @@ def sample_scene(
     cameras: tuple[Camera, ...],
     generator: torch.Generator,
 ) -> Scene:
-    """A scene of one frame with so many objects, turned about the vertical at random, their lowest voxel on the table.
+    """A scene of one frame with so many objects, turned about the vertical at random.
+
+    The lowest voxel of a sampled object is on the table; found ones are as high as they were.
 
     The paper leaves the poses of sampled objects to the user; these are drawn such that no two objects' voxels, seen
     from above, come nearer to each other than both reach from their middles. Found objects are drawn with replacement.
@@ -52,10 +58,12 @@ def sample_scene(
     for place in range(objects):
         turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, center) @ drawn.rotation[place]
         extent = shape_extent(origin.model, conditioning(origin.model, drawn.what[place], drawn.detail[place]), turn)
+        height = float(-extent[:, 2].min() if drawn.height is None else drawn.height[place])
+        extent = above_table(extent, height + _SKIN)
         reach = float(extent[:, :2].norm(dim=-1).max())
         middle = _free_place(source, center[:place, :2], reaches, reach, generator)
         center[place, :2] = middle
-        center[place, 2] = -extent[:, 2].min()
+        center[place, 2] = height
         rotation[place] = turn
         reaches.append(reach)
     return Scene(
@@ -74,9 +82,9 @@ def sample_scene(
 def _draw(model: ObPose, source: ScenePrior | FoundObjects, objects: int, generator: torch.Generator) -> _Drawn:
     if isinstance(source, FoundObjects):
         chosen = torch.randint(len(source.what), (objects,), generator=generator)
-        return _Drawn(source.what[chosen], source.rotation[chosen], source.detail[chosen])
+        return _Drawn(source.what[chosen], source.rotation[chosen], source.height[chosen], source.detail[chosen])
     what = _draw_codes(model, source, objects, generator)
-    return _Drawn(what, torch.eye(3).expand(objects, 3, 3), no_detail(objects, what))
+    return _Drawn(what, torch.eye(3).expand(objects, 3, 3), None, no_detail(objects, what))
 
 
 def _background(source: ScenePrior | FoundObjects, generator: torch.Generator) -> Float[Tensor, "1 background"]:

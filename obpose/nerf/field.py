@@ -29,10 +29,12 @@ class Conditioning:
 
     def of_all_points(self) -> "Conditioning":
         """With an axis, before the last, for the points that share a code."""
+        assert self.detail is None
         return Conditioning(self.first[..., None, :], self.again[..., None, :], self.colour[..., None, :])
 
     def flatten(self) -> "Conditioning":
         """Codes of batch x frame as a flat list."""
+        assert self.detail is None
         return Conditioning(self.first.flatten(0, 1), self.again.flatten(0, 1), self.colour.flatten(0, 1))
 
     def at(self, owner: Int[Tensor, " n"]) -> "Conditioning":

@@ -116,7 +116,8 @@ class Page:
         """Fit what was inferred to its frames; what was edited shows something else than they do."""
         scene, clip = self._opened.scene, self._opened.clip
         assert clip is not None
-        self._check_as_inferred(self.session)
+        with self._lock:
+            self._check_as_inferred(self.session)
         self._tell("Fitting", "to the frames; takes some seconds")
         fitted = fit_to_frames(scene, self._opened.origin.model, clip, refinements=STEPS)
 

@@ -222,6 +222,11 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["render", "SCENE", "--frame", "10", "--out", "a.png"], "--frame 10: expected 0 to 9"),
         (["render", "SCENE", "--view", "1", "--out", "a.png"], "--view 1: expected 0"),
         (["render", "SCENE", "--resolution", "9999x2", "--out", "a.png"], "expected WIDTHxHEIGHT"),
+        (
+            ["infer", "--checkpoint", "none", "--data", "d", "--resolution", "9", "--out", "new"],
+            "expected WIDTHxHEIGHT",
+        ),
+        (["sample", "--checkpoint", "none", "--camera", "c", "--resolution", "9", "--out", "new"], "expected WIDTHxHE"),
         (["render", "SCENE", "--checkpoint", "obpose--mixed--64x64", "--out", "a.png"], "made with other weights"),
         (["sample", "--checkpoint", "none", "--camera", "SCENE", "--out", "new"], "--checkpoint none: no such folder"),
         (["mesh", "SCENE", "--object", "1", "--out", "a.obj"], "expected a name that ends with .ply or .glb"),

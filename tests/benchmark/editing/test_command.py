@@ -76,6 +76,8 @@ def test_refined_scenes_have_rows_of_their_own(fitting: Path, tmp_path: Path, ca
     lines = {line["model"]: line for line in load_all(tmp_path) if line["answer"] == "edit"}
     assert set(lines) == {"obpose-pretrained", "obpose-pretrained-refined"}
     assert len({line["psnr_outside"] for line in lines.values()}) == 2
+    assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path, "--refine", 5) == EXIT_USAGE
+    assert "or with another --refine" in " ".join(capsys.readouterr().err.split())
 
 
 def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path, capsys):

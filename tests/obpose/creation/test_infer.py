@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from obpose.creation.infer import infer_labelled, infer_scene, views_as_trained
+from obpose.creation.infer import fit_to_frames, infer_labelled, infer_scene, views_as_trained
 from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.resolution import fitting_model
@@ -31,6 +31,13 @@ def test_a_scene_can_be_refined_at_once():
     refined = infer_scene(origin, clip, refinements=2)
     assert alike(refined, refine(model, clip, infer_scene(origin, clip), steps=2))
     assert refined.detail.any()
+
+
+def test_what_was_inferred_can_be_fitted_afterwards_to_the_views_that_the_model_gets():
+    origin = Origin(some_model(**{"train.views": "one"}), Path("folder"), "name", "hash")
+    clip = table_scene(batch=1, frames=1, views=3, height=20, width=20)
+    later = fit_to_frames(infer_scene(origin, clip), origin.model, clip, refinements=2)
+    assert alike(later, infer_scene(origin, clip, refinements=2))
 
 
 def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cameras():

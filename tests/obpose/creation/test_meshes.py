@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from obpose.creation.meshes import object_mesh, write_mesh
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.model import ObPose
+from obpose.viewer.shapes import Shapes
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.creation.scenes import some_model, some_scene
 
@@ -44,6 +46,37 @@ def test_it_moves_with_the_object():
     by = torch.tensor([0.1, 0.0, 0.2])
     before, after = object_mesh(model, scene, 1), object_mesh(model, edit.move(scene, 1, by), 1)
     np.testing.assert_allclose(after.vertices - before.vertices, by.expand(len(before.vertices), 3), atol=1e-5)
+
+
+def cubes() -> tuple[ObPose, Scene]:
+    """Objects that fill their boxes, grey; the upper half of the second is taken away, and the rest is red."""
+    model, scene = some_model(), some_scene()
+    with torch.no_grad():
+        for layer, bias in ((model.object_field.density_logit, 20.0), (model.object_field.colour_out, 0.0)):
+            layer.weight.zero_()
+            layer.bias.fill_(bias)
+    detail = torch.zeros_like(scene.detail)
+    detail[1, :, :, 8:, 0] = -100.0
+    detail[1, ..., 1:] = torch.tensor([20.0, -20.0, -20.0])
+    return model, replace(scene, detail=detail)
+
+
+def test_meshes_have_the_details_of_their_object():
+    model, scene = cubes()
+    whole, half = object_mesh(model, scene, 1), object_mesh(model, scene, 2)
+    assert whole.volume == pytest.approx(0.2**3, rel=0.05)
+    assert half.volume == pytest.approx(0.2**3 / 2, rel=0.1)
+    assert np.abs(np.asarray(whole.visual.vertex_colors)[:, :3].astype(int) - 128).max() <= 1
+    assert np.unique(half.visual.vertex_colors, axis=0).tolist() == [[255, 0, 0, 255]]
+
+
+def test_the_viewer_s_shapes_are_remembered_with_their_details():
+    model, scene = cubes()
+    shapes = Shapes(model)
+    plain = replace(scene, detail=torch.zeros_like(scene.detail))
+    first, other = shapes.of(plain, 0, 2), shapes.of(scene, 0, 2)
+    assert first != other
+    assert shapes.of(plain, 0, 2) is first
 
 
 @pytest.mark.parametrize("name", ["ball.ply", "ball.glb"])

@@ -10,12 +10,13 @@ from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.creation.scene import Scene
-from obpose.geometry import all_rays
+from obpose.geometry import all_rays, sample_rays_where, to_box
 from obpose.losses.objective import observation_terms
 from obpose.model import ObPose
 from obpose.nerf.along import fields_along
+from obpose.nerf.detail import Detail
 from obpose.resolution import fitting_model
-from obpose.types import Observation
+from obpose.types import Observation, Rays
 from tests.obpose.creation.scenes import alike, equal, some_model
 from tests.obpose.scenes import table_scene
 
@@ -75,6 +76,85 @@ def test_its_loss_at_the_start_is_that_of_what_was_inferred(model: ObPose):
         of_model = model.decode(inference, points, rays.direction, colours)
     torch.testing.assert_close(of_scene.logits, of_model.logits)
     torch.testing.assert_close(of_scene.colours, of_model.colours)
+
+
+def test_details_are_added_to_the_fields_of_their_own_objects_in_all_frames(model: ObPose):
+    observation = clip()
+    scene = inferred(model, observation)
+    detail = torch.randn(scene.detail.shape, generator=torch.Generator().manual_seed(0))
+    points = scene.center + torch.tensor([0.02, 0.01, 0.0])
+    points = replace_height(points)[None]
+    with torch.no_grad():
+        plain, changed = (
+            refining._decoding(model, scene, leaves)(points, points, "without").logits
+            for leaves in (refining._Leaves(*parts(scene)), refining._Leaves(*parts(scene)[:3], detail))
+        )
+    for frame in range(scene.frames):
+        for place in range(len(scene.ids)):
+            in_box = to_box(points[0, frame], scene.center[frame, place], scene.rotation[frame, place], 0.2)
+            inside = (in_box.abs() <= 1).all(dim=-1)
+            assert inside[place]
+            added = (changed - plain)[0, frame, 1 + place, inside]
+            torch.testing.assert_close(added, Detail(detail, torch.tensor(place)).of(in_box)[inside, 0])
+
+
+def replace_height(points: torch.Tensor) -> torch.Tensor:
+    """Above the table, below which objects are nowhere."""
+    return torch.cat([points[..., :2], points[..., 2:].clamp(min=0.01)], dim=-1)
+
+
+def test_rays_are_drawn_where_objects_are_segmented():
+    observation = clip()
+    model = fitting_model(some_model(), observation)
+    with torch.no_grad():
+        model.object_field.density_logit.bias.add_(20.0)
+    scene, labels = inferred(model, observation), model.segment(observation).labels
+    shown = refining._shows_objects(observation, refining._decoding(model, scene, refining._Leaves(*parts(scene))))
+    assert 0 < shown.mean() < 1
+    assert torch.equal(shown[observation.valid] > 0, labels[observation.valid] > 0)
+
+
+def test_the_prior_is_a_share_of_the_log_of_a_pixel(model: ObPose, monkeypatch: pytest.MonkeyPatch):
+    """So it weighs the less, the more pixels there are."""
+    observation, weights = clip(), []
+
+    def count(lattices: torch.Tensor, **_: float) -> torch.Tensor:
+        found = lattices.sum() * 0 + 1.0
+        found.register_hook(lambda slope: weights.append(1 / float(slope)))
+        return found
+
+    monkeypatch.setattr(refining, "roughness", count)
+    refine(model, observation, inferred(model, observation), steps=1)
+    assert weights == [pytest.approx(int(observation.valid.sum()))]
+
+
+def test_the_air_weighs_as_in_the_model_for_pictures(model: ObPose, monkeypatch: pytest.MonkeyPatch):
+    observation = clip()
+    scene = inferred(model, observation)
+    heavy = refine(model, observation, scene, steps=3)
+    sharp = replace(model.config, loss=replace(model.config.loss, air=10 * model.config.loss.air))
+    monkeypatch.setattr(refining, "AIR", 1.0)
+    assert not alike(refine(model, observation, scene, steps=3), heavy)
+    monkeypatch.setattr(model, "config", sharp)
+    assert alike(refine(model, observation, scene, steps=3), heavy)
+
+
+def test_long_clips_have_fewer_rays_a_frame(model: ObPose, monkeypatch: pytest.MonkeyPatch):
+    counts: list[int] = []
+
+    def spy(observation: Observation, count: int, *rest: torch.Tensor, **options: object) -> Rays:
+        counts.append(count)
+        return sample_rays_where(observation, count, *rest, **options)
+
+    monkeypatch.setattr(refining, "sample_rays_where", spy)
+    for frames in (2, 20, 200):
+        seen = table_scene(batch=1, frames=2, height=8, width=8)
+        index = torch.arange(frames) % 2
+        images = {name: getattr(seen, name)[:, index] for name in ("rgb", "depth", "valid")}
+        scene = inferred(model, seen)
+        long = {name: getattr(scene, name)[index] for name in ("what", "center", "rotation", "background")}
+        refine(model, replace(seen, **images), replace(scene, **long), steps=1)
+    assert counts == [512, 256, 32]
 
 
 def test_boxes_move_by_a_step_at_most_and_do_not_turn(model: ObPose):

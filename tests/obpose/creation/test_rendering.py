@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ from obpose.creation.clip import read_clip
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import load_origin
 from obpose.creation.rendering import Renderer, outlines
+from obpose.creation.scene import Scene
+from obpose.model import ObPose
 from tests.obpose.creation.dense import densely
 from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
 
@@ -31,6 +34,43 @@ def test_what_is_remembered_changes_no_picture():
         again, anew = renderer.render(changed, 1), Renderer(model).render(changed, 1)
         assert torch.equal(again.rgb, anew.rgb)
         assert torch.equal(again.depth, anew.depth)
+
+
+def seen_objects() -> tuple[ObPose, Scene]:
+    """Two opaque grey cubes on either side of the camera's axis, before nothing."""
+    model, scene = some_model(), some_scene(objects=2, frames=2)
+    assert model.background_field is not None
+    with torch.no_grad():
+        for field, bias in ((model.background_field, -30.0), (model.object_field, 20.0)):
+            field.density_logit.weight.zero_()
+            field.density_logit.bias.fill_(bias)
+            field.colour_out.weight.zero_()
+            field.colour_out.bias.zero_()
+    center = torch.tensor([[-0.15, 0.0, 0.2], [0.15, 0.0, 0.2]]).expand(2, 2, 3)
+    rotation = torch.eye(3).expand(2, 2, 3, 3)
+    return model, replace(scene, center=center, rotation=rotation, detail=torch.zeros_like(scene.detail))
+
+
+@pytest.mark.parametrize("frame", [0, 1])
+def test_details_are_seen_and_of_their_object_alone(frame: int):
+    model, scene = seen_objects()
+    renderer = Renderer(model)
+    plain = renderer.render(scene, frame, antialiased=False)
+    assert float(plain.rgb[plain.nearest == 2].sub(0.5).abs().max()) < 0.01
+    for name, other in ((1, 2), (2, 1)):
+        red = torch.zeros_like(scene.detail)
+        red[name - 1, ..., 1:] = torch.tensor([20.0, -20.0, -20.0])
+        # The same renderer, which must not take what it remembers of the object without details.
+        image = renderer.render(replace(scene, detail=red), frame, antialiased=False)
+        assert torch.equal(image.nearest, plain.nearest)
+        mine, others = image.rgb[image.nearest == name], image.rgb[image.nearest == other]
+        torch.testing.assert_close(mine, torch.tensor([1.0, 0, 0]).expand_as(mine), atol=0.01, rtol=0)
+        torch.testing.assert_close(others, torch.tensor(0.5).expand_as(others), atol=0.01, rtol=0)
+        gone = torch.zeros_like(scene.detail)
+        gone[name - 1, ..., 0] = -60.0
+        image = renderer.render(replace(scene, detail=gone), frame, antialiased=False)
+        assert not (image.nearest == name).any()
+        assert torch.equal(image.nearest == other, plain.nearest == other)
 
 
 def test_the_order_of_objects_does_not_matter():

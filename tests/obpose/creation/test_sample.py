@@ -9,6 +9,7 @@ from obpose.creation.found import FoundObjects, find_objects
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior
+from obpose.creation.rendering import conditioning
 from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
@@ -99,7 +100,7 @@ def found(*, objects: int = 3) -> FoundObjects:
     """Balls with details and rotations of their own."""
     scene = some_scene(objects=objects)
     corner = torch.tensor([0.5, 0.5])
-    parts = (scene.what[0], scene.rotation[0], 0.01 * scene.detail, scene.background)
+    parts = (scene.what[0], scene.rotation[0], 0.01 * (1 + torch.arange(objects)), scene.detail, scene.background)
     return FoundObjects(*parts, low=-corner, high=corner)
 
 
@@ -110,11 +111,37 @@ def test_found_objects_are_what_they_were_with_their_details():
     for place in range(5):
         (same,) = (source.what == scene.what[0, place]).all(dim=1).nonzero()
         assert torch.equal(scene.detail[place], source.detail[same[0]])
+        assert scene.center[0, place, 2] == source.height[same[0]]
         # Turned about the vertical: what was level, or up, stays so.
         turn = scene.rotation[0, place] @ source.rotation[same[0]].T
         torch.testing.assert_close(turn[2], torch.tensor([0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
     assert (source.background == scene.background[0]).all(dim=1).any()
-    assert (scene.center[0, :, 2] - 0.1 * RADIUS).abs().max() < 0.01
+
+
+def test_what_found_objects_have_below_the_table_needs_no_room():
+    """Balls of 4 cm: all but their tops below the table, many more fit beside each other than where they stand."""
+    sunk = replace(found(), height=torch.full((3,), -0.035), low=torch.full((2,), -0.05), high=torch.full((2,), 0.05))
+    draw = lambda source: sample_scene(  # noqa: E731
+        origin(), source, objects=5, cameras=(CAMERA,), generator=torch.Generator().manual_seed(0)
+    )
+    assert len(draw(sunk).ids) == 5
+    with pytest.raises(UsageError, match="no room for object"):
+        draw(replace(sunk, height=torch.full((3,), 0.04)))
+
+
+def test_extents_are_those_of_fields_with_their_details():
+    model, code = some_model(), torch.zeros(32)
+    with torch.no_grad():
+        model.object_field.density_logit.bias.fill_(10)
+    detail = torch.zeros(16, 16, 16, 4)
+    detail[:, :, 8:, 0] = -100.0
+    whole, lower = (
+        shape_extent(model, conditioning(model, code, some), torch.eye(3))
+        for some in (torch.zeros_like(detail), detail)
+    )
+    assert whole[:, 2].max() > 0.09
+    assert lower[:, 2].min() < -0.09
+    assert lower[:, 2].max() < 0.01
 
 
 def test_objects_are_found_as_scenes_are_inferred():
@@ -122,15 +149,22 @@ def test_objects_are_found_as_scenes_are_inferred():
     of = Origin(some_model(**{"model.attention.evaluation_rounds": 0}), Path("folder"), "name", "hash")
     clips = [table_scene(batch=1, frames=2, height=16, width=16, seed=seed) for seed in (0, 1)]
     scenes = [infer_scene(of, clip) for clip in clips]
-    middle = float(torch.stack([scene.what[0, :, 0] for scene in scenes]).median())
+    middle = float(torch.stack([scene.what[-1, :, 0] for scene in scenes]).median())
     of.model.object_field = SomeBalls(middle)
     source = find_objects(of, clips, refinements=0)
     scenes = [infer_scene(of, clip) for clip in clips]
-    there = [(scene, place) for scene in scenes for place in range(4) if scene.what[0, place, 0] > middle]
+    there = [
+        (scene, place)
+        for scene in scenes
+        for place in range(4)
+        # Its highest voxel, of the ball's half edges of 10 cm, is above the table.
+        if scene.what[-1, place, 0] > middle and scene.center[-1, place, 2] + 0.1 * RADIUS > 0.02
+    ]
     assert 0 < len(there) < 8
-    assert torch.equal(source.what, torch.stack([scene.what[0, place] for scene, place in there]))
-    assert torch.equal(source.rotation, torch.stack([scene.rotation[0, place] for scene, place in there]))
-    assert torch.equal(source.background, torch.stack([scene.background[0] for scene in scenes]))
+    assert torch.equal(source.what, torch.stack([scene.what[-1, place] for scene, place in there]))
+    assert torch.equal(source.rotation, torch.stack([scene.rotation[-1, place] for scene, place in there]))
+    assert torch.equal(source.height, torch.stack([scene.center[-1, place, 2] for scene, place in there]))
+    assert torch.equal(source.background, torch.stack([scene.background[-1] for scene in scenes]))
     of.model.object_field = BallField(-10.0, latent=32)
     with pytest.raises(UsageError, match="No objects were found in 2 clips"):
         find_objects(of, clips, refinements=0)
