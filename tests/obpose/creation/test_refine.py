@@ -10,7 +10,7 @@ from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.creation.scene import Scene
-from obpose.geometry import all_rays, sample_rays_where, to_box
+from obpose.geometry import all_rays, sample_rays_where, to_box, unproject
 from obpose.losses.objective import observation_terms
 from obpose.model import ObPose
 from obpose.nerf.along import fields_along
@@ -103,15 +103,26 @@ def replace_height(points: torch.Tensor) -> torch.Tensor:
     return torch.cat([points[..., :2], points[..., 2:].clamp(min=0.01)], dim=-1)
 
 
-def test_rays_are_drawn_where_objects_are_segmented():
-    observation = clip()
-    model = fitting_model(some_model(), observation)
+def test_objects_are_shown_where_their_boxes_hold_what_rises_above_the_table():
+    """If their field is dense everywhere."""
+    observation, model = clip(), some_model()
     with torch.no_grad():
         model.object_field.density_logit.bias.add_(20.0)
-    scene, labels = inferred(model, observation), model.segment(observation).labels
+    points = unproject(observation)[0, :, 0]
+    highest = points.flatten(1, 2)[torch.arange(2), points[..., 2].flatten(1).argmax(dim=1)]
+    scene = inferred(model, observation)
+    scene = replace(scene, center=highest[:, None].expand_as(scene.center))
     shown = refining._shows_objects(observation, refining._decoding(model, scene, refining._Leaves(*parts(scene))))
-    assert 0 < shown.mean() < 1
-    assert torch.equal(shown[observation.valid] > 0, labels[observation.valid] > 0)
+    inside = [
+        (to_box(points[frame].flatten(0, 1), scene.center[frame, 0], scene.rotation[frame, place], 0.2).abs() <= 1).all(
+            -1
+        )
+        for frame in range(2)
+        for place in range(len(scene.ids))
+    ]
+    expected = torch.stack(inside).view(2, len(scene.ids), 20, 20).any(dim=1) & (points[..., 2] > 0.001)
+    assert 0 < expected.float().mean() < 0.5
+    assert torch.equal(shown[0, :, 0] > 0, expected)
 
 
 def test_the_prior_is_a_share_of_the_log_of_a_pixel(model: ObPose, monkeypatch: pytest.MonkeyPatch):
