@@ -28,7 +28,8 @@ class Run:
     scenes: int | None = None
     """Test scenes whose edits are scored, from the first on; all if left out."""
     refine: int = 0
-    """Steps in which inferred scenes are fitted to their frames before they are edited, as by obpose-edit infer."""
+    """Steps in which inferred scenes are fitted to their frames before they are edited; obpose-edit infer takes 100.
+    With 0 codes alone are scored."""
     profile: Profile = "cpu"
     """Size of the tracks' images, and of the networks of models that learn: for a CPU core, or for a GPU."""
     slots: tuple[int, ...] = ()

@@ -65,7 +65,7 @@ class Sample:
     data: Path | None = None
     """Folder of the dataset whose objects are taken, for --prior found."""
     clips: int = 8
-    """How many of its training clips are looked at, chosen by the seed; each takes some seconds."""
+    """How many of its training clips are looked at for --prior found, chosen by the seed; each takes some seconds."""
     resolution: str | None = None
     """Of the picture, such as 128x128; that of the camera if left out."""
 

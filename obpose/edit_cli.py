@@ -103,8 +103,10 @@ def _sample(values: Sample) -> None:
         raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
     if not 0 <= values.seed < 2**63:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
-    if (values.data is None) == (values.prior == "found"):
-        raise UsageError("--data says where the objects of --prior found are; give both, or neither.")
+    if values.prior == "found" and values.data is None:
+        raise UsageError("--prior found needs --data DIR, a dataset with training scenes to take objects from.")
+    if values.prior != "found" and values.data is not None:
+        raise UsageError(f"--data is for --prior found; --prior {values.prior} takes nothing from a dataset.")
     if values.clips < 1:
         raise UsageError(f"--clips {values.clips}: expected 1 or more.")
     _size(values.resolution)
@@ -120,7 +122,10 @@ def _sample(values: Sample) -> None:
 
 def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -> FoundObjects:
     number = len(SceneDataset(data, "train"))
+    if not number:
+        raise UsageError(f"{data} has no training scenes to take objects from; make some with --split train=N.")
     chosen = torch.randperm(number, generator=generator)[:clips].tolist()
+    print(f"Looking for objects in {len(chosen)} training clips of {data}; each takes some seconds.", flush=True)
     return find_objects(origin, (read_clip(data, "train", index) for index in chosen), refinements=STEPS)
 
 

@@ -13,11 +13,14 @@ from torch import Tensor
 from obpose.creation.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
-from obpose.creation.prior import table_part
+from obpose.creation.prior import learned_prior, table_part
 from obpose.creation.rendering import conditioning
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.types import Observation
+
+LEAST_PLACES = 20
+"""Places of fewer objects do not say on which part of the table objects are; then it is the middle of the workspace."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,9 @@ def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: i
         raise UsageError(f"No objects were found in {len(scenes)} clips; give more, or others.")
     center = torch.stack([scene.center[-1, place] for scene, place in places])
     low, high = table_part(center[:, :2])
+    if len(places) < LEAST_PLACES:
+        prior = learned_prior(origin.model)
+        low, high = prior.low, prior.high
     return FoundObjects(
         what=torch.stack([scene.what[-1, place] for scene, place in places]),
         rotation=torch.stack([scene.rotation[-1, place] for scene, place in places]),

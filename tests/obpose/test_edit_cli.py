@@ -168,7 +168,13 @@ def test_objects_of_training_clips_are_put_together_anew(
     generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
     flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", "found", "--objects", 3]
     assert run("sample", *flags, "--out", tmp_path / "none") == EXIT_USAGE
-    assert "--data says where the objects of --prior found are" in capsys.readouterr().err
+    assert "--prior found needs --data DIR" in capsys.readouterr().err
+    assert run("sample", *flags[:4], "--data", data, "--out", tmp_path / "none") == EXIT_USAGE
+    assert "--data is for --prior found" in capsys.readouterr().err
+    bare = tmp_path / "bare"
+    generate(bare, small.recipe(frames=2), splits={"test": 1}, resolution=(64, 64))
+    assert run("sample", *flags, "--data", bare, "--out", tmp_path / "none") == EXIT_USAGE
+    assert "bare has no training scenes to take objects from" in capsys.readouterr().err
     assert run("sample", *flags, "--data", data, "--clips", 0, "--out", tmp_path / "none") == EXIT_USAGE
     for out in ("one", "again"):
         assert run("sample", *flags, "--data", data, "--clips", 2, "--out", tmp_path / out) == EXIT_OK

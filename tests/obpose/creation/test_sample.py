@@ -165,6 +165,8 @@ def test_objects_are_found_as_scenes_are_inferred():
     assert torch.equal(source.rotation, torch.stack([scene.rotation[-1, place] for scene, place in there]))
     assert torch.equal(source.height, torch.stack([scene.center[-1, place, 2] for scene, place in there]))
     assert torch.equal(source.background, torch.stack([scene.background[-1] for scene in scenes]))
+    # Too few to say where objects are.
+    torch.testing.assert_close(source.high - source.low, torch.full((2,), of.model.config.model.workspace_size / 2))
     of.model.object_field = BallField(-10.0, latent=32)
     with pytest.raises(UsageError, match="No objects were found in 2 clips"):
         find_objects(of, clips, refinements=0)
