@@ -49,7 +49,7 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
             yield scene
     except TerminatedWorkerError:
         raise DatagenError(
-            "A worker process died, perhaps for want of memory. Finished shards are intact; "
+            "A worker process died, perhaps for want of memory. What is finished is intact; "
             "run the same command again, perhaps with fewer --workers."
         ) from None
     finally:

@@ -58,10 +58,11 @@ class Sample:
     """Folder of a scene whose cameras are used."""
     objects: int = 3
     seed: int = 0
-    prior: Literal["fitted", "learned", "found"] = "fitted"
-    """`fitted`: mixtures of Gaussians of what the model infers from training clips, which `obpose-edit fit` made and
-    shipped weights have; `learned`: the model's own priors; `found`: whole objects, with details, that the model finds
-    in training clips of --data, of which only company and place are new."""
+    prior: Literal["flow", "fitted", "learned", "found"] | None = None
+    """`flow`: whole objects, with details, of a flow that `obpose-edit learn` made; `fitted`: mixtures of Gaussians of
+    what the model infers from training clips, which `obpose-edit fit` made and shipped weights have; `learned`: the
+    model's own priors; `found`: whole objects, with details, that the model finds in training clips of --data, of which
+    only company and place are new. If left out, the flow where the weights have one, else the mixtures."""
     data: Path | None = None
     """Folder of the dataset whose objects are taken, for --prior found."""
     clips: int = 8
@@ -80,6 +81,26 @@ class Fit:
     """Folder of the dataset that it was trained on."""
     clips: int = 500
     """How many of the training split."""
+
+
+@dataclass(frozen=True)
+class Learn:
+    """Learn a flow that whole objects are sampled from, beside a model's weights.
+
+    What was done when it was stopped is kept, and the same command goes on.
+    """
+
+    checkpoint: str
+    """Folder of a trained model, to which `obpose-edit fit` has fitted mixtures."""
+    data: Path
+    """Folder of the dataset that it was trained on."""
+    clips: int = 400
+    """How many of the training split objects are looked for in, for some seconds each."""
+    steps: int = 10_000
+    """Of learning, some tenths of a second each."""
+    seed: int = 0
+    workers: int | None = None
+    """Processes that look for objects; as many as there are processors if left out."""
 
 
 @dataclass(frozen=True)

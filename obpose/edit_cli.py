@@ -21,24 +21,28 @@ from jaxtyping import Float
 from torch import Tensor
 
 import assets
+from datagen import interrupts
+from datagen.options import parse_workers
 from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
 from obpose.creation.clip import name_clip, one_of, read_clip
+from obpose.creation.flow_prior import FlowPrior, has_flow, load_flow
 from obpose.creation.found import FoundObjects, find_objects
 from obpose.creation.infer import infer_scene, views_as_trained
+from obpose.creation.learn import Lesson, learn_flow
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
-from obpose.creation.prior import fit_prior, learned_prior, load_prior, save_prior
+from obpose.creation.prior import ScenePrior, fit_prior, learned_prior, load_prior, save_prior
 from obpose.creation.refine import STEPS
 from obpose.creation.rendering import Image, Renderer
 from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Camera, Scene, axis_rotation
 from obpose.creation.storage import load_scene, save_scene
 from obpose.data import SceneDataset
-from obpose.edit_arguments import Add, Fit, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
-from obpose.errors import EXIT_OK, UsageError, run_program
+from obpose.edit_arguments import Add, Fit, Infer, Learn, Mesh, Move, Remove, Render, Rotate, Sample, Swap
+from obpose.errors import EXIT_OK, Interrupted, UsageError, run_program
 from obpose.files import check_free, check_new, new_file
 from obpose.recordings.frames import look
 from obpose.resolution import spacing_note
@@ -49,6 +53,8 @@ MOST_OBJECTS = 100
 MOST_CELLS = 256
 MOST_REFINEMENTS = 10_000
 MOST_TURNS = 360
+MOST_STEPS = 10_000_000
+MOST_SEEDS = 2**31
 LARGEST = 2048
 """Pixels along a side of a picture."""
 
@@ -115,9 +121,16 @@ def _sample(values: Sample) -> None:
     if values.data is not None:
         source = _found(origin, values.data, values.clips, generator)
     else:
-        source = load_prior(origin) if values.prior == "fitted" else learned_prior(origin.model)
+        source = _prior(origin, values.prior)
     scene = sample_scene(origin, source, objects=values.objects, cameras=cameras, generator=generator)
     _show(scene, origin, values.out, values.resolution)
+
+
+def _prior(origin: Origin, name: str | None) -> FlowPrior | ScenePrior:
+    if name == "learned":
+        return learned_prior(origin.model)
+    flow = name == "flow" or (name is None and has_flow(origin))
+    return load_flow(origin) if flow else load_prior(origin)
 
 
 def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -> FoundObjects:
@@ -130,16 +143,47 @@ def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -
 
 
 def _fit(values: Fit) -> None:
-    origin = load_origin(values.checkpoint)
-    if origin.folder.resolve().parent == assets.CHECKPOINTS.resolve():
-        raise UsageError(f"{origin.folder} ships with the package, its prior too; copy the folder, and fit the copy.")
-    count = min(values.clips, len(SceneDataset(values.data, "train")))
-    if count < 2:
-        raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
+    origin, count = _own(values.checkpoint), _clips(values)
     model = origin.model
     clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
     save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips)))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
+
+
+def _learn(values: Learn) -> None:
+    origin, count = _own(values.checkpoint), _clips(values)
+    if not 1 <= values.steps <= MOST_STEPS:
+        raise UsageError(f"--steps {values.steps}: expected 1 to {MOST_STEPS}.")
+    if not 0 <= values.seed < MOST_SEEDS:
+        raise UsageError(f"--seed {values.seed}: expected 0 to {MOST_SEEDS - 1}.")
+    load_prior(origin)
+    interrupts.listen()
+    lesson = Lesson(count, values.steps, values.seed)
+    try:
+        path = learn_flow(origin, values.data, lesson, workers=parse_workers(values.workers), say=_say)
+    except KeyboardInterrupt:
+        raise Interrupted("Interrupted; what was done is kept, and the same command goes on.") from None
+    print(f"Learned from {count} clips, for obpose-edit sample: {path}")
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _own(checkpoint: str) -> Origin:
+    """A model beside whose weights files may be written."""
+    origin = load_origin(checkpoint)
+    if origin.folder.resolve().parent == assets.CHECKPOINTS.resolve():
+        raise UsageError(f"{origin.folder} ships with the package, its prior too; copy the folder, and fit the copy.")
+    return origin
+
+
+def _clips(values: Fit | Learn) -> int:
+    """How many there are, and at most as many as are asked for."""
+    count = min(values.clips, len(SceneDataset(values.data, "train")))
+    if count < 2:
+        raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
+    return count
 
 
 def _render(values: Render) -> None:
@@ -293,6 +337,7 @@ COMMANDS: dict[str, Command] = {
     "infer": (Infer, _infer),
     "sample": (Sample, _sample),
     "fit": (Fit, _fit),
+    "learn": (Learn, _learn),
     "render": (Render, _render),
     "mesh": (Mesh, _mesh),
     "remove": (Remove, _edited(_remove)),

@@ -1,14 +1,19 @@
 """Scenes that were never seen: latents from a prior, or objects found elsewhere, on the table beside each other."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from obpose.creation.extent import LEAST_VOXELS, above_table, occupied, shape_extent
+from obpose.creation.flow import sample_grids
+from obpose.creation.flow_prior import FlowPrior
 from obpose.creation.found import FoundObjects
+from obpose.creation.grids import as_details, facing
 from obpose.creation.origin import Origin
 from obpose.creation.prior import ScenePrior
 from obpose.creation.rendering import conditioning
@@ -17,6 +22,8 @@ from obpose.errors import UsageError
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
 
+Source = ScenePrior | FlowPrior | FoundObjects
+"""What scenes are sampled from."""
 _TRIES = 200
 _SKIN = 1e-6
 """Metres that leave what stands on the table above it, whatever the rounding."""
@@ -31,20 +38,23 @@ class _Drawn:
     height: Float[Tensor, "object"] | None
     """Of the middles of their boxes, metres; None where their lowest voxels are to lie on the table."""
     detail: Float[Tensor, "object edge edge edge 4"]
+    faces: bool
+    """Whether the side that `rotation` turns to x is that on which the camera is; else objects look any way."""
 
 
 @torch.no_grad()
 def sample_scene(
     origin: Origin,
-    source: ScenePrior | FoundObjects,
+    source: Source,
     *,
     objects: int,
     cameras: tuple[Camera, ...],
     generator: torch.Generator,
 ) -> Scene:
-    """A scene of one frame with so many objects, turned about the vertical at random.
+    """A scene of one frame with so many objects.
 
-    The lowest voxel of a sampled object is on the table; found ones are as high as they were.
+    They are turned about the vertical at random; those of a flow have the side that it knows them from to the first
+    camera. The lowest voxel of a sampled object is on the table; found ones are as high as they were.
 
     The paper leaves the poses of sampled objects to the user; these are drawn such that no two objects' voxels, seen
     from above, come nearer to each other than both reach from their middles. Found objects are drawn with replacement.
@@ -52,7 +62,8 @@ def sample_scene(
     Raises:
         UsageError: there is no room for so many.
     """
-    drawn = _draw(origin.model, source, objects, generator)
+    camera = cameras[0].world_from_camera[:3, 3]
+    drawn = _draw(origin.model, source, objects, camera, generator)
     center, rotation = torch.zeros(objects, 3), torch.zeros(objects, 3, 3)
     reaches: list[float] = []
     for place in range(objects):
@@ -64,7 +75,7 @@ def sample_scene(
         middle = _free_place(source, center[:place, :2], reaches, reach, generator)
         center[place, :2] = middle
         center[place, 2] = height
-        rotation[place] = turn
+        rotation[place] = facing(center[place], camera) @ drawn.rotation[place] if drawn.faces else turn
         reaches.append(reach)
     return Scene(
         ids=tuple(range(1, objects + 1)),
@@ -79,18 +90,25 @@ def sample_scene(
     )
 
 
-def _draw(model: ObPose, source: ScenePrior | FoundObjects, objects: int, generator: torch.Generator) -> _Drawn:
+def _draw(
+    model: ObPose, source: Source, objects: int, camera: Float[Tensor, "3"], generator: torch.Generator
+) -> _Drawn:
     if isinstance(source, FoundObjects):
         chosen = torch.randint(len(source.what), (objects,), generator=generator)
-        return _Drawn(source.what[chosen], source.rotation[chosen], source.height[chosen], source.detail[chosen])
+        found = (source.what[chosen], source.rotation[chosen], source.height[chosen], source.detail[chosen])
+        return _Drawn(*found, faces=False)
+    upright = torch.eye(3).expand(objects, 3, 3)
+    if isinstance(source, FlowPrior):
+        what = source.flow.code.expand(objects, -1)
+        return _Drawn(what, upright, None, _draw_details(model, source, objects, camera, generator), faces=True)
     what = _draw_codes(model, source, objects, generator)
-    return _Drawn(what, torch.eye(3).expand(objects, 3, 3), None, no_detail(objects, what))
+    return _Drawn(what, upright, None, no_detail(objects, what), faces=False)
 
 
-def _background(source: ScenePrior | FoundObjects, generator: torch.Generator) -> Float[Tensor, "1 background"]:
+def _background(source: Source, generator: torch.Generator) -> Float[Tensor, "1 background"]:
     if isinstance(source, FoundObjects):
         return source.background[torch.randint(len(source.background), (1,), generator=generator)]
-    return source.background.draw(1, generator)
+    return (source.rest if isinstance(source, FlowPrior) else source).background.draw(1, generator)
 
 
 @torch.no_grad()
@@ -101,17 +119,40 @@ def _draw_codes(
 
     Where surfaces are sharp a Gaussian over codes has some that are hardly anywhere dense: these are drawn again.
     """
-    what = prior.what.draw(objects, generator)
+    return _drawn_again(
+        lambda count: prior.what.draw(count, generator),
+        lambda code: len(occupied(model, model.object_field.condition(code))),
+        objects,
+    )
+
+
+def _draw_details(
+    model: ObPose, prior: FlowPrior, objects: int, camera: Float[Tensor, "3"], generator: torch.Generator
+) -> Float[Tensor, "object edge edge edge 4"]:
+    """Of objects that are somewhere, as far as a flow has any."""
+    code = prior.flow.code
+    middle = torch.cat([(prior.low + prior.high) / 2, torch.zeros(1)])
+    sight = facing(middle, camera).T @ F.normalize(middle - camera, dim=0)
+    return _drawn_again(
+        lambda count: as_details(model, sample_grids(prior.flow, count, generator), code, sight),
+        lambda detail: len(occupied(model, conditioning(model, code, detail))),
+        objects,
+    )
+
+
+def _drawn_again(draw: Callable[[int], Tensor], voxels: Callable[[Tensor], int], objects: int) -> Tensor:
+    """So many draws, those again that are in hardly any voxel, for some time."""
+    drawn = draw(objects)
     for _ in range(_TRIES):
-        nowhere = [len(occupied(model, model.object_field.condition(code))) < LEAST_VOXELS for code in what]
+        nowhere = [voxels(each) < LEAST_VOXELS for each in drawn]
         if not any(nowhere):
             break
-        what[nowhere] = prior.what.draw(sum(nowhere), generator)
-    return what
+        drawn[nowhere] = draw(sum(nowhere))
+    return drawn
 
 
 def _free_place(
-    source: ScenePrior | FoundObjects,
+    source: Source,
     taken: Float[Tensor, "object 2"],
     reaches: list[float],
     reach: float,

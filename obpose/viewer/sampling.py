@@ -2,6 +2,7 @@
 
 import torch
 
+from obpose.creation.flow_prior import FlowPrior, has_flow, load_flow
 from obpose.creation.origin import Origin
 from obpose.creation.prior import FILE, ScenePrior, learned_prior, load_prior
 from obpose.creation.sample import sample_scene
@@ -9,11 +10,11 @@ from obpose.creation.scene import Camera, Scene
 
 
 class Sampler:
-    """Scenes of one model that were never seen, from the Gaussians beside its weights, else from its own priors."""
+    """Scenes of one model that were never seen, from the best of its priors."""
 
     def __init__(self, origin: Origin):
         self._origin = origin
-        self._prior: ScenePrior | None = None
+        self._prior: FlowPrior | ScenePrior | None = None
         self.seed = -1
         """Of the newest scene."""
 
@@ -22,11 +23,17 @@ class Sampler:
 
         Raises:
             UsageError: there is no room for so many objects.
-            CorruptFile: the file of the Gaussians is damaged.
+            CorruptFile: the file of a prior is damaged.
         """
         if self._prior is None:
-            fitted = (self._origin.folder / FILE).is_file()
-            self._prior = load_prior(self._origin) if fitted else learned_prior(self._origin.model)
+            self._prior = _best_prior(self._origin)
         self.seed += 1
         generator = torch.Generator().manual_seed(self.seed)
         return sample_scene(self._origin, self._prior, objects=objects, cameras=cameras, generator=generator)
+
+
+def _best_prior(origin: Origin) -> FlowPrior | ScenePrior:
+    """The flow that was learned, else the mixtures that were fitted, else what the model has by itself."""
+    if has_flow(origin):
+        return load_flow(origin)
+    return load_prior(origin) if (origin.folder / FILE).is_file() else learned_prior(origin.model)

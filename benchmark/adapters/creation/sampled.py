@@ -13,18 +13,16 @@ from benchmark.interface import Clip, Prediction, Segmenter
 from benchmark.metrics import score
 from benchmark.true_poses import world_points
 from datagen.storage import Split
-from obpose.creation.found import FoundObjects
+from obpose.creation.flow_prior import FlowPrior, load_flow
 from obpose.creation.origin import Origin
 from obpose.creation.prior import ScenePrior, learned_prior, load_prior
 from obpose.creation.rendering import Image, Renderer
-from obpose.creation.sample import sample_scene
+from obpose.creation.sample import Source, sample_scene
 from obpose.creation.scene import Camera, Scene
 from obpose.errors import UsageError
 
-PriorName = Literal["fitted", "learned"]
+PriorName = Literal["flow", "fitted", "learned"]
 
-Source = ScenePrior | FoundObjects
-"""What scenes are sampled from."""
 OPAQUE = 0.5
 """Share of a ray's light that must come from something for the pixel to have a depth."""
 TRIES = 20
@@ -58,8 +56,10 @@ def real_scenes(scenes: Split, count: int) -> list[Labelled]:
     return [_first_image(clips[i], truths[i].astype(np.int64)) for i in range(min(count, len(clips)))]
 
 
-def prior_of(origin: Origin, name: PriorName) -> ScenePrior:
-    """That a model learned, or that was fitted to it."""
+def prior_of(origin: Origin, name: PriorName) -> FlowPrior | ScenePrior:
+    """That a model learned, or that was fitted to it, or to what it finds."""
+    if name == "flow":
+        return load_flow(origin)
     return load_prior(origin) if name == "fitted" else learned_prior(origin.model)
 
 

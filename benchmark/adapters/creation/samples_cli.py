@@ -14,7 +14,6 @@ from benchmark.adapters.creation.sampled import (
     Labelled,
     Looks,
     PriorName,
-    Source,
     looks,
     mean_ari_fg,
     prior_of,
@@ -31,10 +30,12 @@ from benchmark.tuning import choose
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage import Dataset
 from obpose.creation.clip import read_clip
+from obpose.creation.flow_prior import has_flow
 from obpose.creation.found import find_objects
 from obpose.creation.origin import Origin, load_origin
 from obpose.creation.pictures import enlarged, write_png
 from obpose.creation.refine import STEPS
+from obpose.creation.sample import Source
 from obpose.data import SceneDataset
 from obpose.shipped import shipped_names
 
@@ -60,7 +61,8 @@ class Arguments(Subject):
     found: int = 60
     """Training clips whose objects are put together anew; 0 for none."""
     picture: Path | None = None
-    """PNG to write: real scenes, beneath them some of the fitted prior, of the learned one, and of found objects."""
+    """PNG to write: real scenes, beneath them some of the flow where there is one, of the fitted prior, of the learned
+    one, and of found objects."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -99,8 +101,8 @@ def run(values: Arguments) -> int:
 
 
 def _sources(origin: Origin, folder: Path, clips: int) -> Iterator[tuple[str, Source]]:
-    priors: tuple[PriorName, ...] = ("fitted", "learned")
-    for name in priors:
+    priors: tuple[PriorName, ...] = ("flow", "fitted", "learned")
+    for name in priors if has_flow(origin) else priors[1:]:
         yield f"prior {name}", prior_of(origin, name)
     if clips:
         count = min(clips, len(SceneDataset(folder, FOUND_IN)))

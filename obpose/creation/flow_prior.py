@@ -1,0 +1,80 @@
+"""What scenes are sampled from where a flow was learned: it gives the objects, all else is the fitted prior's."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from obpose.creation.flow import Flow
+from obpose.creation.origin import Origin
+from obpose.creation.prior import ScenePrior, load_prior
+from obpose.errors import CorruptFile, UsageError
+from obpose.files import write_whole
+
+FILE = "flow.safetensors"
+"""Beside the model's weights."""
+_WEIGHTS = "weights"
+"""In the file's metadata: SHA-256 of the file of the weights that found the objects."""
+_AGAIN = "make it again with obpose-edit learn, or give another --prior."
+
+
+@dataclass(frozen=True, eq=False)
+class FlowPrior:
+    """A distribution of scenes, as far as their objects' places are not the user's."""
+
+    flow: Flow
+    rest: ScenePrior
+    """Of which the objects' codes are not used."""
+
+    @property
+    def low(self) -> Float[Tensor, "2"]:
+        """Of the objects' middles, world x and y, metres."""
+        return self.rest.low
+
+    @property
+    def high(self) -> Float[Tensor, "2"]:
+        """Of the objects' middles, world x and y, metres."""
+        return self.rest.high
+
+
+def save_flow(origin: Origin, flow: Flow) -> Path:
+    """Write what `load_flow` reads, in half precision; give the file."""
+    contents = {name: tensor.half().contiguous() for name, tensor in flow.state_dict().items()}
+    write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
+    return origin.folder / FILE
+
+
+def has_flow(origin: Origin) -> bool:
+    """Whether there is one beside a model's weights."""
+    return (origin.folder / FILE).is_file()
+
+
+def load_flow(origin: Origin) -> FlowPrior:
+    """The flow that was learned from what a model found, with the prior that was fitted to it.
+
+    Raises:
+        UsageError: one of them is not there.
+        CorruptFile: a file is damaged, or another model's.
+    """
+    path = origin.folder / FILE
+    if not has_flow(origin):
+        raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit learn, or give another --prior.")
+    rest = load_prior(origin)
+    try:
+        with safe_open(path, framework="pt") as file:
+            values = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118 (not a dict)
+            weights = (file.metadata() or {}).get(_WEIGHTS)
+        with torch.random.fork_rng(devices=[]):
+            flow = Flow(origin.model.config.model.latent.what)
+        flow.load_state_dict(values)
+    except (SafetensorError, RuntimeError):
+        raise CorruptFile(f"{path} is damaged, or of another version; {_AGAIN}") from None
+    if weights != origin.hash:
+        raise CorruptFile(f"{path} is of other weights than those beside it; {_AGAIN}")
+    if not all(bool(value.isfinite().all()) for value in values.values()):
+        raise CorruptFile(f"{path} is damaged; {_AGAIN}")
+    return FlowPrior(flow.eval().requires_grad_(requires_grad=False), rest)

@@ -1,0 +1,245 @@
+"""A flow learned from the objects that a model finds in clips; finding and learning go on where they were stopped."""
+
+import io
+import json
+import math
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor, nn
+
+from datagen.parallel import make_all
+from obpose.creation.clip import read_clip
+from obpose.creation.flow import Flow, describe, flow_loss, mirrored
+from obpose.creation.flow_prior import save_flow
+from obpose.creation.grids import Grids, grids_of
+from obpose.creation.infer import infer_scene
+from obpose.creation.origin import Origin, load_origin
+from obpose.creation.refine import STEPS
+from obpose.data import SceneDataset
+from obpose.errors import CorruptFile, UsageError
+from obpose.files import claimed, write_whole
+
+PARTIAL = "flow.partial"
+"""Folder beside the weights, as long as the flow is not done."""
+FRAMES = 6
+"""Of a clip, at most: objects that move are seen from several sides."""
+HELD = 20
+"""Objects of every so many clips are not learned from, but tell how well it goes."""
+BATCH, RATE, WARM_STEPS, CLIP = 64, 1e-3, 200, 1.0
+"""Objects a step, Adam's learning rate after so many steps, norm of the gradient; the rate falls in the second half."""
+MEMORY = 0.999
+"""Share of the old value in the mean of the weights, which is what is kept."""
+SAVE_STEPS = 250
+_SETTINGS, _STATE = "settings.json", "state.pt"
+_LEAST_OBJECTS = 32
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What a flow is learned from, and for how long."""
+
+    clips: int
+    """The first ones of the training split."""
+    steps: int
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found in a clip."""
+
+    grids: Grids
+    what: Tensor
+    """Codes of the last frame, object x what."""
+
+
+Say = Callable[[str], None]
+
+
+def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say: Say) -> Path:
+    """Learn a flow and write it beside the model's weights; give the file.
+
+    Args:
+        origin: The model that finds the objects.
+        data: Folder of the dataset.
+        lesson: What from, and how long.
+        workers: Processes that look for objects.
+        say: Is told how it goes.
+
+    Raises:
+        UsageError: too few objects are found, or something else was begun before.
+        CorruptFile: a file of what was begun before is damaged.
+        Busy: another process is at it.
+    """
+    folder = origin.folder / PARTIAL
+    with claimed(folder):
+        dataset = SceneDataset(data, "train").settings_hash
+        _check_same(folder, {"weights": origin.hash, "data": dataset, **asdict(lesson)})
+        found = _find_all(origin, data, folder, lesson.clips, workers, say)
+        flow = _train(_fresh(origin, lesson), found, folder, lesson, say)
+        path = save_flow(origin, flow)
+    shutil.rmtree(folder)
+    return path
+
+
+def _check_same(folder: Path, settings: dict[str, Any]) -> None:
+    path = folder / _SETTINGS
+    if not path.exists():
+        write_whole(path, json.dumps(settings, indent=1).encode())
+        return
+    try:
+        before = json.loads(path.read_text())
+        pairs = {name: (before.get(name), value) for name, value in settings.items()}
+    except (ValueError, AttributeError):
+        raise CorruptFile(f"{path} is damaged; delete {folder} to begin anew.") from None
+    if different := [f"{name} {there} and {here}" for name, (there, here) in pairs.items() if there != here]:
+        raise UsageError(
+            f"{folder} holds what was begun with other settings; there and here differ: {', '.join(different)}. Give "
+            "the same ones, or delete it."
+        )
+
+
+def _find_all(origin: Origin, data: Path, folder: Path, clips: int, workers: int, say: Say) -> list[_Found]:
+    paths = [folder / f"clip-{index:05d}.safetensors" for index in range(clips)]
+    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    say(f"Looking for objects in {len(missing)} clips of {data}.")
+    look = partial(_find_in, str(origin.folder), data)
+    for number, (index, contents) in enumerate(make_all(look, [("train", i) for i in missing], workers), start=1):
+        write_whole(paths[index], contents)
+        if number % 20 == 0:
+            say(f"{number} of {len(missing)} clips")
+    return [_read(path) for path in paths]
+
+
+@cache
+def _known(checkpoint: str) -> Origin:
+    return load_origin(checkpoint)
+
+
+def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, bytes]:
+    """The clip's place, and contents of its file."""
+    origin = _known(checkpoint)
+    scene = infer_scene(origin, read_clip(data, split, index), refinements=STEPS)
+    frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().int().tolist()
+    grids = [grids_of(origin.model, scene, frame) for frame in frames]
+    tensors = {
+        "values": torch.cat([grid.values for grid in grids]).half(),
+        "half": torch.cat([grid.half for grid in grids]),
+        "what": scene.what[-1].contiguous(),
+    }
+    return index, save(tensors)
+
+
+def _read(path: Path) -> _Found:
+    try:
+        tensors = load(path.read_bytes())
+        return _Found(Grids(tensors["values"].float(), tensors["half"]), tensors["what"])
+    except (SafetensorError, KeyError):
+        raise CorruptFile(f"{path} is damaged; delete it, and run the same command again.") from None
+
+
+def _fresh(origin: Origin, lesson: Lesson) -> Flow:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(lesson.seed)
+        return Flow(origin.model.config.model.latent.what)
+
+
+def _train(flow: Flow, found: list[_Found], folder: Path, lesson: Lesson, say: Say) -> Flow:
+    """The mean of the weights after all steps."""
+    held, learned = _joined(found[::HELD]), _joined([each for place, each in enumerate(found) if place % HELD])
+    if len(learned.half) < _LEAST_OBJECTS:
+        raise UsageError(f"Only {len(learned.half)} objects were found in {len(found)} clips; give more of them.")
+    say(f"Learning from {len(learned.half)} objects, {len(held.half)} are held out.")
+    describe(flow, learned, torch.cat([each.what for each in found]))
+    mean = _copy(flow)
+    optimiser = torch.optim.AdamW(flow.parameters(), lr=RATE, betas=(0.9, 0.99), weight_decay=0.01)
+    done = _restore(folder / _STATE, flow, mean, optimiser)
+    losses: list[float] = []
+    for step in range(done, lesson.steps):
+        noise = torch.Generator().manual_seed((lesson.seed << 32) + step)
+        chosen = torch.randint(len(learned.half), (BATCH,), generator=noise)
+        batch = Grids(learned.values[chosen], learned.half[chosen])
+        batch = mirrored(batch, torch.rand(BATCH, generator=noise))
+        for group in optimiser.param_groups:
+            group["lr"] = RATE * _pace(step, lesson.steps)
+        with torch.autocast("cpu", torch.bfloat16):
+            loss = flow_loss(flow, batch, noise)
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(flow.parameters(), CLIP)
+        optimiser.step()
+        _follow(mean, flow, step)
+        losses.append(loss.item())
+        if (step + 1) % SAVE_STEPS == 0:
+            _save(folder / _STATE, flow, mean, optimiser, step + 1)
+            say(f"step {step + 1} of {lesson.steps}: loss {sum(losses) / len(losses):.4f}{_held_out(mean, held)}")
+            losses.clear()
+    return mean
+
+
+def _held_out(flow: Flow, held: Grids) -> str:
+    if not len(held.half):
+        return ""
+    with torch.no_grad():
+        parts = torch.arange(len(held.half)).split(BATCH)
+        noise = torch.Generator().manual_seed(0)
+        losses = [flow_loss(flow, Grids(held.values[part], held.half[part]), noise) for part in parts]
+    mean = sum(float(loss) * len(part) for loss, part in zip(losses, parts, strict=True)) / len(held.half)
+    return f", held out {mean:.4f}"
+
+
+def _joined(found: list[_Found]) -> Grids:
+    if not found:
+        return Grids(torch.zeros(0), torch.zeros(0))
+    return Grids(torch.cat([each.grids.values for each in found]), torch.cat([each.grids.half for each in found]))
+
+
+def _pace(step: int, steps: int) -> float:
+    """Share of the learning rate."""
+    done = step / steps
+    fall = 1.0 if done < 0.5 else 0.5 * (1 + math.cos(math.pi * (2 * done - 1)))
+    return min(1.0, (step + 1) / WARM_STEPS) * max(fall, 0.01)
+
+
+def _copy(flow: Flow) -> Flow:
+    with torch.random.fork_rng(devices=[]):
+        copy = Flow(len(flow.code))
+    copy.load_state_dict(flow.state_dict())
+    return copy.requires_grad_(requires_grad=False)
+
+
+@torch.no_grad()
+def _follow(mean: Flow, flow: Flow, step: int) -> None:
+    share = 1 - min(MEMORY, (step + 1) / (step + 10))
+    for old, new in zip(mean.parameters(), flow.parameters(), strict=True):
+        old.lerp_(new, share)
+
+
+def _save(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, step: int) -> None:
+    state = {"flow": flow.state_dict(), "mean": mean.state_dict(), "optimiser": optimiser.state_dict(), "step": step}
+    contents = io.BytesIO()
+    torch.save(state, contents)
+    write_whole(path, contents.getvalue())
+
+
+def _restore(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer) -> int:
+    """Steps that were done before."""
+    if not path.exists():
+        return 0
+    try:
+        state = torch.load(path, weights_only=True)
+        flow.load_state_dict(state["flow"])
+        mean.load_state_dict(state["mean"])
+        optimiser.load_state_dict(state["optimiser"])
+        return int(state["step"])
+    except Exception as error:  # what PyTorch raises on a damaged file is of many kinds
+        what = f"{path} is damaged ({type(error).__name__})"
+        raise CorruptFile(f"{what}; delete it, and run the same command again.") from None
