@@ -18,11 +18,10 @@ from typing import Any
 import torch
 import tyro
 from jaxtyping import Float
+from joblib import cpu_count
 from torch import Tensor
 
 import assets
-from datagen import interrupts
-from datagen.options import parse_workers
 from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
@@ -157,10 +156,11 @@ def _learn(values: Learn) -> None:
     if not 0 <= values.seed < MOST_SEEDS:
         raise UsageError(f"--seed {values.seed}: expected 0 to {MOST_SEEDS - 1}.")
     load_prior(origin)
-    interrupts.listen()
-    lesson = Lesson(count, values.steps, values.seed)
+    if values.workers is not None and values.workers < 1:
+        raise UsageError(f"--workers {values.workers}: expected at least 1.")
+    workers = values.workers or cpu_count()
     try:
-        path = learn_flow(origin, values.data, lesson, workers=parse_workers(values.workers), say=_say)
+        path = learn_flow(origin, values.data, Lesson(count, values.steps, values.seed), workers=workers, say=_say)
     except KeyboardInterrupt:
         raise Interrupted("Interrupted; what was done is kept, and the same command goes on.") from None
     print(f"Learned from {count} clips, for obpose-edit sample: {path}")

@@ -4,6 +4,7 @@ An addition, for `obpose.creation.flow`. In such a frame objects differ less tha
 how they were found: what is up is up, and what no camera has seen is on the far side.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from obpose.creation.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.creation.rendering import conditioning
-from obpose.creation.scene import Scene
+from obpose.creation.scene import Scene, upright
 from obpose.geometry import to_box
 from obpose.model import ObPose
 from obpose.nerf.detail import EDGE as DETAIL_EDGE
@@ -23,10 +24,11 @@ from obpose.nerf.field import Conditioning
 
 EDGE = 12
 """Points along each edge, the outermost on its faces."""
-MARGIN = 0.01
-"""Around the middles of occupied voxels, metres."""
+MARGIN = 0.015
+"""Around the middles of occupied voxels, metres: more than a voxel, as the surface may be as far."""
 DENSITY_LIMIT, COLOUR_LIMIT = 6.0, 4.0
 """Logits are at most so far from 0; densities at least are where nothing is."""
+_ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +52,9 @@ def grids_of(model: ObPose, scene: Scene, frame: int) -> Grids:
 
 
 def facing(place: Float[Tensor, "3"], camera: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """World from grid where an object is at this place, and the camera there."""
-    x, y = (camera - place)[:2] / (camera - place)[:2].norm().clamp(min=1e-6)
-    nothing = torch.zeros_like(x)
-    up = torch.stack([nothing, nothing, torch.ones_like(x)])
-    return torch.stack([torch.stack([x, y, nothing]), torch.stack([-y, x, nothing]), up], dim=1)
+    """World from grid where an object is at this place, and the camera there; below a camera any way will do."""
+    x, y = (camera - place)[:2].tolist()
+    return upright(math.atan2(y, x), place)
 
 
 @torch.no_grad()
@@ -93,7 +93,7 @@ def _grid(
     inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
     sight = F.normalize(center - camera, dim=0)
     density, colour = _logits(model, codes, inside, grid_from_box.T @ (world_from_grid.T @ sight))
-    nowhere = (inside.abs() > 1).any(dim=-1) | (points[:, 2] + center[2] < 0)
+    nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + center[2] < 0)
     density = density.where(~nowhere, -DENSITY_LIMIT).clamp(-DENSITY_LIMIT, DENSITY_LIMIT)[:, None]
     # Where nothing is the field's colours mean nothing.
     share = torch.sigmoid(2 * density + 2)
@@ -123,7 +123,7 @@ def _interpolated(grids: Grids, points: Float[Tensor, "point 3"]) -> Float[Tenso
         padding_mode="border",
     )
     values = rearrange(found, "object value 1 1 point -> object point value")
-    beyond = (inside.abs() > 1).any(dim=-1, keepdim=True)
+    beyond = (inside.abs() > 1 + _ROUNDING).any(dim=-1, keepdim=True)
     empty = values.new_tensor([True, False, False, False], dtype=torch.bool)
     return values.masked_fill(beyond & empty, -DENSITY_LIMIT)
 

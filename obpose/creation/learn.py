@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from datagen.parallel import make_all
 from obpose.creation.clip import read_clip
-from obpose.creation.flow import Flow, describe, flow_loss, mirrored
+from obpose.creation.flow import Flow, describe, flow_loss, mirrored, sample_grids
 from obpose.creation.flow_prior import save_flow
 from obpose.creation.grids import Grids, grids_of
 from obpose.creation.infer import infer_scene
@@ -31,6 +31,8 @@ PARTIAL = "flow.partial"
 """Folder beside the weights, as long as the flow is not done."""
 FRAMES = 6
 """Of a clip, at most: objects that move are seen from several sides."""
+COMPARED = 200
+"""Samples, and as many objects that are held out, are compared with those that are learned from."""
 HELD = 20
 """Objects of every so many clips are not learned from, but tell how well it goes."""
 BATCH, RATE, WARM_STEPS, CLIP = 64, 1e-3, 200, 1.0
@@ -182,6 +184,7 @@ def _train(flow: Flow, found: list[_Found], folder: Path, lesson: Lesson, say: S
             _save(folder / _STATE, flow, mean, optimiser, step + 1)
             say(f"step {step + 1} of {lesson.steps}: loss {sum(losses) / len(losses):.4f}{_held_out(mean, held)}")
             losses.clear()
+    say(_likeness(mean, learned, held))
     return mean
 
 
@@ -194,6 +197,30 @@ def _held_out(flow: Flow, held: Grids) -> str:
         losses = [flow_loss(flow, Grids(held.values[part], held.half[part]), noise) for part in parts]
     mean = sum(float(loss) * len(part) for loss, part in zip(losses, parts, strict=True)) / len(held.half)
     return f", held out {mean:.4f}"
+
+
+@torch.no_grad()
+def _likeness(flow: Flow, learned: Grids, held: Grids) -> str:
+    """How near samples come to objects that were learned from: copies would come nearer than other objects do."""
+    generator = torch.Generator().manual_seed(0)
+    some = torch.randperm(len(held.half), generator=generator)[:COMPARED]
+    others = {
+        "samples": sample_grids(flow, COMPARED, generator),
+        "held-out objects": Grids(held.values[some], held.half[some]),
+    }
+    words = [f"{name} {nearest(flow, grids, learned):.3f}" for name, grids in others.items() if len(grids.half)]
+    return f"Distance to the nearest learned object, median: {', '.join(words)}"
+
+
+def nearest(flow: Flow, grids: Grids, among: Grids) -> float:
+    """Median distance of grids from the nearest of others or its mirror image.
+
+    It is the root mean square of differences of values as a flow has them.
+    """
+    patches = flow.encode(grids)[0].flatten(1)
+    both = [among, mirrored(among, torch.ones(len(among.half)))]
+    distances = [torch.cdist(patches, flow.encode(each)[0].flatten(1)).amin(dim=1) for each in both]
+    return float(torch.minimum(*distances).median()) / patches.shape[1] ** 0.5
 
 
 def _joined(found: list[_Found]) -> Grids:

@@ -1,6 +1,8 @@
 """The whole command, with the weights that ship."""
 
+import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,18 +12,22 @@ import torch
 import trimesh
 from PIL import Image
 
-from datagen.errors import EXIT_OK, EXIT_USAGE
+import assets
+from datagen.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
 from datagen.generate import generate
 from datagen.schema import decode_depth
 from datagen.storage import Dataset
-from obpose.creation.origin import origin_of
+from obpose.creation import learn
+from obpose.creation.flow import PATCH, Flow
+from obpose.creation.flow_prior import load_flow, save_flow
+from obpose.creation.origin import load_origin, origin_of
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import ClipName
 from obpose.creation.storage import load_scene
 from obpose.data import SceneDataset
 from obpose.edit_cli import main
 from tests import small
-from tests.obpose.creation.scenes import alike
+from tests.obpose.creation.scenes import alike, equal
 
 MODEL = "obpose--moving--64x64"
 
@@ -161,6 +167,76 @@ def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, tmp_path: Path, pri
     assert (tmp_path / "one" / "picture.png").read_bytes() == (tmp_path / "again" / "picture.png").read_bytes()
 
 
+@pytest.fixture(scope="module")
+def own_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of weights that ship, beside which files may be written."""
+    folder = tmp_path_factory.mktemp("models") / "own"
+    shutil.copytree(assets.CHECKPOINTS / MODEL, folder)
+    return folder
+
+
+def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
+    inferred: Path, own_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    origin = load_origin(str(own_model))
+    flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 2]
+    assert run("sample", *flags, "--out", tmp_path / "before") == EXIT_OK
+    assert not load_scene(tmp_path / "before").detail.any()
+    torch.manual_seed(0)
+    flow = Flow(latent=origin.model.config.model.latent.what)
+    with torch.no_grad():
+        # Dense wherever its grids are.
+        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(PATCH**3))
+        flow.patch_out.weight.zero_()
+        flow.size_mean.fill_(math.log(0.05))
+    save_flow(origin, flow)
+    for out in ("one", "again"):
+        assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
+    assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK
+    one, again, default = (load_scene(tmp_path / name) for name in ("one", "again", "default"))
+    assert one.detail.flatten(1).any(dim=1).all()
+    assert equal(one, again)
+    assert equal(one, default)
+    assert run("sample", *flags, "--prior", "fitted", "--out", tmp_path / "fitted") == EXIT_OK
+    assert not load_scene(tmp_path / "fitted").detail.any()
+
+
+def test_a_flow_is_learned_beside_the_weights(
+    own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(learn, "STEPS", 1)
+    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 4)
+    data = tmp_path / "data"
+    generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
+    folder = tmp_path / "own"
+    shutil.copytree(own_model, folder)
+    flags = ["--checkpoint", folder, "--data", data, "--workers", 1]
+    assert run("learn", *flags, "--steps", 0) == EXIT_USAGE
+    assert "--steps 0: expected 1 to" in capsys.readouterr().err
+    assert run("learn", *flags, "--seed", -1) == EXIT_USAGE
+    assert "--seed -1: expected 0 to" in capsys.readouterr().err
+    assert run("learn", *flags, "--clips", 1) == EXIT_USAGE
+    assert "--clips 1: expected 2 or more" in capsys.readouterr().err
+    assert run("learn", *flags[:4], "--workers", 0) == EXIT_USAGE
+    assert "--workers 0: expected at least 1" in capsys.readouterr().err
+    monkeypatch.setattr(learn, "flow_loss", interrupting)
+    assert run("learn", *flags, "--steps", 1) == EXIT_INTERRUPTED
+    assert "what was done is kept, and the same command goes on" in capsys.readouterr().err
+    monkeypatch.undo()
+    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 4)
+    assert run("learn", *flags, "--steps", 1) == EXIT_OK
+    assert "Looking for objects in 0 clips" in (said := capsys.readouterr().out)
+    assert "Learned from 3 clips" in said
+    assert load_flow(load_origin(str(folder))).flow.code.any()
+    (folder / "prior.safetensors").unlink()
+    assert run("learn", *flags, "--steps", 1) == EXIT_USAGE
+    assert "make one with obpose-edit fit" in capsys.readouterr().err
+
+
+def interrupting(*_: object) -> torch.Tensor:
+    raise KeyboardInterrupt
+
+
 def test_objects_of_training_clips_are_put_together_anew(
     inferred: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -240,6 +316,14 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (
             ["fit", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
             "ships with the package, its prior too",
+        ),
+        (
+            ["learn", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
+            "ships with the package, its prior too",
+        ),
+        (
+            ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow", "--out", "new"],
+            "make one with obpose-edit learn, or give another --prior",
         ),
         (
             ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--seed", str(2**64), "--out", "new"],

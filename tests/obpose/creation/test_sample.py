@@ -5,7 +5,10 @@ import pytest
 import torch
 
 from obpose.creation.extent import shape_extent
+from obpose.creation.flow import Flow, sample_grids
+from obpose.creation.flow_prior import FlowPrior
 from obpose.creation.found import FoundObjects, find_objects
+from obpose.creation.grids import EDGE, Grids, facing
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior
@@ -102,6 +105,54 @@ def found(*, objects: int = 3) -> FoundObjects:
     corner = torch.tensor([0.5, 0.5])
     parts = (scene.what[0], scene.rotation[0], 0.01 * (1 + torch.arange(objects)), scene.detail, scene.background)
     return FoundObjects(*parts, low=-corner, high=corner)
+
+
+class Known(Flow):
+    """Knows one object alone: a cube of so many metres, dense in its upper half, and nothing beneath."""
+
+    def __init__(self, edge: float) -> None:
+        super().__init__(latent=32)
+        values = torch.zeros(1, EDGE, EDGE, EDGE, 4)
+        values[..., 0] = -6.0
+        values[:, 2:-2, 2:-2, EDGE // 2 : -2, 0] = 6.0
+        self.patches, self.size = self.encode(Grids(values, torch.tensor([edge / 2])))
+
+    def forward(self, patches: torch.Tensor, size: torch.Tensor, time: torch.Tensor):
+        return self.patches.expand_as(patches), self.size.expand_as(size)
+
+
+def test_objects_of_a_flow_stand_on_the_table_and_face_the_camera():
+    model = some_model()
+    of, edge = Origin(model, Path("folder"), "name", "hash"), 0.12
+    source = FlowPrior(Known(edge), learned_prior(model))
+    draw = lambda: sample_scene(  # noqa: E731
+        of, source, objects=4, cameras=(CAMERA,), generator=torch.Generator().manual_seed(0)
+    )
+    scene = draw()
+    assert torch.equal(draw().center, scene.center)
+    assert torch.equal(scene.what[0], source.flow.code.expand(4, -1))
+    # Points of the lattice are 11 mm apart; what is dense begins half a step below the first, in the middle.
+    assert (scene.center[0, :, 2]).abs().max() < 0.007
+    for place in range(4):
+        camera = CAMERA.world_from_camera[:3, 3]
+        torch.testing.assert_close(scene.rotation[0, place], facing(scene.center[0, place], camera))
+        extent = shape_extent(model, conditioning(model, scene.what[0, place], scene.detail[place]), torch.eye(3))
+        low, high = extent.amin(dim=0), extent.amax(dim=0)
+        assert (high - torch.tensor([0.038, 0.038, 0.038])).abs().max() < 0.007
+        assert (low - torch.tensor([-0.038, -0.038, 0.0])).abs().max() < 0.007
+
+
+def test_objects_of_a_flow_that_are_nowhere_are_drawn_again(monkeypatch: pytest.MonkeyPatch):
+    model, known = some_model(), Known(0.12)
+    grids, empty = (sample_grids(known, 1, torch.Generator()) for _ in range(2))
+    empty.values[..., 0] = -6.0
+    drawn = iter([empty, empty, grids])
+    monkeypatch.setattr("obpose.creation.sample.sample_grids", lambda *_: next(drawn))
+    of = Origin(model, Path("folder"), "name", "hash")
+    source = FlowPrior(known, learned_prior(model))
+    scene = sample_scene(of, source, objects=1, cameras=(CAMERA,), generator=torch.Generator().manual_seed(0))
+    assert scene.detail[0, 8, 8, 10, 0] > scene.detail[0, 8, 8, 1, 0] + 5
+    assert next(drawn, None) is None
 
 
 def test_found_objects_are_what_they_were_with_their_details():

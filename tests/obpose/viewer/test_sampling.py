@@ -1,8 +1,13 @@
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
+from obpose.creation.flow import PATCH, Flow
+from obpose.creation.flow_prior import save_flow
 from obpose.creation.origin import Origin
+from obpose.creation.prior import Mixture, learned_prior, save_prior
 from obpose.viewer.sampling import Sampler
 from tests.obpose.creation.scenes import CAMERA, some_model
 
@@ -15,3 +20,24 @@ def test_seeds_follow_each_other_and_begin_anew():
     assert torch.equal(one.what, again.what)
     assert not torch.equal(one.what, two.what)
     assert first.seed == 1
+
+
+def test_scenes_are_of_the_best_prior_that_there_is(tmp_path: Path):
+    origin = Origin(some_model(), tmp_path, "name", "hash")
+    learned = Sampler(origin).next(1, (CAMERA,))
+    save_prior(origin, replace(learned_prior(origin.model), what=Mixture(*centred_on(3.0))))
+    fitted = Sampler(origin).next(1, (CAMERA,))
+    assert float((learned.what - 3).abs().max()) > 1 > float((fitted.what - 3).abs().max())
+    assert not fitted.detail.any()
+    torch.manual_seed(0)
+    flow = Flow(latent=32)
+    with torch.no_grad():
+        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(PATCH**3))
+        flow.patch_out.weight.zero_()
+        flow.size_mean.fill_(math.log(0.05))
+    save_flow(origin, flow)
+    assert Sampler(origin).next(1, (CAMERA,)).detail.any()
+
+
+def centred_on(value: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    return torch.ones(1), torch.full((1, 32), value), 0.01 * torch.eye(32)[None]

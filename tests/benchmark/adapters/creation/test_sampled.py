@@ -18,6 +18,8 @@ from benchmark.adapters.creation.sampled import (
 from benchmark.adapters.creation.samples_cli import COLUMNS, GAP, main, shipped_to_segment
 from benchmark.interface import Prediction
 from datagen.storage import Dataset
+from obpose.creation.flow import Flow
+from obpose.creation.flow_prior import save_flow
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior, save_prior
 from obpose.creation.rendering import Image
@@ -107,6 +109,9 @@ def test_the_command_prints_and_draws(
         assert picture.size == (width, 4 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
+    save_flow(origin, Flow(origin.model.config.model.latent.what))
+    assert main([*flags, "--found", "0"]) == 0
+    assert "| sampled, prior flow |" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

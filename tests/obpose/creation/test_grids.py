@@ -1,0 +1,137 @@
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from obpose.creation.grids import COLOUR_LIMIT, DENSITY_LIMIT, EDGE, Grids, as_details, facing, grids_of
+from obpose.creation.rendering import conditioning
+from obpose.creation.scene import Camera, Scene, upright
+from obpose.model import ObPose
+from tests.obpose.analytic_fields import BallField
+from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
+
+HIGH = 0.3
+"""Metres above the table, out of its way."""
+SIGHT = torch.tensor([-0.6, 0.0, -0.8])
+
+
+def beside(x: float, y: float, z: float) -> Camera:
+    """A camera at this place; where it looks is of no importance."""
+    pose = torch.eye(4)
+    pose[:3, 3] = torch.tensor([x, y, z])
+    return replace(CAMERA, world_from_camera=pose)
+
+
+def lopsided() -> tuple[ObPose, Scene]:
+    """An object whose detail makes it dense in one of eight corners only, and the camera on its x side."""
+    model, scene = some_model(), some_scene(objects=1, frames=1)
+    detail = torch.zeros_like(scene.detail)
+    detail[..., 0] = -60.0
+    detail[:, 9:15, 9:15, 9:15, 0] = 60.0
+    detail[:, :, :, 12:, 1] = 3.0
+    center, rotation = torch.tensor([[[0.0, 0.0, HIGH]]]), torch.eye(3)[None, None]
+    return model, replace(
+        scene, center=center, rotation=rotation, detail=detail, cameras=(beside(2.0, 0.0, HIGH + 1.0),)
+    )
+
+
+def close(one: Grids, other: Grids, by: float = 1e-3) -> bool:
+    sizes = torch.allclose(one.half, other.half, atol=1e-6)
+    return sizes and torch.allclose(one.values, other.values, atol=by)
+
+
+def test_the_first_axis_points_to_the_camera_and_the_last_one_up():
+    rotation = facing(torch.tensor([1.0, 2.0, 0.0]), torch.tensor([1.0, 5.0, 4.0]))
+    torch.testing.assert_close(rotation, torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), atol=1e-6, rtol=0)
+    below = facing(torch.tensor([1.0, 2.0, 0.0]), torch.tensor([1.0, 2.0, 4.0]))
+    torch.testing.assert_close(below @ below.T, torch.eye(3))
+
+
+def test_a_grid_is_as_large_as_its_object_and_holds_its_logits():
+    model, scene = lopsided()
+    grids = grids_of(model, scene, 0)
+    # Middles of voxels of 12.5 mm between lattice points of 13.3 mm, 9 to 14, and 15 mm around them.
+    assert float(grids.half[0]) == pytest.approx(0.015 + 0.5 * 6 * 0.0125, abs=0.0126)
+    assert grids.values[0, 5:7, 5:7, 5:7, 0].min() == DENSITY_LIMIT
+    outer = torch.ones(EDGE, EDGE, EDGE, dtype=torch.bool)
+    outer[1:-1, 1:-1, 1:-1] = False
+    assert grids.values[0, ..., 0][outer].max() == -DENSITY_LIMIT
+    assert (grids.values[0, 6, 6, 8:, 1] > grids.values[0, 6, 6, 3, 1] + 1).all()
+    assert grids.values[..., 1:].abs().max() <= COLOUR_LIMIT
+
+
+def test_turning_all_about_the_vertical_and_moving_all_changes_nothing():
+    model, scene = lopsided()
+    turn, way = upright(0.7, scene.center), torch.tensor([0.3, -0.2, 0.0])
+    camera = scene.cameras[0].world_from_camera[:3, 3]
+    moved = replace(
+        scene,
+        center=scene.center @ turn.T + way,
+        rotation=turn @ scene.rotation,
+        cameras=(beside(*(turn @ camera + way).tolist()),),
+    )
+    assert close(grids_of(model, moved, 0), grids_of(model, scene, 0))
+
+
+def test_turning_the_object_alone_turns_its_grid():
+    model, scene = lopsided()
+    before = grids_of(model, scene, 0).values[0]
+    turned = replace(scene, rotation=upright(torch.pi / 2, scene.center) @ scene.rotation)
+    after = grids_of(model, turned, 0).values[0]
+    # x becomes y, y becomes -x.
+    torch.testing.assert_close(after[..., 0], before[..., 0].flip(1).transpose(0, 1), atol=1e-3, rtol=0)
+
+
+def test_nothing_is_dense_below_the_table():
+    model = some_model()
+    model.object_field = BallField(0.6, latent=32)
+    scene = replace(some_scene(objects=1, frames=1), center=torch.zeros(1, 1, 3), detail=torch.zeros(1, 16, 16, 16, 4))
+    scene = replace(scene, cameras=(beside(1.0, 0.0, 1.0),))
+    grids = grids_of(model, scene, 0)
+    height = torch.linspace(-1, 1, EDGE) * float(grids.half[0])
+    # A half ball of 6 cm: its middle is 3 cm high, and the grid as wide as the ball.
+    middle = 0.03
+    assert (grids.values[0, :, :, height + middle < -0.007, 0] == -DENSITY_LIMIT).all()
+    assert (grids.values[0, 5:7, 5:7, (height + middle > 0.01) & (height + middle < 0.05), 0] == DENSITY_LIMIT).all()
+
+
+def test_objects_that_are_nowhere_are_left_out():
+    model, scene = some_model(), some_scene(objects=3, frames=1)
+    model.object_field = BallField(0.5, latent=32)
+    high = scene.center.clone()
+    high[0, :, 2] = torch.tensor([0.3, -0.3, 0.3])
+    assert len(grids_of(model, replace(scene, center=high), 0).half) == 2
+    model.object_field = BallField(-10.0, latent=32)
+    assert grids_of(model, scene, 0).values.shape == (0, EDGE, EDGE, EDGE, 4)
+
+
+def logits(model: ObPose, what: Tensor, detail: Tensor) -> Tensor:
+    """At the lattice of the box."""
+    steps = torch.linspace(-1, 1, 16)
+    points, codes = torch.cartesian_prod(steps, steps, steps), conditioning(model, what, detail)
+    with torch.no_grad():
+        density, hidden = model.object_field.density(points, codes)
+        colour = model.object_field.colour(hidden, SIGHT.expand_as(points), codes)
+    return torch.cat([density[:, None], torch.logit(colour)], dim=-1).unflatten(0, (16, 16, 16))
+
+
+def test_a_code_with_such_a_detail_is_what_the_grid_holds():
+    """Values that are linear in the place, which interpolation keeps."""
+    model, what = some_model(), torch.randn(32, generator=torch.Generator().manual_seed(0))
+    steps = torch.linspace(-1, 1, EDGE)
+    ramp = steps[:, None, None] + 2 * steps[:, None] - 1.5 * steps
+    values = torch.stack([ramp, 0.3 * ramp, 0.2 * ramp, -0.4 * ramp], dim=-1)
+    half = torch.tensor([0.06, 0.1])
+    details = as_details(model, Grids(values.expand(2, -1, -1, -1, -1), half), what, SIGHT)
+    box = torch.linspace(-0.1, 0.1, 16)
+    for place in range(2):
+        found, at = logits(model, what, details[place]), box / half[place]
+        inside = at.abs() <= 1 + 1e-5
+        block = found[inside][:, inside][:, :, inside]
+        at = at[inside]
+        expected = at[:, None, None] + 2 * at[:, None] - 1.5 * at
+        torch.testing.assert_close(block[..., 0], expected, atol=1e-4, rtol=0)
+        torch.testing.assert_close(block[..., 3], -0.4 * expected, atol=1e-4, rtol=0)
+        beyond = found[~inside][..., 0]
+        torch.testing.assert_close(beyond, torch.full_like(beyond, -DENSITY_LIMIT), atol=1e-4, rtol=0)
