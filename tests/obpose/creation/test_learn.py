@@ -14,7 +14,7 @@ from obpose.creation.flow_prior import load_flow
 from obpose.creation.grids import Grids
 from obpose.creation.learn import PARTIAL, Lesson, learn_flow, nearest
 from obpose.creation.origin import Origin, load_origin
-from obpose.errors import CorruptFile, UsageError
+from obpose.errors import CorruptFile, Diverged, UsageError
 from tests import small
 
 MODEL = "obpose--moving--64x64"
@@ -115,6 +115,14 @@ def test_the_nearest_of_others_may_be_a_mirror_image():
     assert nearest(flow, mirrored(three, torch.ones(3)), grids) == pytest.approx(0, abs=1e-3)
     off = Grids(three.values + torch.tensor([6.0, 1.2, 1.2, 1.2]), three.half)
     assert nearest(flow, off, three) == pytest.approx(1, abs=1e-3)
+
+
+def test_a_loss_that_is_no_number_ends_it(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    of = copied(tmp_path / "model")
+    monkeypatch.setattr(learn, "flow_loss", lambda *_: torch.tensor(torch.nan, requires_grad=True))
+    with pytest.raises(Diverged, match="The loss of step 1 is nan; delete"):
+        learned(of, data)
+    assert not (of.folder / "flow.safetensors").exists()
 
 
 def test_it_takes_some_objects(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
