@@ -26,14 +26,14 @@ from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
 from obpose.creation.clip import name_clip, one_of, read_clip
-from obpose.creation.flow_prior import FlowPrior, has_flow, load_flow
+from obpose.creation.flow_prior import has_flow, named_prior
 from obpose.creation.found import FoundObjects, find_objects
 from obpose.creation.infer import infer_scene, views_as_trained
 from obpose.creation.learn import Lesson, learn_flow
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
-from obpose.creation.prior import ScenePrior, fit_prior, learned_prior, load_prior, save_prior
+from obpose.creation.prior import fit_prior, load_prior, save_prior
 from obpose.creation.refine import STEPS
 from obpose.creation.rendering import Image, Renderer
 from obpose.creation.sample import sample_scene
@@ -111,25 +111,19 @@ def _sample(values: Sample) -> None:
     if values.prior == "found" and values.data is None:
         raise UsageError("--prior found needs --data DIR, a dataset with training scenes to take objects from.")
     if values.prior != "found" and values.data is not None:
-        raise UsageError(f"--data is for --prior found; --prior {values.prior} takes nothing from a dataset.")
+        raise UsageError("--data is for --prior found; other priors take nothing from a dataset.")
     if values.clips < 1:
         raise UsageError(f"--clips {values.clips}: expected 1 or more.")
     _size(values.resolution)
     origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
     generator = torch.Generator().manual_seed(values.seed)
-    if values.data is not None:
+    if values.prior == "found":
+        assert values.data is not None
         source = _found(origin, values.data, values.clips, generator)
     else:
-        source = _prior(origin, values.prior)
+        source = named_prior(origin, values.prior or ("flow" if has_flow(origin) else "fitted"))
     scene = sample_scene(origin, source, objects=values.objects, cameras=cameras, generator=generator)
     _show(scene, origin, values.out, values.resolution)
-
-
-def _prior(origin: Origin, name: str | None) -> FlowPrior | ScenePrior:
-    if name == "learned":
-        return learned_prior(origin.model)
-    flow = name == "flow" or (name is None and has_flow(origin))
-    return load_flow(origin) if flow else load_prior(origin)
 
 
 def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -> FoundObjects:

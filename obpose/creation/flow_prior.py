@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -11,9 +12,11 @@ from torch import Tensor
 
 from obpose.creation.flow import Flow
 from obpose.creation.origin import Origin
-from obpose.creation.prior import ScenePrior, load_prior
+from obpose.creation.prior import Mixture, ScenePrior, learned_prior, load_prior
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
+
+PriorName = Literal["flow", "fitted", "learned"]
 
 FILE = "flow.safetensors"
 """Beside the model's weights."""
@@ -27,18 +30,10 @@ class FlowPrior:
     """A distribution of scenes, as far as their objects' places are not the user's."""
 
     flow: Flow
-    rest: ScenePrior
-    """Of which the objects' codes are not used."""
-
-    @property
-    def low(self) -> Float[Tensor, "2"]:
-        """Of the objects' middles, world x and y, metres."""
-        return self.rest.low
-
-    @property
-    def high(self) -> Float[Tensor, "2"]:
-        """Of the objects' middles, world x and y, metres."""
-        return self.rest.high
+    background: Mixture
+    low: Float[Tensor, "2"]
+    """Of the objects' middles, world x and y, metres."""
+    high: Float[Tensor, "2"]
 
 
 def save_flow(origin: Origin, flow: Flow) -> Path:
@@ -77,4 +72,16 @@ def load_flow(origin: Origin) -> FlowPrior:
         raise CorruptFile(f"{path} is of other weights than those beside it; {_AGAIN}")
     if not all(bool(value.isfinite().all()) for value in values.values()):
         raise CorruptFile(f"{path} is damaged; {_AGAIN}")
-    return FlowPrior(flow.eval().requires_grad_(requires_grad=False), rest)
+    return FlowPrior(flow.eval().requires_grad_(requires_grad=False), rest.background, rest.low, rest.high)
+
+
+def named_prior(origin: Origin, name: PriorName) -> FlowPrior | ScenePrior:
+    """That a model learned, or that was fitted to its codes, or learned from objects that it found.
+
+    Raises:
+        UsageError: it is not there.
+        CorruptFile: a file is damaged, or another model's.
+    """
+    if name == "learned":
+        return learned_prior(origin.model)
+    return load_flow(origin) if name == "flow" else load_prior(origin)

@@ -108,7 +108,7 @@ def _draw(
 def _background(source: Source, generator: torch.Generator) -> Float[Tensor, "1 background"]:
     if isinstance(source, FoundObjects):
         return source.background[torch.randint(len(source.background), (1,), generator=generator)]
-    return (source.rest if isinstance(source, FlowPrior) else source).background.draw(1, generator)
+    return source.background.draw(1, generator)
 
 
 @torch.no_grad()

@@ -2,9 +2,9 @@
 
 import torch
 
-from obpose.creation.flow_prior import FlowPrior, has_flow, load_flow
+from obpose.creation.flow_prior import FlowPrior, has_flow, named_prior
 from obpose.creation.origin import Origin
-from obpose.creation.prior import FILE, ScenePrior, learned_prior, load_prior
+from obpose.creation.prior import FILE, ScenePrior
 from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Camera, Scene
 
@@ -35,5 +35,5 @@ class Sampler:
 def _best_prior(origin: Origin) -> FlowPrior | ScenePrior:
     """The flow that was learned, else the mixtures that were fitted, else what the model has by itself."""
     if has_flow(origin):
-        return load_flow(origin)
-    return load_prior(origin) if (origin.folder / FILE).is_file() else learned_prior(origin.model)
+        return named_prior(origin, "flow")
+    return named_prior(origin, "fitted" if (origin.folder / FILE).is_file() else "learned")

@@ -246,7 +246,7 @@ def test_objects_of_training_clips_are_put_together_anew(
     assert run("sample", *flags, "--out", tmp_path / "none") == EXIT_USAGE
     assert "--prior found needs --data DIR" in capsys.readouterr().err
     assert run("sample", *flags[:4], "--data", data, "--out", tmp_path / "none") == EXIT_USAGE
-    assert "--data is for --prior found" in capsys.readouterr().err
+    assert "--data is for --prior found; other priors take nothing" in capsys.readouterr().err
     bare = tmp_path / "bare"
     generate(bare, small.recipe(frames=2), splits={"test": 1}, resolution=(64, 64))
     assert run("sample", *flags, "--data", bare, "--out", tmp_path / "none") == EXIT_USAGE

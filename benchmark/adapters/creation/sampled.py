@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -13,15 +12,11 @@ from benchmark.interface import Clip, Prediction, Segmenter
 from benchmark.metrics import score
 from benchmark.true_poses import world_points
 from datagen.storage import Split
-from obpose.creation.flow_prior import FlowPrior, load_flow
 from obpose.creation.origin import Origin
-from obpose.creation.prior import ScenePrior, learned_prior, load_prior
 from obpose.creation.rendering import Image, Renderer
 from obpose.creation.sample import Source, sample_scene
 from obpose.creation.scene import Camera, Scene
 from obpose.errors import UsageError
-
-PriorName = Literal["flow", "fitted", "learned"]
 
 OPAQUE = 0.5
 """Share of a ray's light that must come from something for the pixel to have a depth."""
@@ -54,13 +49,6 @@ def real_scenes(scenes: Split, count: int) -> list[Labelled]:
     """First view of the first frame of the first scenes."""
     clips, truths = ClipSequence(scenes), TruthSequence(scenes)
     return [_first_image(clips[i], truths[i].astype(np.int64)) for i in range(min(count, len(clips)))]
-
-
-def prior_of(origin: Origin, name: PriorName) -> FlowPrior | ScenePrior:
-    """That a model learned, or that was fitted to it, or to what it finds."""
-    if name == "flow":
-        return load_flow(origin)
-    return load_prior(origin) if name == "fitted" else learned_prior(origin.model)
 
 
 def sampled_scenes(origin: Origin, source: Source, like: Sequence[Labelled], *, seed: int) -> Iterator[Labelled]:

@@ -13,10 +13,8 @@ from benchmark.adapters.claims.command import run_command
 from benchmark.adapters.creation.sampled import (
     Labelled,
     Looks,
-    PriorName,
     looks,
     mean_ari_fg,
-    prior_of,
     real_scenes,
     sampled_scenes,
 )
@@ -30,7 +28,7 @@ from benchmark.tuning import choose
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage import Dataset
 from obpose.creation.clip import read_clip
-from obpose.creation.flow_prior import has_flow
+from obpose.creation.flow_prior import PriorName, has_flow, named_prior
 from obpose.creation.found import find_objects
 from obpose.creation.origin import Origin, load_origin
 from obpose.creation.pictures import enlarged, write_png
@@ -103,7 +101,7 @@ def run(values: Arguments) -> int:
 def _sources(origin: Origin, folder: Path, clips: int) -> Iterator[tuple[str, Source]]:
     priors: tuple[PriorName, ...] = ("flow", "fitted", "learned")
     for name in priors if has_flow(origin) else priors[1:]:
-        yield f"prior {name}", prior_of(origin, name)
+        yield f"prior {name}", named_prior(origin, name)
     if clips:
         count = min(clips, len(SceneDataset(folder, FOUND_IN)))
         inputs = (read_clip(folder, FOUND_IN, index) for index in range(count))

@@ -121,10 +121,15 @@ class Known(Flow):
         return self.patches.expand_as(patches), self.size.expand_as(size)
 
 
+def flow_prior(flow: Flow, model: ObPose) -> FlowPrior:
+    rest = learned_prior(model)
+    return FlowPrior(flow, rest.background, rest.low, rest.high)
+
+
 def test_objects_of_a_flow_stand_on_the_table_and_face_the_camera():
     model = some_model()
     of, edge = Origin(model, Path("folder"), "name", "hash"), 0.12
-    source = FlowPrior(Known(edge), learned_prior(model))
+    source = flow_prior(Known(edge), model)
     draw = lambda: sample_scene(  # noqa: E731
         of, source, objects=4, cameras=(CAMERA,), generator=torch.Generator().manual_seed(0)
     )
@@ -149,7 +154,7 @@ def test_objects_of_a_flow_that_are_nowhere_are_drawn_again(monkeypatch: pytest.
     drawn = iter([empty, empty, grids])
     monkeypatch.setattr("obpose.creation.sample.sample_grids", lambda *_: next(drawn))
     of = Origin(model, Path("folder"), "name", "hash")
-    source = FlowPrior(known, learned_prior(model))
+    source = flow_prior(known, model)
     scene = sample_scene(of, source, objects=1, cameras=(CAMERA,), generator=torch.Generator().manual_seed(0))
     assert scene.detail[0, 8, 8, 10, 0] > scene.detail[0, 8, 8, 1, 0] + 5
     assert next(drawn, None) is None

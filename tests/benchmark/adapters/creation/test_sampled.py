@@ -11,7 +11,6 @@ from benchmark.adapters.creation.sampled import (
     labelled,
     looks,
     mean_ari_fg,
-    prior_of,
     real_scenes,
     sampled_scenes,
 )
@@ -19,7 +18,7 @@ from benchmark.adapters.creation.samples_cli import COLUMNS, GAP, main, shipped_
 from benchmark.interface import Prediction
 from datagen.storage import Dataset
 from obpose.creation.flow import Flow
-from obpose.creation.flow_prior import save_flow
+from obpose.creation.flow_prior import named_prior, save_flow
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior, save_prior
 from obpose.creation.rendering import Image
@@ -81,7 +80,7 @@ def test_real_scenes_are_the_first_image_of_each(clips: Path):
 def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(clips: Path, origin: Origin):
     real = real_scenes(Dataset(clips).split("test"), 2)
     one, same, other = (
-        list(sampled_scenes(origin, prior_of(origin, "learned"), real, seed=seed)) for seed in (0, 0, 1)
+        list(sampled_scenes(origin, named_prior(origin, "learned"), real, seed=seed)) for seed in (0, 0, 1)
     )
     for scene, like in zip(one, real, strict=True):
         assert scene.clip.rgb.shape == like.clip.rgb.shape
