@@ -28,6 +28,7 @@ def remove(scene: Scene, name: int) -> Scene:
         center=scene.center[:, rest],
         rotation=scene.rotation[:, rest],
         detail=scene.detail[rest],
+        alone=scene.alone[rest],
     )
 
 
@@ -101,6 +102,7 @@ def transfer(source: Scene, name: int, target: Scene, by: Float[Tensor, "3"] | N
         center=_with(target.center, center),
         rotation=_with(target.rotation, source.rotation[frames, place]),
         detail=torch.cat([target.detail, source.detail[place, None]]),
+        alone=torch.cat([target.alone, source.alone[place, None]]),
     )
 
 

@@ -16,8 +16,14 @@ _CELLS = 16
 
 @torch.no_grad()
 def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
-    """Middles of the voxels that the object of a single code is in, in its box."""
+    """Middles of the voxels that the object of a single code is in, in its box.
+
+    Voxels are parts of the box, or of what an object's detail is alone in.
+    """
     lattice = lattice_points(_CELLS, None, codes.first)
+    if codes.detail is not None and codes.detail.alone is not None:
+        lattice = lattice * codes.detail.alone
+        lattice = lattice[(lattice.abs() <= 1).all(dim=-1)]
     logits, _ = model.object_field.density(lattice, codes)
     return lattice[occupancy(logits) > model.config.model.voxel_threshold]
 

@@ -12,10 +12,14 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from obpose.creation.grids import COLOUR_LIMIT, DENSITY_LIMIT, EDGE, Grids
+from obpose.creation.grids import COLOUR_LIMIT, DENSITY_LIMIT, Grids
+from obpose.nerf.detail import EDGE
 
-PATCH = 4
-"""Points of the grid along each edge of what is one token."""
+PATCH = 8, 4, 4
+"""Points of the grid along each edge of a token; most in depth, as the far side, which nobody saw, is plain."""
+TOKENS = math.prod(EDGE // points for points in PATCH)
+VALUES = 4 * math.prod(PATCH)
+"""Of a token."""
 WIDTH, DEPTH, HEADS = 192, 6, 6
 TIME_MEAN, TIME_STD = -0.6, 0.9
 """Of the logit of the share of the object in what is looked at in training."""
@@ -44,10 +48,9 @@ class Flow(nn.Module):
 
     def __init__(self, latent: int) -> None:
         super().__init__()
-        values, tokens = 4 * PATCH**3, (EDGE // PATCH) ** 3
-        self.patch_in, self.patch_out = nn.Linear(values, WIDTH), nn.Linear(WIDTH, values)
+        self.patch_in, self.patch_out = nn.Linear(VALUES, WIDTH), nn.Linear(WIDTH, VALUES)
         self.size_in, self.size_out = nn.Linear(1, WIDTH), nn.Linear(WIDTH, 1)
-        self.position = nn.Parameter(0.02 * torch.randn(tokens + 1, WIDTH))
+        self.position = nn.Parameter(0.02 * torch.randn(TOKENS + 1, WIDTH))
         self.time = nn.Sequential(nn.Linear(2 * _FREQUENCIES, WIDTH), nn.SiLU(), nn.Linear(WIDTH, WIDTH), nn.SiLU())
         self.modulation = nn.Linear(WIDTH, 2 * DEPTH * WIDTH)
         nn.init.zeros_(self.modulation.weight)
@@ -79,14 +82,14 @@ class Flow(nn.Module):
         """Grids as patches, and their sizes, both about as large as standard normal noise."""
         values = grids.values / grids.values.new_tensor([DENSITY_LIMIT] + 3 * [_COLOUR_SCALE])
         pattern = "object (i x) (j y) (k z) value -> object (i j k) (x y z value)"
-        patches = rearrange(values, pattern, x=PATCH, y=PATCH, z=PATCH)
+        patches = rearrange(values, pattern, **_points_of_patch())
         return patches, (grids.half.log() - self.size_mean) / self.size_std
 
     def decode(self, patches: Float[Tensor, "object patch value"], size: Float[Tensor, "object"]) -> Grids:
         """The inverse of `encode`, within the limits of logits."""
         pattern = "object (i j k) (x y z value) -> object (i x) (j y) (k z) value"
-        number = EDGE // PATCH
-        values = rearrange(patches, pattern, i=number, j=number, k=number, x=PATCH, y=PATCH, z=PATCH)
+        number = {axis: EDGE // points for axis, points in zip("ijk", PATCH, strict=True)}
+        values = rearrange(patches, pattern, **number, **_points_of_patch())
         limits = values.new_tensor([DENSITY_LIMIT] + 3 * [COLOUR_LIMIT])
         values = values * values.new_tensor([DENSITY_LIMIT] + 3 * [_COLOUR_SCALE])
         return Grids(values.clamp(-limits, limits), (size * self.size_std + self.size_mean).exp())
@@ -117,11 +120,10 @@ def sample_grids(flow: Flow, count: int, generator: torch.Generator) -> Grids:
     """Objects from noise, by Heun's method."""
     if count == 0:
         return Grids(flow.code.new_zeros(0, EDGE, EDGE, EDGE, 4), flow.code.new_zeros(0))
-    tokens = (EDGE // PATCH) ** 3
-    state = torch.randn(count, tokens * 4 * PATCH**3 + 1, generator=generator)
+    state = torch.randn(count, TOKENS * VALUES + 1, generator=generator)
 
     def velocity(state: Float[Tensor, "object value"], time: float) -> Float[Tensor, "object value"]:
-        patches = state[:, :-1].unflatten(1, (tokens, -1))
+        patches = state[:, :-1].unflatten(1, (TOKENS, VALUES))
         found, size = flow(patches, state[:, -1], torch.full((count,), time))
         return (torch.cat([found.flatten(1), size[:, None]], dim=1) - state) / (1 - time)
 
@@ -131,7 +133,11 @@ def sample_grids(flow: Flow, count: int, generator: torch.Generator) -> Grids:
         ahead = state + step * first
         last = place == SAMPLE_STEPS - 1
         state = ahead if last else state + step / 2 * (first + velocity(ahead, (place + 1) * step))
-    return flow.decode(state[:, :-1].unflatten(1, (tokens, -1)), state[:, -1])
+    return flow.decode(state[:, :-1].unflatten(1, (TOKENS, VALUES)), state[:, -1])
+
+
+def _points_of_patch() -> dict[str, int]:
+    return dict(zip("xyz", PATCH, strict=True))
 
 
 def mirrored(grids: Grids, which: Float[Tensor, "object"]) -> Grids:

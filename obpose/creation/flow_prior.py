@@ -1,4 +1,4 @@
-"""What scenes are sampled from where a flow was learned: it gives the objects, all else is the fitted prior's."""
+"""What scenes are sampled from where a flow was learned: it gives the objects; the table is the fitted prior's."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from obpose.creation.flow import Flow
+from obpose.creation.light import is_light
 from obpose.creation.origin import Origin
 from obpose.creation.prior import Mixture, ScenePrior, learned_prior, load_prior
 from obpose.errors import CorruptFile, UsageError
@@ -22,6 +23,7 @@ FILE = "flow.safetensors"
 """Beside the model's weights."""
 _WEIGHTS = "weights"
 """In the file's metadata: SHA-256 of the file of the weights that found the objects."""
+_LIGHTS = "lights"
 _AGAIN = "make it again with obpose-edit learn, or give another --prior."
 
 
@@ -30,15 +32,17 @@ class FlowPrior:
     """A distribution of scenes, as far as their objects' places are not the user's."""
 
     flow: Flow
+    lights: Float[Tensor, "light 4"]
+    """Those of the clips that it was learned from (`obpose.creation.light`)."""
     background: Mixture
     low: Float[Tensor, "2"]
     """Of the objects' middles, world x and y, metres."""
     high: Float[Tensor, "2"]
 
 
-def save_flow(origin: Origin, flow: Flow) -> Path:
-    """Write what `load_flow` reads, in half precision; give the file."""
-    contents = {name: tensor.half().contiguous() for name, tensor in flow.state_dict().items()}
+def save_flow(origin: Origin, flow: Flow, lights: Float[Tensor, "light 4"]) -> Path:
+    """Write what `load_flow` reads, the flow in half precision; give the file."""
+    contents = {name: tensor.half().contiguous() for name, tensor in flow.state_dict().items()} | {_LIGHTS: lights}
     write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
     return origin.folder / FILE
 
@@ -65,14 +69,16 @@ def load_flow(origin: Origin) -> FlowPrior:
             weights = (file.metadata() or {}).get(_WEIGHTS)
         with torch.random.fork_rng(devices=[]):
             flow = Flow(origin.model.config.model.latent.what)
+        lights = values.pop(_LIGHTS)
         flow.load_state_dict(values)
-    except (SafetensorError, RuntimeError):
+    except (SafetensorError, KeyError, RuntimeError):
         raise CorruptFile(f"{path} is damaged, or of another version; {_AGAIN}") from None
     if weights != origin.hash:
         raise CorruptFile(f"{path} is of other weights than those beside it; {_AGAIN}")
-    if not all(bool(value.isfinite().all()) for value in values.values()):
+    finite = all(bool(value.isfinite().all()) for value in values.values())
+    if not finite or lights.ndim != 2 or lights.shape[1] != 4 or not len(lights) or not all(map(is_light, lights)):
         raise CorruptFile(f"{path} is damaged; {_AGAIN}")
-    return FlowPrior(flow.eval().requires_grad_(requires_grad=False), rest.background, rest.low, rest.high)
+    return FlowPrior(flow.eval().requires_grad_(requires_grad=False), lights, rest.background, rest.low, rest.high)
 
 
 def named_prior(origin: Origin, name: PriorName) -> FlowPrior | ScenePrior:

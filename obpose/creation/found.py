@@ -35,6 +35,8 @@ class FoundObjects:
     it is shown as little where an object keeps its height."""
     detail: Float[Tensor, "object edge edge edge 4"]
     background: Float[Tensor, "clip background"]
+    light: Float[Tensor, "clip 4"]
+    """As in `Scene`."""
     low: Float[Tensor, "2"]
     """Of the objects' middles, world x and y, metres."""
     high: Float[Tensor, "2"]
@@ -63,12 +65,13 @@ def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: i
         height=center[:, 2],
         detail=torch.stack([scene.detail[place] for scene, place in places]),
         background=torch.stack([scene.background[-1] for scene in scenes]),
+        light=torch.stack([scene.light for scene in scenes]),
         low=low,
         high=high,
     )
 
 
 def _is_there(origin: Origin, scene: Scene, place: int) -> bool:
-    codes = conditioning(origin.model, scene.what[-1, place], scene.detail[place])
+    codes = conditioning(origin.model, scene.what[-1, place], scene.detail[place], scene.alone[place])
     extent = shape_extent(origin.model, codes, scene.rotation[-1, place])
     return len(above_table(extent, float(scene.center[-1, place, 2]))) >= LEAST_VOXELS

@@ -5,12 +5,12 @@ how they were found: what is up is up, and what no camera has seen is on the far
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from einops import rearrange
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.creation.extent import LEAST_VOXELS, above_table, shape_extent
@@ -18,12 +18,10 @@ from obpose.creation.rendering import conditioning
 from obpose.creation.scene import Scene, upright
 from obpose.geometry import to_box
 from obpose.model import ObPose
-from obpose.nerf.detail import EDGE as DETAIL_EDGE
-from obpose.nerf.detail import Lattices
+from obpose.nerf.detail import EDGE
 from obpose.nerf.field import Conditioning
+from obpose.nerf.voxels import occupancy
 
-EDGE = 12
-"""Points along each edge, the outermost on its faces."""
 MARGIN = 0.015
 """Around the middles of occupied voxels, metres: more than a voxel, as the surface may be as far."""
 DENSITY_LIMIT, COLOUR_LIMIT = 6.0, 4.0
@@ -36,19 +34,31 @@ class Grids:
     """Of one or more objects. The grids' axes point to the camera, to its right, both level, and up."""
 
     values: Float[Tensor, "object edge edge edge 4"]
-    """Logits of density and colours, the latter seen from the camera; `edge` is `EDGE`."""
+    """Logits of density and colours, the latter seen from the camera; `edge` is that of details."""
     half: Float[Tensor, "object"]
     """Half an edge, metres."""
+
+    def take(self, places: Int[Tensor, " n"]) -> "Grids":
+        """Of some of the objects."""
+        return Grids(self.values[places], self.half[places])
+
+    def apart(self) -> "list[Grids]":
+        """Of each object."""
+        return [self.take(place) for place in torch.arange(len(self.half)).split(1)]
+
+
+def together(grids: Sequence[Grids], like: Tensor) -> Grids:
+    """Of all objects; numbers are of the kind of `like` where there are none."""
+    none = Grids(like.new_zeros(0, EDGE, EDGE, EDGE, 4), like.new_zeros(0))
+    parts = [none, *grids]
+    return Grids(torch.cat([part.values for part in parts]), torch.cat([part.half for part in parts]))
 
 
 @torch.no_grad()
 def grids_of(model: ObPose, scene: Scene, frame: int) -> Grids:
     """Of a frame's objects, but for those that are hardly anywhere dense above the table."""
     found = [grid for place in range(len(scene.ids)) if (grid := _grid(model, scene, frame, place))]
-    if not found:
-        return Grids(scene.what.new_zeros(0, EDGE, EDGE, EDGE, 4), scene.what.new_zeros(0))
-    values, half = zip(*found, strict=True)
-    return Grids(torch.stack(values), torch.stack(half))
+    return together(found, like=scene.what)
 
 
 def facing(place: Float[Tensor, "3"], camera: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
@@ -57,49 +67,38 @@ def facing(place: Float[Tensor, "3"], camera: Float[Tensor, "3"]) -> Float[Tenso
     return upright(math.atan2(y, x), place)
 
 
-@torch.no_grad()
-def as_details(model: ObPose, grids: Grids, what: Float[Tensor, "what"], sight: Float[Tensor, "3"]) -> Lattices:
-    """Details with which a code's field is what the grids hold.
-
-    Boxes have the grids' axes and their middles; what is outside of the box is cut off.
-
-    Args:
-        model: That the code is of.
-        grids: Of one or more objects.
-        what: One code for all.
-        sight: Unit direction from the camera to the objects, axes of the grids.
-    """
-    half = model.config.model.pose.box_size / 2
-    lattice = _points(DETAIL_EDGE)
-    wanted = _interpolated(grids, lattice * half)
-    density, colour = _logits(model, model.object_field.condition(what), lattice, sight)
-    alone = torch.cat([density[:, None], colour], dim=-1)
-    return (wanted - alone).unflatten(1, (DETAIL_EDGE,) * 3)
-
-
-def _grid(
-    model: ObPose, scene: Scene, frame: int, place: int
-) -> tuple[Float[Tensor, "edge edge edge 4"], Float[Tensor, ""]] | None:
+def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
+    """As large as what is dense on a grid that is as large as the voxels that the object is in."""
     center, camera = scene.center[frame, place], scene.cameras[0].world_from_camera[:3, 3]
     world_from_grid = facing(center, camera)
     grid_from_box = world_from_grid.T @ scene.rotation[frame, place]
-    codes = conditioning(model, scene.what[frame, place], scene.detail[place])
+    codes = conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
+    sight = F.normalize(center - camera, dim=0) @ scene.rotation[frame, place]
+
+    def around(dense: Float[Tensor, "n 3"], margin: float) -> tuple[Float[Tensor, "point 3"], Tensor, Tensor]:
+        """Points, and logits of density and colours there."""
+        low, high = dense.amin(dim=0), dense.amax(dim=0)
+        points = _points(EDGE) * ((high - low).max() / 2 + margin) + (low + high) / 2
+        inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
+        density, colour = _logits(model, codes, inside, sight)
+        nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + center[2] < 0)
+        return points, density.where(~nowhere, -DENSITY_LIMIT).clamp(-DENSITY_LIMIT, DENSITY_LIMIT), colour
+
     extent = above_table(shape_extent(model, codes, grid_from_box), float(center[2]))
     if len(extent) < LEAST_VOXELS:
         return None
-    low, high = extent.amin(dim=0), extent.amax(dim=0)
-    half = (high - low).max() / 2 + MARGIN
-    points = _points(EDGE) * half + (low + high) / 2
-    inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
-    sight = F.normalize(center - camera, dim=0)
-    density, colour = _logits(model, codes, inside, grid_from_box.T @ (world_from_grid.T @ sight))
-    nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + center[2] < 0)
-    density = density.where(~nowhere, -DENSITY_LIMIT).clamp(-DENSITY_LIMIT, DENSITY_LIMIT)[:, None]
+    points, density, _ = around(extent, MARGIN)
+    dense = points[occupancy(density) > model.config.model.voxel_threshold]
+    if len(dense) < LEAST_VOXELS:
+        return None
+    points, density, colour = around(dense, margin=float(points[1, 2] - points[0, 2]))
     # Where nothing is the field's colours mean nothing.
+    density = density[:, None]
     share = torch.sigmoid(2 * density + 2)
     mean = (colour * torch.sigmoid(2 * density)).sum(dim=0) / torch.sigmoid(2 * density).sum()
     colour = (share * colour + (1 - share) * mean).clamp(-COLOUR_LIMIT, COLOUR_LIMIT)
-    return torch.cat([density, colour], dim=-1).unflatten(0, (EDGE,) * 3), half
+    values = torch.cat([density, colour], dim=-1).view(1, EDGE, EDGE, EDGE, 4)
+    return Grids(values, (points[-1, 2] - points[0, 2])[None] / 2)
 
 
 def _logits(
@@ -109,23 +108,6 @@ def _logits(
     density, hidden = model.object_field.density(points, codes)
     colour = model.object_field.colour(hidden, sight.expand_as(points), codes)
     return density, torch.logit(colour, eps=1e-3)
-
-
-def _interpolated(grids: Grids, points: Float[Tensor, "point 3"]) -> Float[Tensor, "object point 4"]:
-    """Trilinear, at points in metres around the grids' middles; beyond their faces nothing is dense."""
-    inside = points / grids.half[:, None, None]
-    # grid_sample has the last axis of the values first.
-    at = inside.flip(-1)[:, None, None]
-    found = F.grid_sample(
-        rearrange(grids.values, "object x y z value -> object value x y z"),
-        at,
-        align_corners=True,
-        padding_mode="border",
-    )
-    values = rearrange(found, "object value 1 1 point -> object point value")
-    beyond = (inside.abs() > 1 + _ROUNDING).any(dim=-1, keepdim=True)
-    empty = values.new_tensor([True, False, False, False], dtype=torch.bool)
-    return values.masked_fill(beyond & empty, -DENSITY_LIMIT)
 
 
 def _points(edge: int) -> Float[Tensor, "point 3"]:

@@ -67,6 +67,7 @@ def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) 
         center=inference.boxes.center[0, :, slots].detach(),
         rotation=inference.boxes.rotation[0, :, slots].detach(),
         detail=no_detail(len(slots), inference.what.z.detach()),
+        alone=inference.what.z.new_zeros(len(slots)),
         background=inference.background.z[0].detach(),
         cameras=cameras,
         model=origin.hash,

@@ -1,37 +1,28 @@
-"""A flow learned from the objects that a model finds in clips; finding and learning go on where they were stopped."""
+"""A flow learned from the objects that a model finds in clips; both go on where they were stopped."""
 
 import io
 import json
 import math
 import shutil
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load, save
-from torch import Tensor, nn
+from torch import nn
 
-from datagen.parallel import make_all
-from obpose.creation.clip import read_clip
+from obpose.creation.examples import Examples, Say, find_examples, joined
 from obpose.creation.flow import WIDTH, Flow, describe, flow_loss, mirrored, sample_grids
 from obpose.creation.flow_prior import save_flow
-from obpose.creation.grids import Grids, grids_of
-from obpose.creation.infer import infer_scene
-from obpose.creation.origin import Origin, load_origin
-from obpose.creation.refine import STEPS
+from obpose.creation.grids import Grids
+from obpose.creation.origin import Origin
 from obpose.data import SceneDataset
 from obpose.errors import CorruptFile, Diverged, UsageError
 from obpose.files import claimed, write_whole
 
 PARTIAL = "flow.partial"
 """Folder beside the weights, as long as the flow is not done."""
-FRAMES = 6
-"""Of a clip, at most: objects that move are seen from several sides."""
 COMPARED = 200
 """Samples, and as many objects that are held out, are compared with those that are learned from."""
 HELD = 20
@@ -55,18 +46,6 @@ class Lesson:
     seed: int
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """What was found in a clip."""
-
-    grids: Grids
-    what: Tensor
-    """Codes of the last frame, object x what."""
-
-
-Say = Callable[[str], None]
-
-
 def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say: Say) -> Path:
     """Learn a flow and write it beside the model's weights; give the file.
 
@@ -87,9 +66,9 @@ def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say:
     with claimed(folder):
         dataset = SceneDataset(data, "train").settings_hash
         _check_same(folder, {"weights": origin.hash, "data": dataset, **asdict(lesson)})
-        found = _find_all(origin, data, folder, lesson.clips, workers, say)
+        found = find_examples(origin, data, folder, lesson.clips, workers=workers, say=say)
         flow = _train(_fresh(origin, lesson), found, folder, lesson, say)
-        path = save_flow(origin, flow)
+        path = save_flow(origin, flow, torch.stack([each.light for each in found]))
     shutil.rmtree(folder)
     return path
 
@@ -111,54 +90,15 @@ def _check_same(folder: Path, settings: dict[str, Any]) -> None:
         )
 
 
-def _find_all(origin: Origin, data: Path, folder: Path, clips: int, workers: int, say: Say) -> list[_Found]:
-    paths = [folder / f"clip-{index:05d}.safetensors" for index in range(clips)]
-    missing = [index for index, path in enumerate(paths) if not path.exists()]
-    say(f"Looking for objects in {len(missing)} clips of {data}.")
-    look = partial(_find_in, str(origin.folder), data)
-    for number, (index, contents) in enumerate(make_all(look, [("train", i) for i in missing], workers), start=1):
-        write_whole(paths[index], contents)
-        if number % 20 == 0:
-            say(f"{number} of {len(missing)} clips")
-    return [_read(path) for path in paths]
-
-
-@cache
-def _known(checkpoint: str) -> Origin:
-    return load_origin(checkpoint)
-
-
-def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, bytes]:
-    """The clip's place, and contents of its file."""
-    origin = _known(checkpoint)
-    scene = infer_scene(origin, read_clip(data, split, index), refinements=STEPS)
-    frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().int().tolist()
-    grids = [grids_of(origin.model, scene, frame) for frame in frames]
-    tensors = {
-        "values": torch.cat([grid.values for grid in grids]).half(),
-        "half": torch.cat([grid.half for grid in grids]),
-        "what": scene.what[-1].contiguous(),
-    }
-    return index, save(tensors)
-
-
-def _read(path: Path) -> _Found:
-    try:
-        tensors = load(path.read_bytes())
-        return _Found(Grids(tensors["values"].float(), tensors["half"]), tensors["what"])
-    except (SafetensorError, KeyError):
-        raise CorruptFile(f"{path} is damaged; delete it, and run the same command again.") from None
-
-
 def _fresh(origin: Origin, lesson: Lesson) -> Flow:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(lesson.seed)
         return Flow(origin.model.config.model.latent.what)
 
 
-def _train(flow: Flow, found: list[_Found], folder: Path, lesson: Lesson, say: Say) -> Flow:
+def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say: Say) -> Flow:
     """The mean of the weights after all steps."""
-    held, learned = _joined(found[::HELD]), _joined([each for place, each in enumerate(found) if place % HELD])
+    held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
     if len(learned.half) < _LEAST_OBJECTS:
         raise UsageError(f"Only {len(learned.half)} objects were found in {len(found)} clips; give more of them.")
     say(f"Learning from {len(learned.half)} objects, {len(held.half)} are held out.")
@@ -171,8 +111,7 @@ def _train(flow: Flow, found: list[_Found], folder: Path, lesson: Lesson, say: S
     for step in range(done, lesson.steps):
         noise = torch.Generator().manual_seed((lesson.seed << 32) + step)
         chosen = torch.randint(len(learned.half), (BATCH,), generator=noise)
-        batch = Grids(learned.values[chosen], learned.half[chosen])
-        batch = mirrored(batch, torch.rand(BATCH, generator=noise))
+        batch = mirrored(learned.take(chosen), torch.rand(BATCH, generator=noise))
         for group in optimiser.param_groups:
             group["lr"] = RATE * _pace(step, lesson.steps)
         with torch.autocast("cpu", torch.bfloat16, enabled=precision == torch.bfloat16):
@@ -213,7 +152,7 @@ def _held_out(flow: Flow, held: Grids) -> str:
     with torch.no_grad():
         parts = torch.arange(len(held.half)).split(BATCH)
         noise = torch.Generator().manual_seed(0)
-        losses = [flow_loss(flow, Grids(held.values[part], held.half[part]), noise) for part in parts]
+        losses = [flow_loss(flow, held.take(part), noise) for part in parts]
     mean = sum(float(loss) * len(part) for loss, part in zip(losses, parts, strict=True)) / len(held.half)
     return f", held out {mean:.4f}"
 
@@ -225,7 +164,7 @@ def _likeness(flow: Flow, learned: Grids, held: Grids) -> str:
     some = torch.randperm(len(held.half), generator=generator)[:COMPARED]
     others = {
         "samples": sample_grids(flow, COMPARED, generator),
-        "held-out objects": Grids(held.values[some], held.half[some]),
+        "held-out objects": held.take(some),
     }
     words = [f"{name} {nearest(flow, grids, learned):.3f}" for name, grids in others.items() if len(grids.half)]
     return f"Distance to the nearest learned object, median: {', '.join(words)}"
@@ -240,12 +179,6 @@ def nearest(flow: Flow, grids: Grids, among: Grids) -> float:
     both = [among, mirrored(among, torch.ones(len(among.half)))]
     distances = [torch.cdist(patches, flow.encode(each)[0].flatten(1)).amin(dim=1) for each in both]
     return float(torch.minimum(*distances).median()) / patches.shape[1] ** 0.5
-
-
-def _joined(found: list[_Found]) -> Grids:
-    if not found:
-        return Grids(torch.zeros(0), torch.zeros(0))
-    return Grids(torch.cat([each.grids.values for each in found]), torch.cat([each.grids.half for each in found]))
 
 
 def _pace(step: int, steps: int) -> float:

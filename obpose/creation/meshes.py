@@ -34,7 +34,7 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
         UsageError: there is no such object, or it is nowhere dense.
     """
     place, settings = scene.place(name), model.config.model
-    codes = conditioning(model, scene.what[frame, place], scene.detail[place])
+    codes = conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
     steps = torch.linspace(-1, 1, resolution)
     lattice = torch.cartesian_prod(steps, steps, steps)
     density = occupancy(model.object_field.density(lattice, codes)[0]).view(resolution, resolution, resolution)

@@ -29,6 +29,8 @@ _OUTLINE = 0.1
 _KEPT = 256
 """Components that are remembered."""
 _OBJECT_CELLS = 16
+_FINE_CELLS = 32
+"""Of objects whose detail is alone, and may be thinner than the others' cells."""
 _BACKGROUND_CELLS = 48
 
 
@@ -117,10 +119,10 @@ class Renderer:
             scene.look(frame, place),
             lambda: make_component(
                 model.object_field,
-                conditioning(model, scene.what[frame, place], scene.detail[place]),
+                conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place]),
                 **box,
                 bounded=True,
-                resolution=_OBJECT_CELLS,
+                resolution=_FINE_CELLS if scene.alone[place] > 0 else _OBJECT_CELLS,
             ),
         )
         return moved(known, center, rotation)
@@ -134,10 +136,15 @@ class Renderer:
         return self._known[name]
 
 
-def conditioning(model: ObPose, what: Float[Tensor, "what"], detail: Float[Tensor, "edge edge edge 4"]) -> Conditioning:
-    """What an object's latent and its detail add to the objects' field."""
-    corrections = Detail(detail[None], torch.zeros((), dtype=torch.long)) if detail.any() else None
-    return model.object_field.condition(what).corrected(corrections)
+def conditioning(
+    model: ObPose, what: Float[Tensor, "what"], detail: Float[Tensor, "edge edge edge 4"], alone: Float[Tensor, ""]
+) -> Conditioning:
+    """What an object's latent and its detail add to the objects' field, or the detail alone (`Scene.alone`)."""
+    is_alone = bool(alone > 0)
+    if not is_alone and not detail.any():
+        return model.object_field.condition(what)
+    owner = torch.zeros((), dtype=torch.long)
+    return model.object_field.condition(what).corrected(Detail(detail[None], owner, alone[None] if is_alone else None))
 
 
 def outlines(shares: Float[Tensor, "component height width"]) -> Bool[Tensor, "height width"]:

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -13,7 +13,8 @@ from obpose.creation.extent import LEAST_VOXELS, above_table, occupied, shape_ex
 from obpose.creation.flow import sample_grids
 from obpose.creation.flow_prior import FlowPrior
 from obpose.creation.found import FoundObjects
-from obpose.creation.grids import as_details, facing
+from obpose.creation.grids import Grids, facing, together
+from obpose.creation.light import no_light
 from obpose.creation.origin import Origin
 from obpose.creation.prior import ScenePrior
 from obpose.creation.rendering import conditioning
@@ -21,9 +22,11 @@ from obpose.creation.scene import Camera, Scene, upright
 from obpose.errors import UsageError
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
+from obpose.nerf.voxels import occupancy
 
 Source = ScenePrior | FlowPrior | FoundObjects
 """What scenes are sampled from."""
+_Thing = TypeVar("_Thing")
 _TRIES = 200
 _SKIN = 1e-6
 """Metres that leave what stands on the table above it, whatever the rounding."""
@@ -38,6 +41,8 @@ class _Drawn:
     height: Float[Tensor, "object"] | None
     """Of the middles of their boxes, metres; None where their lowest voxels are to lie on the table."""
     detail: Float[Tensor, "object edge edge edge 4"]
+    alone: Float[Tensor, "object"]
+    """As in `Scene`."""
     faces: bool
     """Whether the side that `rotation` turns to x is that on which the camera is; else objects look any way."""
 
@@ -63,12 +68,13 @@ def sample_scene(
         UsageError: there is no room for so many.
     """
     camera = cameras[0].world_from_camera[:3, 3]
-    drawn = _draw(origin.model, source, objects, camera, generator)
+    drawn = _draw(origin.model, source, objects, generator)
     center, rotation = torch.zeros(objects, 3), torch.zeros(objects, 3, 3)
     reaches: list[float] = []
     for place in range(objects):
         turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, center) @ drawn.rotation[place]
-        extent = shape_extent(origin.model, conditioning(origin.model, drawn.what[place], drawn.detail[place]), turn)
+        codes = conditioning(origin.model, drawn.what[place], drawn.detail[place], drawn.alone[place])
+        extent = shape_extent(origin.model, codes, turn)
         height = float(-extent[:, 2].min() if drawn.height is None else drawn.height[place])
         extent = above_table(extent, height + _SKIN)
         reach = float(extent[:, :2].norm(dim=-1).max())
@@ -77,38 +83,49 @@ def sample_scene(
         center[place, 2] = height
         rotation[place] = facing(center[place], camera) @ drawn.rotation[place] if drawn.faces else turn
         reaches.append(reach)
+    background, light = _surroundings(source, generator)
     return Scene(
         ids=tuple(range(1, objects + 1)),
         what=drawn.what[None],
         center=center[None],
         rotation=rotation[None],
         detail=drawn.detail,
-        background=_background(source, generator),
+        alone=drawn.alone,
+        background=background,
+        light=light,
         cameras=cameras,
         model=origin.hash,
         checkpoint=origin.name,
     )
 
 
-def _draw(
-    model: ObPose, source: Source, objects: int, camera: Float[Tensor, "3"], generator: torch.Generator
-) -> _Drawn:
+def _draw(model: ObPose, source: Source, objects: int, generator: torch.Generator) -> _Drawn:
     if isinstance(source, FoundObjects):
         chosen = torch.randint(len(source.what), (objects,), generator=generator)
         found = (source.what[chosen], source.rotation[chosen], source.height[chosen], source.detail[chosen])
-        return _Drawn(*found, faces=False)
+        return _Drawn(*found, torch.zeros(objects), faces=False)
     upright = torch.eye(3).expand(objects, 3, 3)
     if isinstance(source, FlowPrior):
         what = source.flow.code.expand(objects, -1)
-        return _Drawn(what, upright, None, _draw_details(model, source, objects, camera, generator), faces=True)
+        grids = _draw_grids(model, source, objects, generator)
+        # Their boxes have the grids' middles and axes; what is outside of the box is cut off.
+        alone = 2 * grids.half / model.config.model.pose.box_size
+        return _Drawn(what, upright, None, grids.values, alone, faces=True)
     what = _draw_codes(model, source, objects, generator)
-    return _Drawn(what, upright, None, no_detail(objects, what), faces=False)
+    return _Drawn(what, upright, None, no_detail(objects, what), torch.zeros(objects), faces=False)
 
 
-def _background(source: Source, generator: torch.Generator) -> Float[Tensor, "1 background"]:
+def _surroundings(
+    source: Source, generator: torch.Generator
+) -> tuple[Float[Tensor, "1 background"], Float[Tensor, "4"]]:
+    """Background and light; where a prior knows of none, there is no light."""
     if isinstance(source, FoundObjects):
-        return source.background[torch.randint(len(source.background), (1,), generator=generator)]
-    return source.background.draw(1, generator)
+        place = int(torch.randint(len(source.background), (), generator=generator))
+        return source.background[place, None], source.light[place]
+    background = source.background.draw(1, generator)
+    if isinstance(source, FlowPrior):
+        return background, source.lights[int(torch.randint(len(source.lights), (), generator=generator))]
+    return background, no_light(background)
 
 
 @torch.no_grad()
@@ -119,35 +136,34 @@ def _draw_codes(
 
     Where surfaces are sharp a Gaussian over codes has some that are hardly anywhere dense: these are drawn again.
     """
-    return _drawn_again(
-        lambda count: prior.what.draw(count, generator),
+    codes = _drawn_again(
+        lambda count: list(prior.what.draw(count, generator)),
         lambda code: len(occupied(model, model.object_field.condition(code))),
         objects,
     )
+    return torch.stack(codes) if codes else prior.what.draw(0, generator)
 
 
-def _draw_details(
-    model: ObPose, prior: FlowPrior, objects: int, camera: Float[Tensor, "3"], generator: torch.Generator
-) -> Float[Tensor, "object edge edge edge 4"]:
+def _draw_grids(model: ObPose, prior: FlowPrior, objects: int, generator: torch.Generator) -> Grids:
     """Of objects that are somewhere, as far as a flow has any."""
-    code = prior.flow.code
-    middle = torch.cat([(prior.low + prior.high) / 2, torch.zeros(1)])
-    sight = facing(middle, camera).T @ F.normalize(middle - camera, dim=0)
-    return _drawn_again(
-        lambda count: as_details(model, sample_grids(prior.flow, count, generator), code, sight),
-        lambda detail: len(occupied(model, conditioning(model, code, detail))),
+    threshold = model.config.model.voxel_threshold
+    grids = _drawn_again(
+        lambda count: sample_grids(prior.flow, count, generator).apart(),
+        lambda grid: int((occupancy(grid.values[..., 0]) > threshold).sum()),
         objects,
     )
+    return together(grids, like=prior.flow.code)
 
 
-def _drawn_again(draw: Callable[[int], Tensor], voxels: Callable[[Tensor], int], objects: int) -> Tensor:
+def _drawn_again(draw: Callable[[int], list[_Thing]], voxels: Callable[[_Thing], int], objects: int) -> list[_Thing]:
     """So many draws, those again that are in hardly any voxel, for some time."""
     drawn = draw(objects)
     for _ in range(_TRIES):
-        nowhere = [voxels(each) < LEAST_VOXELS for each in drawn]
-        if not any(nowhere):
+        nowhere = [place for place, each in enumerate(drawn) if voxels(each) < LEAST_VOXELS]
+        if not nowhere:
             break
-        drawn[nowhere] = draw(sum(nowhere))
+        for place, each in zip(nowhere, draw(len(nowhere)), strict=True):
+            drawn[place] = each
     return drawn
 
 

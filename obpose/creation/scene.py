@@ -58,6 +58,8 @@ class Scene:
     """World from object."""
     detail: Float[Tensor, "object edge edge edge 4"]
     """What their latents leave out (`obpose.nerf.detail`); 0 where nobody has looked for it."""
+    alone: Float[Tensor, "object"]
+    """Where positive, there is nothing of the object but its detail, in a cube of so many times the box's edge."""
     background: Float[Tensor, "frame background"]
     """z_bg."""
     cameras: tuple[Camera, ...]
@@ -87,7 +89,8 @@ class Scene:
 
     def look(self, frame: int, place: int) -> bytes:
         """What an object looks like, wherever it is: equal for those that look the same."""
-        return self.what[frame, place].numpy().tobytes() + self.detail[place].numpy().tobytes()
+        parts = (self.what[frame, place], self.detail[place], self.alone[place])
+        return b"".join(part.numpy().tobytes() for part in parts)
 
     def new_id(self) -> int:
         """A name that no object has."""

@@ -69,6 +69,7 @@ def _write(folder: Path, scene: Scene) -> None:
         "center": scene.center,
         "rotation": scene.rotation,
         "detail": scene.detail,
+        "alone": scene.alone,
         "background": scene.background,
         "k": torch.stack([camera.k for camera in scene.cameras]),
         "world_from_camera": torch.stack([camera.world_from_camera for camera in scene.cameras]),
@@ -100,6 +101,7 @@ def _assemble(facts: dict, tensors: dict[str, torch.Tensor]) -> Scene:
         rotation=tensors["rotation"],
         # Scenes of older versions have none.
         detail=tensors.get("detail", no_detail(len(facts["objects"]), tensors["what"])),
+        alone=tensors.get("alone", torch.zeros(len(facts["objects"]))),
         background=tensors["background"],
         cameras=tuple(
             Camera(k, pose, _number(width, LARGEST_SIDE), _number(height, LARGEST_SIDE))
@@ -133,10 +135,11 @@ def _is_whole(scene: Scene) -> bool:
         and scene.center.shape == (frames, objects, 3)
         and scene.rotation.shape == (frames, objects, 3, 3)
         and scene.detail.shape == no_detail(objects, scene.what).shape
+        and scene.alone.shape == (objects,)
         and scene.background.ndim == 2
         and frames > 0
     )
-    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.background]
+    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.alone, scene.background]
     values += [value for camera in scene.cameras for value in (camera.k, camera.world_from_camera)]
     numbers = all(value.dtype == torch.float32 and bool((value.abs() <= _LARGEST_VALUE).all()) for value in values)
     distinct = len(set(scene.ids)) == objects

@@ -1,40 +1,53 @@
-"""What a field does not know of one thing: corrections on a lattice in its box, which belong to that thing alone.
+"""What a field does not know of one thing: values on a lattice in its box, which belong to that thing alone.
 
 An addition: a field that all objects share is one that was learned in minutes, and draws most of them smooth and in one
-colour. Explicit lattices are fitted within seconds (Sun, Sun and Chen 2022).
+colour. Explicit lattices are fitted within seconds (Sun, Sun and Chen 2022). They correct the field, or stand for it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from obpose.nerf.compose import OUTSIDE
+
 EDGE = 16
-"""Points of the lattice along each edge of the box, the outermost on its faces."""
+"""Points of the lattice along each edge, the outermost on the faces of its cube."""
 
 Lattices = Float[Tensor, "thing edge edge edge 4"]
-"""Added to the logits of density and colours; axes are x, y, z of the box, `edge` is `EDGE`."""
+"""Logits of density and colours, or what is added to the field's; axes are x, y, z of the box, `edge` is `EDGE`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Detail:
-    """Corrections of one or more things, and whose are whose."""
+    """Of one or more things, and whose are whose."""
 
     lattices: Lattices
     owner: Int[Tensor, "*code"]
     """Of each code, the place of its thing."""
+    alone: Float[Tensor, "thing"] | None = None
+    """Where positive, there is nothing of the thing but its lattice, in a cube around the box's middle of so many times
+    the box's edge; elsewhere, and where None, lattices are as large as the box, and correct the field."""
 
     def at(self, owner: Int[Tensor, " n"]) -> "Detail":
         """One for each of a flat list of points; `owner` is the place of a point's code."""
-        return Detail(self.lattices, self.owner[owner])
+        return replace(self, owner=self.owner[owner])
+
+    def corrects(self) -> Float[Tensor, "*code 1"] | float:
+        """What the field's own logits are multiplied with: 0 where the lattice is alone, else 1."""
+        return 1.0 if self.alone is None else (self.alone[self.owner, None] <= 0).to(self.alone.dtype)
 
     def of(self, points: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 4"]:
-        """Corrections at points of the box, -1..1, trilinear; beyond a face they are those at the face.
+        """Values at points of the box, -1..1, trilinear.
 
-        Codes broadcast to points, as in `obpose.nerf.field`.
+        Beyond a face corrections are those at the face; of things that are alone nothing is dense there. Codes
+        broadcast to points, as in `obpose.nerf.field`.
         """
+        alone = None if self.alone is None else self.alone[self.owner][..., None]
+        if alone is not None:
+            points = points / torch.where(alone > 0, alone, 1.0)
         steps = ((points + 1) * ((EDGE - 1) / 2)).clamp(0, EDGE - 1)
         low = steps.detach().floor().clamp(max=EDGE - 2)
         upper = steps - low
@@ -44,7 +57,11 @@ class Detail:
         index = (first + self.owner * EDGE**3)[..., None] + _corners(points.device)
         table = self.lattices.flatten(0, 3)
         found = F.embedding_bag(index.flatten(0, -2), table, per_sample_weights=weights.reshape(-1, 8), mode="sum")
-        return found.view(*points.shape[:-1], 4)
+        found = found.view(*points.shape[:-1], 4)
+        if alone is None:
+            return found
+        beyond = (alone > 0) & (points.abs() > 1).any(dim=-1, keepdim=True)
+        return found.masked_fill(beyond & (torch.arange(4, device=found.device) == 0), OUTSIDE)
 
 
 def no_detail(things: int, like: Tensor) -> Lattices:

@@ -100,7 +100,7 @@ class Field(nn.Module):
         logit, correction = self.density_logit(hidden)[..., 0], None
         if codes.detail is not None:
             density, correction = codes.detail.of(points).split([1, 3], dim=-1)
-            logit = logit + density[..., 0]
+            logit = (logit[..., None] * codes.detail.corrects() + density)[..., 0]
         return logit if self.config.density == "raw" else squash(logit), Hidden(hidden, correction)
 
     def colour(
@@ -113,7 +113,9 @@ class Field(nn.Module):
         encoded = positional_encoding(directions, self.config.direction_frequencies)
         seen = (self.colour_hidden(hidden.values) + self.colour_direction(encoded)).add_(codes.colour).relu_()
         logits = self.colour_out(seen)
-        return torch.sigmoid(logits if hidden.correction is None else logits + hidden.correction)
+        if codes.detail is not None:
+            logits = logits * codes.detail.corrects() + hidden.correction
+        return torch.sigmoid(logits)
 
 
 def squash(logit: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:

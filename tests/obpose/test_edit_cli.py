@@ -17,9 +17,10 @@ from datagen.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
 from datagen.generate import generate
 from datagen.schema import decode_depth
 from datagen.storage import Dataset
-from obpose.creation import learn
-from obpose.creation.flow import PATCH, Flow
+from obpose.creation import examples, learn
+from obpose.creation.flow import VALUES, Flow
 from obpose.creation.flow_prior import load_flow, save_flow
+from obpose.creation.light import no_light
 from obpose.creation.origin import load_origin, origin_of
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import ClipName
@@ -186,10 +187,10 @@ def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
     flow = Flow(latent=origin.model.config.model.latent.what)
     with torch.no_grad():
         # Dense wherever its grids are.
-        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(PATCH**3))
+        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(VALUES // 4))
         flow.patch_out.weight.zero_()
         flow.size_mean.fill_(math.log(0.05))
-    save_flow(origin, flow)
+    save_flow(origin, flow, no_light()[None])
     for out in ("one", "again"):
         assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
     assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK
@@ -204,7 +205,7 @@ def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
 def test_a_flow_is_learned_beside_the_weights(
     own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(learn, "STEPS", 1)
+    monkeypatch.setattr(examples, "STEPS", 1)
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 4)
     data = tmp_path / "data"
     generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))

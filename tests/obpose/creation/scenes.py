@@ -35,13 +35,14 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
         rotation=rotation * torch.linalg.det(rotation)[..., None, None],
         background=draw(frames, 32),
         detail=draw(*no_detail(objects, above).shape),
+        alone=torch.zeros(objects),
         cameras=(CAMERA,),
         model=model,
         checkpoint="somewhere",
     )
 
 
-_NAMES = ("what", "center", "rotation", "detail", "background")
+_NAMES = ("what", "center", "rotation", "detail", "alone", "background")
 
 
 def equal(one: Scene, other: Scene) -> bool:

@@ -2,8 +2,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from obpose.creation.flow import SIZE_WEIGHT, Flow, describe, flow_loss, mirrored, sample_grids
-from obpose.creation.grids import COLOUR_LIMIT, DENSITY_LIMIT, EDGE, Grids
+from obpose.creation.flow import SIZE_WEIGHT, TOKENS, VALUES, Flow, describe, flow_loss, mirrored, sample_grids
+from obpose.creation.grids import COLOUR_LIMIT, DENSITY_LIMIT, Grids
+from obpose.nerf.detail import EDGE
 
 
 def some_grids(count: int = 3, seed: int = 0) -> Grids:
@@ -38,18 +39,18 @@ def test_decoding_is_the_inverse_of_encoding():
     torch.testing.assert_close(again.half, grids.half)
 
 
-def test_a_patch_is_a_cube_of_neighbours():
+def test_a_patch_is_a_block_of_neighbours():
     flow, grids = some_flow(), some_grids(1)
     patches, _ = flow.encode(grids)
-    grids.values[0, 4:8, 0:4, 8:12] += 1
+    grids.values[0, 8:16, 0:4, 8:12] += 1
     changed = (flow.encode(grids)[0] != patches).any(dim=-1)[0]
-    # Patches are counted x, y, z, three along each.
-    assert changed.nonzero()[:, 0].tolist() == [1 * 9 + 0 * 3 + 2]
+    # Patches are counted x, y, z, two and twice four of them.
+    assert changed.nonzero()[:, 0].tolist() == [1 * 16 + 0 * 4 + 2]
 
 
 def test_what_is_decoded_is_within_the_limits_of_logits():
     flow = some_flow()
-    grids = flow.decode(9 * torch.ones(1, 27, 256), torch.zeros(1))
+    grids = flow.decode(9 * torch.ones(1, TOKENS, VALUES), torch.zeros(1))
     assert grids.values[0, 0, 0, 0].tolist() == [DENSITY_LIMIT] + 3 * [COLOUR_LIMIT]
 
 
@@ -89,11 +90,11 @@ def test_the_time_and_every_patch_and_the_size_matter():
     flow = some_flow()
     with torch.no_grad():
         flow.modulation.weight.normal_(std=0.1)
-    patches, size, time = torch.randn(1, 27, 256), torch.randn(1), torch.tensor([0.3])
+    patches, size, time = torch.randn(1, TOKENS, VALUES), torch.randn(1), torch.tensor([0.3])
     before = flow(patches, size, time)[0]
     assert not torch.allclose(flow(patches, size, time + 0.3)[0], before)
     assert not torch.allclose(flow(patches, size + 1, time)[0], before)
-    patches[0, 26] += 1
+    patches[0, -1] += 1
     assert (flow(patches, size, time)[0] - before).abs().amax(dim=-1).min() > 0
 
 

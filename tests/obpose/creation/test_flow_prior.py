@@ -5,13 +5,15 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from obpose.creation.flow import Flow
+from obpose.creation.flow import WIDTH, Flow
 from obpose.creation.flow_prior import has_flow, load_flow, save_flow
 from obpose.creation.origin import Origin, load_origin
 from obpose.creation.prior import learned_prior, save_prior
 from obpose.errors import CorruptFile, UsageError
 from obpose.shipped import shipped_names
 from tests.obpose.creation.scenes import some_model
+
+LIGHTS = torch.tensor([[0.0, 0.6, 0.8, 0.5], [0.0, 0.0, 0.0, 0.0]])
 
 
 @pytest.fixture
@@ -32,18 +34,19 @@ def test_a_stored_flow_is_the_same_in_half_precision(origin: Origin):
     with pytest.raises(UsageError, match="make one with obpose-edit learn"):
         load_flow(origin)
     flow = some_flow()
-    path = save_flow(origin, flow)
+    path = save_flow(origin, flow, LIGHTS)
     assert has_flow(origin)
     found = load_flow(origin)
     for name, value in flow.state_dict().items():
         assert torch.equal(found.flow.state_dict()[name], value.half().float())
     assert path.stat().st_size < 7_000_000
     assert not any(parameter.requires_grad for parameter in found.flow.parameters())
+    assert torch.equal(found.lights, LIGHTS)
     torch.testing.assert_close(found.low, learned_prior(origin.model).low)
 
 
 def test_a_flow_is_of_the_weights_that_found_its_objects(origin: Origin):
-    save_flow(origin, some_flow())
+    save_flow(origin, some_flow(), LIGHTS)
     other = replace(origin, hash="another")
     save_prior(other, learned_prior(origin.model))
     with pytest.raises(CorruptFile, match="is of other weights than those beside it; make it again"):
@@ -51,23 +54,32 @@ def test_a_flow_is_of_the_weights_that_found_its_objects(origin: Origin):
 
 
 def test_damaged_flows_are_refused(origin: Origin):
-    path = save_flow(origin, some_flow(latent=31))
+    path = save_flow(origin, some_flow(latent=31), LIGHTS)
     with pytest.raises(CorruptFile, match="is damaged, or of another version"):
         load_flow(origin)
-    save_flow(origin, some_flow())
+    save_flow(origin, some_flow(), LIGHTS)
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(CorruptFile, match="is damaged, or of another version"):
         load_flow(origin)
-    save_flow(origin, some_flow())
+    save_flow(origin, some_flow(), LIGHTS)
     values = load_file(path)
-    values["norm.weight"][3] = torch.inf
+    for name, change in (
+        ("norm.weight", torch.full((WIDTH,), torch.inf)),
+        ("lights", torch.tensor([[1.0, 1.0, 0.0, 0.5]])),
+        ("lights", torch.zeros(0, 4)),
+        ("lights", torch.zeros(4)),
+    ):
+        save_file(values | {name: change}, path, metadata={"weights": origin.hash})
+        with pytest.raises(CorruptFile, match="is damaged; make it again"):
+            load_flow(origin)
+    del values["lights"]
     save_file(values, path, metadata={"weights": origin.hash})
-    with pytest.raises(CorruptFile, match="is damaged; make it again"):
+    with pytest.raises(CorruptFile, match="is damaged, or of another version"):
         load_flow(origin)
 
 
 def test_it_needs_the_prior_of_all_else(origin: Origin):
-    save_flow(origin, some_flow())
+    save_flow(origin, some_flow(), LIGHTS)
     (origin.folder / "prior.safetensors").unlink()
     with pytest.raises(UsageError, match=r"has no prior\.safetensors"):
         load_flow(origin)

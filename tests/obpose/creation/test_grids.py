@@ -2,12 +2,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor
 
-from obpose.creation.grids import COLOUR_LIMIT, DENSITY_LIMIT, EDGE, Grids, as_details, facing, grids_of
+from obpose.creation.grids import COLOUR_LIMIT, DENSITY_LIMIT, Grids, facing, grids_of, together
 from obpose.creation.rendering import conditioning
 from obpose.creation.scene import Camera, Scene, upright
 from obpose.model import ObPose
+from obpose.nerf.detail import EDGE
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
 
@@ -51,13 +51,13 @@ def test_the_first_axis_points_to_the_camera_and_the_last_one_up():
 def test_a_grid_is_as_large_as_its_object_and_holds_its_logits():
     model, scene = lopsided()
     grids = grids_of(model, scene, 0)
-    # Middles of voxels of 12.5 mm between lattice points of 13.3 mm, 9 to 14, and 15 mm around them.
-    assert float(grids.half[0]) == pytest.approx(0.015 + 0.5 * 6 * 0.0125, abs=0.0126)
-    assert grids.values[0, 5:7, 5:7, 5:7, 0].min() == DENSITY_LIMIT
+    # Lattice points of 13.3 mm, 9 to 14, are dense, and a part of the cell around them; then a point that is not.
+    assert float(grids.half[0]) * (EDGE - 3) / (EDGE - 1) == pytest.approx(0.5 * 6 * 0.2 / 15, abs=0.0067)
+    assert grids.values[0, 7:9, 7:9, 7:9, 0].min() == DENSITY_LIMIT
     outer = torch.ones(EDGE, EDGE, EDGE, dtype=torch.bool)
     outer[1:-1, 1:-1, 1:-1] = False
     assert grids.values[0, ..., 0][outer].max() == -DENSITY_LIMIT
-    assert (grids.values[0, 6, 6, 8:, 1] > grids.values[0, 6, 6, 3, 1] + 1).all()
+    assert (grids.values[0, 8, 8, 11:14, 1] > grids.values[0, 8, 8, 4, 1] + 1).all()
     assert grids.values[..., 1:].abs().max() <= COLOUR_LIMIT
 
 
@@ -93,7 +93,7 @@ def test_nothing_is_dense_below_the_table():
     # A half ball of 6 cm: its middle is 3 cm high, and the grid as wide as the ball.
     middle = 0.03
     assert (grids.values[0, :, :, height + middle < -0.007, 0] == -DENSITY_LIMIT).all()
-    assert (grids.values[0, 5:7, 5:7, (height + middle > 0.01) & (height + middle < 0.05), 0] == DENSITY_LIMIT).all()
+    assert (grids.values[0, 7:9, 7:9, (height + middle > 0.01) & (height + middle < 0.05), 0] == DENSITY_LIMIT).all()
 
 
 def test_objects_that_are_nowhere_are_left_out():
@@ -106,32 +106,29 @@ def test_objects_that_are_nowhere_are_left_out():
     assert grids_of(model, scene, 0).values.shape == (0, EDGE, EDGE, EDGE, 4)
 
 
-def logits(model: ObPose, what: Tensor, detail: Tensor) -> Tensor:
-    """At the lattice of the box."""
-    steps = torch.linspace(-1, 1, 16)
-    points, codes = torch.cartesian_prod(steps, steps, steps), conditioning(model, what, detail)
-    with torch.no_grad():
-        density, hidden = model.object_field.density(points, codes)
-        colour = model.object_field.colour(hidden, SIGHT.expand_as(points), codes)
-    return torch.cat([density[:, None], torch.logit(colour)], dim=-1).unflatten(0, (16, 16, 16))
-
-
-def test_a_code_with_such_a_detail_is_what_the_grid_holds():
-    """Values that are linear in the place, which interpolation keeps."""
+def test_a_grid_alone_is_the_object_that_it_is_of():
+    """Its logits at the grid's points, whatever the code; here the box's middle is the grid's."""
     model, what = some_model(), torch.randn(32, generator=torch.Generator().manual_seed(0))
-    steps = torch.linspace(-1, 1, EDGE)
-    ramp = steps[:, None, None] + 2 * steps[:, None] - 1.5 * steps
-    values = torch.stack([ramp, 0.3 * ramp, 0.2 * ramp, -0.4 * ramp], dim=-1)
-    half = torch.tensor([0.06, 0.1])
-    details = as_details(model, Grids(values.expand(2, -1, -1, -1, -1), half), what, SIGHT)
-    box = torch.linspace(-0.1, 0.1, 16)
-    for place in range(2):
-        found, at = logits(model, what, details[place]), box / half[place]
-        inside = at.abs() <= 1 + 1e-5
-        block = found[inside][:, inside][:, :, inside]
-        at = at[inside]
-        expected = at[:, None, None] + 2 * at[:, None] - 1.5 * at
-        torch.testing.assert_close(block[..., 0], expected, atol=1e-4, rtol=0)
-        torch.testing.assert_close(block[..., 3], -0.4 * expected, atol=1e-4, rtol=0)
-        beyond = found[~inside][..., 0]
-        torch.testing.assert_close(beyond, torch.full_like(beyond, -DENSITY_LIMIT), atol=1e-4, rtol=0)
+    model.object_field = BallField(0.6, latent=32)
+    scene = replace(some_scene(objects=1, frames=1), detail=torch.zeros(1, 16, 16, 16, 4))
+    scene = replace(scene, center=torch.tensor([[[0.0, 0.0, HIGH]]]), cameras=(beside(1.0, 0.0, 1.0),))
+    grids = grids_of(model, scene, 0)
+    steps = torch.linspace(-1, 1, EDGE) * float(grids.half[0]) / 0.1
+    points = torch.cartesian_prod(steps, steps, steps)
+    before = some_model()
+    codes = conditioning(before, what, grids.values[0], grids.half[0] / 0.1)
+    with torch.no_grad():
+        density, hidden = before.object_field.density(points, codes)
+        colour = before.object_field.colour(hidden, SIGHT.expand_as(points), codes)
+    found = torch.cat([density[:, None], torch.logit(colour)], dim=-1).view(EDGE, EDGE, EDGE, 4)
+    torch.testing.assert_close(found, grids.values[0], atol=1e-4, rtol=0)
+    inside = points.norm(dim=-1) < 0.6 - 0.1
+    assert (density[inside] == DENSITY_LIMIT).all()
+
+
+def test_grids_are_taken_apart_and_put_together():
+    grids = Grids(torch.randn(3, EDGE, EDGE, EDGE, 4), torch.rand(3))
+    some = together([grids.apart()[2], grids.take(torch.tensor([0, 1]))], like=grids.half)
+    assert torch.equal(some.values, grids.values[[2, 0, 1]])
+    assert torch.equal(some.half, grids.half[[2, 0, 1]])
+    assert together([], like=grids.half).values.shape == (0, EDGE, EDGE, EDGE, 4)

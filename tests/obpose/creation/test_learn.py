@@ -8,7 +8,7 @@ from safetensors.torch import load_file
 
 import assets
 from datagen.generate import generate
-from obpose.creation import learn
+from obpose.creation import examples, learn
 from obpose.creation.flow import Flow, mirrored
 from obpose.creation.flow_prior import load_flow
 from obpose.creation.grids import Grids
@@ -30,7 +30,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(learn, "STEPS", 1)
+    monkeypatch.setattr(examples, "STEPS", 1)
     monkeypatch.setattr(learn, "BATCH", 4)
     monkeypatch.setattr(learn, "SAVE_STEPS", 2)
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 6)
@@ -109,7 +109,7 @@ def test_what_was_begun_otherwise_or_is_damaged_is_refused(data: Path, tmp_path:
 
 
 def test_the_nearest_of_others_may_be_a_mirror_image():
-    flow, grids = Flow(latent=2), Grids(torch.randn(6, 12, 12, 12, 4), torch.ones(6))
+    flow, grids = Flow(latent=2), Grids(torch.randn(6, 16, 16, 16, 4), torch.ones(6))
     three = Grids(grids.values[:3], grids.half[:3])
     assert nearest(flow, three, grids) == pytest.approx(0, abs=1e-3)
     assert nearest(flow, mirrored(three, torch.ones(3)), grids) == pytest.approx(0, abs=1e-3)

@@ -8,7 +8,7 @@ from obpose.creation.extent import shape_extent
 from obpose.creation.flow import Flow, sample_grids
 from obpose.creation.flow_prior import FlowPrior
 from obpose.creation.found import FoundObjects, find_objects
-from obpose.creation.grids import EDGE, Grids, facing
+from obpose.creation.grids import Grids, facing
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior
@@ -17,11 +17,13 @@ from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.model import ObPose
+from obpose.nerf.detail import EDGE
 from obpose.nerf.field import Conditioning
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
 from tests.obpose.scenes import table_scene
 
+LIGHTS = torch.tensor([[0.0, 0.6, 0.8, 0.5], [0.6, 0.0, 0.8, 0.6]])
 RADIUS = 0.4
 """Of the balls, in half edges of the box of 20 cm."""
 
@@ -103,7 +105,14 @@ def found(*, objects: int = 3) -> FoundObjects:
     """Balls with details and rotations of their own."""
     scene = some_scene(objects=objects)
     corner = torch.tensor([0.5, 0.5])
-    parts = (scene.what[0], scene.rotation[0], 0.01 * (1 + torch.arange(objects)), scene.detail, scene.background)
+    parts = (
+        scene.what[0],
+        scene.rotation[0],
+        0.01 * (1 + torch.arange(objects)),
+        scene.detail,
+        scene.background,
+        LIGHTS,
+    )
     return FoundObjects(*parts, low=-corner, high=corner)
 
 
@@ -123,28 +132,34 @@ class Known(Flow):
 
 def flow_prior(flow: Flow, model: ObPose) -> FlowPrior:
     rest = learned_prior(model)
-    return FlowPrior(flow, rest.background, rest.low, rest.high)
+    return FlowPrior(flow, LIGHTS, rest.background, rest.low, rest.high)
 
 
 def test_objects_of_a_flow_stand_on_the_table_and_face_the_camera():
     model = some_model()
     of, edge = Origin(model, Path("folder"), "name", "hash"), 0.12
-    source = flow_prior(Known(edge), model)
+    known = Known(edge)
+    source = flow_prior(known, model)
     draw = lambda: sample_scene(  # noqa: E731
         of, source, objects=4, cameras=(CAMERA,), generator=torch.Generator().manual_seed(0)
     )
     scene = draw()
     assert torch.equal(draw().center, scene.center)
     assert torch.equal(scene.what[0], source.flow.code.expand(4, -1))
-    # Points of the lattice are 11 mm apart; what is dense begins half a step below the first, in the middle.
-    assert (scene.center[0, :, 2]).abs().max() < 0.007
+    only = known.decode(known.patches, known.size).values
+    torch.testing.assert_close(scene.detail, only.expand(4, -1, -1, -1, -1))
+    torch.testing.assert_close(scene.alone, torch.full((4,), edge / 0.2))
+    # Points of the lattice are 8 mm apart; what is dense begins half a step below the first, in the middle.
+    assert (scene.center[0, :, 2]).abs().max() < 0.005
     for place in range(4):
         camera = CAMERA.world_from_camera[:3, 3]
         torch.testing.assert_close(scene.rotation[0, place], facing(scene.center[0, place], camera))
-        extent = shape_extent(model, conditioning(model, scene.what[0, place], scene.detail[place]), torch.eye(3))
+        codes = conditioning(model, scene.what[0, place], scene.detail[place], scene.alone[place])
+        extent = shape_extent(model, codes, torch.eye(3))
         low, high = extent.amin(dim=0), extent.amax(dim=0)
-        assert (high - torch.tensor([0.038, 0.038, 0.038])).abs().max() < 0.007
-        assert (low - torch.tensor([-0.038, -0.038, 0.0])).abs().max() < 0.007
+        # Middles of voxels of 7.5 mm within 48 mm.
+        assert (high - torch.tensor([0.044, 0.044, 0.044])).abs().max() < 0.004
+        assert (low - torch.tensor([-0.044, -0.044, 0.0])).abs().max() < 0.004
 
 
 def test_objects_of_a_flow_that_are_nowhere_are_drawn_again(monkeypatch: pytest.MonkeyPatch):
@@ -171,7 +186,8 @@ def test_found_objects_are_what_they_were_with_their_details():
         # Turned about the vertical: what was level, or up, stays so.
         turn = scene.rotation[0, place] @ source.rotation[same[0]].T
         torch.testing.assert_close(turn[2], torch.tensor([0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
-    assert (source.background == scene.background[0]).all(dim=1).any()
+    ((at,),) = (source.background == scene.background[0]).all(dim=1).nonzero()
+    assert torch.equal(scene.light, source.light[at])
 
 
 def test_what_found_objects_have_below_the_table_needs_no_room():
@@ -192,7 +208,7 @@ def test_extents_are_those_of_fields_with_their_details():
     detail = torch.zeros(16, 16, 16, 4)
     detail[:, :, 8:, 0] = -100.0
     whole, lower = (
-        shape_extent(model, conditioning(model, code, some), torch.eye(3))
+        shape_extent(model, conditioning(model, code, some, torch.zeros(())), torch.eye(3))
         for some in (torch.zeros_like(detail), detail)
     )
     assert whole[:, 2].max() > 0.09

@@ -3,6 +3,7 @@ import pytest
 import torch
 from scipy.interpolate import RegularGridInterpolator
 
+from obpose.nerf.compose import OUTSIDE
 from obpose.nerf.detail import EDGE, Detail, no_detail, roughness
 from obpose.nerf.field import Field
 from tests.obpose.analytic_fields import SMALL
@@ -91,3 +92,29 @@ def test_without_corrections_a_field_is_what_it_was():
     assert torch.equal(logits, same)
     assert hidden.correction is None
     assert torch.equal(field.colour(hidden, at, codes), field.colour(corrected, at, zero))
+
+
+def test_a_lattice_alone_is_a_smaller_cube_around_the_middle_and_nothing_beyond():
+    lattices, at, edge = some(2), points(200), torch.tensor([0.4, 0.0], dtype=torch.float64)
+    found = Detail(lattices, torch.tensor(0), edge).of(at)
+    inside = at.abs().amax(dim=-1) <= 0.4
+    assert 0 < inside.sum() < 100
+    torch.testing.assert_close(found[inside], of(lattices, at[inside] / 0.4))
+    assert (found[~inside, 0] == OUTSIDE).all()
+    torch.testing.assert_close(found[~inside, 1:], of(lattices, at[~inside] / 0.4)[:, 1:])
+    torch.testing.assert_close(Detail(lattices, torch.tensor(1), edge).of(at), of(lattices[1:], at))
+
+
+def test_where_a_lattice_is_alone_the_field_does_not_matter():
+    torch.manual_seed(0)
+    field, at, code = Field(SMALL, 5).double(), points(40), torch.randn(2, 5, dtype=torch.float64)
+    lattices, owner = some(2), torch.arange(40) % 2
+    detail = Detail(lattices, torch.arange(2), torch.tensor([1.0, 0.0], dtype=torch.float64))
+    plain, codes = field.condition(code).at(owner), field.condition(code).corrected(detail).at(owner)
+    (logits, hidden), (own, _) = field.density(at, codes), field.density(at, plain)
+    added = Detail(lattices, torch.arange(2)).at(owner).of(at)
+    alone = owner == 0
+    torch.testing.assert_close(logits, added[:, 0] + torch.where(alone, 0.0, own))
+    colours = torch.logit(field.colour(hidden, at, codes))
+    torch.testing.assert_close(colours[alone], added[alone, 1:])
+    assert not torch.allclose(colours[~alone], added[~alone, 1:], atol=1e-3)

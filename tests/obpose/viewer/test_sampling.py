@@ -4,8 +4,9 @@ from pathlib import Path
 
 import torch
 
-from obpose.creation.flow import PATCH, Flow
+from obpose.creation.flow import VALUES, Flow
 from obpose.creation.flow_prior import save_flow
+from obpose.creation.light import no_light
 from obpose.creation.origin import Origin
 from obpose.creation.prior import Mixture, learned_prior, save_prior
 from obpose.viewer.sampling import Sampler
@@ -32,10 +33,10 @@ def test_scenes_are_of_the_best_prior_that_there_is(tmp_path: Path):
     torch.manual_seed(0)
     flow = Flow(latent=32)
     with torch.no_grad():
-        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(PATCH**3))
+        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(VALUES // 4))
         flow.patch_out.weight.zero_()
         flow.size_mean.fill_(math.log(0.05))
-    save_flow(origin, flow)
+    save_flow(origin, flow, no_light()[None])
     assert Sampler(origin).next(1, (CAMERA,)).detail.any()
 
 

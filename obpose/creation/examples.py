@@ -1,0 +1,99 @@
+"""What a flow learns from: objects as a model finds them in clips; what was found in a clip is kept in a file."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from torch import Tensor
+
+from datagen.parallel import make_all
+from obpose.creation.clip import read_clip
+from obpose.creation.grids import Grids, grids_of, together
+from obpose.creation.infer import infer_scene
+from obpose.creation.origin import Origin, load_origin
+from obpose.creation.refine import STEPS
+from obpose.creation.scene import Scene
+from obpose.errors import CorruptFile
+from obpose.files import write_whole
+from obpose.model import ObPose
+
+FRAMES = 6
+"""Of a clip, at most: objects that move are seen from several sides."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Examples:
+    """Of a clip."""
+
+    grids: Grids
+    """Of its objects in some frames."""
+    what: Float[Tensor, "object what"]
+    """Codes of the last frame."""
+    light: Float[Tensor, "4"]
+    """That which was found (`obpose.creation.light`)."""
+
+
+def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, workers: int, say: Say) -> list[Examples]:
+    """Of the first so many training clips of a dataset; those of which there are files are not looked at again.
+
+    Args:
+        origin: The model that finds the objects.
+        data: Folder of the dataset.
+        folder: Where the files are.
+        clips: How many.
+        workers: Processes that look for objects.
+        say: Is told how it goes.
+
+    Raises:
+        CorruptFile: a file is damaged.
+        UsageError: there are not so many clips.
+    """
+    paths = [folder / f"clip-{index:05d}.safetensors" for index in range(clips)]
+    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    say(f"Looking for objects in {len(missing)} clips of {data}.")
+    look = partial(_find_in, str(origin.folder), data)
+    for number, (index, contents) in enumerate(make_all(look, [("train", i) for i in missing], workers), start=1):
+        write_whole(paths[index], contents)
+        if number % 20 == 0:
+            say(f"{number} of {len(missing)} clips")
+    return [_read(path) for path in paths]
+
+
+def joined(examples: list[Examples]) -> Grids:
+    """Grids of all clips."""
+    return together([each.grids for each in examples], like=torch.zeros(0))
+
+
+def examples_of(model: ObPose, scene: Scene) -> bytes:
+    """Contents of the file of a scene that was found in a clip."""
+    frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().int().tolist()
+    grids = together([grids_of(model, scene, frame) for frame in frames], like=scene.what)
+    tensors = {"values": grids.values.half(), "half": grids.half, "what": scene.what[-1], "light": scene.light}
+    return save({name: value.contiguous() for name, value in tensors.items()})
+
+
+@cache
+def _known(checkpoint: str) -> Origin:
+    return load_origin(checkpoint)
+
+
+def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, bytes]:
+    """The clip's place, and contents of its file."""
+    origin = _known(checkpoint)
+    scene = infer_scene(origin, read_clip(data, split, index), refinements=STEPS)
+    return index, examples_of(origin.model, scene)
+
+
+def _read(path: Path) -> Examples:
+    try:
+        tensors = load(path.read_bytes())
+        return Examples(Grids(tensors["values"].float(), tensors["half"]), tensors["what"], tensors["light"])
+    except (SafetensorError, KeyError):
+        raise CorruptFile(f"{path} is damaged; delete it, and run the same command again.") from None
