@@ -11,13 +11,14 @@ from obpose.nerf.voxels import lattice_points, occupancy
 
 LEAST_VOXELS = 8
 """Objects of fewer of these voxels are hardly anywhere: in boxes of 20 cm it is a cube of 25 mm."""
-_CELLS = 16
+CELLS = 16
+"""Voxels along each edge of a box."""
 
 
 @torch.no_grad()
 def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
     """Middles of the voxels that the object of a single code is in, in its box."""
-    lattice = lattice_points(_CELLS, None, codes.first)
+    lattice = lattice_points(CELLS, None, codes.first)
     logits, _ = model.object_field.density(lattice, codes)
     return lattice[occupancy(logits) > model.config.model.voxel_threshold]
 
