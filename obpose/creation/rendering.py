@@ -111,10 +111,17 @@ class Renderer:
         meet.
         """
         config = self.model.config.model
-        quadrature = {"step": config.spacing / _STEPS, "sigma_max": _OPAQUE / config.spacing}
-        quadrature |= {"threshold": config.voxel_threshold, "floor": config.table}
         ways = [
-            thickness_towards(objects, surface + config.spacing * beam, beam, **quadrature) for beam in beams(toward)
+            thickness_towards(
+                objects,
+                surface + config.spacing * beam,
+                beam,
+                step=config.spacing / _STEPS,
+                sigma_max=_OPAQUE / config.spacing,
+                floor=config.table,
+                threshold=config.voxel_threshold,
+            )
+            for beam in beams(toward)
         ]
         return -torch.expm1(-torch.stack(ways)).mean(dim=0)
 

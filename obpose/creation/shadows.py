@@ -116,7 +116,7 @@ def _shown(model: ObPose, observation: Observation, scene: Scene, frames: list[i
 
 
 def _voxels(model: ObPose, scene: Scene, frames: list[int]) -> _Voxels:
-    points, owners, size, table = [], [], model.config.model.pose.box_size, model.config.model.table
+    points, owners, size, table = [], [], model.config.model.pose.box_size, model.config.model.table or 0.0
     for frame in frames:
         for place in range(len(scene.ids)):
             codes = conditioning(model, scene.what[frame, place], scene.detail[place])
