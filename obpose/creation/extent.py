@@ -11,7 +11,8 @@ from obpose.nerf.voxels import lattice_points, occupancy
 
 LEAST_VOXELS = 8
 """Objects of fewer of these voxels are hardly anywhere: in boxes of 20 cm it is a cube of 25 mm."""
-_CELLS = 16
+CELLS = 16
+"""Voxels along each edge of a box, or of what an object's detail is alone in."""
 
 
 @torch.no_grad()
@@ -20,7 +21,7 @@ def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
 
     Voxels are parts of the box, or of what an object's detail is alone in.
     """
-    lattice = lattice_points(_CELLS, None, codes.first)
+    lattice = lattice_points(CELLS, None, codes.first)
     if codes.detail is not None and codes.detail.alone is not None:
         lattice = lattice * codes.detail.alone
         lattice = lattice[(lattice.abs() <= 1).all(dim=-1)]

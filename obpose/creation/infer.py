@@ -1,6 +1,6 @@
 """From RGB-D frames to a scene."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from jaxtyping import Int
 from torch import Tensor
@@ -9,6 +9,7 @@ from obpose.clips import clip_part
 from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.creation.scene import Camera, Scene
+from obpose.creation.shadows import find_light
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
 from obpose.resolution import fitting_model
@@ -28,7 +29,8 @@ def infer_scene(origin: Origin, observation: Observation, *, refinements: int = 
     """The scene of a batch of one clip, with the posterior means of its latents, as it is segmented.
 
     Of several views the model gets what it was trained with, all or the first; the scene has the cameras of all.
-    It is then fitted to these views in so many steps (`obpose.creation.refine`).
+    It is then fitted to these views in so many steps (`obpose.creation.refine`), and its light is looked for
+    (`obpose.creation.shadows`); without steps, which is the paper's inference, it has none.
     """
     return infer_labelled(origin, observation, refinements=refinements).scene
 
@@ -39,16 +41,21 @@ def infer_labelled(origin: Origin, observation: Observation, *, refinements: int
     observation = views_as_trained(origin.model, observation)
     model = fitting_model(origin.model, observation)
     found = model.segment(observation)
-    scene = scene_of(found.inference, cameras, origin)
-    if refinements:
-        scene = refine(model, observation, scene, steps=refinements)
+    scene = _fitted(model, observation, scene_of(found.inference, cameras, origin), refinements)
     return Inferred(scene, found.labels[0])
 
 
 def fit_to_frames(scene: Scene, model: ObPose, observation: Observation, *, refinements: int) -> Scene:
     """What `infer_scene` comes to with refinements, from what it comes to without."""
     observation = views_as_trained(model, observation)
-    return refine(fitting_model(model, observation), observation, scene, steps=refinements)
+    return _fitted(fitting_model(model, observation), observation, scene, refinements)
+
+
+def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: int) -> Scene:
+    if not refinements:
+        return scene
+    scene = refine(model, observation, scene, steps=refinements)
+    return replace(scene, light=find_light(model, observation, scene))
 
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:

@@ -82,6 +82,11 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     return replace(scene, what=what, background=background, center=center, detail=detail)
 
 
+def fields_of(model: ObPose, scene: Scene) -> Callable[..., Decoded]:
+    """Densities and colours of the scene's components, at points along rays of each frame (`decode`)."""
+    return _decoding(model, scene, _Leaves(scene.what, scene.background, scene.center, scene.detail))
+
+
 def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Decoded]:
     """The scene's fields."""
     frames, objects = scene.what.shape[:2]

@@ -1,4 +1,4 @@
-"""Pictures of scenes: colour, depth and soft segmentation from any camera."""
+"""Pictures of scenes: colour, depth and soft segmentation from any camera, with the shadows of a known light."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,12 +10,13 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from obpose.creation.light import Light, beams, strength
 from obpose.creation.scene import Camera, Scene
 from obpose.geometry import camera_rays
 from obpose.model import ObPose
 from obpose.nerf.detail import Detail
 from obpose.nerf.field import Conditioning
-from obpose.nerf.marching import Component, Picture, make_component, march, moved
+from obpose.nerf.marching import Component, Picture, make_component, march, moved, thickness_towards
 
 _OPAQUE = 5.0
 """Optical thickness of as much of an opaque thing as lies between the surface points of neighbouring pixels. The
@@ -28,6 +29,8 @@ _OUTLINE = 0.1
 """Outlines are where the share of a component differs by more than this between neighbours."""
 _KEPT = 256
 """Components that are remembered."""
+_LEAST_LIGHT = 1e-2
+"""Share of a pixel's light that the background has at least where its shadows are looked for."""
 _OBJECT_CELLS = 16
 _FINE_CELLS = 32
 """Of objects whose detail is alone, and may be thinner than the others' cells."""
@@ -70,18 +73,59 @@ class Renderer:
         components, direction = self.components(scene, frame), _directions(camera).flatten(0, 1)
         picture = self._march(components, direction, camera)
         size = (camera.height, camera.width)
-        rgb, shares = picture.colour, picture.weights.unflatten(1, size)
+        rgb, shares = self._lit(picture, scene.light, components, direction, camera), picture.weights.unflatten(1, size)
         if antialiased:
             at = outlines(shares).flatten().nonzero()[:, 0]
             finer = _directions(camera.resized(camera.width * _ACROSS, camera.height * _ACROSS))
             several = rearrange(finer, "(h y) (w x) c -> (h w) (y x) c", y=_ACROSS, x=_ACROSS)[at]
-            seen = self._march(components, several.flatten(0, 1), camera).colour
+            finer_picture = self._march(components, several.flatten(0, 1), camera)
+            seen = self._lit(finer_picture, scene.light, components, several.flatten(0, 1), camera)
             rgb = rgb.index_copy(0, at, seen.unflatten(0, several.shape[:2]).mean(dim=1))
         return Image(rgb=rgb.clamp(0, 1).unflatten(0, size), depth=picture.depth.unflatten(0, size), shares=shares)
 
     def _march(self, components: list[Component], direction: Float[Tensor, "ray 3"], camera: Camera) -> Picture:
         origin = camera.world_from_camera[:3, 3].expand_as(direction)
         return march(components, origin, direction, floor=self.model.config.model.table, **self.quadrature(camera))
+
+    def _lit(
+        self,
+        picture: Picture,
+        light: Light,
+        components: list[Component],
+        direction: Float[Tensor, "ray 3"],
+        camera: Camera,
+    ) -> Float[Tensor, "ray 3"]:
+        """Colours with the background in shadow where objects are between it and the light."""
+        share = picture.weights[0]
+        lit = (share > _LEAST_LIGHT).nonzero()[:, 0]
+        if not strength(light) or len(components) == 1 or not len(lit):
+            return picture.colour
+        surface = camera.world_from_camera[:3, 3] + (picture.depths[0] / share)[lit, None] * direction[lit]
+        lost = strength(light) * self.occlusion(components[1:], surface, light[:3])
+        return picture.colour.index_add(0, lit, -lost[:, None] * picture.colours[0, lit])
+
+    def occlusion(
+        self, objects: list[Component], surface: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]
+    ) -> Float[Tensor, "point"]:
+        """Share of the light that does not arrive at points of the background, as objects are in the way.
+
+        What is nearer to a point than pixels of training lie apart does not count: it is the noise of where the two
+        meet.
+        """
+        config = self.model.config.model
+        ways = [
+            thickness_towards(
+                objects,
+                surface + config.spacing * beam,
+                beam,
+                step=config.spacing / _STEPS,
+                sigma_max=_OPAQUE / config.spacing,
+                floor=config.table,
+                threshold=config.voxel_threshold,
+            )
+            for beam in beams(toward)
+        ]
+        return -torch.expm1(-torch.stack(ways)).mean(dim=0)
 
     def quadrature(self, camera: Camera) -> dict[str, Any]:
         """Between which depths rays are sampled, how densely, and what counts as opaque, for a camera."""
@@ -108,7 +152,11 @@ class Renderer:
             code.numpy().tobytes(),
             lambda: make_component(field, field.condition(code), **fixed, bounded=False, resolution=_BACKGROUND_CELLS),
         )
-        return [background, *(self._object(scene, frame, place) for place in range(len(scene.ids)))]
+        return [background, *self.objects(scene, frame)]
+
+    def objects(self, scene: Scene, frame: int) -> list[Component]:
+        """The objects alone, which is quicker where nothing is remembered."""
+        return [self._object(scene, frame, place) for place in range(len(scene.ids))]
 
     def _object(self, scene: Scene, frame: int, place: int) -> Component:
         model = self.model

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from jaxtyping import Float
 from torch import Tensor
 
+from obpose.creation.light import no_light
 from obpose.errors import UsageError
 
 
@@ -70,6 +71,8 @@ class Scene:
     """Where these weights were: a folder, or the name of weights that ship with this package."""
     clip: ClipName | None = None
     """That it was inferred from, edited since or not; None where it was sampled, or nobody knows."""
+    light: Float[Tensor, "4"] = field(default_factory=no_light)
+    """What casts shadows on the background (`obpose.creation.light`)."""
 
     @property
     def frames(self) -> int:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
+from obpose.creation.light import is_light, no_light
 from obpose.creation.pictures import PICTURE, Picture, write_png
 from obpose.creation.scene import Camera, ClipName, Scene
 from obpose.errors import CorruptFile, UsageError
@@ -71,6 +72,7 @@ def _write(folder: Path, scene: Scene) -> None:
         "detail": scene.detail,
         "alone": scene.alone,
         "background": scene.background,
+        "light": scene.light,
         "k": torch.stack([camera.k for camera in scene.cameras]),
         "world_from_camera": torch.stack([camera.world_from_camera for camera in scene.cameras]),
     }
@@ -111,8 +113,9 @@ def _assemble(facts: dict, tensors: dict[str, torch.Tensor]) -> Scene:
         ),
         model=str(facts["model"]),
         checkpoint=str(facts["checkpoint"]),
-        # Scenes of older versions do not say it.
+        # Scenes of older versions do not say it, and have no light.
         clip=_clip(facts["clip"]) if "clip" in facts else None,
+        light=tensors.get("light", no_light()),
     )
 
 
@@ -137,14 +140,15 @@ def _is_whole(scene: Scene) -> bool:
         and scene.detail.shape == no_detail(objects, scene.what).shape
         and scene.alone.shape == (objects,)
         and scene.background.ndim == 2
+        and scene.light.shape == (4,)
         and frames > 0
     )
-    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.alone, scene.background]
+    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.alone, scene.background, scene.light]
     values += [value for camera in scene.cameras for value in (camera.k, camera.world_from_camera)]
     numbers = all(value.dtype == torch.float32 and bool((value.abs() <= _LARGEST_VALUE).all()) for value in values)
     distinct = len(set(scene.ids)) == objects
     seen = len(scene.cameras) > 0 and all(map(_is_camera, scene.cameras))
-    return sizes and numbers and distinct and seen and _are_rotations(scene.rotation)
+    return sizes and numbers and distinct and seen and _are_rotations(scene.rotation) and is_light(scene.light)
 
 
 def _are_rotations(rotation: Float[torch.Tensor, "*batch 3 3"]) -> bool:

@@ -5,6 +5,7 @@ some samples at a time; a component is evaluated only at samples in such cells (
 only where light comes from, and rays that nothing shines through any more stop.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -53,12 +54,24 @@ class Component:
 class Picture:
     """What a camera sees; light that meets nothing is black, and its depth that of the far end."""
 
-    colour: Float[Tensor, "ray 3"]
-    """0..1."""
-    depth: Float[Tensor, "ray"]
-    """Mean planar depth at which light comes from, metres."""
+    colours: Float[Tensor, "component ray 3"]
+    """What each component adds to the colour, 0..1."""
+    depths: Float[Tensor, "component ray"]
+    """What each adds to the mean planar depth, metres: its share of the light times the mean depth of that share."""
     weights: Float[Tensor, "component ray"]
     """Share of the light that comes from each component; together the opacity."""
+    far: float
+    """Planar depth of the far end, metres."""
+
+    @property
+    def colour(self) -> Float[Tensor, "ray 3"]:
+        """0..1."""
+        return self.colours.sum(dim=0)
+
+    @property
+    def depth(self) -> Float[Tensor, "ray"]:
+        """Mean planar depth at which light comes from, metres."""
+        return self.depths.sum(dim=0) + (1 - self.weights.sum(dim=0)) * self.far
 
 
 @torch.no_grad()
@@ -120,8 +133,8 @@ def march(
             `loss.jitter` behind the surface, and light mostly comes from before it.
     """
     rays, length = len(origin), (far - near) / samples
-    colour = origin.new_zeros(rays, 3)
-    depth = origin.new_zeros(rays)
+    colours = origin.new_zeros(len(components), rays, 3)
+    depth = origin.new_zeros(len(components), rays)
     weights = origin.new_zeros(len(components), rays)
     passed = origin.new_ones(rays)
     alive = torch.arange(rays, device=origin.device)
@@ -134,14 +147,52 @@ def march(
         if lit is None:
             continue
         met = alive[lit.ray]
-        colour[met] += lit.colour
-        depth[met] += (lit.weights.sum(dim=0) * depths).sum(dim=-1)
+        colours[:, met] += lit.colours
+        depth[:, met] += (lit.weights * depths).sum(dim=-1)
         weights[:, met] += lit.weights.sum(dim=-1)
         passed[met] = lit.passed
         alive = alive[passed[alive] > _DARK]
         if not len(alive):
             break
-    return Picture(colour, depth + (1 - weights.sum(dim=0)) * far, weights)
+    return Picture(colours, depth, weights, far)
+
+
+@torch.no_grad()
+def thickness_towards(
+    components: list[Component],
+    origin: Float[Tensor, "ray 3"],
+    direction: Float[Tensor, "3"],
+    *,
+    step: float,
+    sigma_max: float,
+    floor: float | None,
+    threshold: float,
+) -> Float[Tensor, "ray"]:
+    """Optical thickness of bounded components, composed as in `march`, on the way from points towards one direction.
+
+    What is opaque may have less than it has.
+
+    Args:
+        components: All bounded.
+        origin: World frame, metres.
+        direction: Of length 1.
+        step: Distance of samples, metres.
+        sigma_max: Density of an opaque point per metre.
+        floor: As in `march`.
+        threshold: As in `march`.
+    """
+    total = origin.new_zeros(len(origin))
+    first, last = _between(components, origin, direction)
+    alive = (last > first).nonzero()[:, 0]
+    chunk = (torch.arange(_AT_ONCE, dtype=origin.dtype, device=origin.device) + 0.5) * step
+    while len(alive):
+        points = origin[alive, None] + (first[alive, None] + chunk)[..., None] * direction
+        met = _meet(components, points, _Look(sigma_max * step, floor, threshold, 0.0))
+        if met is not None:
+            total[alive[met.ray]] += met.optical.sum(dim=(0, 2))
+        first = first + _AT_ONCE * step
+        alive = alive[(first[alive] < last[alive]) & (total[alive] < -math.log(_DARK))]
+    return total
 
 
 @dataclass(frozen=True)
@@ -156,12 +207,24 @@ class _Look:
 
 
 @dataclass(frozen=True, eq=False)
+class _Met:
+    """Of the rays that meet anything."""
+
+    ray: Int[Tensor, " ray"]
+    """Their places among all that were asked for."""
+    places: list[Int[Tensor, " _"]]
+    """Of each component, its samples among those of these rays."""
+    optical: Float[Tensor, "component ray sample"]
+    """Optical thickness."""
+
+
+@dataclass(frozen=True, eq=False)
 class _Lit:
     """Of the rays that meet anything."""
 
     ray: Int[Tensor, " ray"]
     """Their places among all that were asked for."""
-    colour: Float[Tensor, "ray 3"]
+    colours: Float[Tensor, "component ray 3"]
     weights: Float[Tensor, "component ray sample"]
     passed: Float[Tensor, "ray"]
 
@@ -174,27 +237,35 @@ def _evaluate(
     look: _Look,
 ) -> _Lit | None:
     """Light from the next samples of each ray; None where there is nothing."""
-    found = [_inside(component, points, look.floor) for component in components]
-    ray, places = _met(points, [index for index, _ in found])
-    if not len(ray):
+    met = _meet(components, points, look)
+    if met is None:
         return None
-    points, direction, passed = points[ray], direction[ray], passed[ray]
+    points, direction, passed = points[met.ray], direction[met.ray], passed[met.ray]
     flat, (rays, count, _) = points.flatten(0, 1), points.shape
-    logits = points.new_full((len(components), rays * count), OUTSIDE)
-    for place, (component, index, (_, at)) in enumerate(zip(components, places, found, strict=True)):
-        logits[place, index] = component.field.density(at, component.codes)[0]
-    optical = look.thickness * solid_share(logits, look.threshold).unflatten(1, (rays, count))
-    weights = passed[:, None] * light_from(optical)
-    colour = points.new_zeros(rays, 3)
+    weights = passed[:, None] * light_from(met.optical)
+    colours = points.new_zeros(len(components), rays, 3)
     unit = F.normalize(direction, dim=-1)
-    for component, light, index in zip(components, weights.flatten(1), places, strict=True):
+    for component, light, index, colour in zip(components, weights.flatten(1), met.places, colours, strict=True):
         index = index[light[index] > _DARK / 10]
         owner = index // count
         at = flat[index] + look.behind * direction[owner]
         _, hidden = component.field.density(in_box(component, at), component.codes)
         seen = component.field.colour(hidden, unit[owner] @ component.rotation, component.codes)
         colour.index_add_(0, owner, light[index, None] * seen)
-    return _Lit(ray, colour, weights, passed * torch.exp(-optical.sum(dim=(0, 2))))
+    return _Lit(met.ray, colours, weights, passed * torch.exp(-met.optical.sum(dim=(0, 2))))
+
+
+def _meet(components: list[Component], points: Float[Tensor, "ray sample 3"], look: _Look) -> _Met | None:
+    """How dense the components are at the next samples of each ray; None where there is nothing."""
+    found = [_inside(component, points, look.floor) for component in components]
+    ray, places = _met(points, [index for index, _ in found])
+    if not len(ray):
+        return None
+    size = (len(ray), points.shape[1])
+    logits = points.new_full((len(components), size[0] * size[1]), OUTSIDE)
+    for place, (component, index, (_, at)) in enumerate(zip(components, places, found, strict=True)):
+        logits[place, index] = component.field.density(at, component.codes)[0]
+    return _Met(ray, places, look.thickness * solid_share(logits, look.threshold).unflatten(1, size))
 
 
 def _met(
@@ -237,6 +308,21 @@ def _passing(component: Component, points: Float[Tensor, "ray sample 3"]) -> Int
     share = ((component.center - first) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=1e-12)
     nearest = first + share.clamp(0, 1)[:, None] * along
     return ((nearest - component.center).norm(dim=-1) <= component.size * _BALL).nonzero()[:, 0]
+
+
+def _between(
+    components: list[Component], origin: Float[Tensor, "ray 3"], direction: Float[Tensor, "3"]
+) -> tuple[Float[Tensor, "ray"], Float[Tensor, "ray"]]:
+    """How far from its origin a ray first comes into a ball around a component's cube, and leaves the last, metres."""
+    first, last = origin.new_full((len(origin),), math.inf), origin.new_zeros(len(origin))
+    for component in components:
+        to = component.center - origin
+        along = to @ direction
+        half = ((component.size * _BALL) ** 2 - to.square().sum(dim=-1) + along.square()).clamp(min=0).sqrt()
+        met = (half > 0) & (along + half > 0)
+        first = torch.where(met, torch.minimum(first, (along - half).clamp(min=0)), first)
+        last = torch.where(met, torch.maximum(last, along + half), last)
+    return first, last
 
 
 def in_box(component: Component, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

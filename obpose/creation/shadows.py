@@ -1,0 +1,205 @@
+"""The light of a scene, found by the shadows that its objects cast; no label says where it is.
+
+Whatever is dense of the objects is projected onto the table along a direction that the light may come from, in several
+frames at once. The better that tells where the frames are darker than the scene's own background, the likelier is the
+direction. The fields have to be good, so scenes are fitted to their frames before (`obpose.creation.refine`).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from obpose.creation.extent import CELLS, occupied
+from obpose.creation.light import Light, no_light
+from obpose.creation.refine import fields_of
+from obpose.creation.rendering import Renderer, conditioning
+from obpose.creation.scene import Scene
+from obpose.geometry import all_rays, from_box
+from obpose.model import ObPose
+from obpose.types import Observation
+
+LEAST_STRENGTH = 0.1
+"""What takes less of the background's colour is no shadow, or one that is not missed."""
+LEAST_EXPLAINED = 0.02
+"""Share of the variance of how dark the background is in the frames that shadows explain at least."""
+MOST_OVERHEAD = 0.8
+"""Share of it that a light straight above explains at most: there is no telling its shadows from the dimness around the
+foot of whatever stands in diffuse light."""
+FRAMES = 10
+"""Of a longer clip so many are looked at, evenly spaced."""
+_WEIGHTS = (0.3, 0.6, 0.1)
+"""Of red, green and blue in luminance."""
+_DARK, _DARKEST, _BRIGHTEST = 0.02, -1.5, 0.3
+"""Least luminance of which a log is taken; logs beyond the others are of other things than shadows."""
+_OPACITY = 0.3
+"""Optical thickness of a voxel: low, as objects' fields are fatter than they are."""
+_ELEVATIONS, _AZIMUTHS = range(22, 86, 9), range(0, 360, 20)
+_LOWEST, _HIGHEST = 15.0, 88.0
+"""Degrees above the horizon."""
+_ROUNDS, _PART = 8, 4
+"""Steps of the search around the best of these directions; of those themselves every so-manieth pixel is judged."""
+_PIXELS = 4096
+"""That the strength is taken from."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """Pixels that show the background."""
+
+    point: Float[Tensor, "pixel 3"]
+    """World frame, metres."""
+    frame: Int[Tensor, " pixel"]
+    seen: Float[Tensor, " pixel"]
+    """Luminance in the frames."""
+    drawn: Float[Tensor, " pixel"]
+    """That of the scene's background there, which casts no shadow."""
+
+    def at(self, index: Int[Tensor, " some"] | slice | Bool[Tensor, " pixel"]) -> "_Shown":
+        return _Shown(self.point[index], self.frame[index], self.seen[index], self.drawn[index])
+
+    @property
+    def darkness(self) -> Float[Tensor, " pixel"]:
+        """Log of how much brighter than in the scene it is, around 0."""
+        ratio = self.seen.clamp(min=_DARK).log() - self.drawn.clamp(min=_DARK).log()
+        return (ratio - ratio.median()).clamp(_DARKEST, _BRIGHTEST)
+
+
+class _Voxels(NamedTuple):
+    """Of the objects above the table."""
+
+    point: Float[Tensor, "voxel 3"]
+    frame: Int[Tensor, " voxel"]
+
+
+@torch.no_grad()
+def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
+    """The light whose shadows are seen in the frames, or none where there hardly are any.
+
+    What comes out depends on the arguments alone. It costs about as much as ten steps of fitting.
+
+    Args:
+        model: That the scene is of.
+        observation: A batch of the clip that the scene is fitted to.
+        scene: As it is without shadows.
+    """
+    frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().long().tolist()
+    shown, voxels = _shown(model, observation, scene, frames), _voxels(model, scene, frames)
+    if not len(voxels.point) or not len(shown.point):
+        return no_light(scene.center)
+    grid = (scene.frames, model.config.model.pose.box_size / CELLS)
+    toward, explained = _search(shown, voxels, *grid)
+    overhead = _explained(shown, voxels, _toward(0.0, 90.0), *grid)
+    if explained < LEAST_EXPLAINED or overhead > MOST_OVERHEAD * explained:
+        return no_light(scene.center)
+    strength = _strength(Renderer(model), shown, scene, toward)
+    return torch.cat([toward, toward.new_tensor([strength])]) if strength >= LEAST_STRENGTH else no_light(scene.center)
+
+
+def _shown(model: ObPose, observation: Observation, scene: Scene, frames: list[int]) -> _Shown:
+    """Pixels in these frames at whose surface no object is denser than the background, in the workspace and around."""
+    rays = all_rays(observation)
+    surface = rays.origin + rays.direction * rays.depth[..., None]
+    behind = model.config.loss.jitter / 2 * rays.direction
+    decoded = fields_of(model, scene)(surface + behind, rays.direction, "with")
+    assert decoded.colours is not None
+    near = ((surface - model.center).abs() <= model.config.model.workspace_size).all(dim=-1)
+    shown = (decoded.logits.argmax(dim=2) == 0) & rays.valid & near
+    of_frame = torch.arange(scene.frames)[None, :, None].expand(shown.shape)
+    shown &= torch.isin(of_frame, torch.tensor(frames))
+    seen, drawn = (colour[shown] @ colour.new_tensor(_WEIGHTS) for colour in (rays.colour, decoded.colours[:, :, 0]))
+    return _Shown(surface[shown], of_frame[shown], seen, drawn)
+
+
+def _voxels(model: ObPose, scene: Scene, frames: list[int]) -> _Voxels:
+    points, owners, size, table = [], [], model.config.model.pose.box_size, model.config.model.table or 0.0
+    for frame in frames:
+        for place in range(len(scene.ids)):
+            codes = conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
+            pose = scene.center[frame, place], scene.rotation[frame, place]
+            found = from_box(occupied(model, codes), *pose, size)
+            found = found[found[:, 2] > table]
+            points.append(found)
+            owners.append(torch.full((len(found),), frame))
+    if not points:
+        return _Voxels(scene.center.new_zeros(0, 3), torch.zeros(0, dtype=torch.long))
+    return _Voxels(torch.cat(points), torch.cat(owners))
+
+
+def _search(shown: _Shown, voxels: _Voxels, frames: int, cell: float) -> tuple[Float[Tensor, "3"], float]:
+    """The best direction, and the share of the variance that its shadows explain: coarse, then around the best."""
+    part, whole = shown.at(slice(None, None, _PART)), shown
+    grid = [(float(azimuth), float(elevation)) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS]
+    best = max(grid, key=lambda angles: _explained(part, voxels, _toward(*angles), frames, cell))
+    explained = _explained(whole, voxels, _toward(*best), frames, cell)
+    across, up = _AZIMUTHS.step / 2, _ELEVATIONS.step / 2
+    for _ in range(_ROUNDS):
+        azimuth, elevation = best
+        higher, lower = min(_HIGHEST, elevation + up), max(_LOWEST, elevation - up)
+        around = [(azimuth - across, elevation), (azimuth + across, elevation), (azimuth, higher), (azimuth, lower)]
+        scores = [_explained(whole, voxels, _toward(*angles), frames, cell) for angles in around]
+        if max(scores) > explained:
+            explained = max(scores)
+            best = around[scores.index(explained)]
+        else:
+            across, up = across / 2, up / 2
+    return _toward(*best), explained
+
+
+def _toward(azimuth: float, elevation: float) -> Float[Tensor, "3"]:
+    """Direction from angles in degrees."""
+    turn, rise = math.radians(azimuth), math.radians(elevation)
+    return torch.tensor([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
+
+
+def _explained(shown: _Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
+    """Share of the variance of the pixels' darkness that is that of shadows of a light there; 0 if they are bright."""
+    shadow, darkness = _projected(shown, voxels, toward, frames, cell), shown.darkness
+    shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
+    common = float(shadow @ darkness)
+    spread = float(shadow.square().sum() * darkness.square().sum())
+    return common**2 / spread if common < 0 and spread > 0 else 0.0
+
+
+def _projected(
+    shown: _Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
+) -> Float[Tensor, " pixel"]:
+    """Share of the light that voxels keep from the pixels' points, roughly: on a grid of the table, metres a cell."""
+    receivers, blockers = (_cast(points, toward) for points in (shown.point, voxels.point))
+    low = receivers.amin(dim=0)
+    size = ((receivers.amax(dim=0) - low) / cell).long() + 1
+    inside, at = _cell(blockers, low, cell, size)
+    across, along = size.tolist()
+    count = receivers.new_zeros(frames * across * along)
+    count.index_add_(0, (voxels.frame * across * along + at)[inside], count.new_ones(int(inside.sum())))
+    thickness = F.avg_pool2d(count.view(frames, 1, across, along), 3, stride=1, padding=1).flatten(1)
+    _, at = _cell(receivers, low, cell, size)
+    return -torch.expm1(-_OPACITY * thickness[shown.frame, at])
+
+
+def _cast(points: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]) -> Float[Tensor, "point 2"]:
+    """Where on z = 0 the light from there, through these points, falls."""
+    return points[:, :2] - points[:, 2:] * (toward[:2] / toward[2])
+
+
+def _cell(
+    places: Float[Tensor, "point 2"], low: Float[Tensor, "2"], cell: float, size: Int[Tensor, "2"]
+) -> tuple[Bool[Tensor, " point"], Int[Tensor, " point"]]:
+    """Whether places are on the grid, and in which of its cells."""
+    at = ((places - low) / cell).floor().long()
+    return ((at >= 0) & (at < size)).all(dim=-1), at[:, 0] * size[1] + at[:, 1]
+
+
+def _strength(renderer: Renderer, shown: _Shown, scene: Scene, toward: Float[Tensor, "3"]) -> float:
+    """Share of the background's colour that shadows as they are rendered should take, by least squares; 0..1."""
+    shown = shown.at(slice(None, None, max(1, len(shown.point) // _PIXELS)))
+    occluded = torch.zeros_like(shown.seen)
+    for frame in shown.frame.unique().tolist():
+        here = shown.frame == frame
+        occluded[here] = renderer.occlusion(renderer.objects(scene, frame), shown.point[here], toward)
+    lost = shown.drawn * occluded
+    return float((lost @ (shown.drawn - shown.seen) / lost.square().sum().clamp(min=1e-9)).clamp(0, 1))
