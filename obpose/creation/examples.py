@@ -16,6 +16,7 @@ from obpose.creation.clip import read_clip
 from obpose.creation.grids import Grids, grids_of, together
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin, load_origin
+from obpose.creation.pattern import spot_of
 from obpose.creation.refine import STEPS
 from obpose.creation.scene import Scene
 from obpose.errors import CorruptFile
@@ -38,6 +39,8 @@ class Examples:
     """Codes of the last frame."""
     light: Float[Tensor, "4"]
     """That which was found (`obpose.creation.light`)."""
+    spot: Float[Tensor, "spot spot 3"]
+    """Of the pattern that was found (`obpose.creation.pattern`)."""
 
 
 def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, workers: int, say: Say) -> list[Examples]:
@@ -75,7 +78,8 @@ def examples_of(model: ObPose, scene: Scene) -> bytes:
     """Contents of the file of a scene that was found in a clip."""
     frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().int().tolist()
     grids = together([grids_of(model, scene, frame) for frame in frames], like=scene.what)
-    tensors = {"values": grids.values.half(), "half": grids.half, "what": scene.what[-1], "light": scene.light}
+    tensors = {"values": grids.values.half(), "half": grids.half, "what": scene.what[-1]}
+    tensors |= {"light": scene.light, "spot": spot_of(scene.pattern).half()}
     return save({name: value.contiguous() for name, value in tensors.items()})
 
 
@@ -94,6 +98,7 @@ def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, 
 def _read(path: Path) -> Examples:
     try:
         tensors = load(path.read_bytes())
-        return Examples(Grids(tensors["values"].float(), tensors["half"]), tensors["what"], tensors["light"])
+        grids = Grids(tensors["values"].float(), tensors["half"])
+        return Examples(grids, tensors["what"], tensors["light"], tensors["spot"].float())
     except (SafetensorError, KeyError):
         raise CorruptFile(f"{path} is damaged; delete it, and run the same command again.") from None

@@ -36,7 +36,8 @@ class FoundObjects:
     detail: Float[Tensor, "object edge edge edge 4"]
     background: Float[Tensor, "clip background"]
     light: Float[Tensor, "clip 4"]
-    """As in `Scene`."""
+    pattern: Float[Tensor, "clip x y 3"]
+    """Both as in `Scene`."""
     low: Float[Tensor, "2"]
     """Of the objects' middles, world x and y, metres."""
     high: Float[Tensor, "2"]
@@ -66,6 +67,7 @@ def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: i
         detail=torch.stack([scene.detail[place] for scene, place in places]),
         background=torch.stack([scene.background[-1] for scene in scenes]),
         light=torch.stack([scene.light for scene in scenes]),
+        pattern=torch.stack([scene.pattern for scene in scenes]),
         low=low,
         high=high,
     )

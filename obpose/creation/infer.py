@@ -10,6 +10,7 @@ from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.creation.scene import Camera, Scene
 from obpose.creation.shadows import find_light
+from obpose.creation.table import find_pattern
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
 from obpose.resolution import fitting_model
@@ -55,7 +56,8 @@ def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: 
     if not refinements:
         return scene
     scene = refine(model, observation, scene, steps=refinements)
-    return replace(scene, light=find_light(model, observation, scene))
+    scene = replace(scene, light=find_light(model, observation, scene))
+    return replace(scene, pattern=find_pattern(model, observation, scene))
 
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:

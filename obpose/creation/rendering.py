@@ -10,7 +10,8 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from obpose.creation.light import Light, beams, strength
+from obpose.creation.light import beams, strength
+from obpose.creation.pattern import pattern_at
 from obpose.creation.scene import Camera, Scene
 from obpose.geometry import camera_rays
 from obpose.model import ObPose
@@ -31,6 +32,8 @@ _KEPT = 256
 """Components that are remembered."""
 _LEAST_LIGHT = 1e-2
 """Share of a pixel's light that the background has at least where its shadows are looked for."""
+_LEAST_COLOUR = 1e-3
+"""Colours are at least so far from black and white where a pattern is added to their logits."""
 _OBJECT_CELLS = 16
 _FINE_CELLS = 32
 """Of objects whose detail is alone, and may be thinner than the others' cells."""
@@ -73,13 +76,13 @@ class Renderer:
         components, direction = self.components(scene, frame), _directions(camera).flatten(0, 1)
         picture = self._march(components, direction, camera)
         size = (camera.height, camera.width)
-        rgb, shares = self._lit(picture, scene.light, components, direction, camera), picture.weights.unflatten(1, size)
+        rgb, shares = self._finished(picture, scene, components, direction, camera), picture.weights.unflatten(1, size)
         if antialiased:
             at = outlines(shares).flatten().nonzero()[:, 0]
             finer = _directions(camera.resized(camera.width * _ACROSS, camera.height * _ACROSS))
             several = rearrange(finer, "(h y) (w x) c -> (h w) (y x) c", y=_ACROSS, x=_ACROSS)[at]
             finer_picture = self._march(components, several.flatten(0, 1), camera)
-            seen = self._lit(finer_picture, scene.light, components, several.flatten(0, 1), camera)
+            seen = self._finished(finer_picture, scene, components, several.flatten(0, 1), camera)
             rgb = rgb.index_copy(0, at, seen.unflatten(0, several.shape[:2]).mean(dim=1))
         return Image(rgb=rgb.clamp(0, 1).unflatten(0, size), depth=picture.depth.unflatten(0, size), shares=shares)
 
@@ -87,22 +90,31 @@ class Renderer:
         origin = camera.world_from_camera[:3, 3].expand_as(direction)
         return march(components, origin, direction, floor=self.model.config.model.table, **self.quadrature(camera))
 
-    def _lit(
+    def _finished(
         self,
         picture: Picture,
-        light: Light,
+        scene: Scene,
         components: list[Component],
         direction: Float[Tensor, "ray 3"],
         camera: Camera,
     ) -> Float[Tensor, "ray 3"]:
-        """Colours with the background in shadow where objects are between it and the light."""
+        """Colours with the table's pattern, and the background in shadow where objects are before the light."""
         share = picture.weights[0]
-        lit = (share > _LEAST_LIGHT).nonzero()[:, 0]
-        if not strength(light) or len(components) == 1 or not len(lit):
+        shown = (share > _LEAST_LIGHT).nonzero()[:, 0]
+        has_pattern, has_shadows = bool(scene.pattern.any()), strength(scene.light) > 0 and len(components) > 1
+        if not len(shown) or not (has_pattern or has_shadows):
             return picture.colour
-        surface = camera.world_from_camera[:3, 3] + (picture.depths[0] / share)[lit, None] * direction[lit]
-        lost = strength(light) * self.occlusion(components[1:], surface, light[:3])
-        return picture.colour.index_add(0, lit, -lost[:, None] * picture.colours[0, lit])
+        share = share[shown, None]
+        surface = camera.world_from_camera[:3, 3] + picture.depths[0, shown, None] / share * direction[shown]
+        before = picture.colours[0, shown]
+        after = before
+        if has_pattern:
+            pattern = pattern_at(self.model, scene.pattern, surface)
+            after = share * torch.sigmoid(torch.logit(before / share, eps=_LEAST_COLOUR) + pattern)
+        if has_shadows:
+            occlusion = self.occlusion(components[1:], surface, scene.light[:3])
+            after = after * (1 - strength(scene.light) * occlusion[:, None])
+        return picture.colour.index_add(0, shown, after - before)
 
     def occlusion(
         self, objects: list[Component], surface: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]

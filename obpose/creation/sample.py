@@ -14,8 +14,9 @@ from obpose.creation.flow import sample_grids
 from obpose.creation.flow_prior import FlowPrior
 from obpose.creation.found import FoundObjects
 from obpose.creation.grids import Grids, facing, together
-from obpose.creation.light import no_light
+from obpose.creation.light import Light, no_light
 from obpose.creation.origin import Origin
+from obpose.creation.pattern import Pattern, no_pattern
 from obpose.creation.prior import ScenePrior
 from obpose.creation.rendering import conditioning
 from obpose.creation.scene import Camera, Scene, upright
@@ -83,7 +84,7 @@ def sample_scene(
         center[place, 2] = height
         rotation[place] = facing(center[place], camera) @ drawn.rotation[place] if drawn.faces else turn
         reaches.append(reach)
-    background, light = _surroundings(source, generator)
+    background, light, pattern = _surroundings(source, generator)
     return Scene(
         ids=tuple(range(1, objects + 1)),
         what=drawn.what[None],
@@ -93,6 +94,7 @@ def sample_scene(
         alone=drawn.alone,
         background=background,
         light=light,
+        pattern=pattern,
         cameras=cameras,
         model=origin.hash,
         checkpoint=origin.name,
@@ -115,17 +117,15 @@ def _draw(model: ObPose, source: Source, objects: int, generator: torch.Generato
     return _Drawn(what, upright, None, no_detail(objects, what), torch.zeros(objects), faces=False)
 
 
-def _surroundings(
-    source: Source, generator: torch.Generator
-) -> tuple[Float[Tensor, "1 background"], Float[Tensor, "4"]]:
-    """Background and light; where a prior knows of none, there is no light."""
+def _surroundings(source: Source, generator: torch.Generator) -> tuple[Float[Tensor, "1 background"], Light, Pattern]:
+    """Background, light and pattern; the latter two are none where a prior knows of none."""
     if isinstance(source, FoundObjects):
         place = int(torch.randint(len(source.background), (), generator=generator))
-        return source.background[place, None], source.light[place]
+        return source.background[place, None], source.light[place], source.pattern[place]
     background = source.background.draw(1, generator)
     if isinstance(source, FlowPrior):
-        return background, source.lights[int(torch.randint(len(source.lights), (), generator=generator))]
-    return background, no_light(background)
+        return background, *source.tables.draw(generator)
+    return background, no_light(background), no_pattern(background)
 
 
 @torch.no_grad()

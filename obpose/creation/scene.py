@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.creation.light import no_light
+from obpose.creation.pattern import no_pattern
 from obpose.errors import UsageError
 
 
@@ -73,6 +74,8 @@ class Scene:
     """That it was inferred from, edited since or not; None where it was sampled, or nobody knows."""
     light: Float[Tensor, "4"] = field(default_factory=no_light)
     """What casts shadows on the background (`obpose.creation.light`)."""
+    pattern: Float[Tensor, "x y 3"] = field(default_factory=no_pattern)
+    """Of the table (`obpose.creation.pattern`)."""
 
     @property
     def frames(self) -> int:

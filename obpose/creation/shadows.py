@@ -6,7 +6,6 @@ direction. The fields have to be good, so scenes are fitted to their frames befo
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -16,10 +15,10 @@ from torch import Tensor
 
 from obpose.creation.extent import CELLS, occupied
 from obpose.creation.light import Light, no_light
-from obpose.creation.refine import fields_of
 from obpose.creation.rendering import Renderer, conditioning
 from obpose.creation.scene import Scene
-from obpose.geometry import all_rays, from_box
+from obpose.creation.shown import Shown, shown_background
+from obpose.geometry import from_box
 from obpose.model import ObPose
 from obpose.types import Observation
 
@@ -47,28 +46,6 @@ _PIXELS = 4096
 """That the strength is taken from."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Shown:
-    """Pixels that show the background."""
-
-    point: Float[Tensor, "pixel 3"]
-    """World frame, metres."""
-    frame: Int[Tensor, " pixel"]
-    seen: Float[Tensor, " pixel"]
-    """Luminance in the frames."""
-    drawn: Float[Tensor, " pixel"]
-    """That of the scene's background there, which casts no shadow."""
-
-    def at(self, index: Int[Tensor, " some"] | slice | Bool[Tensor, " pixel"]) -> "_Shown":
-        return _Shown(self.point[index], self.frame[index], self.seen[index], self.drawn[index])
-
-    @property
-    def darkness(self) -> Float[Tensor, " pixel"]:
-        """Log of how much brighter than in the scene it is, around 0."""
-        ratio = self.seen.clamp(min=_DARK).log() - self.drawn.clamp(min=_DARK).log()
-        return (ratio - ratio.median()).clamp(_DARKEST, _BRIGHTEST)
-
-
 class _Voxels(NamedTuple):
     """Of the objects above the table."""
 
@@ -88,7 +65,9 @@ def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
         scene: As it is without shadows.
     """
     frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().long().tolist()
-    shown, voxels = _shown(model, observation, scene, frames), _voxels(model, scene, frames)
+    shown = shown_background(model, observation, scene)
+    shown = shown.at(torch.isin(shown.frame, torch.tensor(frames)))
+    voxels = _voxels(model, scene, frames)
     if not len(voxels.point) or not len(shown.point):
         return no_light(scene.center)
     grid = (scene.frames, model.config.model.pose.box_size / CELLS)
@@ -98,21 +77,6 @@ def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
         return no_light(scene.center)
     strength = _strength(Renderer(model), shown, scene, toward)
     return torch.cat([toward, toward.new_tensor([strength])]) if strength >= LEAST_STRENGTH else no_light(scene.center)
-
-
-def _shown(model: ObPose, observation: Observation, scene: Scene, frames: list[int]) -> _Shown:
-    """Pixels in these frames at whose surface no object is denser than the background, in the workspace and around."""
-    rays = all_rays(observation)
-    surface = rays.origin + rays.direction * rays.depth[..., None]
-    behind = model.config.loss.jitter / 2 * rays.direction
-    decoded = fields_of(model, scene)(surface + behind, rays.direction, "with")
-    assert decoded.colours is not None
-    near = ((surface - model.center).abs() <= model.config.model.workspace_size).all(dim=-1)
-    shown = (decoded.logits.argmax(dim=2) == 0) & rays.valid & near
-    of_frame = torch.arange(scene.frames)[None, :, None].expand(shown.shape)
-    shown &= torch.isin(of_frame, torch.tensor(frames))
-    seen, drawn = (colour[shown] @ colour.new_tensor(_WEIGHTS) for colour in (rays.colour, decoded.colours[:, :, 0]))
-    return _Shown(surface[shown], of_frame[shown], seen, drawn)
 
 
 def _voxels(model: ObPose, scene: Scene, frames: list[int]) -> _Voxels:
@@ -130,7 +94,7 @@ def _voxels(model: ObPose, scene: Scene, frames: list[int]) -> _Voxels:
     return _Voxels(torch.cat(points), torch.cat(owners))
 
 
-def _search(shown: _Shown, voxels: _Voxels, frames: int, cell: float) -> tuple[Float[Tensor, "3"], float]:
+def _search(shown: Shown, voxels: _Voxels, frames: int, cell: float) -> tuple[Float[Tensor, "3"], float]:
     """The best direction, and the share of the variance that its shadows explain: coarse, then around the best."""
     part, whole = shown.at(slice(None, None, _PART)), shown
     grid = [(float(azimuth), float(elevation)) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS]
@@ -156,9 +120,19 @@ def _toward(azimuth: float, elevation: float) -> Float[Tensor, "3"]:
     return torch.tensor([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
 
 
-def _explained(shown: _Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
+def _darkness(shown: Shown) -> Float[Tensor, " pixel"]:
+    """Log of how much brighter than in the scene it is, around 0."""
+    ratio = _luminance(shown.seen).clamp(min=_DARK).log() - _luminance(shown.drawn).clamp(min=_DARK).log()
+    return (ratio - ratio.median()).clamp(_DARKEST, _BRIGHTEST)
+
+
+def _luminance(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, " pixel"]:
+    return colour @ colour.new_tensor(_WEIGHTS)
+
+
+def _explained(shown: Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
     """Share of the variance of the pixels' darkness that is that of shadows of a light there; 0 if they are bright."""
-    shadow, darkness = _projected(shown, voxels, toward, frames, cell), shown.darkness
+    shadow, darkness = _projected(shown, voxels, toward, frames, cell), _darkness(shown)
     shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
     common = float(shadow @ darkness)
     spread = float(shadow.square().sum() * darkness.square().sum())
@@ -166,7 +140,7 @@ def _explained(shown: _Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frame
 
 
 def _projected(
-    shown: _Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
+    shown: Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
 ) -> Float[Tensor, " pixel"]:
     """Share of the light that voxels keep from the pixels' points, roughly: on a grid of the table, metres a cell."""
     receivers, blockers = (_cast(points, toward) for points in (shown.point, voxels.point))
@@ -194,12 +168,13 @@ def _cell(
     return ((at >= 0) & (at < size)).all(dim=-1), at[:, 0] * size[1] + at[:, 1]
 
 
-def _strength(renderer: Renderer, shown: _Shown, scene: Scene, toward: Float[Tensor, "3"]) -> float:
+def _strength(renderer: Renderer, shown: Shown, scene: Scene, toward: Float[Tensor, "3"]) -> float:
     """Share of the background's colour that shadows as they are rendered should take, by least squares; 0..1."""
     shown = shown.at(slice(None, None, max(1, len(shown.point) // _PIXELS)))
-    occluded = torch.zeros_like(shown.seen)
+    occluded = torch.zeros_like(shown.seen[:, 0])
     for frame in shown.frame.unique().tolist():
         here = shown.frame == frame
         occluded[here] = renderer.occlusion(renderer.objects(scene, frame), shown.point[here], toward)
-    lost = shown.drawn * occluded
-    return float((lost @ (shown.drawn - shown.seen) / lost.square().sum().clamp(min=1e-9)).clamp(0, 1))
+    drawn, seen = _luminance(shown.drawn), _luminance(shown.seen)
+    lost = drawn * occluded
+    return float((lost @ (drawn - seen) / lost.square().sum().clamp(min=1e-9)).clamp(0, 1))

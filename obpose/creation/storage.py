@@ -10,6 +10,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 
 from obpose.creation.light import is_light, no_light
+from obpose.creation.pattern import no_pattern
 from obpose.creation.pictures import PICTURE, Picture, write_png
 from obpose.creation.scene import Camera, ClipName, Scene
 from obpose.errors import CorruptFile, UsageError
@@ -73,6 +74,7 @@ def _write(folder: Path, scene: Scene) -> None:
         "alone": scene.alone,
         "background": scene.background,
         "light": scene.light,
+        "pattern": scene.pattern,
         "k": torch.stack([camera.k for camera in scene.cameras]),
         "world_from_camera": torch.stack([camera.world_from_camera for camera in scene.cameras]),
     }
@@ -113,9 +115,10 @@ def _assemble(facts: dict, tensors: dict[str, torch.Tensor]) -> Scene:
         ),
         model=str(facts["model"]),
         checkpoint=str(facts["checkpoint"]),
-        # Scenes of older versions do not say it, and have no light.
+        # Scenes of older versions do not say it, and have neither.
         clip=_clip(facts["clip"]) if "clip" in facts else None,
         light=tensors.get("light", no_light()),
+        pattern=tensors.get("pattern", no_pattern()),
     )
 
 
@@ -141,9 +144,11 @@ def _is_whole(scene: Scene) -> bool:
         and scene.alone.shape == (objects,)
         and scene.background.ndim == 2
         and scene.light.shape == (4,)
+        and scene.pattern.shape == no_pattern().shape
         and frames > 0
     )
-    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.alone, scene.background, scene.light]
+    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.alone]
+    values += [scene.background, scene.light, scene.pattern]
     values += [value for camera in scene.cameras for value in (camera.k, camera.world_from_camera)]
     numbers = all(value.dtype == torch.float32 and bool((value.abs() <= _LARGEST_VALUE).all()) for value in values)
     distinct = len(set(scene.ids)) == objects

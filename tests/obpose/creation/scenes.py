@@ -2,6 +2,8 @@
 
 import torch
 
+from obpose.creation.flow_prior import Tables
+from obpose.creation.pattern import SPOT
 from obpose.creation.scene import Camera, Scene
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
@@ -42,7 +44,15 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
     )
 
 
-_NAMES = ("what", "center", "rotation", "detail", "alone", "background")
+def some_tables(count: int = 2) -> Tables:
+    """With lights and patterns of their own."""
+    generator = torch.Generator().manual_seed(0)
+    across = torch.linspace(0.0, 0.6, count)
+    lights = torch.stack([across, torch.zeros(count), (1 - across**2).sqrt(), 0.3 + across / 2], dim=1)
+    return Tables(lights, 0.3 * torch.randn(count, SPOT, SPOT, 3, generator=generator))
+
+
+_NAMES = ("what", "center", "rotation", "detail", "alone", "background", "light", "pattern")
 
 
 def equal(one: Scene, other: Scene) -> bool:

@@ -11,9 +11,9 @@ from obpose.creation.origin import Origin, load_origin
 from obpose.creation.prior import learned_prior, save_prior
 from obpose.errors import CorruptFile, UsageError
 from obpose.shipped import shipped_names
-from tests.obpose.creation.scenes import some_model
+from tests.obpose.creation.scenes import some_model, some_tables
 
-LIGHTS = torch.tensor([[0.0, 0.6, 0.8, 0.5], [0.0, 0.0, 0.0, 0.0]])
+TABLES = some_tables()
 
 
 @pytest.fixture
@@ -34,19 +34,20 @@ def test_a_stored_flow_is_the_same_in_half_precision(origin: Origin):
     with pytest.raises(UsageError, match="make one with obpose-edit learn"):
         load_flow(origin)
     flow = some_flow()
-    path = save_flow(origin, flow, LIGHTS)
+    path = save_flow(origin, flow, TABLES)
     assert has_flow(origin)
     found = load_flow(origin)
     for name, value in flow.state_dict().items():
         assert torch.equal(found.flow.state_dict()[name], value.half().float())
     assert path.stat().st_size < 7_000_000
     assert not any(parameter.requires_grad for parameter in found.flow.parameters())
-    assert torch.equal(found.lights, LIGHTS)
+    assert torch.equal(found.tables.lights, TABLES.lights)
+    assert torch.equal(found.tables.spots, TABLES.spots.half().float())
     torch.testing.assert_close(found.low, learned_prior(origin.model).low)
 
 
 def test_a_flow_is_of_the_weights_that_found_its_objects(origin: Origin):
-    save_flow(origin, some_flow(), LIGHTS)
+    save_flow(origin, some_flow(), TABLES)
     other = replace(origin, hash="another")
     save_prior(other, learned_prior(origin.model))
     with pytest.raises(CorruptFile, match="is of other weights than those beside it; make it again"):
@@ -54,20 +55,23 @@ def test_a_flow_is_of_the_weights_that_found_its_objects(origin: Origin):
 
 
 def test_damaged_flows_are_refused(origin: Origin):
-    path = save_flow(origin, some_flow(latent=31), LIGHTS)
+    path = save_flow(origin, some_flow(latent=31), TABLES)
     with pytest.raises(CorruptFile, match="is damaged, or of another version"):
         load_flow(origin)
-    save_flow(origin, some_flow(), LIGHTS)
+    save_flow(origin, some_flow(), TABLES)
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(CorruptFile, match="is damaged, or of another version"):
         load_flow(origin)
-    save_flow(origin, some_flow(), LIGHTS)
+    save_flow(origin, some_flow(), TABLES)
     values = load_file(path)
     for name, change in (
         ("norm.weight", torch.full((WIDTH,), torch.inf)),
         ("lights", torch.tensor([[1.0, 1.0, 0.0, 0.5]])),
         ("lights", torch.zeros(0, 4)),
         ("lights", torch.zeros(4)),
+        ("lights", torch.zeros(3, 4)),
+        ("spots", values["spots"][:, 1:]),
+        ("spots", values["spots"] * torch.nan),
     ):
         save_file(values | {name: change}, path, metadata={"weights": origin.hash})
         with pytest.raises(CorruptFile, match="is damaged; make it again"):
@@ -79,7 +83,7 @@ def test_damaged_flows_are_refused(origin: Origin):
 
 
 def test_it_needs_the_prior_of_all_else(origin: Origin):
-    save_flow(origin, some_flow(), LIGHTS)
+    save_flow(origin, some_flow(), TABLES)
     (origin.folder / "prior.safetensors").unlink()
     with pytest.raises(UsageError, match=r"has no prior\.safetensors"):
         load_flow(origin)

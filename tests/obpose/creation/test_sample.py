@@ -11,6 +11,7 @@ from obpose.creation.found import FoundObjects, find_objects
 from obpose.creation.grids import Grids, facing
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
+from obpose.creation.pattern import EDGE as EDGE_OF_PATTERN
 from obpose.creation.prior import learned_prior
 from obpose.creation.rendering import conditioning
 from obpose.creation.sample import sample_scene
@@ -20,10 +21,9 @@ from obpose.model import ObPose
 from obpose.nerf.detail import EDGE
 from obpose.nerf.field import Conditioning
 from tests.obpose.analytic_fields import BallField
-from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
+from tests.obpose.creation.scenes import CAMERA, some_model, some_scene, some_tables
 from tests.obpose.scenes import table_scene
 
-LIGHTS = torch.tensor([[0.0, 0.6, 0.8, 0.5], [0.6, 0.0, 0.8, 0.6]])
 RADIUS = 0.4
 """Of the balls, in half edges of the box of 20 cm."""
 
@@ -111,7 +111,8 @@ def found(*, objects: int = 3) -> FoundObjects:
         0.01 * (1 + torch.arange(objects)),
         scene.detail,
         scene.background,
-        LIGHTS,
+        some_tables().lights,
+        torch.randn(2, EDGE_OF_PATTERN, EDGE_OF_PATTERN, 3),
     )
     return FoundObjects(*parts, low=-corner, high=corner)
 
@@ -132,7 +133,7 @@ class Known(Flow):
 
 def flow_prior(flow: Flow, model: ObPose) -> FlowPrior:
     rest = learned_prior(model)
-    return FlowPrior(flow, LIGHTS, rest.background, rest.low, rest.high)
+    return FlowPrior(flow, some_tables(), rest.background, rest.low, rest.high)
 
 
 def test_objects_of_a_flow_stand_on_the_table_and_face_the_camera():
@@ -149,6 +150,8 @@ def test_objects_of_a_flow_stand_on_the_table_and_face_the_camera():
     only = known.decode(known.patches, known.size).values
     torch.testing.assert_close(scene.detail, only.expand(4, -1, -1, -1, -1))
     torch.testing.assert_close(scene.alone, torch.full((4,), edge / 0.2))
+    assert (source.tables.lights == scene.light).all(dim=1).any()
+    assert scene.pattern.std() > 0.1
     # Points of the lattice are 8 mm apart; what is dense begins half a step below the first, in the middle.
     assert (scene.center[0, :, 2]).abs().max() < 0.005
     for place in range(4):
@@ -188,6 +191,7 @@ def test_found_objects_are_what_they_were_with_their_details():
         torch.testing.assert_close(turn[2], torch.tensor([0.0, 0.0, 1.0]), atol=1e-5, rtol=0)
     ((at,),) = (source.background == scene.background[0]).all(dim=1).nonzero()
     assert torch.equal(scene.light, source.light[at])
+    assert torch.equal(scene.pattern, source.pattern[at])
 
 
 def test_what_found_objects_have_below_the_table_needs_no_room():

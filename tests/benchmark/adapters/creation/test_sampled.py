@@ -19,12 +19,11 @@ from benchmark.interface import Prediction
 from datagen.storage import Dataset
 from obpose.creation.flow import Flow
 from obpose.creation.flow_prior import named_prior, save_flow
-from obpose.creation.light import no_light
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior, save_prior
 from obpose.creation.rendering import Image
 from obpose.shipped import shipped_to_create
-from tests.obpose.creation.scenes import CAMERA
+from tests.obpose.creation.scenes import CAMERA, some_tables
 
 
 def image() -> Image:
@@ -109,7 +108,7 @@ def test_the_command_prints_and_draws(
         assert picture.size == (width, 4 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
-    save_flow(origin, Flow(origin.model.config.model.latent.what), no_light()[None])
+    save_flow(origin, Flow(origin.model.config.model.latent.what), some_tables())
     assert main([*flags, "--found", "0"]) == 0
     assert "| sampled, prior flow |" in capsys.readouterr().out
 
