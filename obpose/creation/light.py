@@ -11,8 +11,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 Light = Float[Tensor, "4"]
-_RADIUS = 0.031
-"""How far the directions of `beams` lie from the middle, radians: a disc of 2.5 degrees is on average as wide."""
+_RADIUS = 0.06
+"""How far the directions of `beams` lie from the middle, radians. A disc of 2.5 degrees is on average half as wide; the
+rest is for the shapes of objects, which are known roughly."""
 _ROUNDING = 1e-3
 """By how much the length of a direction may differ from 1."""
 

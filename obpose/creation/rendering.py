@@ -30,6 +30,9 @@ _OUTLINE = 0.1
 """Outlines are where the share of a component differs by more than this between neighbours."""
 _KEPT = 256
 """Components that are remembered."""
+_SHADING = 1.0
+"""Optical thickness of as much of an opaque thing in the way of a light, which is sampled once: fields are fatter than
+objects, and the hard shadows that `_OPAQUE` gives are 0.1 to 0.2 dB worse than these."""
 _LEAST_LIGHT = 1e-2
 """Share of a pixel's light that the background has at least where its shadows are looked for."""
 _LEAST_COLOUR = 1e-3
@@ -130,8 +133,8 @@ class Renderer:
                 objects,
                 surface + config.spacing * beam,
                 beam,
-                step=config.spacing / _STEPS,
-                sigma_max=_OPAQUE / config.spacing,
+                step=config.spacing,
+                sigma_max=_SHADING / config.spacing,
                 floor=config.table,
                 threshold=config.voxel_threshold,
             )
