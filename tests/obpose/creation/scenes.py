@@ -41,6 +41,7 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
         cameras=(CAMERA,),
         model=model,
         checkpoint="somewhere",
+        light=torch.tensor([0.6, 0.0, 0.8, 0.3]),
     )
 
 

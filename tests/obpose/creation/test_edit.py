@@ -1,9 +1,12 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from obpose.creation import edit
+from obpose.creation.light import no_light
+from obpose.creation.pattern import no_pattern
 from obpose.creation.scene import Scene, upright
 from obpose.errors import UsageError
 from tests.obpose.creation.scenes import equal, some_scene
@@ -83,6 +86,14 @@ def test_an_object_of_another_scene_is_added_and_stays_where_its_frames_end():
     assert torch.equal(added.detail[3], source.detail[2])
     assert torch.equal(added.center[:, 3], source.center[frames, 2])
     assert equal(edit.remove(added, 4), target)
+
+
+def test_light_and_pattern_stay_whatever_is_done_to_objects():
+    scene = some_scene()
+    source = replace(some_scene(seed=1), light=no_light(), pattern=no_pattern())
+    for changed in (*every_edit(scene), edit.transfer(source, 1, scene)):
+        assert torch.equal(changed.light, scene.light)
+        assert torch.equal(changed.pattern, scene.pattern)
 
 
 def test_nothing_is_changed_in_place():

@@ -1,12 +1,19 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from obpose.creation import infer
 from obpose.creation.infer import fit_to_frames, infer_labelled, infer_scene, views_as_trained
+from obpose.creation.light import no_light
 from obpose.creation.origin import Origin
+from obpose.creation.pattern import no_pattern
 from obpose.creation.refine import refine
+from obpose.creation.scene import Scene
+from obpose.model import ObPose
 from obpose.resolution import fitting_model
+from obpose.types import Observation
 from tests.obpose.creation.scenes import alike, some_model
 from tests.obpose.scenes import table_scene
 
@@ -29,8 +36,38 @@ def test_a_scene_can_be_refined_at_once():
     clip = table_scene(batch=1, frames=2, height=20, width=20)
     model = fitting_model(origin.model, clip)
     refined = infer_scene(origin, clip, refinements=2)
-    assert alike(refined, refine(model, clip, infer_scene(origin, clip), steps=2))
+    assert alike(
+        replace(refined, light=no_light(), pattern=no_pattern()),
+        refine(model, clip, infer_scene(origin, clip), steps=2),
+    )
     assert refined.detail.any()
+
+
+def test_a_light_and_then_a_pattern_are_looked_for_in_what_was_fitted_to_the_frames(monkeypatch: pytest.MonkeyPatch):
+    origin = Origin(some_model(), Path("folder"), "name", "hash")
+    clip = table_scene(batch=1, frames=2, height=20, width=20)
+    light, fitted = torch.tensor([0.6, 0.0, 0.8, 0.3]), []
+
+    def found(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
+        fitted.append(bool(scene.detail.any()))
+        return light
+
+    def pattern(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
+        return no_pattern() + scene.light[0]
+
+    monkeypatch.setattr(infer, "find_light", found)
+    monkeypatch.setattr(infer, "find_pattern", pattern)
+    plain = infer_scene(origin, clip)
+    assert torch.equal(plain.light, no_light())
+    assert torch.equal(plain.pattern, no_pattern())
+    for scene in (
+        infer_scene(origin, clip, refinements=2),
+        fit_to_frames(plain, origin.model, clip, refinements=2),
+    ):
+        assert torch.equal(scene.light, light)
+        assert torch.equal(scene.pattern, no_pattern() + light[0])
+    assert torch.equal(fit_to_frames(plain, origin.model, clip, refinements=0).light, no_light())
+    assert fitted == [True, True]
 
 
 def test_what_was_inferred_can_be_fitted_afterwards_to_the_views_that_the_model_gets():

@@ -8,7 +8,9 @@ from benchmark.metrics.images import psnr
 from obpose.creation import edit
 from obpose.creation.clip import read_clip
 from obpose.creation.infer import infer_scene
+from obpose.creation.light import no_light
 from obpose.creation.origin import load_origin
+from obpose.creation.pattern import no_pattern
 from obpose.creation.rendering import Renderer, outlines
 from obpose.creation.scene import Scene
 from obpose.model import ObPose
@@ -120,6 +122,7 @@ def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, re
     """
     origin = load_origin("obpose--moving--64x64")
     scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0), refinements=refinements)
+    scene = replace(scene, light=no_light(), pattern=no_pattern())
     camera, renderer = scene.cameras[0].resized(24, 24), Renderer(origin.model)
     image = renderer.render(scene, camera=camera, antialiased=False)
     dense = densely(renderer, scene, camera, behind=origin.model.config.loss.jitter)

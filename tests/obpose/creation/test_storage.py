@@ -99,6 +99,14 @@ CAMERAS = {"k": CAMERA.k[None], "world_from_camera": CAMERA.world_from_camera[No
         {"detail": torch.full((3, 16, 16, 16, 4), torch.nan)},
         {"background": torch.zeros(())},
         {"background": torch.zeros(2, 4, 8)},
+        {"light": torch.zeros(3)},
+        {"light": torch.zeros(2, 4)},
+        {"light": torch.zeros(4, dtype=torch.float64)},
+        {"light": torch.full((4,), torch.nan)},
+        {"light": torch.tensor([0.6, 0.0, 0.8, 1.5])},
+        {"light": torch.tensor([0.6, 0.0, 0.8, -0.5])},
+        {"light": torch.tensor([0.6, 0.0, 0.9, 0.5])},
+        {"light": torch.tensor([0.0, 0.0, 0.0, 0.5])},
     ],
 )
 def test_arrays_that_no_scene_has_are_damage(tmp_path: Path, change: dict[str, torch.Tensor]):
@@ -124,12 +132,13 @@ def test_a_scene_knows_its_clip_and_older_ones_do_not(tmp_path: Path):
     assert load_scene(tmp_path / "old").clip is None
 
 
-def test_scenes_of_older_versions_have_no_detail(tmp_path: Path):
+@pytest.mark.parametrize("name", ["detail", "alone", "light", "pattern"])
+def test_scenes_of_older_versions_have_less(tmp_path: Path, name: str):
     save_scene(tmp_path, some_scene())
     tensors = load_file(tmp_path / "scene.safetensors")
-    del tensors["detail"], tensors["alone"]
+    nothing = torch.zeros_like(tensors.pop(name))
     save_file(tensors, tmp_path / "scene.safetensors")
-    assert equal(load_scene(tmp_path), replace(some_scene(), detail=torch.zeros(3, 16, 16, 16, 4)))
+    assert equal(load_scene(tmp_path), replace(some_scene(), **{name: nothing}))
 
 
 def test_the_model_s_folder_is_found_from_everywhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

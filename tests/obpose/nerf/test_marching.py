@@ -6,7 +6,7 @@ import torch
 from obpose.geometry import camera_rays
 from obpose.nerf.components import decode
 from obpose.nerf.field import Field
-from obpose.nerf.marching import Component, Picture, make_component, march, moved
+from obpose.nerf.marching import Component, Picture, make_component, march, moved, thickness_towards
 from obpose.nerf.render import Rendering, render
 from obpose.types import Boxes
 from tests.obpose.analytic_fields import SMALL, BallField, empty_field
@@ -128,6 +128,33 @@ def test_nothing_is_black_and_as_far_as_can_be_seen():
     assert (seen.colour == 0).all()
     assert (seen.weights == 0).all()
     torch.testing.assert_close(seen.depth, torch.full_like(seen.depth, FAR))
+
+
+@pytest.mark.parametrize(
+    ("beside", "before", "expected"),
+    [(0.0, 0.5, 0.24), (0.06, 0.5, 0.208), (0.13, 0.5, 0.0), (0.0, 0.0, 0.12), (0.0, -0.5, 0.0)],
+)
+def test_a_ball_is_as_thick_as_the_way_through_it_is_long(beside: float, before: float, expected: float):
+    ball = of_code(BallField(0.8), torch.zeros(2), **BOX, bounded=True, resolution=16)
+    toward = torch.tensor([0.0, 0.6, 0.8])
+    origin = BOX["center"] + beside * torch.tensor([1.0, 0.0, 0.0]) - before * toward
+    along = {"step": 0.002, "sigma_max": 10.0, "floor": None, "threshold": 0.5}
+    apart = BOX["center"] + torch.tensor([9.0, 0.0, 0.0])
+    found = thickness_towards([ball], torch.stack([apart, origin]), toward, **along)
+    assert found.tolist() == [0.0, pytest.approx(10 * expected, abs=0.05)]
+
+
+def test_nothing_is_thick_below_the_floor_and_two_balls_are_thicker_than_one():
+    ball = of_code(BallField(0.8), torch.zeros(2), **BOX, bounded=True, resolution=16)
+    other = moved(ball, BOX["center"] + torch.tensor([0.0, 0.0, 0.5]), torch.eye(3))
+    up, start = torch.tensor([0.0, 0.0, 1.0]), BOX["center"][None] - torch.tensor([0.0, 0.0, 0.5])
+    along = {"step": 0.002, "sigma_max": 10.0, "threshold": 0.5}
+    middle = float(BOX["center"][2])
+    thick = [
+        thickness_towards(balls, start, up, **along, floor=floor).item()
+        for balls, floor in (([ball], None), ([ball], middle), ([ball, other], middle), ([ball], 1.0), ([], None))
+    ]
+    assert thick == [pytest.approx(value, abs=0.05) for value in (2.4, 1.2, 3.6, 0.0, 0.0)]
 
 
 def test_a_component_that_is_moved_is_as_if_it_had_been_made_there():
