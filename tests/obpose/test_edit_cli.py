@@ -205,6 +205,7 @@ def test_a_flow_is_learned_beside_the_weights(
     own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(examples, "STEPS", 1)
+    monkeypatch.setattr(learn, "COMPARED", 8)
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 4)
     data = tmp_path / "data"
     generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))

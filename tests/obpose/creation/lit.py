@@ -6,6 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from obpose.creation.pattern import no_pattern
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Camera, Scene
 from obpose.geometry import camera_rays
@@ -45,7 +46,7 @@ def balls_over_table(*centers: Sequence[float], light: Sequence[float]) -> tuple
     model.background_field = TableField(model.center, model.config.model.background_size)
     scene = some_scene(objects=len(centers), frames=1)
     places = {"center": torch.tensor([centers]), "rotation": torch.eye(3).expand(1, len(centers), 3, 3)}
-    return model, replace(scene, **places, cameras=(VIEW,), light=torch.tensor(light))
+    return model, replace(scene, **places, cameras=(VIEW,), light=torch.tensor(light), pattern=no_pattern())
 
 
 def table_points(camera: Camera) -> Tensor:

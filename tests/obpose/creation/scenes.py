@@ -3,7 +3,7 @@
 import torch
 
 from obpose.creation.flow_prior import Tables
-from obpose.creation.pattern import SPOT
+from obpose.creation.pattern import EDGE, SPOT
 from obpose.creation.scene import Camera, Scene
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
@@ -42,6 +42,7 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
         model=model,
         checkpoint="somewhere",
         light=torch.tensor([0.6, 0.0, 0.8, 0.3]),
+        pattern=0.3 * draw(EDGE, EDGE, 3),
     )
 
 

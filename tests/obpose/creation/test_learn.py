@@ -32,6 +32,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(examples, "STEPS", 1)
     monkeypatch.setattr(learn, "BATCH", 4)
+    monkeypatch.setattr(learn, "COMPARED", 8)
     monkeypatch.setattr(learn, "SAVE_STEPS", 2)
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 6)
 
