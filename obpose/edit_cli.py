@@ -39,6 +39,7 @@ from obpose.creation.rendering import Image, Renderer
 from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Camera, Scene, axis_rotation
 from obpose.creation.storage import load_scene, save_scene
+from obpose.creation.tables import MOST, find_tables
 from obpose.data import SceneDataset
 from obpose.edit_arguments import Add, Fit, Infer, Learn, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.errors import EXIT_OK, Interrupted, UsageError, run_program
@@ -138,8 +139,11 @@ def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -
 def _fit(values: Fit) -> None:
     origin, count = _own(values.checkpoint), _clips(values)
     model = origin.model
+    print(f"Looking for lights and patterns in {min(count, MOST)} clips; each takes some seconds.", flush=True)
+    whole = (read_clip(values.data, "train", i) for i in range(min(count, MOST)))
+    tables = find_tables(origin, whole, refinements=STEPS)
     clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
-    save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips)))
+    save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips), tables))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
 
 

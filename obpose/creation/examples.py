@@ -16,7 +16,6 @@ from obpose.creation.clip import read_clip
 from obpose.creation.grids import Grids, grids_of, together
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin, load_origin
-from obpose.creation.pattern import spot_of
 from obpose.creation.refine import STEPS
 from obpose.creation.scene import Scene
 from obpose.errors import CorruptFile
@@ -37,10 +36,6 @@ class Examples:
     """Of its objects in some frames."""
     what: Float[Tensor, "object what"]
     """Codes of the last frame."""
-    light: Float[Tensor, "4"]
-    """That which was found (`obpose.creation.light`)."""
-    spot: Float[Tensor, "spot spot 3"]
-    """Of the pattern that was found (`obpose.creation.pattern`)."""
 
 
 def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, workers: int, say: Say) -> list[Examples]:
@@ -79,7 +74,6 @@ def examples_of(model: ObPose, scene: Scene) -> bytes:
     frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().int().tolist()
     grids = together([grids_of(model, scene, frame) for frame in frames], like=scene.what)
     tensors = {"values": grids.values.half(), "half": grids.half, "what": scene.what[-1]}
-    tensors |= {"light": scene.light, "spot": spot_of(scene.pattern).half()}
     return save({name: value.contiguous() for name, value in tensors.items()})
 
 
@@ -98,7 +92,6 @@ def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, 
 def _read(path: Path) -> Examples:
     try:
         tensors = load(path.read_bytes())
-        grids = Grids(tensors["values"].float(), tensors["half"])
-        return Examples(grids, tensors["what"], tensors["light"], tensors["spot"].float())
+        return Examples(Grids(tensors["values"].float(), tensors["half"]), tensors["what"])
     except (SafetensorError, KeyError):
         raise CorruptFile(f"{path} is damaged; delete it, and run the same command again.") from None

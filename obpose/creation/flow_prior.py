@@ -1,4 +1,4 @@
-"""What scenes are sampled from where a flow was learned: it gives the objects; the table is the fitted prior's."""
+"""What scenes are sampled from where a flow was learned: it gives the objects, all else is the fitted prior's."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +11,9 @@ from safetensors.torch import save
 from torch import Tensor
 
 from obpose.creation.flow import Flow
-from obpose.creation.light import Light, is_light
 from obpose.creation.origin import Origin
-from obpose.creation.pattern import SPOT, Pattern, pattern_like
 from obpose.creation.prior import Mixture, ScenePrior, learned_prior, load_prior
+from obpose.creation.tables import Tables
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
 
@@ -24,23 +23,7 @@ FILE = "flow.safetensors"
 """Beside the model's weights."""
 _WEIGHTS = "weights"
 """In the file's metadata: SHA-256 of the file of the weights that found the objects."""
-_LIGHTS, _SPOTS = "lights", "spots"
 _AGAIN = "make it again with obpose-edit learn, or give another --prior."
-
-
-@dataclass(frozen=True, eq=False)
-class Tables:
-    """Lights and patterns of tables that were found in clips, to be drawn from."""
-
-    lights: Float[Tensor, "table 4"]
-    """As `Scene.light`."""
-    spots: Float[Tensor, "table spot spot 3"]
-    """Of patterns; those that are drawn are like one of them (`obpose.creation.pattern`)."""
-
-    def draw(self, generator: torch.Generator) -> tuple[Light, Pattern]:
-        """Of one of the tables."""
-        place = int(torch.randint(len(self.lights), (), generator=generator))
-        return self.lights[place], pattern_like(self.spots[place], generator)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +38,9 @@ class FlowPrior:
     high: Float[Tensor, "2"]
 
 
-def save_flow(origin: Origin, flow: Flow, tables: Tables) -> Path:
-    """Write what `load_flow` reads, but for the lights in half precision; give the file."""
+def save_flow(origin: Origin, flow: Flow) -> Path:
+    """Write what `load_flow` reads, in half precision; give the file."""
     contents = {name: tensor.half().contiguous() for name, tensor in flow.state_dict().items()}
-    contents |= {_LIGHTS: tables.lights, _SPOTS: tables.spots.half()}
     write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
     return origin.folder / FILE
 
@@ -85,25 +67,14 @@ def load_flow(origin: Origin) -> FlowPrior:
             weights = (file.metadata() or {}).get(_WEIGHTS)
         with torch.random.fork_rng(devices=[]):
             flow = Flow(origin.model.config.model.latent.what)
-        lights, spots = values.pop(_LIGHTS), values.pop(_SPOTS)
         flow.load_state_dict(values)
-    except (SafetensorError, KeyError, RuntimeError):
+    except (SafetensorError, RuntimeError):
         raise CorruptFile(f"{path} is damaged, or of another version; {_AGAIN}") from None
     if weights != origin.hash:
         raise CorruptFile(f"{path} is of other weights than those beside it; {_AGAIN}")
-    finite = all(bool(value.isfinite().all()) for value in values.values())
-    if not finite or not _are_tables(lights, spots):
+    if not all(bool(value.isfinite().all()) for value in values.values()):
         raise CorruptFile(f"{path} is damaged; {_AGAIN}")
-    return FlowPrior(
-        flow.eval().requires_grad_(requires_grad=False), Tables(lights, spots), rest.background, rest.low, rest.high
-    )
-
-
-def _are_tables(lights: Tensor, spots: Tensor) -> bool:
-    """Whether the arrays fit each other and hold numbers; files may come from anywhere."""
-    count = len(spots) if spots.ndim else 0
-    sizes = count > 0 and lights.shape == (count, 4) and spots.shape == (count, SPOT, SPOT, 3)
-    return sizes and bool(spots.isfinite().all()) and all(map(is_light, lights))
+    return FlowPrior(flow.eval().requires_grad_(requires_grad=False), rest.tables, rest.background, rest.low, rest.high)
 
 
 def named_prior(origin: Origin, name: PriorName) -> FlowPrior | ScenePrior:

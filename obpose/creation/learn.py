@@ -14,7 +14,7 @@ from torch import nn
 
 from obpose.creation.examples import Examples, Say, find_examples, joined
 from obpose.creation.flow import WIDTH, Flow, describe, flow_loss, mirrored, sample_grids
-from obpose.creation.flow_prior import Tables, save_flow
+from obpose.creation.flow_prior import save_flow
 from obpose.creation.grids import Grids
 from obpose.creation.origin import Origin
 from obpose.data import SceneDataset
@@ -25,8 +25,6 @@ PARTIAL = "flow.partial"
 """Folder beside the weights, as long as the flow is not done."""
 COMPARED = 200
 """Samples, and as many objects that are held out, are compared with those that are learned from."""
-TABLES = 64
-"""The lights and patterns of at most so many clips are kept, to be drawn from."""
 HELD = 20
 """Objects of every so many clips are not learned from, but tell how well it goes."""
 BATCH, RATE, WARM_STEPS, CLIP = 64, 1e-3, 200, 1.0
@@ -70,7 +68,7 @@ def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say:
         _check_same(folder, {"weights": origin.hash, "data": dataset, **asdict(lesson)})
         found = find_examples(origin, data, folder, lesson.clips, workers=workers, say=say)
         flow = _train(_fresh(origin, lesson), found, folder, lesson, say)
-        path = save_flow(origin, flow, _tables(found))
+        path = save_flow(origin, flow)
     shutil.rmtree(folder)
     return path
 
@@ -146,11 +144,6 @@ def _multiply(kind: torch.dtype) -> float:
     start = time.perf_counter()
     one @ other
     return time.perf_counter() - start
-
-
-def _tables(found: list[Examples]) -> Tables:
-    some = found[:TABLES]
-    return Tables(torch.stack([each.light for each in some]), torch.stack([each.spot for each in some]))
 
 
 def _held_out(flow: Flow, held: Grids) -> str:

@@ -18,6 +18,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from obpose.creation.origin import Origin
+from obpose.creation.tables import Tables, are_tables, no_tables
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
 from obpose.model import ObPose
@@ -65,10 +66,11 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class ScenePrior:
-    """Of the latents of the first frame, and the part of the table on which objects stand."""
+    """Of the latents of the first frame, of tables, and of the part of a table on which objects stand."""
 
     what: Mixture
     background: Mixture
+    tables: Tables
     low: Float[Tensor, "2"]
     """Of the objects' middles, world x and y, metres."""
     high: Float[Tensor, "2"]
@@ -77,7 +79,7 @@ class ScenePrior:
 def learned_prior(model: ObPose) -> ScenePrior:
     """The model's own (paper, section Object Location and Orientation Conditioned Encoding).
 
-    It says nothing of where objects are; they are put in the middle half of the workspace.
+    It says nothing of where objects are; they are put in the middle half of the workspace. Nor does it of tables.
     """
     assert model.background is not None
     half = model.config.model.workspace_size / 4
@@ -86,12 +88,12 @@ def learned_prior(model: ObPose) -> ScenePrior:
         Mixture(torch.ones(1), mean[None], torch.diag(std)[None])
         for mean, std in (model.what.first(), model.background.first())
     )
-    return ScenePrior(*gaussians, low=middle - half, high=middle + half)
+    return ScenePrior(*gaussians, no_tables(middle), low=middle - half, high=middle + half)
 
 
 @torch.no_grad()
-def fit_prior(model: ObPose, clips: Iterable[Observation]) -> ScenePrior:
-    """Mixtures of the posterior means of the first frames of clips, a batch of one each.
+def fit_prior(model: ObPose, clips: Iterable[Observation], tables: Tables) -> ScenePrior:
+    """Mixtures of the posterior means of the first frames of clips, a batch of one each, with tables that were found.
 
     Raises:
         UsageError: too few objects were found for a covariance.
@@ -107,7 +109,8 @@ def fit_prior(model: ObPose, clips: Iterable[Observation]) -> ScenePrior:
     objects, scenes = (torch.cat(what) if what else torch.zeros(0, 1)), len(background)
     if len(objects) < 2 or scenes < 2:
         raise UsageError(f"{len(objects)} objects were found in {scenes} clips; expected at least 2 in 2 clips.")
-    return ScenePrior(fit_mixture(objects), fit_mixture(torch.stack(background)), *table_part(torch.cat(center)))
+    mixtures = fit_mixture(objects), fit_mixture(torch.stack(background))
+    return ScenePrior(*mixtures, tables, *table_part(torch.cat(center)))
 
 
 def table_part(places: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:
@@ -119,6 +122,7 @@ def table_part(places: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, "2"], Float[
 def save_prior(origin: Origin, prior: ScenePrior) -> None:
     """Write what `load_prior` reads beside a model's weights, with their hash: to other weights it means nothing."""
     tensors = {"low": prior.low, "high": prior.high}
+    tensors |= {"lights": prior.tables.lights, "spots": prior.tables.spots.half()}
     for name, mixture in (("what", prior.what), ("background", prior.background)):
         tensors |= {f"{name}.{part}": getattr(mixture, part) for part in _PARTS}
     contents = {name: tensor.contiguous() for name, tensor in tensors.items()}
@@ -140,7 +144,12 @@ def load_prior(origin: Origin) -> ScenePrior:
             found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             weights = (file.metadata() or {}).get(_WEIGHTS)
         what, background = (Mixture(*(found[f"{name}.{part}"] for part in _PARTS)) for name in ("what", "background"))
-        prior = ScenePrior(what, background, found["low"], found["high"])
+        # Those that older versions fitted have none.
+        none = no_tables(found["low"])
+        lights, spots = found.get("lights", none.lights), found.get("spots", none.spots).float()
+        if not are_tables(lights, spots):
+            raise ValueError("no tables")
+        prior = ScenePrior(what, background, Tables(lights, spots), found["low"], found["high"])
     except (SafetensorError, KeyError, TypeError, ValueError):
         raise CorruptFile(f"{path} is damaged; {_AGAIN}") from None
     if weights is None:

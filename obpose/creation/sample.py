@@ -14,9 +14,9 @@ from obpose.creation.flow import sample_grids
 from obpose.creation.flow_prior import FlowPrior
 from obpose.creation.found import FoundObjects
 from obpose.creation.grids import Grids, facing, together
-from obpose.creation.light import Light, no_light
+from obpose.creation.light import Light
 from obpose.creation.origin import Origin
-from obpose.creation.pattern import Pattern, no_pattern
+from obpose.creation.pattern import Pattern
 from obpose.creation.prior import ScenePrior
 from obpose.creation.rendering import conditioning
 from obpose.creation.scene import Camera, Scene, upright
@@ -118,14 +118,11 @@ def _draw(model: ObPose, source: Source, objects: int, generator: torch.Generato
 
 
 def _surroundings(source: Source, generator: torch.Generator) -> tuple[Float[Tensor, "1 background"], Light, Pattern]:
-    """Background, light and pattern; the latter two are none where a prior knows of none."""
+    """Background, light and pattern."""
     if isinstance(source, FoundObjects):
         place = int(torch.randint(len(source.background), (), generator=generator))
         return source.background[place, None], source.light[place], source.pattern[place]
-    background = source.background.draw(1, generator)
-    if isinstance(source, FlowPrior):
-        return background, *source.tables.draw(generator)
-    return background, no_light(background), no_pattern(background)
+    return source.background.draw(1, generator), *source.tables.draw(generator)
 
 
 @torch.no_grad()

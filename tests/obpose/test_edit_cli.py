@@ -27,7 +27,7 @@ from obpose.creation.storage import load_scene
 from obpose.data import SceneDataset
 from obpose.edit_cli import main
 from tests import small
-from tests.obpose.creation.scenes import alike, equal, some_tables
+from tests.obpose.creation.scenes import alike, equal
 
 MODEL = "obpose--moving--64x64"
 
@@ -189,7 +189,7 @@ def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
         flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(VALUES // 4))
         flow.patch_out.weight.zero_()
         flow.size_mean.fill_(math.log(0.05))
-    save_flow(origin, flow, some_tables())
+    save_flow(origin, flow)
     for out in ("one", "again"):
         assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
     assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK

@@ -2,9 +2,9 @@
 
 import torch
 
-from obpose.creation.flow_prior import Tables
 from obpose.creation.pattern import EDGE, SPOT
 from obpose.creation.scene import Camera, Scene
+from obpose.creation.tables import Tables
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
 from obpose.variants import make_config

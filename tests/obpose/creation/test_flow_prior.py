@@ -5,7 +5,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from obpose.creation.flow import WIDTH, Flow
+from obpose.creation.flow import Flow
 from obpose.creation.flow_prior import has_flow, load_flow, save_flow
 from obpose.creation.origin import Origin, load_origin
 from obpose.creation.prior import learned_prior, save_prior
@@ -13,14 +13,12 @@ from obpose.errors import CorruptFile, UsageError
 from obpose.shipped import shipped_names
 from tests.obpose.creation.scenes import some_model, some_tables
 
-TABLES = some_tables()
-
 
 @pytest.fixture
 def origin(tmp_path: Path) -> Origin:
     """A model beside whose weights there is a prior."""
     origin = Origin(some_model(), tmp_path, "name", "hash")
-    save_prior(origin, learned_prior(origin.model))
+    save_prior(origin, replace(learned_prior(origin.model), tables=some_tables()))
     return origin
 
 
@@ -34,20 +32,19 @@ def test_a_stored_flow_is_the_same_in_half_precision(origin: Origin):
     with pytest.raises(UsageError, match="make one with obpose-edit learn"):
         load_flow(origin)
     flow = some_flow()
-    path = save_flow(origin, flow, TABLES)
+    path = save_flow(origin, flow)
     assert has_flow(origin)
     found = load_flow(origin)
     for name, value in flow.state_dict().items():
         assert torch.equal(found.flow.state_dict()[name], value.half().float())
     assert path.stat().st_size < 7_000_000
     assert not any(parameter.requires_grad for parameter in found.flow.parameters())
-    assert torch.equal(found.tables.lights, TABLES.lights)
-    assert torch.equal(found.tables.spots, TABLES.spots.half().float())
+    assert torch.equal(found.tables.lights, some_tables().lights)
     torch.testing.assert_close(found.low, learned_prior(origin.model).low)
 
 
 def test_a_flow_is_of_the_weights_that_found_its_objects(origin: Origin):
-    save_flow(origin, some_flow(), TABLES)
+    save_flow(origin, some_flow())
     other = replace(origin, hash="another")
     save_prior(other, learned_prior(origin.model))
     with pytest.raises(CorruptFile, match="is of other weights than those beside it; make it again"):
@@ -55,35 +52,23 @@ def test_a_flow_is_of_the_weights_that_found_its_objects(origin: Origin):
 
 
 def test_damaged_flows_are_refused(origin: Origin):
-    path = save_flow(origin, some_flow(latent=31), TABLES)
+    path = save_flow(origin, some_flow(latent=31))
     with pytest.raises(CorruptFile, match="is damaged, or of another version"):
         load_flow(origin)
-    save_flow(origin, some_flow(), TABLES)
+    save_flow(origin, some_flow())
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(CorruptFile, match="is damaged, or of another version"):
         load_flow(origin)
-    save_flow(origin, some_flow(), TABLES)
+    save_flow(origin, some_flow())
     values = load_file(path)
-    for name, change in (
-        ("norm.weight", torch.full((WIDTH,), torch.inf)),
-        ("lights", torch.tensor([[1.0, 1.0, 0.0, 0.5]])),
-        ("lights", torch.zeros(0, 4)),
-        ("lights", torch.zeros(4)),
-        ("lights", torch.zeros(3, 4)),
-        ("spots", values["spots"][:, 1:].contiguous()),
-        ("spots", values["spots"] * torch.nan),
-    ):
-        save_file(values | {name: change}, path, metadata={"weights": origin.hash})
-        with pytest.raises(CorruptFile, match="is damaged; make it again"):
-            load_flow(origin)
-    del values["lights"]
+    values["norm.weight"][3] = torch.inf
     save_file(values, path, metadata={"weights": origin.hash})
-    with pytest.raises(CorruptFile, match="is damaged, or of another version"):
+    with pytest.raises(CorruptFile, match="is damaged; make it again"):
         load_flow(origin)
 
 
 def test_it_needs_the_prior_of_all_else(origin: Origin):
-    save_flow(origin, some_flow(), TABLES)
+    save_flow(origin, some_flow())
     (origin.folder / "prior.safetensors").unlink()
     with pytest.raises(UsageError, match=r"has no prior\.safetensors"):
         load_flow(origin)

@@ -7,10 +7,11 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from obpose.creation.origin import Origin, load_origin
+from obpose.creation.pattern import SPOT
 from obpose.creation.prior import Mixture, fit_mixture, fit_prior, learned_prior, load_prior, save_prior
 from obpose.errors import CorruptFile, UsageError
 from obpose.shipped import shipped_names
-from tests.obpose.creation.scenes import some_model
+from tests.obpose.creation.scenes import some_model, some_tables
 from tests.obpose.scenes import table_scene
 
 
@@ -68,17 +69,18 @@ def test_the_first_learned_prior_is_that_of_training():
 def test_a_fitted_prior_has_the_moments_of_what_was_inferred():
     model = some_model()
     clips = [table_scene(batch=1, frames=1, seed=seed) for seed in range(6)]
-    prior = fit_prior(model, clips)
+    prior = fit_prior(model, clips, some_tables())
     seen = torch.stack([model.segment(clip).inference.background.mean[0, 0] for clip in clips])  # pyright: ignore
     torch.testing.assert_close(prior.background.means[0], seen.mean(dim=0))
     factor = prior.background.factors[0]
     torch.testing.assert_close(factor @ factor.T, seen.T.cov(), atol=1e-5, rtol=1e-4)
     assert (prior.low <= prior.high).all()
+    assert torch.equal(prior.tables.lights, some_tables().lights)
 
 
 def test_it_needs_two_clips():
     with pytest.raises(UsageError, match="in 1 clips; expected at least 2"):
-        fit_prior(some_model(), [table_scene(batch=1, frames=1)])
+        fit_prior(some_model(), [table_scene(batch=1, frames=1)], some_tables())
 
 
 def some_origin(folder: Path) -> Origin:
@@ -89,9 +91,11 @@ def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
     origin = some_origin(tmp_path)
     with pytest.raises(UsageError, match="make one with obpose-edit fit, or give --prior learned"):
         load_prior(origin)
-    prior = learned_prior(origin.model)
+    prior = replace(learned_prior(origin.model), tables=some_tables())
     save_prior(origin, prior)
     found = load_prior(origin)
+    assert torch.equal(found.tables.lights, prior.tables.lights)
+    assert torch.equal(found.tables.spots, prior.tables.spots.half().float())
     assert torch.equal(found.what.factors, prior.what.factors)
     assert torch.equal(found.high, prior.high)
     short = gaussian(torch.zeros(3), torch.eye(3))
@@ -104,9 +108,31 @@ def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
     save_prior(origin, replace(prior, low=prior.low * torch.nan))
     with pytest.raises(CorruptFile, match="is damaged"):
         load_prior(origin)
+    for tables in (
+        {"lights": torch.tensor([[1.0, 1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]])},
+        {"lights": torch.zeros(3, 4)},
+        {"lights": torch.zeros(4)},
+        {"spots": torch.zeros(2, SPOT, SPOT - 1, 3)},
+        {"spots": torch.full((2, SPOT, SPOT, 3), torch.nan)},
+        {"spots": torch.zeros(())},
+    ):
+        save_prior(origin, prior)
+        path = tmp_path / "prior.safetensors"
+        save_file(load_file(path) | tables, path, metadata={"weights": "hash"})
+        with pytest.raises(CorruptFile, match="is damaged"):
+            load_prior(origin)
     (tmp_path / "prior.safetensors").write_bytes(b"other")
     with pytest.raises(CorruptFile, match="is damaged"):
         load_prior(origin)
+
+
+def test_priors_of_older_versions_know_no_tables(tmp_path: Path):
+    origin, path = some_origin(tmp_path), tmp_path / "prior.safetensors"
+    save_prior(origin, replace(learned_prior(origin.model), tables=some_tables()))
+    values = load_file(path)
+    del values["lights"], values["spots"]
+    save_file(values, path, metadata={"weights": "hash"})
+    assert not len(load_prior(origin).tables.lights)
 
 
 def test_a_prior_is_of_the_weights_that_it_was_fitted_to(tmp_path: Path):

@@ -9,7 +9,7 @@ from obpose.creation.flow_prior import save_flow
 from obpose.creation.origin import Origin
 from obpose.creation.prior import Mixture, learned_prior, save_prior
 from obpose.viewer.sampling import Sampler
-from tests.obpose.creation.scenes import CAMERA, some_model, some_tables
+from tests.obpose.creation.scenes import CAMERA, some_model
 
 
 def test_seeds_follow_each_other_and_begin_anew():
@@ -35,7 +35,7 @@ def test_scenes_are_of_the_best_prior_that_there_is(tmp_path: Path):
         flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(VALUES // 4))
         flow.patch_out.weight.zero_()
         flow.size_mean.fill_(math.log(0.05))
-    save_flow(origin, flow, some_tables())
+    save_flow(origin, flow)
     assert Sampler(origin).next(1, (CAMERA,)).detail.any()
 
 

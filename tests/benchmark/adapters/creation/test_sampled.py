@@ -23,7 +23,7 @@ from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior, save_prior
 from obpose.creation.rendering import Image
 from obpose.shipped import shipped_to_create
-from tests.obpose.creation.scenes import CAMERA, some_tables
+from tests.obpose.creation.scenes import CAMERA
 
 
 def image() -> Image:
@@ -108,7 +108,7 @@ def test_the_command_prints_and_draws(
         assert picture.size == (width, 4 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
-    save_flow(origin, Flow(origin.model.config.model.latent.what), some_tables())
+    save_flow(origin, Flow(origin.model.config.model.latent.what))
     assert main([*flags, "--found", "0"]) == 0
     assert "| sampled, prior flow |" in capsys.readouterr().out
 

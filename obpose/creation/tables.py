@@ -1,0 +1,56 @@
+"""Tables to sample scenes on: lights and patterns as they are found in clips."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.creation.infer import infer_scene
+from obpose.creation.light import Light, is_light, no_light
+from obpose.creation.origin import Origin
+from obpose.creation.pattern import SPOT, Pattern, no_pattern, pattern_like, spot_of
+from obpose.types import Observation
+
+MOST = 32
+"""Tables that are kept, as each takes 25 kB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """To be drawn from; there may be none."""
+
+    lights: Float[Tensor, "table 4"]
+    """As `Scene.light`."""
+    spots: Float[Tensor, "table spot spot 3"]
+    """Of patterns; one that is drawn is like one of them (`obpose.creation.pattern`)."""
+
+    def draw(self, generator: torch.Generator) -> tuple[Light, Pattern]:
+        """Of one of the tables; where there are none, no light and no pattern."""
+        if not len(self.lights):
+            return no_light(self.lights), no_pattern(self.lights)
+        place = int(torch.randint(len(self.lights), (), generator=generator))
+        return self.lights[place], pattern_like(self.spots[place], generator)
+
+
+def no_tables(like: Tensor) -> Tables:
+    """None, of the same kind of numbers as `like`."""
+    return Tables(like.new_zeros(0, 4), like.new_zeros(0, SPOT, SPOT, 3))
+
+
+def find_tables(origin: Origin, clips: Iterable[Observation], *, refinements: int) -> Tables:
+    """Those of scenes that are inferred from clips, a batch of one each, and fitted to them in so many steps."""
+    found = no_tables(origin.model.center)
+    for clip in clips:
+        scene = infer_scene(origin, clip, refinements=refinements)
+        lights = torch.cat([found.lights, scene.light[None]])
+        found = Tables(lights, torch.cat([found.spots, spot_of(scene.pattern)[None]]))
+    return found
+
+
+def are_tables(lights: Tensor, spots: Tensor) -> bool:
+    """Whether arrays are those of tables; files may come from anywhere."""
+    count = len(spots) if spots.ndim else 0
+    sizes = lights.shape == (count, 4) and spots.shape == (count, SPOT, SPOT, 3)
+    return sizes and bool(spots.isfinite().all()) and all(map(is_light, lights))
