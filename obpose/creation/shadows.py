@@ -169,12 +169,17 @@ def _cell(
 
 
 def _strength(renderer: Renderer, shown: Shown, scene: Scene, toward: Float[Tensor, "3"]) -> float:
-    """Share of the background's colour that shadows as they are rendered should take, by least squares; 0..1."""
+    """Share of the background's colour that shadows as they are rendered should take, by least squares; 0..1.
+
+    The background may be brighter in the frames by some factor, which is no light's.
+    """
     shown = shown.at(slice(None, None, max(1, len(shown.point) // _PIXELS)))
     occluded = torch.zeros_like(shown.seen[:, 0])
     for frame in shown.frame.unique().tolist():
         here = shown.frame == frame
         occluded[here] = renderer.occlusion(renderer.objects(scene, frame), shown.point[here], toward)
     drawn, seen = _luminance(shown.drawn), _luminance(shown.seen)
-    lost = drawn * occluded
-    return float((lost @ (drawn - seen) / lost.square().sum().clamp(min=1e-9)).clamp(0, 1))
+    parts = torch.stack([drawn, -drawn * occluded], dim=-1)
+    products = parts.T @ parts + 1e-6 * torch.eye(2)
+    level, lost = torch.linalg.solve(products, parts.T @ seen).tolist()
+    return min(1.0, max(0.0, lost / max(level, 1e-6)))

@@ -7,6 +7,7 @@ from obpose.creation import edit
 from obpose.creation.light import no_light
 from obpose.creation.rendering import Renderer
 from obpose.creation.shadows import find_light
+from obpose.nerf.marching import Picture
 from tests.obpose.creation.lit import GREY, RADIUS, VIEW, balls_over_table, observed, table_points
 
 SOFT = 0.025
@@ -30,6 +31,8 @@ def test_what_is_behind_an_object_is_darker_by_the_strength_and_nothing_else_is(
     torch.testing.assert_close(image.rgb[dark], shade.expand_as(image.rgb[dark]), atol=0.01, rtol=0)
     assert torch.equal(image.rgb[lit], plain.rgb[lit])
     assert (image.rgb <= plain.rgb).all()
+    most = GREY * LIGHT[3] * image.shares[0, ..., None]
+    assert (plain.rgb - image.rgb <= most + 1e-3).all()
     is_ball = image.shares[1] > 0.999
     assert is_ball.sum() > 20
     assert torch.equal(image.rgb[is_ball], plain.rgb[is_ball])
@@ -94,13 +97,16 @@ def test_it_is_found_in_the_frames_and_not_in_the_scene_and_again():
     assert torch.equal(found, find_light(model, frames, scene))
 
 
-@pytest.mark.parametrize("centers", [BALLS, ()])
-def test_where_no_shadow_is_seen_there_is_no_light(centers: tuple[tuple[float, float, float], ...]):
-    model, scene = balls_over_table(*BALLS, light=no_light().tolist())
+@pytest.mark.parametrize("light", [no_light().tolist(), (*LIGHT[:3], 0.05)])
+def test_where_hardly_a_shadow_is_seen_there_is_no_light(light: tuple[float, ...]):
+    model, scene = balls_over_table(*BALLS, light=light)
+    assert not find_light(model, observed(model, scene), scene).any()
+
+
+def test_where_no_object_is_known_there_is_no_light():
+    model, scene = balls_over_table(*BALLS, light=LIGHT)
     frames = observed(model, scene)
-    if not centers:
-        scene = edit.remove(edit.remove(scene, 1), 2)
-    assert not find_light(model, frames, scene).any()
+    assert not find_light(model, frames, edit.remove(edit.remove(scene, 1), 2)).any()
 
 
 def test_where_no_depth_is_seen_there_is_no_light():
@@ -116,3 +122,23 @@ def test_dimness_all_around_the_foot_is_no_shadow():
     near = (0.12 - table_points(VIEW)[..., :2].norm(dim=-1)).clamp(min=0) / 0.12
     dim = replace(frames, rgb=frames.rgb * (1 - 0.5 * near[..., None]))
     assert not find_light(model, dim, scene).any()
+
+
+@pytest.mark.parametrize("square", [0.04, 0.1])
+def test_the_pattern_of_a_table_is_no_shadow(square: float):
+    model, scene = balls_over_table(*BALLS, light=no_light().tolist())
+    frames = observed(model, scene)
+    is_dark = (table_points(VIEW)[..., :2] / square).floor().sum(dim=-1).remainder(2)
+    assert not find_light(model, replace(frames, rgb=frames.rgb * (1 - 0.4 * is_dark[..., None])), scene).any()
+
+
+def test_of_a_mixed_pixel_the_part_of_the_background_is_darker():
+    """Seen at (-0.05, 0, 0), in the middle of the ball's shadow, through half of something."""
+    model, scene = balls_over_table((0.1, 0.0, 0.2), light=LIGHT)
+    renderer = Renderer(model)
+    grey, red = torch.tensor([0.3, 0.3, 0.3]), torch.tensor([0.4, 0.1, 0.0])
+    weights, depths = torch.tensor([[0.5], [0.5]]), torch.tensor([[0.5], [0.2]])
+    picture = Picture(torch.stack([grey, red])[:, None], depths, weights, far=2.0)
+    direction = torch.tensor([[-0.05, 0.0, -1.0]])
+    lit = renderer._lit(picture, scene.light, renderer.components(scene, 0), direction, VIEW)
+    torch.testing.assert_close(lit[0], grey * (1 - LIGHT[3]) + red, atol=1e-3, rtol=0)
