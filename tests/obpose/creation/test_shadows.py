@@ -140,5 +140,5 @@ def test_of_a_mixed_pixel_the_part_of_the_background_is_darker():
     weights, depths = torch.tensor([[0.5], [0.5]]), torch.tensor([[0.5], [0.2]])
     picture = Picture(torch.stack([grey, red])[:, None], depths, weights, far=2.0)
     direction = torch.tensor([[-0.05, 0.0, -1.0]])
-    lit = renderer._lit(picture, scene.light, renderer.components(scene, 0), direction, VIEW)
+    lit = renderer._finished(picture, scene, renderer.components(scene, 0), direction, VIEW)
     torch.testing.assert_close(lit[0], grey * (1 - LIGHT[3]) + red, atol=1e-3, rtol=0)
