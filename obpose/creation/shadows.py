@@ -7,6 +7,7 @@ direction. The fields have to be good, so scenes are fitted to their frames befo
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -62,7 +63,7 @@ class _Shown:
     def at(self, index: Int[Tensor, " some"] | slice | Bool[Tensor, " pixel"]) -> "_Shown":
         return _Shown(self.point[index], self.frame[index], self.seen[index], self.drawn[index])
 
-    @property
+    @cached_property
     def darkness(self) -> Float[Tensor, " pixel"]:
         """Log of how much brighter than in the scene it is, around 0."""
         ratio = self.seen.clamp(min=_DARK).log() - self.drawn.clamp(min=_DARK).log()
@@ -80,7 +81,7 @@ class _Voxels(NamedTuple):
 def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
     """The light whose shadows are seen in the frames, or none where there hardly are any.
 
-    What comes out depends on the arguments alone. It costs about as much as ten steps of fitting.
+    What comes out depends on the arguments alone. It takes about a second for ten frames of 64x64.
 
     Args:
         model: That the scene is of.
