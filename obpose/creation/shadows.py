@@ -46,6 +46,16 @@ _PIXELS = 4096
 """That the strength is taken from."""
 
 
+class _Judged(NamedTuple):
+    """Pixels that show the background."""
+
+    point: Float[Tensor, "pixel 3"]
+    """World frame, metres."""
+    frame: Int[Tensor, " pixel"]
+    darkness: Float[Tensor, " pixel"]
+    """Log of how much brighter than in the scene it is, around 0."""
+
+
 class _Voxels(NamedTuple):
     """Of the objects above the table."""
 
@@ -71,8 +81,9 @@ def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
     if not len(voxels.point) or not len(shown.point):
         return no_light(scene.center)
     grid = (scene.frames, model.config.model.pose.box_size / CELLS)
-    toward, explained = _search(shown, voxels, *grid)
-    overhead = _explained(shown, voxels, _toward(0.0, 90.0), *grid)
+    judged = _Judged(shown.point, shown.frame, _darkness(shown))
+    toward, explained = _search(judged, voxels, *grid)
+    overhead = _explained(judged, voxels, _toward(0.0, 90.0), *grid)
     if explained < LEAST_EXPLAINED or overhead > MOST_OVERHEAD * explained:
         return no_light(scene.center)
     strength = _strength(Renderer(model), shown, scene, toward)
@@ -94,9 +105,9 @@ def _voxels(model: ObPose, scene: Scene, frames: list[int]) -> _Voxels:
     return _Voxels(torch.cat(points), torch.cat(owners))
 
 
-def _search(shown: Shown, voxels: _Voxels, frames: int, cell: float) -> tuple[Float[Tensor, "3"], float]:
+def _search(judged: _Judged, voxels: _Voxels, frames: int, cell: float) -> tuple[Float[Tensor, "3"], float]:
     """The best direction, and the share of the variance that its shadows explain: coarse, then around the best."""
-    part, whole = shown.at(slice(None, None, _PART)), shown
+    part, whole = _Judged(*(values[::_PART] for values in judged)), judged
     grid = [(float(azimuth), float(elevation)) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS]
     best = max(grid, key=lambda angles: _explained(part, voxels, _toward(*angles), frames, cell))
     explained = _explained(whole, voxels, _toward(*best), frames, cell)
@@ -121,7 +132,6 @@ def _toward(azimuth: float, elevation: float) -> Float[Tensor, "3"]:
 
 
 def _darkness(shown: Shown) -> Float[Tensor, " pixel"]:
-    """Log of how much brighter than in the scene it is, around 0."""
     ratio = _luminance(shown.seen).clamp(min=_DARK).log() - _luminance(shown.drawn).clamp(min=_DARK).log()
     return (ratio - ratio.median()).clamp(_DARKEST, _BRIGHTEST)
 
@@ -130,9 +140,9 @@ def _luminance(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, " pixel"]:
     return colour @ colour.new_tensor(_WEIGHTS)
 
 
-def _explained(shown: Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
+def _explained(judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
     """Share of the variance of the pixels' darkness that is that of shadows of a light there; 0 if they are bright."""
-    shadow, darkness = _projected(shown, voxels, toward, frames, cell), _darkness(shown)
+    shadow, darkness = _projected(judged, voxels, toward, frames, cell), judged.darkness
     shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
     common = float(shadow @ darkness)
     spread = float(shadow.square().sum() * darkness.square().sum())
@@ -140,10 +150,10 @@ def _explained(shown: Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames
 
 
 def _projected(
-    shown: Shown, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
+    judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
 ) -> Float[Tensor, " pixel"]:
     """Share of the light that voxels keep from the pixels' points, roughly: on a grid of the table, metres a cell."""
-    receivers, blockers = (_cast(points, toward) for points in (shown.point, voxels.point))
+    receivers, blockers = (_cast(points, toward) for points in (judged.point, voxels.point))
     low = receivers.amin(dim=0)
     size = ((receivers.amax(dim=0) - low) / cell).long() + 1
     inside, at = _cell(blockers, low, cell, size)
@@ -152,7 +162,7 @@ def _projected(
     count.index_add_(0, (voxels.frame * across * along + at)[inside], count.new_ones(int(inside.sum())))
     thickness = F.avg_pool2d(count.view(frames, 1, across, along), 3, stride=1, padding=1).flatten(1)
     _, at = _cell(receivers, low, cell, size)
-    return -torch.expm1(-_OPACITY * thickness[shown.frame, at])
+    return -torch.expm1(-_OPACITY * thickness[judged.frame, at])
 
 
 def _cast(points: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]) -> Float[Tensor, "point 2"]:
