@@ -84,11 +84,11 @@ def learned_prior(model: ObPose) -> ScenePrior:
     assert model.background is not None
     half = model.config.model.workspace_size / 4
     middle = model.center[:2]
-    gaussians = (
+    what, background = (
         Mixture(torch.ones(1), mean[None], torch.diag(std)[None])
         for mean, std in (model.what.first(), model.background.first())
     )
-    return ScenePrior(*gaussians, no_tables(middle), low=middle - half, high=middle + half)
+    return ScenePrior(what, background, no_tables(middle), middle - half, middle + half)
 
 
 @torch.no_grad()
