@@ -19,6 +19,11 @@ NEAR = 0.03
 SPOT = 64
 """Points along each edge of a spot."""
 
+_WIDE = 17
+"""Points over which what changes slowly is taken out of a spot: the light of a lamp, and how objects dim the table."""
+_MOST = 3.0
+"""Of what is left, more than so many times the median of its size sticks out."""
+
 Pattern = Float[Tensor, "x y 3"]
 Spot = Float[Tensor, "spot spot 3"]
 
@@ -53,11 +58,15 @@ def spot_of(pattern: Pattern) -> Spot:
 def pattern_like(spot: Spot, generator: torch.Generator) -> Pattern:
     """A Gaussian texture with the spot's autocorrelation (Galerne, Gousseau and Morel 2011), around no pattern.
 
-    Such are wood, cloth and stains; of checks only the directions and the scale stay.
+    Such are wood, cloth and stains; of checks only the directions and the scale stay. What sticks out of the spot, such
+    as the rest of a shadow, is cut off.
     """
-    around = spot - spot.mean(dim=(0, 1))
+    planes = spot.permute(2, 0, 1)
+    around = planes - F.avg_pool2d(planes, _WIDE, stride=1, padding=_WIDE // 2, count_include_pad=False)
+    usual = _MOST * around.abs().flatten(1).median(dim=1).values[:, None, None]
+    around = around.clamp(-usual, usual)
     fade = torch.outer(*2 * [torch.hann_window(SPOT, periodic=False).sqrt()])
-    spots = (around * (fade / fade.square().mean().sqrt())[..., None] / SPOT).permute(2, 0, 1)
+    spots = (around - around.mean(dim=(1, 2), keepdim=True)) * fade / fade.square().mean().sqrt() / SPOT
     size = (EDGE + SPOT, EDGE + SPOT)
     noise = torch.fft.rfft2(torch.randn(size, generator=generator))
     drawn = torch.fft.irfft2(noise * torch.fft.rfft2(spots, s=size), s=size)
