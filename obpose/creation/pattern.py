@@ -22,7 +22,7 @@ SPOT = 64
 _WIDE = 17
 """Points over which what changes slowly is taken out of a spot: the light of a lamp, and how objects dim the table."""
 _MOST = 3.0
-"""Of what is left, more than so many times the median of its size sticks out."""
+"""What differs more from the median than so many times as the median of such differences sticks out."""
 
 Pattern = Float[Tensor, "x y 3"]
 Spot = Float[Tensor, "spot spot 3"]
@@ -61,10 +61,8 @@ def pattern_like(spot: Spot, generator: torch.Generator) -> Pattern:
     Such are wood, cloth and stains; of checks only the directions and the scale stay. What sticks out of the spot, such
     as the rest of a shadow, is cut off.
     """
-    planes = spot.permute(2, 0, 1)
-    around = planes - F.avg_pool2d(planes, _WIDE, stride=1, padding=_WIDE // 2, count_include_pad=False)
-    usual = _MOST * around.abs().flatten(1).median(dim=1).values[:, None, None]
-    around = around.clamp(-usual, usual)
+    planes = _usual(spot.permute(2, 0, 1))
+    around = _usual(planes - F.avg_pool2d(planes, _WIDE, stride=1, padding=_WIDE // 2, count_include_pad=False))
     fade = torch.outer(*2 * [torch.hann_window(SPOT, periodic=False).sqrt()])
     spots = (around - around.mean(dim=(1, 2), keepdim=True)) * fade / fade.square().mean().sqrt() / SPOT
     size = (EDGE + SPOT, EDGE + SPOT)
@@ -72,3 +70,10 @@ def pattern_like(spot: Spot, generator: torch.Generator) -> Pattern:
     drawn = torch.fft.irfft2(noise * torch.fft.rfft2(spots, s=size), s=size)
     # What is left out wraps around.
     return drawn[:, SPOT:, SPOT:].permute(1, 2, 0).contiguous()
+
+
+def _usual(planes: Float[Tensor, "colour x y"]) -> Float[Tensor, "colour x y"]:
+    """Without what sticks out."""
+    middle = planes.flatten(1).median(dim=1).values[:, None, None]
+    most = _MOST * (planes - middle).abs().flatten(1).median(dim=1).values[:, None, None]
+    return planes.clamp(middle - most, middle + most)
