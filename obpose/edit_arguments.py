@@ -96,7 +96,7 @@ class Learn:
     """Folder of the dataset that it was trained on."""
     clips: int = 400
     """How many of the training split objects are looked for in, for some seconds each."""
-    steps: int = 10_000
+    steps: int = 5000
     """Of learning, some tenths of a second each."""
     seed: int = 0
     workers: int | None = None
