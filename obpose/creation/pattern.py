@@ -1,7 +1,7 @@
 """Patterns on the table, as values: what is added to the logits of the background's colours.
 
-A pattern is a square of points, x and y of the world, the outermost on the edges of the workspace; beyond them, and
-away from z = 0, there is none.
+A pattern is a square of points, x and y of the world, the outermost on the edges of the workspace; beyond an edge it is
+as at the edge. Away from z = 0 there is none.
 """
 
 import torch
@@ -35,11 +35,11 @@ def no_pattern(like: Tensor | None = None) -> Pattern:
 
 def pattern_at(model: ObPose, pattern: Pattern, points: Float[Tensor, "point 3"]) -> Float[Tensor, "point 3"]:
     """Its values at points of the world, metres: bilinear."""
-    places, on_table = on_pattern(model, points)
+    places, _ = on_pattern(model, points)
     # grid_sample has the last axis first.
     at = places.flip(-1)[None, None]
     values = F.grid_sample(pattern.permute(2, 0, 1)[None], at, align_corners=True, padding_mode="border")
-    return values[0, :, 0].T * on_table[:, None]
+    return values[0, :, 0].T * _on_table(points)[:, None]
 
 
 def on_pattern(
@@ -47,7 +47,11 @@ def on_pattern(
 ) -> tuple[Float[Tensor, "point 2"], Bool[Tensor, "point"]]:
     """Where on the square, -1..1, points of the world are, metres, and whether they are on it."""
     places = (points[:, :2] - model.center[:2]) * (2 / model.config.model.workspace_size)
-    return places, (places.abs() <= 1).all(dim=-1) & (points[:, 2].abs() <= NEAR)
+    return places, (places.abs() <= 1).all(dim=-1) & _on_table(points)
+
+
+def _on_table(points: Float[Tensor, "point 3"]) -> Bool[Tensor, "point"]:
+    return points[:, 2].abs() <= NEAR
 
 
 def spot_of(pattern: Pattern) -> Spot:

@@ -25,7 +25,10 @@ _ROUNDS = 4
 _USUAL = 0.15
 """Logits; what is left of most pixels is less, and pixels of which more is left count less (a Cauchy likelihood)."""
 _PULL = 0.05
-"""Towards no pattern, in pixels: where hardly anything of the table was seen."""
+"""Towards the median, in pixels: where hardly anything of the table was seen."""
+_LIT, _MOST = 0.98, 3.0
+"""Where the table is seen with less of its light, logits are no farther from the median of the others' than so many times
+the median distance of these."""
 _DARK = 0.02
 """Colours are at least so far from black and white where logits are taken."""
 
@@ -45,7 +48,14 @@ def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Patte
     shown, places = shown.at(on_table), places[on_table]
     lit = 1 - strength(scene.light) * _occlusion(model, scene, shown)
     wanted = _logit(shown.seen / lit[:, None]) - _logit(shown.drawn)
-    pattern, weight = no_pattern(scene.center), lit.square()
+    in_light = lit > _LIT
+    if not bool(in_light.any()):
+        return no_pattern(scene.center)
+    # Shadows are not drawn as they are to the last pixel, and what is left of them is no pattern.
+    middle = wanted[in_light].median(dim=0).values
+    most = _MOST * (wanted[in_light] - middle).abs().median(dim=0).values
+    wanted = torch.where(in_light[:, None], wanted, wanted.clamp(middle - most, middle + most))
+    pattern, weight = no_pattern(scene.center) + middle, lit.square()
     for number in range(_ROUNDS):
         rest = wanted - pattern_at(model, pattern, shown.point)
         usual = 1.0 if number == 0 else 1 / (1 + (rest / _USUAL).square().mean(dim=-1))

@@ -15,13 +15,13 @@ def ramp() -> torch.Tensor:
     return torch.stack([x, 2 * y, torch.ones_like(x)], dim=-1)
 
 
-def test_it_lies_on_the_table_and_ends_with_the_workspace():
+def test_it_lies_on_the_table_and_goes_on_beyond_the_workspace():
     model = some_model()
     middle, half = model.center, model.config.model.workspace_size / 2
     points = torch.tensor([[0.0, 0.0, 0.0], [0.5, -0.25, 0.02], [1.0, 1.0, -0.02], [0.0, 0.0, 0.05], [1.01, 0.0, 0.0]])
     points[:, :2] = middle[:2] + half * points[:, :2]
     found = pattern_at(model, ramp(), points)
-    expected = [[0.0, 0.0, 1.0], [0.5, -0.5, 1.0], [1.0, 2.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    expected = [[0.0, 0.0, 1.0], [0.5, -0.5, 1.0], [1.0, 2.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 1.0]]
     torch.testing.assert_close(found, torch.tensor(expected), atol=1e-5, rtol=0)
     places, on_table = on_pattern(model, points)
     torch.testing.assert_close(places[1], torch.tensor([0.5, -0.25]))

@@ -109,11 +109,21 @@ def test_where_nothing_is_to_be_seen_there_is_none(depth: bool):
     assert found.abs().max() < 0.02
 
 
-def test_under_objects_the_table_is_as_the_field_has_it():
+def test_under_objects_the_table_is_as_bright_as_around():
     """Nobody saw it; where an object was taken away it is plain."""
     model, scene = balls_over_table((0.0, 0.0, 0.05), light=NONE)
     bright = replace(scene, pattern=no_pattern() + 1.0)
     found = find_pattern(model, observed(model, bright), scene)
     without = edit.remove(replace(scene, pattern=found), 1)
     middle = Renderer(model).render(without, antialiased=False).rgb[24, 32]
-    torch.testing.assert_close(middle, torch.full((3,), GREY), atol=0.02, rtol=0)
+    expected = torch.sigmoid(torch.logit(torch.tensor(GREY)) + 1)
+    torch.testing.assert_close(middle, expected.expand(3), atol=0.02, rtol=0)
+
+
+def test_what_is_left_of_shadows_is_not_the_table_s():
+    """The light is stronger in truth than it was found to be."""
+    model, scene = balls_over_table(*BALLS, light=LIGHT)
+    frames = observed(model, scene)
+    weaker = replace(scene, light=torch.tensor([*LIGHT[:3], 0.25]))
+    found = at_pixels(model, find_pattern(model, frames, weaker))
+    assert found.abs().max() < 0.1
