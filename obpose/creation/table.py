@@ -27,8 +27,8 @@ _USUAL = 0.15
 _PULL = 0.05
 """Towards the median, in pixels: where hardly anything of the table was seen."""
 _LIT, _MOST = 0.98, 3.0
-"""Where the table is seen with less of its light, logits are no farther from the median of the others' than so many times
-the median distance of these."""
+"""Where the table is seen with less of its light, logits are no farther from the median of the others' than so many
+times the median distance of these."""
 _DARK = 0.02
 """Colours are at least so far from black and white where logits are taken."""
 
