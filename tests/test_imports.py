@@ -49,7 +49,7 @@ DATAGEN_FOR = {
     "obpose/data.py": {"schema", "storage", "errors"},
     "obpose/errors.py": {"errors"},
     "obpose/files.py": {"processes"},
-    "obpose/creation/learn.py": {"parallel"},
+    "obpose/creation/examples.py": {"parallel"},
     "benchmark/": {
         "config",
         "generate",
