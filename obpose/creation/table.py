@@ -26,9 +26,9 @@ _USUAL = 0.15
 """Logits; what is left of most pixels is less, and pixels of which more is left count less (a Cauchy likelihood)."""
 _PULL = 0.05
 """Towards the median, in pixels: where hardly anything of the table was seen."""
-_LIT, _MOST = 0.98, 3.0
-"""Where the table is seen with less of its light, logits are no farther from the median of the others' than so many
-times the median distance of these."""
+_LIT, _ODD = 0.98, 0.05
+"""Where the table is seen with less of its light, logits are within those of the others but for such a share at each
+end."""
 _DARK = 0.02
 """Colours are at least so far from black and white where logits are taken."""
 
@@ -52,9 +52,8 @@ def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Patte
     if not bool(in_light.any()):
         return no_pattern(scene.center)
     # Shadows are not drawn as they are to the last pixel, and what is left of them is no pattern.
-    middle = wanted[in_light].median(dim=0).values
-    most = _MOST * (wanted[in_light] - middle).abs().median(dim=0).values
-    wanted = torch.where(in_light[:, None], wanted, wanted.clamp(middle - most, middle + most))
+    low, middle, high = wanted[in_light].quantile(wanted.new_tensor([_ODD, 0.5, 1 - _ODD]), dim=0)
+    wanted = torch.where(in_light[:, None], wanted, wanted.clamp(low, high))
     pattern, weight = no_pattern(scene.center) + middle, lit.square()
     for number in range(_ROUNDS):
         rest = wanted - pattern_at(model, pattern, shown.point)

@@ -54,6 +54,8 @@ def test_a_grid_is_as_large_as_its_object_and_holds_its_logits():
     # Lattice points of 13.3 mm, 9 to 14, are dense, and a part of the cell around them; then a point that is not.
     assert float(grids.half[0]) * (EDGE - 3) / (EDGE - 1) == pytest.approx(0.5 * 6 * 0.2 / 15, abs=0.0067)
     assert grids.values[0, 7:9, 7:9, 7:9, 0].min() == DENSITY_LIMIT
+    # It wastes no room: but for a point or two on either side the object fills it.
+    assert (grids.values[0, ..., 0] > 0).any(dim=2).any(dim=1).sum() >= EDGE - 3
     outer = torch.ones(EDGE, EDGE, EDGE, dtype=torch.bool)
     outer[1:-1, 1:-1, 1:-1] = False
     assert grids.values[0, ..., 0][outer].max() == -DENSITY_LIMIT

@@ -10,6 +10,7 @@ from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
 from obpose.creation.table import find_pattern
 from obpose.model import ObPose
+from obpose.nerf.marching import Picture
 from obpose.types import Observation
 from tests.obpose.creation.lit import GREY, VIEW, balls_over_table, observed, table_points
 
@@ -127,3 +128,30 @@ def test_what_is_left_of_shadows_is_not_the_table_s():
     weaker = replace(scene, light=torch.tensor([*LIGHT[:3], 0.25]))
     found = at_pixels(model, find_pattern(model, frames, weaker))
     assert found.abs().max() < 0.1
+
+
+def test_a_pattern_goes_on_in_shadows():
+    model, scene = balls_over_table(*BALLS, light=LIGHT)
+    frames = observed(model, replace(scene, pattern=checks()))
+    found = at_pixels(model, find_pattern(model, frames, scene))
+    renderer = Renderer(model)
+    dark, lit = (
+        renderer.render(each, antialiased=False).rgb[..., 0] for each in (scene, replace(scene, light=no_light()))
+    )
+    shaded = ((dark < 0.65 * lit).flatten()) & clear(model, scene)
+    assert shaded.sum() > 10
+    error = (found - at_pixels(model, checks()))[shaded]
+    assert error.abs().mean() < 0.2
+
+
+def test_of_a_mixed_pixel_the_background_s_part_has_the_pattern():
+    """Seen at (-0.05, 0, 0) through half of something red."""
+    model, scene = balls_over_table((0.1, 0.0, 0.2), light=NONE)
+    renderer = Renderer(model)
+    grey, red = torch.tensor([0.3, 0.3, 0.3]), torch.tensor([0.4, 0.1, 0.0])
+    weights, depths = torch.tensor([[0.5], [0.5]]), torch.tensor([[0.5], [0.2]])
+    picture = Picture(torch.stack([grey, red])[:, None], depths, weights, far=2.0)
+    patterned, direction = replace(scene, pattern=no_pattern() + 1.0), torch.tensor([[-0.05, 0.0, -1.0]])
+    seen = renderer._finished(picture, patterned, renderer.components(scene, 0), direction, VIEW)
+    expected = 0.5 * torch.sigmoid(torch.logit(grey / 0.5) + 1) + red
+    torch.testing.assert_close(seen[0], expected, atol=1e-3, rtol=0)
