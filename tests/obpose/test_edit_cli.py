@@ -206,6 +206,7 @@ def test_a_flow_is_learned_beside_the_weights(
 ):
     monkeypatch.setattr(examples, "STEPS", 1)
     monkeypatch.setattr(learn, "COMPARED", 8)
+    monkeypatch.setattr(learn, "BATCH", 4)
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 4)
     data = tmp_path / "data"
     generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
