@@ -14,7 +14,7 @@ from obpose.creation.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior, table_part
-from obpose.creation.rendering import conditioning
+from obpose.creation.rendering import object_codes
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.types import Observation
@@ -74,6 +74,6 @@ def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: i
 
 
 def _is_there(origin: Origin, scene: Scene, place: int) -> bool:
-    codes = conditioning(origin.model, scene.what[-1, place], scene.detail[place], scene.alone[place])
+    codes = object_codes(origin.model, scene, -1, place)
     extent = shape_extent(origin.model, codes, scene.rotation[-1, place])
     return len(above_table(extent, float(scene.center[-1, place, 2]))) >= LEAST_VOXELS

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.creation.extent import LEAST_VOXELS, above_table, shape_extent
-from obpose.creation.rendering import conditioning
+from obpose.creation.rendering import object_codes
 from obpose.creation.scene import Scene, upright
 from obpose.geometry import to_box
 from obpose.model import ObPose
@@ -72,13 +72,13 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
     center, camera = scene.center[frame, place], scene.cameras[0].world_from_camera[:3, 3]
     world_from_grid = facing(center, camera)
     grid_from_box = world_from_grid.T @ scene.rotation[frame, place]
-    codes = conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
+    codes = object_codes(model, scene, frame, place)
     sight = F.normalize(center - camera, dim=0) @ scene.rotation[frame, place]
 
     def around(dense: Float[Tensor, "n 3"], margin: float) -> tuple[Float[Tensor, "point 3"], Tensor, Tensor]:
         """Points, and logits of density and colours there."""
         low, high = dense.amin(dim=0), dense.amax(dim=0)
-        points = _points(EDGE) * ((high - low).max() / 2 + margin) + (low + high) / 2
+        points = _points() * ((high - low).max() / 2 + margin) + (low + high) / 2
         inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
         density, colour = _logits(model, codes, inside, sight)
         nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + center[2] < 0)
@@ -110,7 +110,7 @@ def _logits(
     return density, torch.logit(colour, eps=1e-3)
 
 
-def _points(edge: int) -> Float[Tensor, "point 3"]:
+def _points() -> Float[Tensor, "point 3"]:
     """-1..1, the outermost on the faces."""
-    steps = torch.linspace(-1, 1, edge)
+    steps = torch.linspace(-1, 1, EDGE)
     return torch.cartesian_prod(steps, steps, steps)

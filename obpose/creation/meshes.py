@@ -11,7 +11,7 @@ from skimage.measure import marching_cubes
 from torch import Tensor
 from trimesh.visual import ColorVisuals
 
-from obpose.creation.rendering import conditioning
+from obpose.creation.rendering import object_codes
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.files import write_whole
@@ -34,7 +34,7 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
         UsageError: there is no such object, or it is nowhere dense.
     """
     place, settings = scene.place(name), model.config.model
-    codes = conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
+    codes = object_codes(model, scene, frame, place)
     steps = torch.linspace(-1, 1, resolution)
     lattice = torch.cartesian_prod(steps, steps, steps)
     density = occupancy(model.object_field.density(lattice, codes)[0]).view(resolution, resolution, resolution)

@@ -32,7 +32,7 @@ _KEPT = 256
 """Components that are remembered."""
 _SHADING = 1.0
 """Optical thickness of as much of an opaque thing in the way of a light, which is sampled once: fields are fatter than
-objects, and the hard shadows that `_OPAQUE` gives are 0.1 to 0.2 dB worse than these."""
+objects, and with `_OPAQUE` shadows were harder and larger than they should be."""
 _LEAST_LIGHT = 1e-2
 """Share of a pixel's light that the background has at least where its shadows are looked for."""
 _LEAST_COLOUR = 1e-3
@@ -182,7 +182,7 @@ class Renderer:
             scene.look(frame, place),
             lambda: make_component(
                 model.object_field,
-                conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place]),
+                object_codes(model, scene, frame, place),
                 **box,
                 bounded=True,
                 resolution=_FINE_CELLS if scene.alone[place] > 0 else _OBJECT_CELLS,
@@ -197,6 +197,11 @@ class Renderer:
                 self._known.clear()
             self._known[name] = make()
         return self._known[name]
+
+
+def object_codes(model: ObPose, scene: Scene, frame: int, place: int) -> Conditioning:
+    """What makes an object of a scene out of the objects' field."""
+    return conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
 
 
 def conditioning(

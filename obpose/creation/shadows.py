@@ -15,9 +15,9 @@ from torch import Tensor
 
 from obpose.creation.extent import CELLS, occupied
 from obpose.creation.light import Light, no_light
-from obpose.creation.rendering import Renderer, conditioning
+from obpose.creation.rendering import Renderer, object_codes
 from obpose.creation.scene import Scene
-from obpose.creation.shown import Shown, shown_background
+from obpose.creation.shown import Shown, occlusion_where_shown, shown_background
 from obpose.geometry import from_box
 from obpose.model import ObPose
 from obpose.types import Observation
@@ -94,7 +94,7 @@ def _voxels(model: ObPose, scene: Scene, frames: list[int]) -> _Voxels:
     points, owners, size, table = [], [], model.config.model.pose.box_size, model.config.model.table or 0.0
     for frame in frames:
         for place in range(len(scene.ids)):
-            codes = conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
+            codes = object_codes(model, scene, frame, place)
             pose = scene.center[frame, place], scene.rotation[frame, place]
             found = from_box(occupied(model, codes), *pose, size)
             found = found[found[:, 2] > table]
@@ -184,10 +184,7 @@ def _strength(renderer: Renderer, shown: Shown, scene: Scene, toward: Float[Tens
     The background may be brighter in the frames by some factor, which is no light's.
     """
     shown = shown.at(slice(None, None, max(1, len(shown.point) // _PIXELS)))
-    occluded = torch.zeros_like(shown.seen[:, 0])
-    for frame in shown.frame.unique().tolist():
-        here = shown.frame == frame
-        occluded[here] = renderer.occlusion(renderer.objects(scene, frame), shown.point[here], toward)
+    occluded = occlusion_where_shown(renderer, scene, shown, toward)
     drawn, seen = _luminance(shown.drawn), _luminance(shown.seen)
     parts = torch.stack([drawn, -drawn * occluded], dim=-1)
     products = parts.T @ parts + 1e-6 * torch.eye(2)

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.creation.refine import fields_of
+from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
 from obpose.geometry import all_rays
 from obpose.model import ObPose
@@ -52,3 +53,14 @@ def shown_background(model: ObPose, observation: Observation, scene: Scene, *, m
     shown = (F.max_pool2d(images[:, None], 2 * margin + 1, stride=1, padding=margin) == 0).view_as(shown)
     frame = torch.arange(scene.frames)[None, :, None].expand(shown.shape)
     return Shown(surface[shown], frame[shown], rays.colour[shown], decoded.colours[:, :, 0][shown])
+
+
+def occlusion_where_shown(
+    renderer: Renderer, scene: Scene, shown: Shown, toward: Float[Tensor, "3"]
+) -> Float[Tensor, " pixel"]:
+    """Share of the light from a direction that objects keep from the pixels' points."""
+    occluded = torch.zeros_like(shown.seen[:, 0])
+    for frame in shown.frame.unique().tolist():
+        here = shown.frame == frame
+        occluded[here] = renderer.occlusion(renderer.objects(scene, frame), shown.point[here], toward)
+    return occluded

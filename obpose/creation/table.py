@@ -16,7 +16,7 @@ from obpose.creation.light import strength
 from obpose.creation.pattern import EDGE, Pattern, no_pattern, on_pattern, pattern_at
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
-from obpose.creation.shown import Shown, shown_background
+from obpose.creation.shown import occlusion_where_shown, shown_background
 from obpose.model import ObPose
 from obpose.types import Observation
 
@@ -46,7 +46,9 @@ def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Patte
     shown = shown_background(model, observation, scene, margin=1)
     places, on_table = on_pattern(model, shown.point)
     shown, places = shown.at(on_table), places[on_table]
-    lit = 1 - strength(scene.light) * _occlusion(model, scene, shown)
+    lit = torch.ones_like(shown.seen[:, 0])
+    if strength(scene.light):
+        lit -= strength(scene.light) * occlusion_where_shown(Renderer(model), scene, shown, scene.light[:3])
     wanted = _logit(shown.seen / lit[:, None]) - _logit(shown.drawn)
     in_light = lit > _LIT
     if not bool(in_light.any()):
@@ -62,18 +64,6 @@ def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Patte
         spread = _smooth(_splat(places, torch.cat([shares * rest, shares], dim=-1)), _blur(model))
         pattern = pattern + spread[..., :3] / (spread[..., 3:] + _PULL)
     return pattern
-
-
-def _occlusion(model: ObPose, scene: Scene, shown: Shown) -> Float[Tensor, " pixel"]:
-    occluded = torch.zeros_like(shown.seen[:, 0])
-    if not strength(scene.light):
-        return occluded
-    renderer = Renderer(model)
-    for frame in shown.frame.unique().tolist():
-        here = shown.frame == frame
-        objects = renderer.objects(scene, frame)
-        occluded[here] = renderer.occlusion(objects, shown.point[here], scene.light[:3])
-    return occluded
 
 
 def _logit(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, "pixel 3"]:
