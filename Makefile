@@ -20,11 +20,14 @@ demo: .venv/.core
 	@echo "  report         $(CURDIR)/demo/results/report.html  (open it in a browser)"
 	@echo "  contact sheet  $(CURDIR)/demo/contact-sheet.png"
 
+# Files are spread over processes, each whole, as its tests share what they made.
+BESIDE := -n auto --maxprocesses 4 --dist loadfile --benchmark-disable
+
 test: .venv/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(BESIDE)
 
 test-slow: .venv/.dev
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest $(BESIDE) -m slow
 
 check: .venv/.dev
 	$(BIN)/ruff format --check .

@@ -96,7 +96,7 @@ class Learn:
     """Folder of the dataset that it was trained on."""
     clips: int = 400
     """How many of the training split objects are looked for in, for some seconds each."""
-    steps: int = 5000
+    steps: int = 3000
     """Of learning, some tenths of a second each."""
     seed: int = 0
     workers: int | None = None
@@ -111,7 +111,8 @@ class Render:
     """Folder of a scene."""
     out: Path
     """PNG, or GIF of a turn or of all frames; must not exist yet."""
-    frame: int = 0
+    frame: int | None = None
+    """The first one if left out."""
     view: int = 0
     """Which of the scene's cameras."""
     turntable: int | None = None

@@ -10,7 +10,7 @@ obpose-edit mesh c --object 2 --out object.glb
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,8 @@ from obpose.creation.learn import Lesson, learn_flow
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
-from obpose.creation.prior import fit_prior, load_prior, save_prior
+from obpose.creation.prior import FILE as PRIOR
+from obpose.creation.prior import fit_prior, has_prior, load_prior, save_prior
 from obpose.creation.refine import STEPS
 from obpose.creation.rendering import Image, Renderer
 from obpose.creation.sample import sample_scene
@@ -101,6 +102,8 @@ def _infer(values: Infer) -> None:
         print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
         scene = infer_scene(origin, sight.observation, refinements=values.refine)
     _show(scene, origin, values.out, values.resolution)
+    if not scene.ids:
+        print("No object was found: there is none, or the weights were trained too little or on other scenes.")
 
 
 def _sample(values: Sample) -> None:
@@ -139,9 +142,12 @@ def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -
 def _fit(values: Fit) -> None:
     origin, count = _own(values.checkpoint), _clips(values)
     model = origin.model
-    print(f"Looking for lights and patterns in {min(count, MOST)} clips; each takes some seconds.", flush=True)
-    whole = (read_clip(values.data, "train", i) for i in range(min(count, MOST)))
+    if has_prior(origin):
+        raise UsageError(f"{origin.folder / PRIOR} is there already; move it elsewhere to fit another one.")
+    _say(f"Looking for lights and patterns in {min(count, MOST)} clips; each takes some seconds.")
+    whole = (read_clip(values.data, "train", i) for i in _counted(min(count, MOST)))
     tables = find_tables(origin, whole, refinements=STEPS)
+    _say(f"Looking at the first frames of {count} clips.")
     clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
     save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips), tables))
     print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
@@ -164,6 +170,14 @@ def _learn(values: Learn) -> None:
     print(f"Learned from {count} clips, for obpose-edit sample: {path}")
 
 
+def _counted(clips: int) -> Iterator[int]:
+    """Places of clips, and a word now and then of how many are done."""
+    for place in range(clips):
+        if place and place % 8 == 0:
+            _say(f"{place} of {clips} clips")
+        yield place
+
+
 def _say(line: str) -> None:
     print(line, flush=True)
 
@@ -178,21 +192,28 @@ def _own(checkpoint: str) -> Origin:
 
 def _clips(values: Fit | Learn) -> int:
     """How many there are, and at most as many as are asked for."""
-    count = min(values.clips, len(SceneDataset(values.data, "train")))
-    if count < 2:
-        raise UsageError(f"--clips {values.clips}: expected 2 or more, and as many in {values.data}.")
-    return count
+    number = len(SceneDataset(values.data, "train"))
+    if min(values.clips, number) < 2:
+        raise UsageError(
+            f"--clips {values.clips}: expected 2 or more, of the training split of {values.data}, which has {number}."
+        )
+    if values.clips > number:
+        _say(f"{values.data} has {number} training clips, fewer than --clips {values.clips}.")
+    return min(values.clips, number)
 
 
 def _render(values: Render) -> None:
     check_new(values.out)
     if values.turntable is not None and not 0 < values.turntable <= MOST_TURNS:
         raise UsageError(f"--turntable {values.turntable}: expected 1 to {MOST_TURNS}.")
+    if values.clip and (values.turntable is not None or values.frame is not None):
+        raise UsageError("--clip shows all frames from where the camera is; leave out --turntable and --frame, or it.")
     moving = values.turntable is not None or values.clip
     if values.out.suffix != (".gif" if moving else ".png"):
-        raise UsageError(f"--out {values.out}: expected a name that ends with {'.gif' if moving else '.png'}.")
+        expected = ".gif" if moving else ".png, or --turntable or --clip for an animation"
+        raise UsageError(f"--out {values.out}: expected a name that ends with {expected}.")
     scene = load_scene(values.scene)
-    frame = one_of("--frame", values.frame, scene.frames)
+    frame = one_of("--frame", values.frame or 0, scene.frames)
     camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
     camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
     renderer = Renderer(origin.model)
@@ -290,13 +311,17 @@ def _check_seen(scene: Scene) -> None:
             raise UsageError(f"A copy in the same place as object {name} would not be seen; give --by or --to.")
 
 
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> None:
     """Check, render, write and describe a scene."""
     check_inside(scene, origin.model)
     camera = _sized(scene.cameras[0], resolution)
     picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
     save_scene(out, scene, picture)
-    print(f"{out}: {scene.frames} frames, {len(scene.ids)} objects; {out / PICTURE}")
+    print(f"{out}: {_count(scene.frames, 'frame')}, {_count(len(scene.ids), 'object')}; {out / PICTURE}")
     for place, name in enumerate(scene.ids):
         x, y, z = scene.center[0, place].tolist()
         print(f"  object {name} at {x:.3f}, {y:.3f}, {z:.3f} m in the first frame")

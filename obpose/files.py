@@ -31,7 +31,7 @@ def write_whole(path: Path, data: bytes) -> None:
         raise DatagenError(
             f"Cannot write {path}: {error.strerror}. The file that was there is intact; mend this and run the same "
             "command again."
-        ) from None
+        ) from error
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -45,8 +45,8 @@ def new_folder(folder: Path) -> Iterator[Path]:
         UsageError: there is something already, perhaps since a moment ago; nothing was changed.
         DatagenError: it cannot be written.
     """
-    folder = folder.resolve()
     check_free(folder)
+    folder = folder.resolve()
     partial = _unfinished(folder)
     try:
         partial.mkdir(parents=True)
@@ -54,11 +54,20 @@ def new_folder(folder: Path) -> Iterator[Path]:
         check_free(folder)
         # Fails where somebody was faster: a folder takes the place of an empty one only.
         partial.rename(folder)
-    except OSError as error:
+    except (OSError, DatagenError) as error:
+        reason = _reason(error)
         check_free(folder)
-        raise DatagenError(f"Cannot write {folder}: {error.strerror}; mend this, or give another --out.") from None
+        raise DatagenError(f"Cannot write {folder}: {reason}; mend this, or give another --out.") from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def _reason(error: OSError | DatagenError) -> str:
+    """Why the system did not write, also where `write_whole` says so of a file that nobody knows; else it is raised."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    if not isinstance(cause, OSError):
+        raise error
+    return cause.strerror or str(cause)
 
 
 def _unfinished(path: Path) -> Path:
@@ -79,7 +88,12 @@ def check_free(folder: Path) -> None:
     Raises:
         UsageError: something is.
     """
-    if folder.resolve() == Path.cwd():
+    try:
+        resolved = folder.resolve()
+    except (OSError, RuntimeError):
+        # Python tells of a circle of links in one way or the other.
+        raise UsageError(f"{folder} is a link that leads to itself; give another --out.") from None
+    if resolved == Path.cwd():
         raise UsageError(f"{folder} is the current folder; give a new one with --out, nothing was changed.")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} is there already and not empty; give another --out, nothing was changed.")
@@ -91,14 +105,21 @@ def new_file(path: Path) -> Iterator[Path]:
 
     Raises:
         UsageError: there is something already, perhaps since a moment ago; nothing was changed.
+        DatagenError: it cannot be written.
     """
     check_new(path)
     partial = _unfinished(path)
     try:
+        # Told now, and not when all that is to be written has been made.
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.touch()
         yield partial
         _rename_new(partial, path)
+    except (OSError, DatagenError) as error:
+        raise DatagenError(f"Cannot write {path}: {_reason(error)}; mend this, or give another --out.") from None
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def _rename_new(partial: Path, path: Path) -> None:
@@ -106,7 +127,7 @@ def _rename_new(partial: Path, path: Path) -> None:
         # Fails where somebody was faster, as a rename would not.
         os.link(partial, path)
     except FileExistsError:
-        check_new(path)
+        raise _taken(path) from None
     except OSError:
         # Some file systems have no second names of a file.
         check_new(path)
@@ -119,8 +140,13 @@ def check_new(path: Path) -> None:
     Raises:
         UsageError: something is.
     """
-    if path.exists():
-        raise UsageError(f"{path} is there already; give another --out, nothing was changed.")
+    if os.path.lexists(path):
+        raise _taken(path)
+
+
+def _taken(path: Path) -> UsageError:
+    link = " as a link that leads nowhere" if path.is_symlink() and not os.path.exists(path) else ""
+    return UsageError(f"{path} is there already{link}; give another --out, nothing was changed.")
 
 
 @contextmanager

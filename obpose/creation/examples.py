@@ -59,7 +59,7 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
     look = partial(_find_in, str(origin.folder), data)
     for number, (index, contents) in enumerate(make_all(look, [("train", i) for i in missing], workers), start=1):
         write_whole(paths[index], contents)
-        if number % 20 == 0:
+        if number % 10 == 0:
             say(f"{number} of {len(missing)} clips")
     return [_read(path) for path in paths]
 

@@ -16,6 +16,7 @@ from obpose.creation.origin import Origin
 from obpose.creation.prior import learned_prior, table_part
 from obpose.creation.rendering import object_codes
 from obpose.creation.scene import Scene
+from obpose.creation.tables import Tables, tables_of
 from obpose.errors import UsageError
 from obpose.types import Observation
 
@@ -35,9 +36,8 @@ class FoundObjects:
     it is shown as little where an object keeps its height."""
     detail: Float[Tensor, "object edge edge edge 4"]
     background: Float[Tensor, "clip background"]
-    light: Float[Tensor, "clip 4"]
-    pattern: Float[Tensor, "clip x y 3"]
-    """Both as in `Scene`."""
+    tables: Tables
+    """One for each clip."""
     low: Float[Tensor, "2"]
     """Of the objects' middles, world x and y, metres."""
     high: Float[Tensor, "2"]
@@ -66,8 +66,7 @@ def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: i
         height=center[:, 2],
         detail=torch.stack([scene.detail[place] for scene, place in places]),
         background=torch.stack([scene.background[-1] for scene in scenes]),
-        light=torch.stack([scene.light for scene in scenes]),
-        pattern=torch.stack([scene.pattern for scene in scenes]),
+        tables=tables_of(scenes),
         low=low,
         high=high,
     )

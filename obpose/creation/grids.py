@@ -95,10 +95,17 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
     # Where nothing is the field's colours mean nothing.
     density = density[:, None]
     share = torch.sigmoid(2 * density + 2)
-    mean = (colour * torch.sigmoid(2 * density)).sum(dim=0) / torch.sigmoid(2 * density).sum()
-    colour = (share * colour + (1 - share) * mean).clamp(-COLOUR_LIMIT, COLOUR_LIMIT)
-    values = torch.cat([density, colour], dim=-1).view(1, EDGE, EDGE, EDGE, 4)
+    colour = share * colour + (1 - share) * mean_colour(density[None], colour[None])
+    values = torch.cat([density, colour.clamp(-COLOUR_LIMIT, COLOUR_LIMIT)], dim=-1).view(1, EDGE, EDGE, EDGE, 4)
     return Grids(values, (points[-1, 2] - points[0, 2])[None] / 2)
+
+
+def mean_colour(
+    density: Float[Tensor, "object *point 1"], colour: Float[Tensor, "object *point 3"]
+) -> Float[Tensor, "object 3"]:
+    """Logits of colours, weighed by how dense it is where they are."""
+    weight = torch.sigmoid(2 * density).flatten(1, -2)
+    return (colour.flatten(1, -2) * weight).sum(dim=1) / weight.sum(dim=1)
 
 
 def _logits(

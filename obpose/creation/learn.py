@@ -4,17 +4,17 @@ import io
 import json
 import math
 import shutil
-import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from obpose.creation.examples import Examples, Say, find_examples, joined
-from obpose.creation.flow import WIDTH, Flow, describe, flow_loss, mirrored, sample_grids
-from obpose.creation.flow_prior import save_flow
+from obpose.creation.flow import Flow, describe, flow_loss, mirrored, sample_grids
+from obpose.creation.flow_prior import FILE, has_flow, save_flow
 from obpose.creation.grids import Grids
 from obpose.creation.origin import Origin
 from obpose.data import SceneDataset
@@ -27,12 +27,13 @@ COMPARED = 200
 """Samples, and as many objects that are held out, are compared with those that are learned from."""
 HELD = 20
 """Objects of every so many clips are not learned from, but tell how well it goes."""
-BATCH, RATE, WARM_STEPS, CLIP = 64, 1e-3, 200, 1.0
+BATCH, RATE, WARM_STEPS, CLIP = 256, 1e-3, 200, 1.0
 """Objects a step, Adam's learning rate after so many steps, norm of the gradient; the rate falls in the second half."""
 MEMORY = 0.999
 """Share of the old value in the mean of the weights, which is what is kept."""
 SAVE_STEPS = 250
-_SETTINGS, _STATE = "settings.json", "state.pt"
+_LOOKING, _LEARNING, _STATE = "looking.json", "learning.json", "state.pt"
+"""Settings of what was found, those of what was learned from it, and how far that is."""
 _LEAST_OBJECTS = 32
 
 
@@ -57,24 +58,30 @@ def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say:
         say: Is told how it goes.
 
     Raises:
-        UsageError: too few objects are found, or something else was begun before.
+        UsageError: too few objects are found, something else was begun before, or there is a flow already.
         Diverged: the loss is not finite.
         CorruptFile: a file of what was begun before is damaged.
         Busy: another process is at it.
     """
+    if has_flow(origin):
+        raise UsageError(f"{origin.folder / FILE} is there already; move it elsewhere to learn another one.")
     folder = origin.folder / PARTIAL
     with claimed(folder):
         dataset = SceneDataset(data, "train").settings_hash
-        _check_same(folder, {"weights": origin.hash, "data": dataset, **asdict(lesson)})
+        _check_same(folder / _LOOKING, {"weights": origin.hash, "data": dataset})
+        if (folder / _STATE).exists():
+            _check_same(folder / _LEARNING, asdict(lesson))
         found = find_examples(origin, data, folder, lesson.clips, workers=workers, say=say)
+        write_whole(folder / _LEARNING, json.dumps(asdict(lesson), indent=1).encode())
         flow = _train(_fresh(origin, lesson), found, folder, lesson, say)
         path = save_flow(origin, flow)
     shutil.rmtree(folder)
     return path
 
 
-def _check_same(folder: Path, settings: dict[str, Any]) -> None:
-    path = folder / _SETTINGS
+def _check_same(path: Path, settings: dict[str, Any]) -> None:
+    """Check that what was begun had these settings; where none were written they are."""
+    folder = path.parent
     if not path.exists():
         write_whole(path, json.dumps(settings, indent=1).encode())
         return
@@ -100,21 +107,24 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
     """The mean of the weights after all steps."""
     held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
     if len(learned.half) < _LEAST_OBJECTS:
-        raise UsageError(f"Only {len(learned.half)} objects were found in {len(found)} clips; give more of them.")
-    say(f"Learning from {len(learned.half)} objects, {len(held.half)} are held out.")
+        raise UsageError(
+            f"{len(learned.half)} examples of objects were found, and {len(held.half)} that are held out, in "
+            f"{len(found)} clips; expected {_LEAST_OBJECTS}, give more --clips."
+        )
+    say(f"Learning from {len(learned.half)} examples of objects, in some frames each; {len(held.half)} are held out.")
     describe(flow, learned, torch.cat([each.what for each in found]))
-    mean = _copy(flow)
+    objects, others = _both_ways(flow, learned), flow.encode(held)
+    mean = _copy(flow).eval()
     optimiser = torch.optim.AdamW(flow.parameters(), lr=RATE, betas=(0.9, 0.99), weight_decay=0.01)
     done = _restore(folder / _STATE, flow, mean, optimiser)
     losses: list[float] = []
-    precision = faster_precision()
     for step in range(done, lesson.steps):
         noise = torch.Generator().manual_seed((lesson.seed << 32) + step)
-        chosen = torch.randint(len(learned.half), (BATCH,), generator=noise)
-        batch = mirrored(learned.take(chosen), torch.rand(BATCH, generator=noise))
+        batch = objects[torch.randint(len(objects), (BATCH,), generator=noise)]
         for group in optimiser.param_groups:
             group["lr"] = RATE * _pace(step, lesson.steps)
-        with torch.autocast("cpu", torch.bfloat16, enabled=precision == torch.bfloat16):
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(noise.initial_seed())
             loss = flow_loss(flow, batch, noise)
         if not loss.isfinite():
             raise Diverged(f"The loss of step {step + 1} is {loss.item()}; delete {folder}, and give another --seed.")
@@ -126,59 +136,43 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
         losses.append(loss.item())
         if (step + 1) % SAVE_STEPS == 0:
             _save(folder / _STATE, flow, mean, optimiser, step + 1)
-            say(f"step {step + 1} of {lesson.steps}: loss {sum(losses) / len(losses):.4f}{_held_out(mean, held)}")
+            say(f"step {step + 1} of {lesson.steps}: loss {sum(losses) / len(losses):.4f}{_held_out(mean, others)}")
             losses.clear()
-    say(_likeness(mean, learned, held))
+    say(_likeness(mean, objects, others))
     return mean
 
 
-def faster_precision() -> torch.dtype:
-    """Half-width numbers where this processor multiplies them faster; many emulate them, at a fraction of the speed."""
-    seconds = {kind: min(_multiply(kind) for _ in range(3)) for kind in (torch.float32, torch.bfloat16)}
-    return min(seconds, key=lambda kind: seconds[kind])
-
-
-def _multiply(kind: torch.dtype) -> float:
-    """Seconds that a product of matrices takes."""
-    one, other = torch.ones(1024, WIDTH, dtype=kind), torch.ones(WIDTH, 4 * WIDTH, dtype=kind)
-    start = time.perf_counter()
-    torch.matmul(one, other)
-    return time.perf_counter() - start
-
-
-def _held_out(flow: Flow, held: Grids) -> str:
-    if not len(held.half):
-        return ""
-    with torch.no_grad():
-        parts = torch.arange(len(held.half)).split(BATCH)
-        noise = torch.Generator().manual_seed(0)
-        losses = [flow_loss(flow, held.take(part), noise) for part in parts]
-    mean = sum(float(loss) * len(part) for loss, part in zip(losses, parts, strict=True)) / len(held.half)
-    return f", held out {mean:.4f}"
+def _both_ways(flow: Flow, grids: Grids) -> Float[Tensor, "object value"]:
+    """Encoded, as they are and mirrored."""
+    return torch.cat([flow.encode(grids), flow.encode(mirrored(grids))])
 
 
 @torch.no_grad()
-def _likeness(flow: Flow, learned: Grids, held: Grids) -> str:
+def _held_out(flow: Flow, objects: Float[Tensor, "object value"]) -> str:
+    if not len(objects):
+        return ""
+    # Each at several times, as there are few.
+    return f", held out {float(flow_loss(flow, objects.repeat(8, 1), torch.Generator().manual_seed(0))):.4f}"
+
+
+@torch.no_grad()
+def _likeness(flow: Flow, learned: Float[Tensor, "one value"], held: Float[Tensor, "other value"]) -> str:
     """How near samples come to objects that were learned from: copies would come nearer than other objects do."""
     generator = torch.Generator().manual_seed(0)
-    some = torch.randperm(len(held.half), generator=generator)[:COMPARED]
     others = {
-        "samples": sample_grids(flow, COMPARED, generator),
-        "held-out objects": held.take(some),
+        "samples": flow.encode(sample_grids(flow, COMPARED, generator)),
+        "held-out objects": held[torch.randperm(len(held), generator=generator)[:COMPARED]],
     }
-    words = [f"{name} {nearest(flow, grids, learned):.3f}" for name, grids in others.items() if len(grids.half)]
+    words = [f"{name} {nearest(values, learned):.3f}" for name, values in others.items() if len(values)]
     return f"Distance to the nearest learned object, median: {', '.join(words)}"
 
 
-def nearest(flow: Flow, grids: Grids, among: Grids) -> float:
-    """Median distance of grids from the nearest of others or its mirror image.
+def nearest(objects: Float[Tensor, "object value"], among: Float[Tensor, "other value"]) -> float:
+    """Median distance of objects from the nearest of others.
 
     It is the root mean square of differences of values as a flow has them.
     """
-    patches = flow.encode(grids)[0].flatten(1)
-    both = [among, mirrored(among, torch.ones(len(among.half)))]
-    distances = [torch.cdist(patches, flow.encode(each)[0].flatten(1)).amin(dim=1) for each in both]
-    return float(torch.minimum(*distances).median()) / patches.shape[1] ** 0.5
+    return float(torch.cdist(objects, among).amin(dim=1).median()) / objects.shape[1] ** 0.5
 
 
 def _pace(step: int, steps: int) -> float:

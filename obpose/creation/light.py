@@ -39,4 +39,6 @@ def beams(toward: Float[Tensor, "3"]) -> Float[Tensor, "beam 3"]:
 def is_light(light: Light) -> bool:
     """Whether it is one, or none."""
     share = strength(light)
+    if not bool(light.isfinite().all()):
+        return False
     return share == 0 or (0 < share <= 1 and abs(float(light[:3].norm()) - 1) <= _ROUNDING)

@@ -40,7 +40,10 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
     density = occupancy(model.object_field.density(lattice, codes)[0]).view(resolution, resolution, resolution)
     around = np.pad(density.numpy(), 1)
     if around.max() <= settings.voxel_threshold:
-        raise UsageError(f"Object {name} is nowhere dense; there is nothing to make a mesh of.")
+        raise UsageError(
+            f"Object {name} is dense at none of {resolution} x {resolution} x {resolution} points of its box; there is "
+            "nothing to make a mesh of, unless more of them (--cells) find something."
+        )
     corners, faces, _, _ = marching_cubes(around, settings.voxel_threshold)
     # The padding lies a step outside the box; what it closes is cut off there.
     in_box = torch.from_numpy((corners - 1) * (2 / (resolution - 1)) - 1).to(lattice.dtype).clamp(-1, 1)

@@ -129,6 +129,11 @@ def save_prior(origin: Origin, prior: ScenePrior) -> None:
     write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
 
 
+def has_prior(origin: Origin) -> bool:
+    """Whether there is one beside a model's weights."""
+    return (origin.folder / FILE).is_file()
+
+
 def load_prior(origin: Origin) -> ScenePrior:
     """The prior that was fitted to a model.
 
@@ -137,8 +142,8 @@ def load_prior(origin: Origin) -> ScenePrior:
         CorruptFile: the file is damaged, or another model's.
     """
     path = origin.folder / FILE
-    if not path.is_file():
-        raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit, or give --prior learned.")
+    if not has_prior(origin):
+        raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit first.")
     try:
         with safe_open(path, framework="pt") as file:
             found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
@@ -165,8 +170,13 @@ def _is_whole(prior: ScenePrior, model: ObPose) -> bool:
     latent = model.config.model.latent
     values = [prior.low, prior.high]
     for mixture, size in ((prior.what, latent.what), (prior.background, latent.background)):
-        parts = len(mixture.weights)
-        if not parts or mixture.means.shape != (parts, size) or mixture.factors.shape != (parts, size, size):
+        parts = mixture.weights.numel()
+        if (
+            mixture.weights.shape != (parts,)
+            or not parts
+            or mixture.means.shape != (parts, size)
+            or mixture.factors.shape != (parts, size, size)
+        ):
             return False
         if not bool((mixture.weights >= 0).all() & (mixture.weights.sum() > 0)):
             return False

@@ -106,22 +106,22 @@ def _draw(model: ObPose, source: Source, objects: int, generator: torch.Generato
         chosen = torch.randint(len(source.what), (objects,), generator=generator)
         found = (source.what[chosen], source.rotation[chosen], source.height[chosen], source.detail[chosen])
         return _Drawn(*found, torch.zeros(objects), faces=False)
-    upright = torch.eye(3).expand(objects, 3, 3)
+    level = torch.eye(3).expand(objects, 3, 3)
     if isinstance(source, FlowPrior):
         what = source.flow.code.expand(objects, -1)
         grids = _draw_grids(model, source, objects, generator)
         # Their boxes have the grids' middles and axes; what is outside of the box is cut off.
         alone = 2 * grids.half / model.config.model.pose.box_size
-        return _Drawn(what, upright, None, grids.values, alone, faces=True)
+        return _Drawn(what, level, None, grids.values, alone, faces=True)
     what = _draw_codes(model, source, objects, generator)
-    return _Drawn(what, upright, None, no_detail(objects, what), torch.zeros(objects), faces=False)
+    return _Drawn(what, level, None, no_detail(objects, what), torch.zeros(objects), faces=False)
 
 
 def _surroundings(source: Source, generator: torch.Generator) -> tuple[Float[Tensor, "1 background"], Light, Pattern]:
     """Background, light and pattern."""
     if isinstance(source, FoundObjects):
         place = int(torch.randint(len(source.background), (), generator=generator))
-        return source.background[place, None], source.light[place], source.pattern[place]
+        return source.background[place, None], *source.tables.like(place, generator)
     return source.background.draw(1, generator), *source.tables.draw(generator)
 
 

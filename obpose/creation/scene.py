@@ -12,6 +12,9 @@ from obpose.creation.light import no_light
 from obpose.creation.pattern import no_pattern
 from obpose.errors import UsageError
 
+LARGEST_ID = 2**31 - 1
+"""Of an object's name."""
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:
@@ -99,8 +102,9 @@ class Scene:
         return b"".join(part.numpy().tobytes() for part in parts)
 
     def new_id(self) -> int:
-        """A name that no object has."""
-        return max(self.ids, default=0) + 1
+        """A name that no object has: the next one, or, where names have come to an end, the least that is free."""
+        following = max(self.ids, default=0) + 1
+        return following if following <= LARGEST_ID else min(set(range(1, len(self.ids) + 2)) - set(self.ids))
 
 
 def _listed(names: Sequence[int]) -> str:

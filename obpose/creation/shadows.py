@@ -67,7 +67,7 @@ class _Voxels(NamedTuple):
 def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
     """The light whose shadows are seen in the frames, or none where there hardly are any.
 
-    What comes out depends on the arguments alone. It costs about as much as ten steps of fitting.
+    What comes out depends on the arguments alone. It costs about as much as twenty steps of fitting.
 
     Args:
         model: That the scene is of.

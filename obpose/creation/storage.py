@@ -12,7 +12,7 @@ from safetensors.torch import load, save
 from obpose.creation.light import is_light, no_light
 from obpose.creation.pattern import no_pattern
 from obpose.creation.pictures import PICTURE, Picture, write_png
-from obpose.creation.scene import Camera, ClipName, Scene
+from obpose.creation.scene import LARGEST_ID, Camera, ClipName, Scene
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import new_folder, write_whole
 from obpose.nerf.detail import no_detail
@@ -20,8 +20,8 @@ from obpose.nerf.detail import no_detail
 TENSORS, FACTS = "scene.safetensors", "scene.json"
 VERSION = 1
 """Of the files; raised when older ones can no longer be read."""
-LARGEST_ID, LARGEST_SIDE = 2**31 - 1, 2**13
-"""Of an object's name, and pixels along a side of a camera's image."""
+LARGEST_SIDE = 2**13
+"""Pixels along a side of a camera's image."""
 _LARGEST_VALUE = 1e6
 """Metres, pixels or units of a latent, far beyond all that are meant."""
 _ROUNDING = 1e-3
@@ -32,9 +32,11 @@ def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> No
     """Write a new folder that `load_scene` reads, with a picture of the scene; all of it is there or nothing.
 
     Raises:
-        UsageError: there is such a folder already, and something is in it.
+        UsageError: there is such a folder already, and something is in it; or the scene is none that could be read.
         DatagenError: it cannot be written, for example because the disk is full.
     """
+    if not _is_whole(scene):
+        raise UsageError("The scene has numbers that are none, or beyond all sense; nothing was written.")
     with new_folder(folder) as partial:
         _write(partial, scene)
         if picture is not None:
@@ -167,4 +169,9 @@ def _is_camera(camera: Camera) -> bool:
     if k.shape != (3, 3) or pose.shape != (4, 4):
         return False
     triangular = k[2].tolist() == [0, 0, 1] and float(k[1, 0]) == 0
-    return triangular and bool((k.diagonal() > 0).all()) and pose[3].tolist() == [0, 0, 0, 1]
+    return (
+        triangular
+        and bool((k.diagonal() > 0).all())
+        and pose[3].tolist() == [0, 0, 0, 1]
+        and _are_rotations(pose[:3, :3])
+    )

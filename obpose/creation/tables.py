@@ -11,6 +11,7 @@ from obpose.creation.infer import infer_scene
 from obpose.creation.light import Light, is_light, no_light
 from obpose.creation.origin import Origin
 from obpose.creation.pattern import SPOT, Pattern, no_pattern, pattern_like, spot_of
+from obpose.creation.scene import Scene
 from obpose.types import Observation
 
 MOST = 32
@@ -30,7 +31,10 @@ class Tables:
         """Of one of the tables; where there are none, no light and no pattern."""
         if not len(self.lights):
             return no_light(self.lights), no_pattern(self.lights)
-        place = int(torch.randint(len(self.lights), (), generator=generator))
+        return self.like(int(torch.randint(len(self.lights), (), generator=generator)), generator)
+
+    def like(self, place: int, generator: torch.Generator) -> tuple[Light, Pattern]:
+        """The light of one of the tables, and a pattern like its own."""
         return self.lights[place], pattern_like(self.spots[place], generator)
 
 
@@ -41,16 +45,20 @@ def no_tables(like: Tensor) -> Tables:
 
 def find_tables(origin: Origin, clips: Iterable[Observation], *, refinements: int) -> Tables:
     """Those of scenes that are inferred from clips, a batch of one each, and fitted to them in so many steps."""
-    found = no_tables(origin.model.center)
-    for clip in clips:
-        scene = infer_scene(origin, clip, refinements=refinements)
-        lights = torch.cat([found.lights, scene.light[None]])
-        found = Tables(lights, torch.cat([found.spots, spot_of(scene.pattern)[None]]))
-    return found
+    return tables_of(infer_scene(origin, clip, refinements=refinements) for clip in clips)
+
+
+def tables_of(scenes: Iterable[Scene]) -> Tables:
+    """Those of fitted scenes."""
+    found = [(scene.light, spot_of(scene.pattern)) for scene in scenes]
+    if not found:
+        return no_tables(torch.zeros(()))
+    lights, spots = zip(*found, strict=True)
+    return Tables(torch.stack(lights), torch.stack(spots))
 
 
 def are_tables(lights: Tensor, spots: Tensor) -> bool:
     """Whether arrays are those of tables; files may come from anywhere."""
     count = len(spots) if spots.ndim else 0
     sizes = lights.shape == (count, 4) and spots.shape == (count, SPOT, SPOT, 3)
-    return sizes and bool(spots.isfinite().all()) and all(map(is_light, lights))
+    return sizes and lights.dtype == torch.float32 and bool(spots.isfinite().all()) and all(map(is_light, lights))

@@ -3,6 +3,10 @@
 Each component has a grid of cells that may hold something, made from its field once. Rays are marched front to back,
 some samples at a time; a component is evaluated only at samples in such cells (an object's within its box), colours
 only where light comes from, and rays that nothing shines through any more stop.
+
+Cells are asked in their middles, so what is thinner than a cell and away from others that are full can be left out. Of
+objects and tables nothing is; of the fog that a background's field has where no camera of training looked, thin sheets
+are, and a picture from there has less fog than the field.
 """
 
 import math
@@ -117,7 +121,9 @@ def march(
     threshold: float = 0.0,
     behind: float = 0.0,
 ) -> Picture:
-    """Render the composed components; where `behind` is 0 the values are those of `obpose.nerf.render.render`.
+    """Render the composed components.
+
+    Where `behind` is 0 and no full cell is missed, the values are those of `obpose.nerf.render.render`.
 
     Args:
         components: The background first, if there is one.

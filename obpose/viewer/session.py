@@ -105,10 +105,12 @@ class Session:
 
     def remove(self, name: int) -> None:
         """Take an object out of the scene."""
+        self.drop()
         self._become(replace(self.version, scene=edit.remove(self.scene, name), hidden=self.hidden - {name}))
 
     def duplicate(self, name: int) -> None:
         """Put a copy beside an object, where most room is, and select it."""
+        self.drop()
         copied = edit.duplicate(self.scene, name, self._beside(name))
         seen_as = self.version.seen_as
         if seen_as is not None and name in seen_as:
@@ -118,6 +120,7 @@ class Session:
 
     def grab(self) -> None:
         """Take hold of the selected object: what follows until `drop` is one edit."""
+        self.drop()
         if self.selected is not None:
             self._grabbed = self.version
 
@@ -143,15 +146,18 @@ class Session:
 
     def replace(self, scene: Scene) -> None:
         """Go on with another scene of the same model, which is not that of the input."""
+        self.drop()
         self._become(Version(scene, None, began=scene))
         self.selected = None
 
     def fit(self, scene: Scene) -> None:
         """Go on with the same objects in the same places, only that they look more like the input."""
+        self.drop()
         self._become(replace(self.version, scene=scene))
 
     def undo(self) -> None:
-        """Go back to before the last edit, if there was one; what is hidden stays so."""
+        """Go back to before the last edit, if there was one, as is a drag that goes on; what is hidden stays so."""
+        self.drop()
         if self._past:
             past = self._past.pop()
             if past.began is self.version.began:
@@ -161,13 +167,12 @@ class Session:
             self._settle()
 
     def _become(self, version: Version) -> None:
-        self._past.append(self.version if self._grabbed is None else self._grabbed)
+        self._past.append(self.version)
         self.version = version
         self._settle()
 
     def _settle(self) -> None:
-        """Let go, and of objects, frames and views that are no more."""
-        self._grabbed = None
+        """Let go of objects, frames and views that are no more."""
         self.selected = self.selected if self.selected in self.scene.ids else None
         self.frame = min(self.frame, self.scene.frames - 1)
         self.view = min(self.view, len(self.scene.cameras) - 1)

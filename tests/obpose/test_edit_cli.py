@@ -1,6 +1,5 @@
 """The whole command, with the weights that ship."""
 
-import math
 import re
 import shutil
 from dataclasses import replace
@@ -17,17 +16,18 @@ from datagen.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
 from datagen.generate import generate
 from datagen.schema import decode_depth
 from datagen.storage import Dataset
+from obpose import edit_cli
 from obpose.creation import examples, learn
-from obpose.creation.flow import VALUES, Flow
 from obpose.creation.flow_prior import load_flow, save_flow
 from obpose.creation.origin import load_origin, origin_of
+from obpose.creation.prior import load_prior
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import ClipName
 from obpose.creation.storage import load_scene
 from obpose.data import SceneDataset
 from obpose.edit_cli import main
 from tests import small
-from tests.obpose.creation.scenes import alike, equal
+from tests.obpose.creation.scenes import alike, dense_flow, equal
 
 MODEL = "obpose--moving--64x64"
 
@@ -127,7 +127,7 @@ def test_a_refined_scene_is_nearer_to_its_frames(inferred: Path, tiny_dataset: P
     flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--out", tmp_path / "refined", "--refine"]
     assert run("infer", *flags, -1) == EXIT_USAGE
     assert "--refine -1: expected 0 to 10000" in capsys.readouterr().err
-    assert run("infer", *flags, 60) == EXIT_OK
+    assert run("infer", *flags, 30) == EXIT_OK
     assert "Resolution: neighbouring pixels are" in capsys.readouterr().out
     before, after = load_scene(inferred), load_scene(tmp_path / "refined")
     renderer, clip = Renderer(origin_of(after).model), tiny_dataset_clip(tiny_dataset)
@@ -182,14 +182,7 @@ def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
     flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 2]
     assert run("sample", *flags, "--out", tmp_path / "before") == EXIT_OK
     assert not load_scene(tmp_path / "before").detail.any()
-    torch.manual_seed(0)
-    flow = Flow(latent=origin.model.config.model.latent.what)
-    with torch.no_grad():
-        # Dense wherever its grids are.
-        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(VALUES // 4))
-        flow.patch_out.weight.zero_()
-        flow.size_mean.fill_(math.log(0.05))
-    save_flow(origin, flow)
+    save_flow(origin, dense_flow(origin.model.config.model.latent.what))
     for out in ("one", "again"):
         assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
     assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK
@@ -201,38 +194,59 @@ def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
     assert not load_scene(tmp_path / "fitted").detail.any()
 
 
+def test_a_prior_is_fitted_beside_the_weights_and_takes_no_other_one_s_place(
+    own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(edit_cli, "STEPS", 1)
+    data, folder = tmp_path / "data", tmp_path / "own"
+    generate(data, small.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
+    shutil.copytree(own_model, folder)
+    before = (folder / "prior.safetensors").read_bytes()
+    assert run("fit", "--checkpoint", folder, "--data", data) == EXIT_USAGE
+    assert "prior.safetensors is there already; move it elsewhere" in capsys.readouterr().err
+    assert (folder / "prior.safetensors").read_bytes() == before
+    (folder / "prior.safetensors").unlink()
+    assert run("fit", "--checkpoint", folder, "--data", data, "--clips", 3) == EXIT_OK
+    told = capsys.readouterr().out
+    assert "has 2 training clips, fewer than --clips 3" in told
+    assert "Fitted to 2 clips" in told
+    assert len(load_prior(load_origin(str(folder))).tables.lights) == 2
+
+
 def test_a_flow_is_learned_beside_the_weights(
     own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(examples, "STEPS", 1)
     monkeypatch.setattr(learn, "COMPARED", 8)
     monkeypatch.setattr(learn, "BATCH", 4)
-    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 4)
+    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 1)
     data = tmp_path / "data"
-    generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
+    generate(data, small.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
     folder = tmp_path / "own"
-    shutil.copytree(own_model, folder)
+    shutil.copytree(own_model, folder, ignore=shutil.ignore_patterns("flow.safetensors"))
     flags = ["--checkpoint", folder, "--data", data, "--workers", 1]
     assert run("learn", *flags, "--steps", 0) == EXIT_USAGE
     assert "--steps 0: expected 1 to" in capsys.readouterr().err
     assert run("learn", *flags, "--seed", -1) == EXIT_USAGE
     assert "--seed -1: expected 0 to" in capsys.readouterr().err
     assert run("learn", *flags, "--clips", 1) == EXIT_USAGE
-    assert "--clips 1: expected 2 or more" in capsys.readouterr().err
+    assert "--clips 1: expected 2 or more, of the training split" in capsys.readouterr().err
     assert run("learn", *flags[:4], "--workers", 0) == EXIT_USAGE
     assert "--workers 0: expected at least 1" in capsys.readouterr().err
     monkeypatch.setattr(learn, "flow_loss", interrupting)
     assert run("learn", *flags, "--steps", 1) == EXIT_INTERRUPTED
     assert "what was done is kept, and the same command goes on" in capsys.readouterr().err
     monkeypatch.undo()
-    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 4)
+    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 1)
     assert run("learn", *flags, "--steps", 1) == EXIT_OK
     assert "Looking for objects in 0 clips" in (said := capsys.readouterr().out)
-    assert "Learned from 3 clips" in said
+    assert "Learned from 2 clips" in said
     assert load_flow(load_origin(str(folder))).flow.code.any()
+    assert run("learn", *flags, "--steps", 1) == EXIT_USAGE
+    assert "flow.safetensors is there already" in capsys.readouterr().err
     (folder / "prior.safetensors").unlink()
     assert run("learn", *flags, "--steps", 1) == EXIT_USAGE
-    assert "make one with obpose-edit fit" in capsys.readouterr().err
+    assert "make one with obpose-edit fit first" in capsys.readouterr().err
 
 
 def interrupting(*_: object) -> torch.Tensor:
@@ -240,8 +254,9 @@ def interrupting(*_: object) -> torch.Tensor:
 
 
 def test_objects_of_training_clips_are_put_together_anew(
-    inferred: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    inferred: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
+    monkeypatch.setattr(edit_cli, "STEPS", 2)
     data = tmp_path / "data"
     generate(data, small.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
     flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", "found", "--objects", 3]
@@ -305,6 +320,9 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["render", "SCENE", "--turntable", "0", "--out", "a.gif"], "--turntable 0: expected 1 to 360"),
         (["render", "SCENE", "--frame", "10", "--out", "a.png"], "--frame 10: expected 0 to 9"),
         (["render", "SCENE", "--view", "1", "--out", "a.png"], "--view 1: expected 0"),
+        (["render", "SCENE", "--out", "a.gif"], "ends with .png, or --turntable or --clip for an animation"),
+        (["render", "SCENE", "--clip", "--frame", "0", "--out", "a.gif"], "leave out --turntable and --frame, or it"),
+        (["render", "SCENE", "--clip", "--turntable", "3", "--out", "a.gif"], "--clip shows all frames from where"),
         (["render", "SCENE", "--resolution", "9999x2", "--out", "a.png"], "expected WIDTHxHEIGHT"),
         (
             ["infer", "--checkpoint", "none", "--data", "d", "--resolution", "9", "--out", "new"],

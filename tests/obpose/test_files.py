@@ -2,6 +2,7 @@ import os
 import subprocess
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
@@ -134,3 +135,36 @@ def test_a_new_file_takes_no_other_one_s_place(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("os.link", unknown)
     write(tmp_path / "c.png", b"whole")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "c.png"]
+
+
+@pytest.mark.parametrize("make", [new_file, new_folder])
+def test_links_that_lead_to_themselves_are_told(tmp_path: Path, make: Callable[[Path], AbstractContextManager[Path]]):
+    for one, other in (("circle", "other"), ("other", "circle")):
+        (tmp_path / one).symlink_to(tmp_path / other)
+    with pytest.raises(UsageError, match="circle is .*; give another --out"), make(tmp_path / "circle"):
+        pass
+
+
+def test_a_link_that_leads_nowhere_is_told(tmp_path: Path):
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(UsageError, match="link is there already as a link that leads nowhere"):
+        write(tmp_path / "link", b"picture")
+    assert [path.name for path in tmp_path.iterdir()] == ["link"]
+
+
+def test_where_a_file_cannot_be_its_own_name_is_told_before_anything_is_made(tmp_path: Path):
+    (tmp_path / "file").write_bytes(b"")
+    for path in (tmp_path / "file" / "a.png", Path("/proc/none/a.png")):
+        with pytest.raises(DatagenError, match=f"Cannot write {path}: .*; mend this, or give another --out"):
+            write(path, b"picture", meanwhile=fail)
+
+
+def test_a_full_disk_is_told_with_the_name_that_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def full(_descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    for make, path in ((new_file, tmp_path / "a.png"), (new_folder, tmp_path / "folder")):
+        with pytest.raises(DatagenError, match=f"Cannot write {path}: No space left"), make(path) as unfinished:
+            write_whole(unfinished if make is new_file else unfinished / "a.png", b"picture")
+    assert not list(tmp_path.iterdir())

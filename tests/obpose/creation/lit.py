@@ -40,12 +40,18 @@ class TableField(Field):
 
 def balls_over_table(*centers: Sequence[float], light: Sequence[float]) -> tuple[ObPose, Scene]:
     """With balls there in one frame."""
+    return moving_balls([centers], light=light)
+
+
+def moving_balls(centers: Sequence[Sequence[Sequence[float]]], *, light: Sequence[float]) -> tuple[ObPose, Scene]:
+    """With balls there, frame after frame."""
     model = some_model()
     size = model.config.model.pose.box_size
     model.object_field = BallField(2 * RADIUS / size, latent=32)
     model.background_field = TableField(model.center, model.config.model.background_size)
-    scene = some_scene(objects=len(centers), frames=1)
-    places = {"center": torch.tensor([centers]), "rotation": torch.eye(3).expand(1, len(centers), 3, 3)}
+    frames, objects = len(centers), len(centers[0])
+    scene = some_scene(objects=objects, frames=frames)
+    places = {"center": torch.tensor(centers), "rotation": torch.eye(3).expand(frames, objects, 3, 3)}
     return model, replace(scene, **places, cameras=(VIEW,), light=torch.tensor(light), pattern=no_pattern())
 
 
@@ -56,8 +62,9 @@ def table_points(camera: Camera) -> Tensor:
 
 
 def observed(model: ObPose, scene: Scene) -> Observation:
-    """What the scene's camera sees of its first frame."""
-    image, camera = Renderer(model).render(scene), scene.cameras[0]
-    depth = image.depth[None, None, None]
-    pose = camera.world_from_camera[None, None]
-    return Observation(image.rgb[None, None, None], depth, depth > 0, camera.k[None, None], pose)
+    """What the scene's camera sees."""
+    renderer, camera = Renderer(model), scene.cameras[0]
+    images = [renderer.render(scene, frame) for frame in range(scene.frames)]
+    depth = torch.stack([image.depth for image in images])[None, :, None]
+    rgb = torch.stack([image.rgb for image in images])[None, :, None]
+    return Observation(rgb, depth, depth > 0, camera.k[None, None], camera.world_from_camera[None, None])

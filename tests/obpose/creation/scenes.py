@@ -1,7 +1,11 @@
 """Small scenes and an untrained model, for tests of edits and pictures."""
 
+import math
+
 import torch
 
+from obpose.creation.flow import Flow
+from obpose.creation.grids import DENSITY_LIMIT
 from obpose.creation.pattern import EDGE, SPOT
 from obpose.creation.scene import Camera, Scene
 from obpose.creation.tables import Tables
@@ -23,6 +27,15 @@ def some_model(**changes: object) -> ObPose:
     torch.manual_seed(0)
     sizes = {"model.workspace_size": 1.0, "model.background_size": 2.5, "model.attention.idle_points": 0}
     return ObPose(make_config(**sizes, **changes)).eval()
+
+
+def dense_flow(latent: int) -> Flow:
+    """Its samples are dense wherever their grids are."""
+    torch.manual_seed(0)
+    flow = Flow(latent)
+    flow.shapes.mean.fill_(DENSITY_LIMIT)
+    flow.plain_mean[3] = math.log(0.05)
+    return flow
 
 
 def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str = "abc") -> Scene:

@@ -118,3 +118,12 @@ def every_edit(scene: Scene) -> list[Scene]:
 def test_objects_of_other_models_mean_nothing():
     with pytest.raises(UsageError, match="of different models"):
         edit.transfer(some_scene(model="abc"), 1, some_scene(model="xyz"))
+
+
+def test_objects_that_are_alone_stay_so_and_others_do_not_become_it():
+    scene = replace(some_scene(), alone=torch.tensor([0.0, 0.4, 0.6]))
+    assert edit.remove(scene, 1).alone.tolist() == pytest.approx([0.4, 0.6])
+    assert edit.remove(scene, 3).alone.tolist() == pytest.approx([0.0, 0.4])
+    assert edit.duplicate(scene, 2, torch.zeros(3)).alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.4])
+    assert edit.transfer(scene, 3, some_scene()).alone.tolist() == pytest.approx([0.0, 0.0, 0.0, 0.6])
+    assert edit.transfer(some_scene(), 3, scene).alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.0])

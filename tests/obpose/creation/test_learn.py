@@ -9,9 +9,9 @@ from safetensors.torch import load_file
 import assets
 from datagen.generate import generate
 from obpose.creation import examples, learn
-from obpose.creation.flow import Flow, mirrored
+from obpose.creation.examples import find_examples
+from obpose.creation.flow import VALUES
 from obpose.creation.flow_prior import load_flow
-from obpose.creation.grids import Grids
 from obpose.creation.learn import PARTIAL, Lesson, learn_flow, nearest
 from obpose.creation.origin import Origin, load_origin
 from obpose.errors import CorruptFile, Diverged, UsageError
@@ -28,6 +28,17 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def found(data: Path) -> Path:
+    """Folder with what is found in the clips, which takes most of the time."""
+    folder = data.parent / "found"
+    folder.mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(examples, "STEPS", 1)
+        find_examples(load_origin(MODEL), data, folder, LESSON.clips, workers=1, say=print)
+    return folder
+
+
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(examples, "STEPS", 1)
@@ -37,9 +48,11 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 6)
 
 
-def copied(folder: Path) -> Origin:
+def copied(folder: Path, found: Path) -> Origin:
+    """A copy of the model, that has looked for objects before."""
     shutil.copytree(assets.CHECKPOINTS / MODEL, folder)
     (folder / "flow.safetensors").unlink(missing_ok=True)
+    shutil.copytree(found, folder / PARTIAL)
     return load_origin(str(folder))
 
 
@@ -55,19 +68,19 @@ def stop_at(text: str) -> Callable[[str], None]:
     return say
 
 
-def test_what_was_stopped_goes_on_to_the_same_end(data: Path, tmp_path: Path):
-    whole, parts = copied(tmp_path / "whole"), copied(tmp_path / "parts")
+def test_what_was_stopped_goes_on_to_the_same_end(data: Path, found: Path, tmp_path: Path):
+    whole, parts = copied(tmp_path / "whole", found), copied(tmp_path / "parts", found)
     said: list[str] = []
     path = learned(whole, data, say=said.append)
     assert not (whole.folder / PARTIAL).exists()
-    assert "Looking for objects in 4 clips" in said[0]
+    assert "Looking for objects in 0 clips" in said[0]
+    (parts.folder / PARTIAL / "clip-00002.safetensors").unlink()
     for text in ("Learning from", "step 4 of 6"):
         with pytest.raises(KeyboardInterrupt):
             learned(parts, data, say=stop_at(text))
-    (parts.folder / PARTIAL / "clip-00002.safetensors").unlink()
     said.clear()
     again = learned(parts, data, say=said.append)
-    assert "Looking for objects in 1 clips" in said[0]
+    assert "Looking for objects in 0 clips" in said[0]
     assert [line.partition(":")[0] for line in said if line.startswith("step")] == ["step 6 of 6"]
     assert "median: samples" in said[-1]
     # The last digit of what is found may differ, as may that of what is learned from it.
@@ -76,24 +89,37 @@ def test_what_was_stopped_goes_on_to_the_same_end(data: Path, tmp_path: Path):
     assert load_flow(whole).flow.code.any()
 
 
-def test_another_seed_is_another_flow(data: Path, tmp_path: Path):
-    of = copied(tmp_path / "model")
-    one = load_file(learned(of, data))
-    other = load_file(learned(of, data, Lesson(clips=4, steps=6, seed=1)))
-    assert not torch.equal(one["patch_out.weight"], other["patch_out.weight"])
+def test_what_is_missing_is_looked_for_and_no_more(data: Path, found: Path, tmp_path: Path):
+    of = copied(tmp_path / "model", found)
+    lost = of.folder / PARTIAL / "clip-00002.safetensors"
+    before = lost.read_bytes()
+    lost.unlink()
+    said: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        learned(of, data, say=lambda line: (said.append(line), stop_at("Learning from")(line))[0])
+    assert "Looking for objects in 1 clips" in said[0]
+    assert len(lost.read_bytes()) == len(before)
+
+
+def test_another_seed_is_another_flow(data: Path, found: Path, tmp_path: Path):
+    one, other = (
+        load_file(learned(copied(tmp_path / str(seed), found), data, Lesson(clips=4, steps=2, seed=seed)))
+        for seed in (0, 1)
+    )
+    assert not torch.equal(one["leave.weight"], other["leave.weight"])
     assert torch.equal(one["code"], other["code"])
 
 
-def test_learning_makes_the_loss_smaller(data: Path, tmp_path: Path):
+def test_learning_makes_the_loss_smaller(data: Path, found: Path, tmp_path: Path):
     said: list[str] = []
-    learned(copied(tmp_path / "model"), data, Lesson(clips=4, steps=40, seed=0), say=said.append)
+    learned(copied(tmp_path / "model", found), data, Lesson(clips=4, steps=40, seed=0), say=said.append)
     losses = [float(line.split("loss ")[1].split(",")[0]) for line in said if line.startswith("step")]
     assert len(losses) == 20
     assert sum(losses[-5:]) < sum(losses[:5])
 
 
-def test_what_was_begun_otherwise_or_is_damaged_is_refused(data: Path, tmp_path: Path):
-    of = copied(tmp_path / "model")
+def test_what_was_begun_otherwise_or_is_damaged_is_refused(data: Path, found: Path, tmp_path: Path):
+    of = copied(tmp_path / "model", found)
     with pytest.raises(KeyboardInterrupt):
         learned(of, data, say=stop_at("step 2"))
     with pytest.raises(UsageError, match="there and here differ: steps 6 and 7"):
@@ -104,29 +130,49 @@ def test_what_was_begun_otherwise_or_is_damaged_is_refused(data: Path, tmp_path:
     (of.folder / PARTIAL / "clip-00001.safetensors").write_bytes(b"other")
     with pytest.raises(CorruptFile, match=r"clip-00001\.safetensors is damaged; delete it"):
         learned(of, data)
-    (of.folder / PARTIAL / "settings.json").write_text("[")
-    with pytest.raises(CorruptFile, match=r"settings\.json is damaged; delete .*flow\.partial to begin anew"):
+    for name in ("learning.json", "looking.json"):
+        (of.folder / PARTIAL / name).write_text("[")
+        with pytest.raises(CorruptFile, match=rf"{name} is damaged; delete .*flow\.partial to begin anew"):
+            learned(of, data)
+
+
+def test_how_near_the_nearest_of_others_is():
+    others = torch.randn(6, VALUES)
+    assert nearest(others[:3], others) == pytest.approx(0, abs=1e-3)
+    assert nearest(others[:3] + 1, others[:3]) == pytest.approx(1, abs=1e-3)
+
+
+def test_more_clips_can_be_asked_for_as_long_as_nothing_is_learned(
+    data: Path, found: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    of = copied(tmp_path / "model", found)
+    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 1000)
+    with pytest.raises(UsageError, match="in 3 clips; expected 1000, give more --clips"):
+        learned(of, data, Lesson(clips=3, steps=6, seed=0))
+    monkeypatch.setattr(learn, "_LEAST_OBJECTS", 6)
+    with pytest.raises(KeyboardInterrupt):
+        learned(of, data, say=stop_at("step 2"))
+
+
+def test_a_flow_that_is_there_stays(data: Path, found: Path, tmp_path: Path):
+    of = copied(tmp_path / "model", found)
+    (of.folder / "flow.safetensors").write_bytes(b"weeks of work")
+    with pytest.raises(UsageError, match=r"flow\.safetensors is there already; move it elsewhere"):
         learned(of, data)
+    assert (of.folder / "flow.safetensors").read_bytes() == b"weeks of work"
 
 
-def test_the_nearest_of_others_may_be_a_mirror_image():
-    flow, grids = Flow(latent=2), Grids(torch.randn(6, 16, 16, 16, 4), torch.ones(6))
-    three = Grids(grids.values[:3], grids.half[:3])
-    assert nearest(flow, three, grids) == pytest.approx(0, abs=1e-3)
-    assert nearest(flow, mirrored(three, torch.ones(3)), grids) == pytest.approx(0, abs=1e-3)
-    off = Grids(three.values + torch.tensor([6.0, 1.2, 1.2, 1.2]), three.half)
-    assert nearest(flow, off, three) == pytest.approx(1, abs=1e-3)
-
-
-def test_a_loss_that_is_no_number_ends_it(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    of = copied(tmp_path / "model")
+def test_a_loss_that_is_no_number_ends_it(data: Path, found: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    of = copied(tmp_path / "model", found)
     monkeypatch.setattr(learn, "flow_loss", lambda *_: torch.tensor(torch.nan, requires_grad=True))
     with pytest.raises(Diverged, match="The loss of step 1 is nan; delete"):
         learned(of, data)
     assert not (of.folder / "flow.safetensors").exists()
 
 
-def test_it_takes_some_objects(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_it_takes_some_objects(data: Path, found: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 1000)
-    with pytest.raises(UsageError, match="objects were found in 4 clips; give more of them"):
-        learned(copied(tmp_path / "model"), data)
+    with pytest.raises(
+        UsageError, match="examples of objects were found, .* in 4 clips; expected 1000, give more --clips"
+    ):
+        learned(copied(tmp_path / "model", found), data)

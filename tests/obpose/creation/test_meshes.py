@@ -11,6 +11,7 @@ from obpose.creation.meshes import object_mesh, write_mesh
 from obpose.creation.scene import Scene
 from obpose.errors import UsageError
 from obpose.model import ObPose
+from obpose.nerf.field import Conditioning, Hidden
 from obpose.viewer.shapes import Shapes
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.creation.scenes import some_model, some_scene
@@ -90,7 +91,28 @@ def test_files_are_read_again(tmp_path: Path, name: str):
 
 
 def test_nothing_and_other_endings_are_told(tmp_path: Path):
-    with pytest.raises(UsageError, match="Object 1 is nowhere dense"):
+    with pytest.raises(UsageError, match="Object 1 is dense at none of .* unless more of them"):
         object_mesh(*ball_scene(-10.0), 1)
     with pytest.raises(UsageError, match=r"ends with \.ply or \.glb"):
         write_mesh(tmp_path / "ball.obj", object_mesh(*ball_scene(0.5), 1, resolution=8))
+
+
+class Shells(BallField):
+    """A ball whose colour says how far from the middle it is, in box coordinates."""
+
+    def density(self, points: torch.Tensor, codes: Conditioning) -> tuple[torch.Tensor, Hidden]:
+        logits, _ = super().density(points, codes)
+        return logits, Hidden(points.norm(dim=-1, keepdim=True), None)
+
+    def colour(self, hidden: Hidden, directions: torch.Tensor, codes: Conditioning) -> torch.Tensor:
+        return hidden.values.expand(*hidden.values.shape[:-1], 3)
+
+
+def test_colours_are_those_of_as_far_behind_the_surface_as_they_were_trained():
+    model, scene = ball_scene(0.5)
+    model.object_field = Shells(0.5, latent=32)
+    mesh = object_mesh(model, scene, 2, frame=1)
+    behind = 2 * model.config.loss.jitter / model.config.model.pose.box_size
+    assert behind > 0.05
+    found = mesh.visual.vertex_colors[:, 0] / 255
+    np.testing.assert_allclose(found, 0.5 - behind, atol=0.03)

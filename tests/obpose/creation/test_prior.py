@@ -89,7 +89,7 @@ def some_origin(folder: Path) -> Origin:
 
 def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
     origin = some_origin(tmp_path)
-    with pytest.raises(UsageError, match="make one with obpose-edit fit, or give --prior learned"):
+    with pytest.raises(UsageError, match="make one with obpose-edit fit first"):
         load_prior(origin)
     prior = replace(learned_prior(origin.model), tables=some_tables())
     save_prior(origin, prior)
@@ -111,6 +111,8 @@ def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
     for tables in (
         {"lights": torch.tensor([[1.0, 1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]])},
         {"lights": torch.zeros(3, 4)},
+        {"lights": torch.zeros(2, 4, dtype=torch.float64)},
+        {"what.weights": torch.ones(())},
         {"lights": torch.zeros(4)},
         {"spots": torch.zeros(2, SPOT, SPOT - 1, 3)},
         {"spots": torch.full((2, SPOT, SPOT, 3), torch.nan)},

@@ -1,9 +1,10 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
-from obpose.creation.scene import axis_rotation, upright
+from obpose.creation.scene import LARGEST_ID, axis_rotation, upright
 from obpose.errors import UsageError
 from obpose.geometry import camera_rays
 from tests.obpose.creation.scenes import CAMERA, some_scene
@@ -33,3 +34,18 @@ def test_a_camera_of_another_size_sees_the_same():
     small, _ = camera_rays(CAMERA.k, CAMERA.world_from_camera, CAMERA.height, CAMERA.width)
     large, _ = camera_rays(wide.k, wide.world_from_camera, wide.height, wide.width)
     torch.testing.assert_close(large.reshape(12, 2, 16, 4, 3).mean(dim=(1, 3)), small)
+
+
+def test_objects_look_alike_where_code_detail_and_what_the_detail_is_are_the_same():
+    scene = some_scene(objects=2)
+    look = scene.look(0, 0)
+    assert replace(scene, center=scene.center + 1).look(0, 0) == look
+    for name in ("what", "detail", "alone"):
+        assert replace(scene, **{name: getattr(scene, name) + 0.1}).look(0, 0) != look
+
+
+def test_new_names_follow_the_others_as_long_as_there_are_any():
+    scene = some_scene(objects=2)
+    assert scene.new_id() == 3
+    assert replace(scene, ids=(1, LARGEST_ID)).new_id() == 2
+    assert replace(scene, ids=(2, LARGEST_ID)).new_id() == 1

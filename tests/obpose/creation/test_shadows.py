@@ -8,7 +8,8 @@ from obpose.creation.light import no_light
 from obpose.creation.rendering import Renderer
 from obpose.creation.shadows import find_light
 from obpose.nerf.marching import Picture
-from tests.obpose.creation.lit import GREY, RADIUS, VIEW, balls_over_table, observed, table_points
+from tests.obpose.analytic_fields import BallField
+from tests.obpose.creation.lit import GREY, RADIUS, VIEW, balls_over_table, moving_balls, observed, table_points
 
 SOFT = 0.025
 """How far from the edge of a shadow it may be neither light nor dark, metres."""
@@ -87,6 +88,23 @@ def test_the_light_that_frames_were_made_with_is_found(azimuth: float, elevation
     found = find_light(model, observed(model, scene), scene)
     assert float(torch.rad2deg((found[:3] @ toward).clamp(max=1).acos())) < 6
     assert float(found[3]) == pytest.approx(strength, abs=0.05)
+
+
+def test_each_frame_has_the_shadows_of_where_objects_are_in_it():
+    far = [(5.0, 5.0, 0.1), (5.0, -5.0, 0.1)]
+    model, scene = moving_balls([far, BALLS, [(x - 0.1, y + 0.1, z) for x, y, z in BALLS]], light=LIGHT)
+    found = find_light(model, observed(model, scene), scene)
+    assert float(torch.rad2deg((found[:3] @ torch.tensor(LIGHT[:3])).clamp(max=1).acos())) < 6
+    assert float(found[3]) == pytest.approx(LIGHT[3], abs=0.05)
+
+
+def test_what_is_nearer_than_pixels_lie_apart_keeps_no_light_away():
+    model, scene = balls_over_table((0.0, 0.0, 0.2), light=LIGHT)
+    renderer, spacing = Renderer(model), model.config.model.spacing
+    model.object_field = BallField(2 * 0.9 * spacing / model.config.model.pose.box_size, latent=32)
+    objects, middle, up = renderer.objects(scene, 0), scene.center[0], torch.tensor([0.0, 0.0, 1.0])
+    assert float(renderer.occlusion(objects, middle, up)) == 0
+    assert float(renderer.occlusion(objects, middle - 1.5 * spacing * up, up)) > 0.5
 
 
 def test_it_is_found_in_the_frames_and_not_in_the_scene_and_again():

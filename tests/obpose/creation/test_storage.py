@@ -99,6 +99,8 @@ CAMERAS = {"k": CAMERA.k[None], "world_from_camera": CAMERA.world_from_camera[No
         {"detail": torch.full((3, 16, 16, 16, 4), torch.nan)},
         {"background": torch.zeros(())},
         {"background": torch.zeros(2, 4, 8)},
+        {"world_from_camera": torch.diag(torch.tensor([0.0, 0.0, 0.0, 1.0]))[None]},
+        {"light": torch.tensor([torch.nan, 0.0, 0.0, 0.0])},
         {"light": torch.zeros(3)},
         {"light": torch.zeros(2, 4)},
         {"light": torch.zeros(4, dtype=torch.float64)},
@@ -164,3 +166,10 @@ def test_a_save_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(DatagenError, match=r"picture\.png"):
         save_scene(tmp_path / "scene", some_scene(), np.zeros((2, 2, 3), np.uint8))
     assert not list(tmp_path.iterdir())
+
+
+def test_what_could_not_be_read_again_is_not_written(tmp_path: Path):
+    scene = some_scene()
+    with pytest.raises(UsageError, match="numbers that are none, or beyond all sense; nothing was written"):
+        save_scene(tmp_path / "new", replace(scene, what=torch.full_like(scene.what, torch.inf)))
+    assert not (tmp_path / "new").exists()

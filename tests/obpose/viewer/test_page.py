@@ -12,7 +12,6 @@ import pytest
 import torch
 
 from obpose.creation.infer import infer_scene
-from obpose.creation.refine import STEPS
 from obpose.creation.scene import upright
 from obpose.creation.storage import load_scene
 from obpose.viewer.opening import Opened, open_path
@@ -94,11 +93,14 @@ def test_dragging_is_followed_and_undone_as_one(page: Page):
     assert page.session.scene is before
 
 
-def test_what_was_inferred_is_fitted_to_its_frames_once_and_can_be_undone(page: Page, opened: Opened):
+def test_what_was_inferred_is_fitted_to_its_frames_once_and_can_be_undone(
+    page: Page, opened: Opened, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("obpose.viewer.page.STEPS", 5)
     page.actions.fit()
     fitted = settled(page).session.scene
     assert fitted.detail.any()
-    assert alike(fitted, infer_scene(opened.origin, opened.clip, refinements=STEPS), by=0.01)
+    assert alike(fitted, infer_scene(opened.origin, opened.clip, refinements=5), by=0.01)
     assert page.session.version.seen_as == {name: name for name in opened.scene.ids}
     page.actions.fit()
     assert settled(page).session.scene is fitted

@@ -1,15 +1,13 @@
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import torch
 
-from obpose.creation.flow import VALUES, Flow
 from obpose.creation.flow_prior import save_flow
 from obpose.creation.origin import Origin
 from obpose.creation.prior import Mixture, learned_prior, save_prior
 from obpose.viewer.sampling import Sampler
-from tests.obpose.creation.scenes import CAMERA, some_model
+from tests.obpose.creation.scenes import CAMERA, dense_flow, some_model
 
 
 def test_seeds_follow_each_other_and_begin_anew():
@@ -29,13 +27,7 @@ def test_scenes_are_of_the_best_prior_that_there_is(tmp_path: Path):
     fitted = Sampler(origin).next(1, (CAMERA,))
     assert float((learned.what - 3).abs().max()) > 1 > float((fitted.what - 3).abs().max())
     assert not fitted.detail.any()
-    torch.manual_seed(0)
-    flow = Flow(latent=32)
-    with torch.no_grad():
-        flow.patch_out.bias.copy_(torch.tensor([1.0, 0, 0, 0]).repeat(VALUES // 4))
-        flow.patch_out.weight.zero_()
-        flow.size_mean.fill_(math.log(0.05))
-    save_flow(origin, flow)
+    save_flow(origin, dense_flow(latent=32))
     assert Sampler(origin).next(1, (CAMERA,)).detail.any()
 
 

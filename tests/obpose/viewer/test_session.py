@@ -167,3 +167,41 @@ def test_objects_that_are_not_there_are_named_and_nothing_changes(act: str):
         getattr(session, act)(9)
     assert session.version is before
     assert not session.can_undo
+
+
+def test_a_hidden_object_can_be_removed():
+    session = some_session()
+    session.hide(2)
+    session.remove(2)
+    assert session.shown.ids == (1, 3)
+    session.undo()
+    assert session.hidden == {2}
+
+
+@pytest.mark.parametrize("act", ["drop", "grab", "remove", "duplicate", "replace", "fit"])
+def test_what_is_done_while_an_object_is_held_comes_after_the_drag(act: str):
+    session = some_session()
+    before = session.scene
+    session.select(1)
+    session.grab()
+    session.drag(torch.tensor([0.1, 0.1, 0.1]), TURN)
+    dragged = session.scene
+    acts = {"remove": (2,), "duplicate": (2,), "replace": (some_scene(seed=1),), "fit": (some_scene(seed=2),)}
+    getattr(session, act)(*acts.get(act, ()))
+    if act in acts:
+        session.undo()
+    assert session.scene is dragged
+    session.undo()
+    assert session.scene is before
+    assert not session.can_undo
+
+
+def test_undo_takes_back_a_drag_that_goes_on():
+    session = some_session()
+    before = session.scene
+    session.select(1)
+    session.grab()
+    session.drag(torch.tensor([0.1, 0.1, 0.1]), TURN)
+    session.undo()
+    assert session.scene is before
+    assert not session.is_dragging

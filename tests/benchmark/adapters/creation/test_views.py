@@ -147,3 +147,9 @@ def test_the_command_prints_a_table_and_keeps_it(
         mean, low, high = (float(line[key]) for key in (name, f"{name}_ci_low", f"{name}_ci_high"))
         assert f"| {mean:.1f} dB ({low:.1f} to {high:.1f}) |" in printed
     assert printed.rstrip().endswith(f"| {1000 * float(plain['depth_errors_objects']):.1f} mm |")
+
+
+def test_fitted_scenes_are_other_ones(clips: Path, origin: Origin):
+    plain, fitted = (list(measure_views(origin, clips, "test", scenes=1, frames=1, refinements=n)) for n in (0, 3))
+    changed = {before.maker: before.psnr != after.psnr for before, after in zip(plain, fitted, strict=True)}
+    assert changed == {MODEL: True, FLAT: False}
