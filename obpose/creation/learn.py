@@ -124,6 +124,7 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
         for group in optimiser.param_groups:
             group["lr"] = RATE * _pace(step, lesson.steps)
         with torch.random.fork_rng(devices=[]):
+            # What is dropped in training is drawn from the generator of all.
             torch.manual_seed(noise.initial_seed())
             loss = flow_loss(flow, batch, noise)
         if not loss.isfinite():
