@@ -141,7 +141,7 @@ def test_a_new_file_takes_no_other_one_s_place(tmp_path: Path, monkeypatch: pyte
 def test_links_that_lead_to_themselves_are_told(tmp_path: Path, make: Callable[[Path], AbstractContextManager[Path]]):
     for one, other in (("circle", "other"), ("other", "circle")):
         (tmp_path / one).symlink_to(tmp_path / other)
-    with pytest.raises(UsageError, match="circle is .*; give another --out"), make(tmp_path / "circle"):
+    with pytest.raises(UsageError, match=r"circle is .*; give another --out"), make(tmp_path / "circle"):
         pass
 
 

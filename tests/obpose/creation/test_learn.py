@@ -173,6 +173,6 @@ def test_a_loss_that_is_no_number_ends_it(data: Path, found: Path, tmp_path: Pat
 def test_it_takes_some_objects(data: Path, found: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 1000)
     with pytest.raises(
-        UsageError, match="examples of objects were found, .* in 4 clips; expected 1000, give more --clips"
+        UsageError, match=r"examples of objects were found, .* in 4 clips; expected 1000, give more --clips"
     ):
         learned(copied(tmp_path / "model", found), data)

@@ -91,7 +91,7 @@ def test_files_are_read_again(tmp_path: Path, name: str):
 
 
 def test_nothing_and_other_endings_are_told(tmp_path: Path):
-    with pytest.raises(UsageError, match="Object 1 is dense at none of .* unless more of them"):
+    with pytest.raises(UsageError, match=r"Object 1 is dense at none of .* unless more of them"):
         object_mesh(*ball_scene(-10.0), 1)
     with pytest.raises(UsageError, match=r"ends with \.ply or \.glb"):
         write_mesh(tmp_path / "ball.obj", object_mesh(*ball_scene(0.5), 1, resolution=8))
