@@ -97,7 +97,7 @@ class Learn:
     clips: int = 400
     """How many of the training split objects are looked for in, for some seconds each."""
     steps: int = 3000
-    """Of learning, some tenths of a second each."""
+    """Of learning, about a tenth of a second each."""
     seed: int = 0
     workers: int | None = None
     """Processes that look for objects; as many as there are processors if left out."""

@@ -186,7 +186,9 @@ def _own(checkpoint: str) -> Origin:
     """A model beside whose weights files may be written."""
     origin = load_origin(checkpoint)
     if origin.folder.resolve().parent == assets.CHECKPOINTS.resolve():
-        raise UsageError(f"{origin.folder} ships with the package, its prior too; copy the folder, and fit the copy.")
+        raise UsageError(
+            f"{origin.folder} ships with the package, its prior too; use a copy of the folder without these."
+        )
     return origin
 
 

@@ -2,8 +2,8 @@
 
 An addition. It is a rectified flow (Liu, Gong and Liu 2023; Lipman et al. 2023) on the principal components of grids of
 objects that a model found, and predicts, as in Li and He (2025), the object and not the velocity. Components are those
-of whole grids: parts of a sampled object fit together, where a network that sees blocks of a grid learns for hours that
-they have to. No labels are used.
+of whole grids: parts of a sampled object fit together, where a network that sees blocks of a grid has to learn that
+they do. No labels are used.
 """
 
 import math

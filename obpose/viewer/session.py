@@ -105,12 +105,10 @@ class Session:
 
     def remove(self, name: int) -> None:
         """Take an object out of the scene."""
-        self.drop()
         self._become(replace(self.version, scene=edit.remove(self.scene, name), hidden=self.hidden - {name}))
 
     def duplicate(self, name: int) -> None:
         """Put a copy beside an object, where most room is, and select it."""
-        self.drop()
         copied = edit.duplicate(self.scene, name, self._beside(name))
         seen_as = self.version.seen_as
         if seen_as is not None and name in seen_as:
@@ -134,7 +132,7 @@ class Session:
         if self._grabbed is None or self.selected is None:
             return
         scene, name = self._grabbed.scene, self.selected
-        by = self._within(name, to - scene.center[self.frame, scene.place(name)])
+        by = self._within(scene, name, to - scene.center[self.frame, scene.place(name)])
         moved = edit.rotate(edit.move(scene, name, by), name, turn)
         self.version = replace(self._grabbed, scene=moved)
 
@@ -146,13 +144,11 @@ class Session:
 
     def replace(self, scene: Scene) -> None:
         """Go on with another scene of the same model, which is not that of the input."""
-        self.drop()
         self._become(Version(scene, None, began=scene))
         self.selected = None
 
     def fit(self, scene: Scene) -> None:
         """Go on with the same objects in the same places, only that they look more like the input."""
-        self.drop()
         self._become(replace(self.version, scene=scene))
 
     def undo(self) -> None:
@@ -167,6 +163,8 @@ class Session:
             self._settle()
 
     def _become(self, version: Version) -> None:
+        """Go on with another version; a drag that goes on ends before, as an edit of its own."""
+        self.drop()
         self._past.append(self.version)
         self.version = version
         self._settle()
@@ -177,10 +175,9 @@ class Session:
         self.frame = min(self.frame, self.scene.frames - 1)
         self.view = min(self.view, len(self.scene.cameras) - 1)
 
-    def _within(self, name: int, by: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
-        """As much of a displacement as leaves the object inside the workspace in all frames."""
-        way = self._grabbed.scene if self._grabbed else self.scene
-        center = way.center[:, way.place(name)]
+    def _within(self, scene: Scene, name: int, by: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
+        """As much of a displacement as leaves an object of a scene inside the workspace in all frames."""
+        center = scene.center[:, scene.place(name)]
         return by.clamp(self._low - center.amin(dim=0), self._high - center.amax(dim=0))
 
     def _beside(self, name: int) -> Float[Tensor, "3"]:
@@ -190,4 +187,4 @@ class Session:
         center = self.scene.center[self.frame]
         places = center[self.scene.place(name)] + steps
         nearest = torch.cdist(places, center).amin(dim=1)
-        return self._within(name, steps[nearest.argmax()])
+        return self._within(self.scene, name, steps[nearest.argmax()])
