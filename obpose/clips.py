@@ -7,7 +7,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from obpose.errors import UsageError
@@ -165,7 +165,7 @@ def views_apart(observation: Observed) -> Observed:
     )
 
 
-def clip_part(observation: Observed, *, frames: slice = _ALL, views: slice = _ALL) -> Observed:
+def clip_part(observation: Observed, *, frames: slice | Int[Tensor, " some"] = _ALL, views: slice = _ALL) -> Observed:
     """Some frames and views, as if there were no others."""
     names = [field.name for field in fields(observation)]
     values = {name: getattr(observation, name) for name in names}

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Int
 from torch import Tensor
 
@@ -15,6 +16,9 @@ from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
 from obpose.resolution import fitting_model
 from obpose.types import Inference, Observation
+
+LOOKED_AT = 10
+"""Frames of a longer clip in which light and pattern are looked for, evenly spaced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +60,17 @@ def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: 
     if not refinements:
         return scene
     scene = refine(model, observation, scene, steps=refinements)
-    scene = replace(scene, light=find_light(model, observation, scene))
-    return replace(scene, pattern=find_pattern(model, observation, scene))
+    # Light and table are the same in all frames, of which some are enough.
+    frames = torch.linspace(0, scene.frames - 1, min(LOOKED_AT, scene.frames)).round().long()
+    observation, part = clip_part(observation, frames=frames), _part(scene, frames)
+    light = find_light(model, observation, part)
+    return replace(scene, light=light, pattern=find_pattern(model, observation, replace(part, light=light)))
+
+
+def _part(scene: Scene, frames: Int[Tensor, " some"]) -> Scene:
+    """Some frames, as if there were no others."""
+    values = {name: getattr(scene, name)[frames] for name in ("what", "center", "rotation", "background")}
+    return replace(scene, **values)
 
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:

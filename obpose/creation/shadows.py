@@ -29,8 +29,6 @@ LEAST_EXPLAINED = 0.02
 MOST_OVERHEAD = 0.8
 """Share of it that a light straight above explains at most: there is no telling its shadows from the dimness around the
 foot of whatever stands in diffuse light."""
-FRAMES = 10
-"""Of a longer clip so many are looked at, evenly spaced."""
 _WEIGHTS = (0.3, 0.6, 0.1)
 """Of red, green and blue in luminance."""
 _DARK, _DARKEST, _BRIGHTEST = 0.02, -1.5, 0.3
@@ -74,10 +72,8 @@ def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
         observation: A batch of the clip that the scene is fitted to.
         scene: As it is without shadows.
     """
-    frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().long().tolist()
     shown = shown_background(model, observation, scene)
-    shown = shown.at(torch.isin(shown.frame, torch.tensor(frames)))
-    voxels = _voxels(model, scene, frames)
+    voxels = _voxels(model, scene)
     if not len(voxels.point) or not len(shown.point):
         return no_light(scene.center)
     grid = (scene.frames, model.config.model.pose.box_size / CELLS)
@@ -90,9 +86,9 @@ def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
     return torch.cat([toward, toward.new_tensor([strength])]) if strength >= LEAST_STRENGTH else no_light(scene.center)
 
 
-def _voxels(model: ObPose, scene: Scene, frames: list[int]) -> _Voxels:
+def _voxels(model: ObPose, scene: Scene) -> _Voxels:
     points, owners, size, table = [], [], model.config.model.pose.box_size, model.config.model.table or 0.0
-    for frame in frames:
+    for frame in range(scene.frames):
         for place in range(len(scene.ids)):
             codes = object_codes(model, scene, frame, place)
             pose = scene.center[frame, place], scene.rotation[frame, place]

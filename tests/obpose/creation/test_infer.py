@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from obpose.creation import infer
-from obpose.creation.infer import fit_to_frames, infer_labelled, infer_scene, views_as_trained
+from obpose.creation.infer import LOOKED_AT, fit_to_frames, infer_labelled, infer_scene, views_as_trained
 from obpose.creation.light import no_light
 from obpose.creation.origin import Origin
 from obpose.creation.pattern import no_pattern
@@ -68,6 +68,33 @@ def test_a_light_and_then_a_pattern_are_looked_for_in_what_was_fitted_to_the_fra
         assert torch.equal(scene.pattern, no_pattern() + light[0])
     assert torch.equal(fit_to_frames(plain, origin.model, clip, refinements=0).light, no_light())
     assert fitted == [True, True]
+
+
+def test_light_and_pattern_are_looked_for_in_some_frames_of_a_long_clip(monkeypatch: pytest.MonkeyPatch):
+    origin, seen = Origin(some_model(), Path("folder"), "name", "hash"), []
+    clip = table_scene(batch=1, frames=2 * LOOKED_AT, height=16, width=16)
+
+    def found(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
+        seen.append((observation, scene))
+        return no_light()
+
+    monkeypatch.setattr(infer, "find_light", found)
+    monkeypatch.setattr(infer, "find_pattern", lambda *_: no_pattern())
+    whole = infer_scene(origin, clip, refinements=1)
+    ((observation, scene),) = seen
+    assert whole.frames == 2 * LOOKED_AT
+    assert observation.depth.shape[1] == scene.frames == LOOKED_AT
+    for part, all_of_it in (
+        (observation.rgb[0], clip.rgb[0]),
+        (observation.depth[0], clip.depth[0]),
+        (scene.what, whole.what),
+        (scene.center, whole.center),
+        (scene.rotation, whole.rotation),
+        (scene.background, whole.background),
+    ):
+        assert torch.equal(part[0], all_of_it[0])
+        assert torch.equal(part[3], all_of_it[6])
+        assert torch.equal(part[-1], all_of_it[-1])
 
 
 def test_what_was_inferred_can_be_fitted_afterwards_to_the_views_that_the_model_gets():
