@@ -7,11 +7,11 @@ from jaxtyping import Int
 from torch import Tensor
 
 from obpose.clips import clip_part
+from obpose.creation.find_light import find_light
+from obpose.creation.find_pattern import find_pattern
 from obpose.creation.origin import Origin
 from obpose.creation.refine import refine
 from obpose.creation.scene import Camera, Scene
-from obpose.creation.shadows import find_light
-from obpose.creation.table import find_pattern
 from obpose.model import ObPose
 from obpose.nerf.detail import no_detail
 from obpose.resolution import fitting_model
@@ -34,8 +34,8 @@ def infer_scene(origin: Origin, observation: Observation, *, refinements: int = 
     """The scene of a batch of one clip, with the posterior means of its latents, as it is segmented.
 
     Of several views the model gets what it was trained with, all or the first; the scene has the cameras of all.
-    It is then fitted to these views in so many steps (`obpose.creation.refine`), and its light is looked for
-    (`obpose.creation.shadows`); without steps, which is the paper's inference, it has none.
+    It is then fitted to these views in so many steps (`obpose.creation.refine`), and light and pattern are looked for
+    (`find_light`, `find_pattern`); without steps, which is the paper's inference, it has neither.
     """
     return infer_labelled(origin, observation, refinements=refinements).scene
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from obpose.creation import edit
+from obpose.creation.find_light import find_light
 from obpose.creation.light import no_light
 from obpose.creation.rendering import Renderer
-from obpose.creation.shadows import find_light
 from obpose.nerf.marching import Picture
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.creation.lit import GREY, RADIUS, VIEW, balls_over_table, moving_balls, observed, table_points

@@ -4,11 +4,11 @@ import pytest
 import torch
 
 from obpose.creation import edit
+from obpose.creation.find_pattern import find_pattern
 from obpose.creation.light import no_light
 from obpose.creation.pattern import EDGE, no_pattern, on_pattern, pattern_at
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
-from obpose.creation.table import find_pattern
 from obpose.model import ObPose
 from obpose.nerf.marching import Picture
 from obpose.types import Observation
