@@ -40,7 +40,8 @@ _LEAST_COLOUR = 1e-3
 _OBJECT_CELLS = 16
 _FINE_CELLS = 32
 """Of objects whose detail is alone, and may be thinner than the others' cells."""
-_BACKGROUND_CELLS = 48
+_BACKGROUND_CELLS, _BACKGROUND_LAYERS = 32, 8
+"""Tables, and sheets of fog, may be much thinner than a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +161,20 @@ class Renderer:
         model, settings = self.model, self.model.config.model
         field = model.background_field
         assert field is not None
-        fixed = {"center": model.center, "rotation": torch.eye(3), "size": settings.background_size}
-        fixed |= {"threshold": settings.voxel_threshold}
         code = scene.background[frame]
         background = self._keep(
             code.numpy().tobytes(),
-            lambda: make_component(field, field.condition(code), **fixed, bounded=False, resolution=_BACKGROUND_CELLS),
+            lambda: make_component(
+                field,
+                field.condition(code),
+                center=model.center,
+                rotation=torch.eye(3),
+                size=settings.background_size,
+                threshold=settings.voxel_threshold,
+                bounded=False,
+                resolution=_BACKGROUND_CELLS,
+                layers=_BACKGROUND_LAYERS,
+            ),
         )
         return [background, *self.objects(scene, frame)]
 

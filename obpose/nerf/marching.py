@@ -4,9 +4,9 @@ Each component has a grid of cells that may hold something, made from its field 
 some samples at a time; a component is evaluated only at samples in such cells (an object's within its box), colours
 only where light comes from, and rays that nothing shines through any more stop.
 
-Cells are asked in their middles, so what is thinner than a cell and away from others that are full can be left out. Of
-objects and tables nothing is; of the fog that a background's field has where no camera of training looked, thin sheets
-are, and a picture from there has less fog than the field.
+Each cell is asked at a few points, so what is thinner than they lie apart, and away from cells that are full, can be
+left out. Tables, and the fog that a background's field has where no camera of training looked, are flat and thin:
+a background is asked at many heights.
 """
 
 import math
@@ -88,16 +88,19 @@ def make_component(
     size: float,
     bounded: bool,
     resolution: int,
+    layers: int = 1,
     threshold: float = 0.0,
 ) -> Component:
     """Look for the cells of the field's cube, `resolution` along each edge, that are not empty for this threshold.
 
-    `codes` is of a single code.
+    `codes` is of a single code. Each cell is asked at so many points, one above another along the cube's last axis.
     """
-    lattice = lattice_points(resolution, None, codes.first)
-    logits = torch.cat([field.density(part, codes)[0] for part in lattice.split(_CHUNK)])
-    dense = log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)
-    grid = dense.view(1, 1, resolution, resolution, resolution).to(lattice.dtype)
+    steps = (torch.arange(layers).to(codes.first) + 0.5) / layers - 0.5
+    within = F.pad(steps[:, None] * (2 / resolution), (2, 0))
+    points = (lattice_points(resolution, None, codes.first)[:, None] + within).flatten(0, 1)
+    logits = torch.cat([field.density(part, codes)[0] for part in points.split(_CHUNK)])
+    dense = (log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)).unflatten(0, (-1, layers)).any(dim=-1)
+    grid = dense.view(1, 1, resolution, resolution, resolution).to(points.dtype)
     cells = F.max_pool3d(grid, 3, stride=1, padding=1)[0, 0] > 0
     return Component(field, codes, center, rotation, size, bounded, cells)
 

@@ -1,19 +1,24 @@
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from benchmark.metrics.images import psnr
+from datagen.geometry import look_at
 from obpose.creation import edit
 from obpose.creation.clip import read_clip
 from obpose.creation.infer import infer_scene
 from obpose.creation.light import no_light
 from obpose.creation.origin import load_origin
 from obpose.creation.pattern import no_pattern
+from obpose.creation.prior import load_prior
 from obpose.creation.rendering import Renderer, outlines
-from obpose.creation.scene import Scene
+from obpose.creation.scene import Camera, Scene
 from obpose.model import ObPose
+from obpose.shipped import shipped_names
 from tests.obpose.creation.dense import densely
 from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
 
@@ -130,3 +135,29 @@ def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, re
     assert float(image.shares[1:].sum(dim=0).max()) > 0.9
     assert psnr(image.rgb.numpy(), dense.colour[0, 0].view_as(image.rgb).numpy()) > 60
     torch.testing.assert_close(image.depth, dense.depth[0, 0].view_as(image.depth), atol=2e-3, rtol=0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped_names())
+@pytest.mark.parametrize("elevation", [45, 90])
+def test_so_it_is_for_all_weights_and_from_above(name: str, elevation: int):
+    """With nothing on the table, whose field is thinner than cells, as are sheets of fog where no camera looked."""
+    origin = load_origin(name)
+    background = load_prior(origin).background.means[:1]
+    empty = edit.remove(some_scene(objects=1, frames=1), 1)
+    camera = looking_down(origin.model, elevation)
+    scene = replace(empty, background=background, cameras=(camera,), light=no_light(), pattern=no_pattern())
+    renderer = Renderer(origin.model)
+    image = renderer.render(scene, antialiased=False)
+    dense = densely(renderer, scene, camera, behind=origin.model.config.loss.jitter)
+    assert psnr(image.rgb.numpy(), dense.colour[0, 0].view_as(image.rgb).numpy()) > 40
+
+
+def looking_down(model: ObPose, elevation: int) -> Camera:
+    """Onto the middle of the table, from as far as the workspace is wide."""
+    middle = model.center.numpy() * (1, 1, 0)
+    rise = math.radians(elevation)
+    toward = np.array([math.cos(rise), 1e-3, math.sin(rise)])
+    pose = look_at(middle + model.config.model.workspace_size * toward, middle)
+    k = torch.tensor([[24.0, 0.0, 12.0], [0.0, 24.0, 12.0], [0.0, 0.0, 1.0]])
+    return Camera(k, torch.from_numpy(pose).float(), width=24, height=24)

@@ -5,7 +5,7 @@ import torch
 
 from obpose.geometry import camera_rays
 from obpose.nerf.components import decode
-from obpose.nerf.field import Field
+from obpose.nerf.field import Conditioning, Field, Hidden
 from obpose.nerf.marching import Component, Picture, make_component, march, moved, thickness_towards
 from obpose.nerf.render import Rendering, render
 from obpose.types import Boxes
@@ -118,6 +118,25 @@ def test_fields_are_evaluated_in_few_places():
     origin, direction = rays()
     march([component], origin, direction, near=NEAR, far=FAR, samples=SAMPLES, sigma_max=SIGMA, floor=None)
     assert 0 < field.evaluated < 0.01 * len(origin) * SAMPLES
+
+
+def test_a_sheet_that_is_thinner_than_a_cell_is_there_where_cells_are_asked_at_enough_heights():
+    """It lies on the border of two."""
+
+    class Sheet(BallField):
+        def density(self, points: torch.Tensor, codes: Conditioning) -> tuple[torch.Tensor, Hidden]:
+            _, hidden = super().density(points, codes)
+            return torch.where((points[..., 2] - 0.25).abs() < 0.03, 20.0, -20.0), hidden
+
+    box = {"center": torch.zeros(3), "rotation": torch.eye(3), "size": 2.0}
+    along = {"near": NEAR, "far": FAR, "samples": 400, "sigma_max": 400.0, "floor": None}
+    opacity = []
+    for layers in (1, 2, 8):
+        sheet = of_code(Sheet(1.0), torch.zeros(2), **box, bounded=True, resolution=8, layers=layers)
+        opacity.append(march([sheet], *rays(), **along).weights)
+    assert not opacity[0].any()
+    assert not opacity[1].any()
+    assert (opacity[2] > 0.99).all()
 
 
 def test_nothing_is_black_and_as_far_as_can_be_seen():
