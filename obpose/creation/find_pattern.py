@@ -1,8 +1,9 @@
 """The pattern of a scene's table, found in its frames: what they show that the background's field leaves out.
 
 An addition. That field is one for all tables and smooth; wood, checks and the glow of a lamp are not in it. What is the
-same in all frames belongs to the table. Shadows of a known light are taken out before, and what only some frames show
-counts little: shadows of what was not found, and edges of objects.
+same in all frames belongs to the table. Shadows of a known light are taken out before; where none is known, what is
+darker around objects than elsewhere is taken for shadows. What only some frames show counts little: shadows of what was
+not found, and edges of objects.
 """
 
 import math
@@ -16,7 +17,7 @@ from obpose.creation.light import strength
 from obpose.creation.pattern import EDGE, Pattern, no_pattern, on_pattern, pattern_at
 from obpose.creation.rendering import Renderer
 from obpose.creation.scene import Scene
-from obpose.creation.shown import occlusion_where_shown, shown_background
+from obpose.creation.shown import Shown, occlusion_where_shown, shown_background
 from obpose.model import ObPose
 from obpose.types import Observation
 
@@ -29,13 +30,15 @@ _PULL = 0.05
 _LIT, _ODD = 0.98, 0.05
 """Where the table is seen with less of its light, logits are within those of the others but for such a share at each
 end."""
+_AROUND = 0.75
+"""So many edges of a box from an object's middle, seen from above, there may be shadows of it if no light is known."""
 _DARK = 0.02
 """Colours are at least so far from black and white where logits are taken."""
 
 
 @torch.no_grad()
 def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Pattern:
-    """The pattern with which a scene's background is what the frames show.
+    """The pattern with which a scene's background is what the frames show, but for shadows.
 
     Args:
         model: That the scene is of.
@@ -49,8 +52,10 @@ def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Patte
     lit = torch.ones_like(shown.seen[:, 0])
     if strength(scene.light):
         lit -= strength(scene.light) * occlusion_where_shown(Renderer(model), scene, shown, scene.light[:3])
+        in_light = lit > _LIT
+    else:
+        in_light = _from_objects(scene, shown) > _AROUND * model.config.model.pose.box_size
     wanted = _logit(shown.seen / lit[:, None]) - _logit(shown.drawn)
-    in_light = lit > _LIT
     if not bool(in_light.any()):
         return no_pattern(scene.center)
     # Shadows are not drawn as they are to the last pixel, and what is left of them is no pattern.
@@ -64,6 +69,12 @@ def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Patte
         spread = _smooth(_splat(places, torch.cat([shares * rest, shares], dim=-1)), _blur(model))
         pattern = pattern + spread[..., :3] / (spread[..., 3:] + _PULL)
     return pattern
+
+
+def _from_objects(scene: Scene, shown: Shown) -> Float[Tensor, " pixel"]:
+    """Metres from the pixels' points to the nearest middle of an object, seen from above; far where there is none."""
+    apart = (shown.point[:, None, :2] - scene.center[shown.frame, :, :2]).norm(dim=-1)
+    return F.pad(apart, (0, 1), value=math.inf).amin(dim=-1)
 
 
 def _logit(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, "pixel 3"]:

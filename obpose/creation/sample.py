@@ -28,7 +28,8 @@ from obpose.nerf.voxels import occupancy
 Source = ScenePrior | FlowPrior | FoundObjects
 """What scenes are sampled from."""
 _Thing = TypeVar("_Thing")
-_TRIES = 200
+_TRIES, _LAYOUTS = 200, 10
+"""To draw an object that is somewhere, or a place for it; and to place all, with other objects."""
 _SKIN = 1e-6
 """Metres that leave what stands on the table above it, whatever the rounding."""
 
@@ -46,6 +47,14 @@ class _Drawn:
     """As in `Scene`."""
     faces: bool
     """Whether the side that `rotation` turns to x is that on which the camera is; else objects look any way."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Where objects stand."""
+
+    center: Float[Tensor, "object 3"]
+    rotation: Float[Tensor, "object 3 3"]
 
 
 @torch.no_grad()
@@ -69,27 +78,19 @@ def sample_scene(
         UsageError: there is no room for so many.
     """
     camera = cameras[0].world_from_camera[:3, 3]
-    drawn = _draw(origin.model, source, objects, generator)
-    center, rotation = torch.zeros(objects, 3), torch.zeros(objects, 3, 3)
-    reaches: list[float] = []
-    for place in range(objects):
-        turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, center) @ drawn.rotation[place]
-        codes = conditioning(origin.model, drawn.what[place], drawn.detail[place], drawn.alone[place])
-        extent = shape_extent(origin.model, codes, turn)
-        height = float(-extent[:, 2].min() if drawn.height is None else drawn.height[place])
-        extent = above_table(extent, height + _SKIN)
-        reach = float(extent[:, :2].norm(dim=-1).max())
-        middle = _free_place(source, center[:place, :2], reaches, reach, generator)
-        center[place, :2] = middle
-        center[place, 2] = height
-        rotation[place] = facing(center[place], camera) @ drawn.rotation[place] if drawn.faces else turn
-        reaches.append(reach)
+    for _ in range(_LAYOUTS):
+        drawn = _draw(origin.model, source, objects, generator)
+        placed = _place(origin.model, source, drawn, camera, generator)
+        if placed is not None:
+            break
+    else:
+        raise UsageError(f"There is no room for {objects} objects beside each other; sample fewer.")
     background, light, pattern = _surroundings(source, generator)
     return Scene(
         ids=tuple(range(1, objects + 1)),
         what=drawn.what[None],
-        center=center[None],
-        rotation=rotation[None],
+        center=placed.center[None],
+        rotation=placed.rotation[None],
         detail=drawn.detail,
         alone=drawn.alone,
         background=background,
@@ -99,6 +100,30 @@ def sample_scene(
         model=origin.hash,
         checkpoint=origin.name,
     )
+
+
+def _place(
+    model: ObPose, source: Source, drawn: _Drawn, camera: Float[Tensor, "3"], generator: torch.Generator
+) -> _Placed | None:
+    """On the table, one beside the other; None where one has no room."""
+    objects = len(drawn.what)
+    center, rotation = torch.zeros(objects, 3), torch.zeros(objects, 3, 3)
+    reaches: list[float] = []
+    for place in range(objects):
+        turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, center) @ drawn.rotation[place]
+        codes = conditioning(model, drawn.what[place], drawn.detail[place], drawn.alone[place])
+        extent = shape_extent(model, codes, turn)
+        height = float(-extent[:, 2].min() if drawn.height is None else drawn.height[place])
+        extent = above_table(extent, height + _SKIN)
+        reach = float(extent[:, :2].norm(dim=-1).max())
+        middle = _free_place(source, center[:place, :2], reaches, reach, generator)
+        if middle is None:
+            return None
+        center[place, :2] = middle
+        center[place, 2] = height
+        rotation[place] = facing(center[place], camera) @ drawn.rotation[place] if drawn.faces else turn
+        reaches.append(reach)
+    return _Placed(center, rotation)
 
 
 def _draw(model: ObPose, source: Source, objects: int, generator: torch.Generator) -> _Drawn:
@@ -131,13 +156,15 @@ def _draw_codes(
 ) -> Float[Tensor, "object latent"]:
     """Codes of objects that are somewhere; of a model that has none, any.
 
-    Where surfaces are sharp a Gaussian over codes has some that are hardly anywhere dense: these are drawn again.
+    Where surfaces are sharp a Gaussian over codes has some that are hardly anywhere dense: these are drawn again. So
+    are those that are in the upper half of their box alone, whose middle would be below the table.
     """
-    codes = _drawn_again(
-        lambda count: list(prior.what.draw(count, generator)),
-        lambda code: len(occupied(model, model.object_field.condition(code))),
-        objects,
-    )
+
+    def voxels(code: Float[Tensor, "latent"]) -> int:
+        found = occupied(model, model.object_field.condition(code))
+        return len(found) if len(found) and bool(found[:, 2].min() <= 0) else 0
+
+    codes = _drawn_again(lambda count: list(prior.what.draw(count, generator)), voxels, objects)
     return torch.stack(codes) if codes else prior.what.draw(0, generator)
 
 
@@ -170,12 +197,10 @@ def _free_place(
     reaches: list[float],
     reach: float,
     generator: torch.Generator,
-) -> Float[Tensor, "2"]:
+) -> Float[Tensor, "2"] | None:
     for _ in range(_TRIES):
         place = source.low + (source.high - source.low) * torch.rand(2, generator=generator)
         away = (taken - place).norm(dim=-1)
         if bool((away > reach + torch.tensor(reaches)).all()):
             return place
-    raise UsageError(
-        f"There is no room for object {len(reaches) + 1} beside the others; sample fewer, or with another --seed."
-    )
+    return None

@@ -71,10 +71,21 @@ def test_shadows_of_a_known_light_are_not_the_table_s():
     model, scene = balls_over_table(*BALLS, light=LIGHT)
     frames = observed(model, scene)
     lit = at_pixels(model, find_pattern(model, frames, scene))
-    unlit = at_pixels(model, find_pattern(model, frames, replace(scene, light=no_light())))
+    away = edit.move(edit.move(scene, 1, torch.tensor([0.0, 0.0, 9.0])), 2, torch.tensor([9.0, 0.0, 0.0]))
+    unlit = at_pixels(model, find_pattern(model, frames, replace(away, light=no_light())))
     assert unlit.min() < -0.5
     assert lit.abs().max() < 0.25
     assert lit.abs().mean() < 0.1 * unlit.abs().mean()
+
+
+def test_shadows_around_objects_are_not_the_table_s_where_no_light_is_known():
+    model, scene = balls_over_table(*BALLS, light=LIGHT)
+    frames = observed(model, replace(scene, pattern=checks(size=0.1)))
+    found = find_pattern(model, frames, replace(scene, light=no_light()))
+    assert at_pixels(model, found).abs().max() < 0.25
+    there = clear(model, scene)
+    error = (at_pixels(model, found) - at_pixels(model, checks(size=0.1)))[there]
+    assert error.abs().median() < 0.02
 
 
 def clip_of(frames: list[Observation]) -> Observation:

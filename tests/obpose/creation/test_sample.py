@@ -54,22 +54,26 @@ def test_objects_stand_on_the_table_beside_each_other():
 
 
 class SomeBalls(BallField):
-    """Balls of the codes whose first number is above something, and nothing of the others."""
+    """Balls of the codes whose first number is above something; of the others nothing, or some at the top of boxes."""
 
-    def __init__(self, least: float = 0.0) -> None:
+    def __init__(self, least: float = 0.0, *, others: float | None = None) -> None:
         super().__init__(RADIUS, latent=32)
-        self.least = least
+        self.least, self.others = least, others
         with torch.no_grad():
             self.codes.weight.zero_()[0, 0] = 1
 
     def density(self, points: torch.Tensor, codes: Conditioning) -> tuple[torch.Tensor, torch.Tensor]:
         logits, hidden = super().density(points, codes)
-        return torch.where(codes.first[..., 0] > self.least, logits, -30.0), hidden
+        others = -30.0
+        if self.others is not None:
+            others, _ = super().density(points - torch.tensor([0.0, 0.0, self.others]), codes)
+        return torch.where(codes.first[..., 0] > self.least, logits, others), hidden
 
 
-def test_objects_that_are_nowhere_are_drawn_again():
+@pytest.mark.parametrize("others", [None, 0.6])
+def test_objects_that_are_nowhere_or_above_the_middle_are_drawn_again(others: float | None):
     of = origin()
-    of.model.object_field = SomeBalls()
+    of.model.object_field = SomeBalls(others=others)
     prior = learned_prior(of.model)
     generator = torch.Generator().manual_seed(0)
     drawn = prior.what.draw(6, torch.Generator().manual_seed(0))
@@ -86,8 +90,14 @@ def test_the_same_seed_gives_the_same_scene():
 
 def test_there_may_be_none_and_there_may_be_too_many():
     assert sampled(0).ids == ()
-    with pytest.raises(UsageError, match="no room for object"):
+    with pytest.raises(UsageError, match="no room for"):
         sampled(8, room=0.2)
+
+
+def test_objects_that_have_no_room_are_drawn_again():
+    """Of eight seeds one puts the first two such that the third has no room."""
+    for seed in range(8):
+        assert len(sampled(3, seed=seed, room=0.25).ids) == 3
 
 
 def test_the_extent_is_that_of_the_field():
@@ -203,7 +213,7 @@ def test_what_found_objects_have_below_the_table_needs_no_room():
         origin(), source, objects=5, cameras=(CAMERA,), generator=torch.Generator().manual_seed(0)
     )
     assert len(draw(sunk).ids) == 5
-    with pytest.raises(UsageError, match="no room for object"):
+    with pytest.raises(UsageError, match="no room for"):
         draw(replace(sunk, height=torch.full((3,), 0.04)))
 
 
