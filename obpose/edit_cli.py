@@ -30,6 +30,7 @@ from obpose.creation.flow_prior import has_flow, named_prior
 from obpose.creation.found import FoundObjects, find_objects
 from obpose.creation.infer import infer_scene, views_as_trained
 from obpose.creation.learn import Lesson, learn_flow
+from obpose.creation.light import strength
 from obpose.creation.meshes import FORMATS, object_mesh, write_mesh
 from obpose.creation.origin import Origin, load_origin, origin_of
 from obpose.creation.pictures import PICTURE, strip, turntable, write_gif, write_png
@@ -104,6 +105,8 @@ def _infer(values: Infer) -> None:
     _show(scene, origin, values.out, values.resolution)
     if not scene.ids:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")
+    elif values.refine and not strength(scene.light):
+        print("No light was found by its shadows: the scene is drawn without any.")
 
 
 def _sample(values: Sample) -> None:

@@ -80,7 +80,7 @@ def check(values: Arguments) -> None:
         UsageError: viser is missing, or nobody can listen there.
     """
     if importlib.util.find_spec("viser") is None:
-        raise UsageError("The page needs viser, which is not installed: pip install 'obpose[view]'.")
+        raise UsageError("The page needs viser, which is not installed: pip install viser.")
     if values.out.exists() and not values.out.is_dir():
         raise UsageError(f"--out {values.out} is a file; expected a folder, or a place for a new one.")
     if not 0 < values.port < 65536:

@@ -5,8 +5,8 @@ some samples at a time; a component is evaluated only at samples in such cells (
 only where light comes from, and rays that nothing shines through any more stop.
 
 Each cell is asked at a few points, so what is thinner than they lie apart, and away from cells that are full, can be
-left out. Tables, and the fog that a background's field has where no camera of training looked, are flat and thin:
-a background is asked at many heights.
+left out. Tables, and most of the fog that a background's field has where no camera of training looked, are flat and
+thin: a background is asked at many heights. Lumps of that fog can be missed, and their pictures have less of it.
 """
 
 import math

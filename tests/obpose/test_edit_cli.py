@@ -19,6 +19,7 @@ from datagen.storage import Dataset
 from obpose import edit_cli
 from obpose.creation import examples, learn
 from obpose.creation.flow_prior import load_flow, save_flow
+from obpose.creation.light import no_light, strength
 from obpose.creation.origin import load_origin, origin_of
 from obpose.creation.prior import load_prior
 from obpose.creation.rendering import Renderer
@@ -128,7 +129,8 @@ def test_a_refined_scene_is_nearer_to_its_frames(inferred: Path, tiny_dataset: P
     assert run("infer", *flags, -1) == EXIT_USAGE
     assert "--refine -1: expected 0 to 10000" in capsys.readouterr().err
     assert run("infer", *flags, 30) == EXIT_OK
-    assert "Resolution: neighbouring pixels are" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "Resolution: neighbouring pixels are" in told
     before, after = load_scene(inferred), load_scene(tmp_path / "refined")
     renderer, clip = Renderer(origin_of(after).model), tiny_dataset_clip(tiny_dataset)
     without = replace(after, detail=torch.zeros_like(after.detail))
@@ -136,6 +138,15 @@ def test_a_refined_scene_is_nearer_to_its_frames(inferred: Path, tiny_dataset: P
     assert errors[2] < errors[1]
     assert errors[2] < 0.9 * errors[0]
     assert after.ids == before.ids
+    assert ("No light was found" in told) == (strength(after.light) == 0)
+
+
+def test_it_is_said_that_no_light_was_found(tiny_dataset: Path, tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.setattr("obpose.creation.infer.find_light", lambda *_: no_light())
+    for steps, told in ((0, False), (1, True)):
+        flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--refine", steps, "--out", tmp_path / f"{steps}"]
+        assert run("infer", *flags) == EXIT_OK
+        assert ("No light was found" in capsys.readouterr().out) == told
 
 
 def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):

@@ -66,7 +66,7 @@ def test_without_viser_it_says_how_to_install_it(tmp_path: Path, monkeypatch, ca
     known = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "viser" else known(name))
     assert main([str(tmp_path)]) == EXIT_USAGE
-    assert "pip install 'obpose[view]'" in capsys.readouterr().err
+    assert "pip install viser" in capsys.readouterr().err
 
 
 def test_help_needs_no_torch(monkeypatch, capsys):
