@@ -1,6 +1,15 @@
 # Every target sets up its own .venv; nothing else has to be installed but Python 3.11, pip and make.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+define CHECK_PYTHON
+import sys
+found = f"Python {sys.version.split()[0]} at {sys.executable}"
+if sys.version_info < (3, 11):
+    sys.exit(f"Found {found}; expected 3.11 or newer. Name another one with: make PYTHON=/path/to/python3.11")
+print(f"Using {found}.")
+endef
+export CHECK_PYTHON
 # One thread a process: the numbers must not depend on how many cores a machine has.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -41,7 +50,11 @@ clean:
 	rm -rf .venv demo build dist *.egg-info
 
 .venv/.core: pyproject.toml constraints.txt
+	@$(PYTHON) -c "$$CHECK_PYTHON"
 	$(PYTHON) -m venv .venv
+	@# The CPU build first: PyPI's build for Linux on x86_64 brings 2.7 GB of CUDA packages.
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --index-url $(TORCH_INDEX) --retries 1 --timeout 20 \
+		--no-deps torch || echo "No CPU build of PyTorch at $(TORCH_INDEX); pip takes the one of its own index."
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
 	touch $@
 

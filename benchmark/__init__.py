@@ -1,1 +1,10 @@
 """Metrics, baselines and tables for unsupervised scene segmentation."""
+
+
+def __getattr__(name: str) -> str:
+    """Give `__version__`, which takes longer to find than this package to import."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from datagen.version import find_version
+
+    return find_version()

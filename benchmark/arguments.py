@@ -108,6 +108,21 @@ class Report:
 
 
 @dataclass(frozen=True)
+class Pack:
+    """Add the rows of run folders to a folder of compressed results, to be published; label maps are left out.
+
+    `compare` and `report` read such a folder like a run folder. Results that another packed folder of the same tree
+    holds become references to it.
+    """
+
+    run: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Run folders, or packed ones."""
+    out: Path
+    """The packed folder, such as docs/results/paper; made if it is missing. Its results are kept, never replaced; its
+    tables are written anew."""
+
+
+@dataclass(frozen=True)
 class Search:
     """Try the declared settings of models that learn, and choose by the loss on validation clips, never by a label.
 

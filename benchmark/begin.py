@@ -1,10 +1,13 @@
-"""Where `obpose-bench` begins: imports take seconds, in which Ctrl-C may come."""
+"""Entry point of `obpose-bench`: answers `--version` at once, and handles Ctrl-C during the imports."""
 
+from datagen.command_line import answer_version
 from datagen.errors import interruptible_imports
 
 
 def main() -> None:
-    """Run the command; leave with its exit code."""
+    """Run the command and leave with its exit code."""
+    if answer_version("obpose-bench"):
+        return
     with interruptible_imports("obpose-bench"):
         from benchmark.cli import main as run
     run()

@@ -8,6 +8,7 @@ obpose-bench search --model obpose --track moving              choose settings b
 obpose-bench rescore RUN                                       compute all scores anew from stored label maps
 obpose-bench compare A B                                       is A better than B, and what could be seen at all?
 obpose-bench report RUN                                        write tables and report again
+obpose-bench pack RUN --out DIR                                compress results, to publish them
 obpose-bench selftest                                          check the metrics against golden cases
 """
 
@@ -20,8 +21,9 @@ from typing import Any
 import tyro
 
 from benchmark import commands
-from benchmark.arguments import Compare, Report, Rescore, Run, Search, Selftest
+from benchmark.arguments import Compare, Pack, Report, Rescore, Run, Search, Selftest
 from benchmark.search.command import search
+from datagen.command_line import given_arguments
 from datagen.errors import run_program
 
 PROGRAM = "obpose-bench"
@@ -29,10 +31,9 @@ PROGRAM = "obpose-bench"
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the console script; leaves with an exit code of `datagen.errors`."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
     kept = "Interrupted; finished rows are kept, the same command again goes on."
     with _termination_is_an_interrupt():
-        code = run_program(PROGRAM, lambda: _run(given), interrupted=kept)
+        code = run_program(PROGRAM, lambda: _run(given_arguments(arguments)), interrupted=kept)
     sys.exit(code)
 
 
@@ -61,6 +62,7 @@ COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {
     "rescore": (Rescore, commands.rescore),
     "compare": (Compare, commands.compare),
     "report": (Report, commands.report),
+    "pack": (Pack, commands.pack),
     "selftest": (Selftest, commands.selftest),
 }
 

@@ -71,6 +71,12 @@ class TruthSequence(Sequence[UInt8[np.ndarray, "frame view height width"]]):
         return read_truth(self._scenes, index)
 
 
+def labels_shape(scenes: storage.Split) -> tuple[int, int, int, int, int]:
+    """Shape of the label maps of a split with images: scenes, frames, views, height, width."""
+    width, height = scenes.spec["resolution"]
+    return len(scenes), scenes.spec["recipe"]["frames"], scenes.views, height, width
+
+
 def read_truth(scenes: storage.Split, index: int) -> UInt8[np.ndarray, "frame view height width"]:
     """Object ids of one scene, 0 = background."""
     return scenes.read(index, ["segmentation"])["segmentation"]

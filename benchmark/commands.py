@@ -7,13 +7,16 @@ from rich.table import Table
 
 from benchmark import arguments, outputs, tracks
 from benchmark import compare as paired
+from benchmark import pack as packing
 from benchmark import rescore as rescoring
 from benchmark import selftest as golden_cases
-from benchmark.console import prepare, progress_bar, status
+from benchmark.console import prepare, progress_bar, status, watched
 from benchmark.duration import estimate, in_words, time_limit
 from benchmark.editing.command import score_edits
+from benchmark.escaping import terminal
 from benchmark.files import remove_abandoned
 from benchmark.isolation import Limits, limits
+from benchmark.packed_runs import refuse_packed
 from benchmark.plan import Plan, Request, check_places, make_plan, superseded
 from benchmark.registry import GROUPS, discover
 from benchmark.request import request_of
@@ -22,6 +25,7 @@ from benchmark.runner import SPLIT, Job
 from benchmark.schedule import repeat_rows, run_jobs
 from benchmark.tracks import SIZES, Profile, all_tracks
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION
+from datagen.wording import counted
 
 
 def run(values: arguments.Run) -> int:
@@ -29,15 +33,16 @@ def run(values: arguments.Run) -> int:
     if values.list:
         _print_lists(values.profile)
         return EXIT_OK
+    refuse_packed(values.out)
     request = request_of(values)
     if values.task == "editing":
         return score_edits(values, request)
+    _check_predictions(request)
     remove_abandoned(values.out)
     rows = load_runs(values.out)
     plan = make_plan(request, rows, values.out)
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
-    _check_predictions(request)
     if found := estimate(plan, values.workers):
         status().print(in_words(found))
     elif not plan.jobs:
@@ -54,8 +59,9 @@ def run(values: arguments.Run) -> int:
 
 def rescore(values: arguments.Rescore) -> int:
     """Compute scene tables from label maps, then tables and report."""
-    count = rescoring.rescore(values.folder, check_runs(values.folder), values.data)
-    Console().print(f"{count} rows scored again.")
+    refuse_packed(values.folder)
+    count = rescoring.rescore(values.folder, check_runs(values.folder), values.data, progress=watched)
+    Console().print(f"{counted(count, 'row')} scored again.")
     outputs.write(values.folder, values.data)
     return EXIT_OK
 
@@ -69,8 +75,16 @@ def report(values: arguments.Report) -> int:
 
 def compare(values: arguments.Compare) -> int:
     """Print paired differences."""
-    found = paired.compare(values.run, values.one, values.other)
+    found = paired.compare(values.run, values.one, values.other, progress=watched)
     outputs.wide_console().print(paired.comparison_table(found, values.one, values.other))
+    return EXIT_OK
+
+
+def pack(values: arguments.Pack) -> int:
+    """Add rows to a packed folder."""
+    added = packing.pack(values.run, values.out)
+    rows = len(load_runs(values.out))
+    Console().print(terminal(f"{counted(added, 'row')} added to {values.out}, which has {rows} now."), soft_wrap=True)
     return EXIT_OK
 
 
@@ -80,7 +94,8 @@ def selftest(_values: arguments.Selftest) -> int:
     for line in wrong:
         console.print(line, markup=False)
     cases = len(golden_cases.golden()["cases"])
-    console.print(f"{cases} golden cases: {f'{len(wrong)} values differ' if wrong else 'all hold'}.")
+    found = f"{counted(len(wrong), 'value')} differ from what was expected" if wrong else "all hold"
+    console.print(f"{counted(cases, 'golden case')}: {found}.")
     return EXIT_VERIFICATION if wrong else EXIT_OK
 
 
@@ -104,7 +119,7 @@ def _is_tried_again(row: RunRow, values: arguments.Run, plan: Plan) -> bool:
 
 def _check_predictions(request: Request) -> None:
     for folder in request.predictions:
-        folder.check(request.sources[0].size(SPLIT))
+        folder.check(request.sources[0].labels_shape(SPLIT))
 
 
 def _run_jobs(plan: Plan, values: arguments.Run) -> None:
@@ -123,7 +138,7 @@ def _run_jobs(plan: Plan, values: arguments.Run) -> None:
     with progress_bar(console, "rows", total) as advance:
 
         def hear(row: RunRow) -> None:
-            console.print(_line(row), markup=False)
+            console.print(terminal(_line(row)))
             advance()
 
         run_jobs(plan, limits_of, values.workers, hear)
@@ -145,12 +160,12 @@ def _print_lists(profile: Profile) -> None:
     models, problems = discover()
     table = Table("model", "version", "kind", "what it is", box=None)
     for name, spec in sorted(models.items(), key=lambda item: (item[1].kind, item[0])):
-        table.add_row(name, str(spec.version), spec.kind, spec.description)
+        table.add_row(*map(terminal, (name, str(spec.version), spec.kind, spec.description)))
     console.print(table)
     for problem in problems:
-        console.print(f"{problem.name}: cannot be used: {problem.reason}", markup=False)
+        console.print(terminal(f"{problem.name}: cannot be used: {problem.reason}"))
     for name, group in GROUPS.items():
-        budget = f", {group.budget:g} seconds each" if group.budget else ""
+        budget = f", {counted(group.budget, 'second')} each" if group.budget else ""
         console.print(f"\ngroup {name}: {', '.join(group.members)}{budget}", highlight=False)
     table = Table("track", "size", "slots", "what it is", box=None)
     for track in all_tracks(profile):

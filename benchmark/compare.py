@@ -1,5 +1,6 @@
 """`obpose-bench compare A B`: how two models of a run folder differ, paired by scene."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -11,11 +12,14 @@ from rich.table import Table
 from rich.text import Text
 
 from benchmark import statistics
+from benchmark.escaping import one_line
+from benchmark.number_text import decimals_that_show
 from benchmark.results import check_runs
-from benchmark.standings import ALL_METRICS, Entry, compare_entries, load_standings
+from benchmark.standings import ALL_METRICS, Entry, Progress, compare_entries, load_entries, silent
 from benchmark.statistics import Difference
-from benchmark.wording import counted, without_floor
+from benchmark.wording import without_floor
 from datagen.errors import UsageError
+from datagen.wording import counted
 
 COLUMNS = {"metric": 17, "A": 5, "B": 5, "A - B": 6, "95 % interval": 13, "wins": 5, "resolvable": 10, "p": 5}
 """Of the printed table, and their widths: the same for all tracks."""
@@ -50,21 +54,24 @@ class Comparison:
         return self.p_corrected < statistics.SIGNIFICANCE
 
 
-def compare(folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS) -> list[Comparison]:
-    """Every metric on every track on which both models have scores, fitted on the same track.
+def compare(
+    folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS, progress: Progress = silent
+) -> list[Comparison]:
+    """Compare every metric on every track on which both models have scores, fitted on the same track.
 
     Raises:
         UsageError: a model has no scores in this folder, or the two have no track in common.
         CorruptFile: a finished row is damaged.
     """
     check_runs(folder)
-    everything = load_standings(folder)
+    everything = load_entries(folder, progress)
     entries = [entry for entry in everything if entry.n_scenes > 0]
     first, second = (_of_model(entries, name, folder) for name in (one, two))
     shared = [(first[field], second[field]) for field in first if field in second]
     if not shared:
         raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {_tracks(first)}.")
-    found = [(a, b, name, compare_entries(a, b, name)) for a, b in shared for name in metrics]
+    wanted = [(a, b, name) for a, b in shared for name in metrics]
+    found = [(*line, compare_entries(*line)) for line in progress(wanted, "resampling scenes")]
     found = [line for line in found if line[3].n_scenes > 0]
     left_out = [_left_out(entry) for entry in everything if entry.place[2] in (one, two) and entry.n_scenes == 0]
     corrected = statistics.holm(np.array([line[3].p_value for line in found]))
@@ -89,13 +96,16 @@ def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> G
     tables = [_track_table(*place, list(lines)) for place, lines in places]
     warnings = dict.fromkeys(warning for line in comparisons for warning in line.warnings)
     return Group(
-        f"A = {one}, B = {two}\n", *tables, *(Text(f"Warning: {warning}", "yellow") for warning in warnings), LEGEND
+        Text(f"A = {one_line(one)}, B = {one_line(two)}\n"),
+        *tables,
+        *(Text(f"Warning: {one_line(warning)}", "yellow") for warning in warnings),
+        LEGEND,
     )
 
 
 def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Table:
     scenes = max(line.difference.n_scenes for line in lines)
-    title = f"[bold]{_where(track, fit_track)}, {counted(scenes, 'scene')}"
+    title = Text(f"{one_line(_where(track, fit_track))}, {counted(scenes, 'scene')}", "bold")
     table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
     for name, width in COLUMNS.items():
         table.add_column(name, justify="left" if name == "metric" else "right", no_wrap=True, min_width=width)
@@ -107,16 +117,29 @@ def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Tab
 
 def _cells(line: Comparison) -> list[str]:
     found = line.difference
+    ends = (found.mean, found.low, found.high)
+    # What is significantly different from 0 must not be printed as 0.
+    digits = decimals_that_show(ends if line.is_significant else (), lambda rounded, exact: bool(rounded or not exact))
+    mean, low, high = (f"{value:+z.{digits}f}" for value in ends)
     return [
         line.metric,
         f"{line.one:z.3f}",
         f"{line.two:z.3f}",
-        f"{found.mean:+z.3f}",
-        f"{found.low:+z.3f} {found.high:+z.3f}",
+        mean,
+        f"{low} {high}",
         f"{100 * found.win_rate:.0f} %",
-        f"{found.resolvable:.3f}",
-        f"{line.p_corrected:.3f}" if line.p_corrected >= 0.001 else "<.001",
+        "–" if math.isnan(found.resolvable) else f"{found.resolvable:.3f}",
+        _p_value(line.p_corrected),
     ]
+
+
+def _p_value(value: float) -> str:
+    """With as many decimals as it takes to see on which side of the significance level it lies."""
+    if math.isnan(value):
+        return "–"
+    level = statistics.SIGNIFICANCE
+    digits = decimals_that_show([value], lambda rounded, exact: (rounded < level) == (exact < level))
+    return f"{value:.{digits}f}" if value >= 0.001 else "<.001"
 
 
 def _warnings(one: Entry, two: Entry) -> tuple[str, ...]:
@@ -146,7 +169,7 @@ def _of_model(entries: Iterable[Entry], model: str, folder: Path) -> dict[tuple[
     found = {(*entry.place[:2], entry.row.key.track_spec): entry for entry in entries if entry.place[2] == model}
     if not found:
         there = ", ".join(sorted({entry.place[2] for entry in entries}))
-        raise UsageError(f"{folder} has no scores of {model!r}; it has those of: {there}.")
+        raise UsageError(f"{folder} has no scores of {model!r}; it has those of: {one_line(there)}.")
     return found
 
 

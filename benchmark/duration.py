@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from benchmark.plan import Plan
-from benchmark.wording import counted
+from datagen.wording import counted
 
 SCENE_SECONDS = 0.1
 """To make a scene of ten frames on one core; docs/performance.md has it measured."""

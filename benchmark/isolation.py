@@ -17,6 +17,7 @@ from typing import IO, Protocol, runtime_checkable
 
 from benchmark.machine import ROOT, cores, machine_mib, resident_mib
 from datagen.errors import EXIT_INTERRUPTED, Busy
+from datagen.wording import counted
 
 LOGS = "logs"
 MEMORY_SHARE = 0.9
@@ -139,7 +140,7 @@ def _trespass(process: subprocess.Popen[bytes], limits: Limits, deadline: float,
     if stop.is_set():
         return "interrupted"
     if time.monotonic() > deadline:
-        return f"took longer than the time limit of {limits.seconds / 60:g} minutes"
+        return f"took longer than the time limit of {counted(limits.seconds / 60, 'minute')}"
     used = resident_mib(process.pid)
     return f"out of memory: {used:.0f} MiB of {limits.memory_mib:.0f} MiB" if used > limits.memory_mib else ""
 

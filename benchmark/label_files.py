@@ -1,4 +1,4 @@
-"""Opening a run's file of label maps, which holds its poses, too."""
+"""Opening a run's file of label maps, which may hold poses as well."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,7 +6,10 @@ from pathlib import Path
 
 import h5py
 
-from datagen.errors import CorruptFile, UsageError
+from datagen.errors import UsageError
+from datagen.safe_io import open_hdf5
+
+ADVICE = "Delete its row in runs/ and run again."
 
 
 def check_labels(*paths: Path) -> None:
@@ -25,15 +28,12 @@ def check_labels(*paths: Path) -> None:
 
 @contextmanager
 def reading_labels(path: Path) -> Iterator[h5py.File]:
-    """A run's file of label maps.
+    """Open a run's file of label maps.
 
     Raises:
         UsageError: there is none.
         CorruptFile: it is damaged, or what is read of it.
     """
     check_labels(path)
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            yield file
-    except (OSError, KeyError, IndexError, ValueError) as error:
-        raise CorruptFile(f"{path} is damaged ({error}); delete its row in runs/ and run again.") from None
+    with open_hdf5(path, ADVICE) as file:
+        yield file

@@ -8,10 +8,14 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
+from benchmark.clips import labels_shape
 from benchmark.files import replacing
 from benchmark.interface import Prediction
 from benchmark.label_files import reading_labels
 from benchmark.pose_files import PoseRows
+from datagen.errors import CorruptFile
+from datagen.safe_io import hdf5_attribute, hdf5_dataset, read_hdf5
+from datagen.storage import Split
 
 LARGEST = 255
 """Labels are bytes."""
@@ -55,26 +59,49 @@ def write_labels(path: Path, scenes: int, data: Path) -> Iterator[LabelWriter]:
 
 
 def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view height width"], int]]:
-    """Label maps and background slot of every scene, in order.
+    """Read label maps and background slot of every scene, in order.
 
     Raises:
         UsageError: there is no such file.
         CorruptFile: it is damaged.
     """
     with reading_labels(path) as file:
-        labels, slots = file["labels"], file["background_slots"]
-        assert isinstance(labels, h5py.Dataset)
-        assert isinstance(slots, h5py.Dataset)
+        labels, slots = _labels_of(file), hdf5_dataset(file, "background_slots", ndim=1, kinds="u")
+        if slots.shape != labels.shape[:1]:
+            raise ValueError(f"background_slots has shape {slots.shape}; expected {labels.shape[:1]}, one a scene")
         for scene in range(len(labels)):
-            yield labels[scene], int(slots[scene])
+            yield read_hdf5(labels, scene), int(read_hdf5(slots, scene))
+
+
+def check_labels_fit(path: Path, scenes: Split) -> None:
+    """Check that a file has label maps of exactly these scenes, frames, views and pixels; reads its header alone.
+
+    Raises:
+        UsageError: there is no such file.
+        CorruptFile: it is damaged, or has label maps of another shape.
+    """
+    with reading_labels(path) as file:
+        found = _labels_of(file).shape
+    if found != (expected := labels_shape(scenes)):
+        raise CorruptFile(
+            f"{path} does not fit the dataset's scenes: it has label maps of shape {found}, expected {expected}. "
+            "Run the model again."
+        )
+
+
+def _labels_of(file: h5py.File) -> h5py.Dataset:
+    labels = hdf5_dataset(file, "labels", ndim=5, kinds="u")
+    if labels.dtype.itemsize != 1:
+        raise ValueError(f"labels has type {labels.dtype}; expected uint8")
+    return labels
 
 
 def dataset_of(path: Path) -> Path:
-    """Folder of the dataset that the label maps are of, on the machine that made them.
+    """Read the folder of the dataset that the label maps are of, on the machine that made them.
 
     Raises:
         UsageError: there is no such file.
         CorruptFile: it is damaged.
     """
     with reading_labels(path) as file:
-        return Path(str(file.attrs["data"]))
+        return Path(hdf5_attribute(file, "data", str))

@@ -5,6 +5,7 @@ per_seed.csv ....... one line a seed
 per_scene.csv ...... one line a seed and scene
 leaderboard.md, leaderboard.tex .... the same in the paper's layout
 Columns named measured_* are times and memory, which no two runs share.
+A packed folder (`benchmark.packed_runs`) keeps the first two as they were published.
 """
 
 import csv
@@ -17,10 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmark import tables
+from benchmark.escaping import printable
 from benchmark.files import write_whole
 from benchmark.metrics.poses import POSE_METRICS
+from benchmark.packed_runs import is_packed
 from benchmark.results import COUNTS, RunRow, SceneTable
-from benchmark.standings import ALL_METRICS, RANKED_METRICS, SWITCHES, Entry, load_standings
+from benchmark.standings import ALL_METRICS, RANKED_METRICS, SWITCHES, Entry, Progress, load_standings, silent
 from benchmark.statistics import Summary
 from benchmark.wording import rank_in_words
 
@@ -28,26 +31,30 @@ Cell = str | int | float
 Line = Mapping[str, Cell]
 
 FILES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv", "leaderboard.md", "leaderboard.tex")
+PACKED = FILES[:2]
+"""Tables that are part of a packed folder."""
 SUMMARISED = (*ALL_METRICS, SWITCHES)
 
 
-def write(folder: Path) -> list[Entry]:
+def write(folder: Path, progress: Progress = silent) -> list[Entry]:
     """Write all tables into a run folder, and give what stands in them.
 
     Raises:
         CorruptFile: a finished row is damaged.
         DatagenError: a table cannot be written.
     """
-    entries = load_standings(folder)
+    entries = load_standings(folder, progress)
     texts = (
-        to_csv(leaderboard_lines(entries)),
+        to_csv(leaderboard_lines(progress(entries, "summarising scores"))),
         to_csv(seed_lines(entries)),
         to_csv(scene_lines(entries)),
         tables.markdown(entries),
         tables.latex(entries),
     )
+    kept = PACKED if is_packed(folder) else ()
     for name, text in zip(FILES, texts, strict=True):
-        write_whole(folder / name, text.encode())
+        if name not in kept:
+            write_whole(folder / name, text.encode())
     return entries
 
 
@@ -208,4 +215,8 @@ def _measured(rows: Sequence[RunRow]) -> dict[str, float]:
 
 
 def _text(value: Cell) -> str:
-    return f"{value:z.6f}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:z.6f}"
+    text = printable(str(value))
+    # Spreadsheets would compute a cell that begins like a formula.
+    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text

@@ -18,8 +18,8 @@ HASHED = tuple(name for name in FILES if name != "per_scene.csv")
 PACKAGES = ("obpose", "numpy", "scipy", "scikit-learn", "h5py", "torch")
 
 
-def write_manifest(folder: Path, entries: Sequence[Entry]) -> None:
-    """Write `manifest.json`; the tables must be there."""
+def write_manifest(folder: Path, entries: Sequence[Entry], hashed: Sequence[str] = HASHED) -> None:
+    """Write `manifest.json`, with the hashes of files that must be there."""
     rows = [row for entry in entries for row in entry.rows]
     facts = {
         "python": platform.python_version(),
@@ -30,7 +30,7 @@ def write_manifest(folder: Path, entries: Sequence[Entry]) -> None:
         "tracks": {row.key.track: row.key.track_spec for row in rows} | {r.key.fit_track: r.key.fit_spec for r in rows},
         "rows": {"ok": sum(r.status == "ok" for r in rows), "failed": sum(r.status == "failed" for r in rows)},
         "best_floor": {entry.row.key.track: _number(entry.best_floor) for entry in entries},
-        "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in HASHED},
+        "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in hashed},
     }
     write_whole(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())
 

@@ -1,5 +1,6 @@
 """What a person gets of a run folder: tables, manifest and report, and a short table on the screen."""
 
+import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -8,8 +9,11 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from benchmark import leaderboard, report
+from benchmark.console import busy, watched
+from benchmark.escaping import terminal
 from benchmark.failed_seeds import HEADLINE
 from benchmark.manifest import write_manifest
+from benchmark.packed_runs import is_packed
 from benchmark.pose_tables import COLUMNS, HEADER, pose_cells, posed
 from benchmark.report import learning
 from benchmark.report.board import marks
@@ -26,23 +30,32 @@ FILE_WIDTH = 160
 
 def write(folder: Path, data: Sequence[Path]) -> None:
     """Write everything that is made from a run folder's rows, and print the means and where the files are."""
-    entries = leaderboard.write(folder)
-    write_manifest(folder, entries)
-    page = report.write(folder, entries, partial(_dataset, folder, load_runs(folder), data))
+    entries = leaderboard.write(folder, watched)
+    if not is_packed(folder):
+        write_manifest(folder, entries)
+    with busy("writing the report"):
+        page = report.write(folder, entries, partial(_dataset, folder, load_runs(folder), data))
+        curves = learning.write(folder, entries)
     console = wide_console()
     console.print(means_table(entries))
     if poses := poses_table(entries):
         console.print(poses)
-    console.print(f"\nTable:  {folder.resolve() / leaderboard.FILES[0]}", soft_wrap=True, highlight=False)
-    console.print(f"Report: {page.resolve()}", soft_wrap=True, highlight=False)
-    if curves := learning.write(folder, entries):
-        console.print(f"Curves: {curves.resolve()}", soft_wrap=True, highlight=False)
+    console.print()
+    print_path(console, "Table:  ", folder / leaderboard.FILES[0])
+    print_path(console, "Report: ", page)
+    if curves:
+        print_path(console, "Curves: ", curves)
 
 
 def _dataset(folder: Path, rows: Sequence[RunRow], data: Sequence[Path], track: str, track_spec: str) -> Path | None:
     """The dataset of that track and hash: rows that failed or have no label maps do not know where it is."""
     there = (locate(folder, row, data) for row in rows if (row.key.track, row.key.track_spec) == (track, track_spec))
     return next(filter(None, there), None)
+
+
+def print_path(console: Console, title: str, path: Path) -> None:
+    """Print where a file is, in one line."""
+    console.print(terminal(f"{title}{path.resolve()}"), soft_wrap=True)
 
 
 def wide_console() -> Console:
@@ -57,9 +70,9 @@ def means_table(entries: Sequence[Entry]) -> Group:
         table.add_column(name, justify="left" if name in ("track", "model", "") else "right", no_wrap=True)
     for field in fields(entries):
         for entry in best_first(field):
-            table.add_row(*_cells(entry))
+            table.add_row(*map(terminal, _cells(entry)))
         table.add_section()
-    return Group(table, *_legend(entries))
+    return Group(table, *map(terminal, _legend(entries)))
 
 
 def poses_table(entries: Sequence[Entry]) -> Group | None:
@@ -71,7 +84,7 @@ def poses_table(entries: Sequence[Entry]) -> Group | None:
     for field in fields(entries):
         for entry in posed(field):
             cells = pose_cells(entry)
-            table.add_row(_track(entry), entry.row.key.model, *(cells[place] for place in shown))
+            table.add_row(*map(terminal, (_track(entry), entry.row.key.model, *(cells[place] for place in shown))))
         table.add_section()
     return Group("\nPoses", table) if table.row_count else None
 
@@ -79,13 +92,16 @@ def poses_table(entries: Sequence[Entry]) -> Group | None:
 def _cells(entry: Entry) -> list[str]:
     failed = min(entry.n_failed, entry.n_runs) - (entry.n_runs - entry.n_scored)
     seeds = seeds_covered(entry) + (f", {failed} failed" if failed else "")
-    values = [f"{entry.best_known(name):z.3f}" for name in HEADLINE]
+    means = [entry.best_known(name) for name in HEADLINE]
+    values = ["–" if math.isnan(mean) else f"{mean:z.3f}" for mean in means]
     return [_track(entry), entry.row.key.model, entry.marks, seeds, rank_in_words(entry), *values]
 
 
 def _track(entry: Entry) -> str:
     track, fit_track, _ = entry.place
-    return track if fit_track == track else f"{track} (fitted on {fit_track})"
+    return (
+        track if fit_track == track else f"{track} ({'trained' if entry.row.pretrained else 'fitted'} on {fit_track})"
+    )
 
 
 def _legend(entries: Sequence[Entry]) -> Iterator[str]:

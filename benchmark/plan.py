@@ -9,17 +9,13 @@ from pathlib import Path
 
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.model_spec import ModelSpec
+from benchmark.names import PRETRAINED, SLOTS
 from benchmark.registry import find_model
 from benchmark.results import TRAINING, RunKey, RunRow, digest
 from benchmark.runner import SPLIT, Job, Target
 from benchmark.tracks import Profile, Source
 from datagen.errors import UsageError
 from obpose.shipped import content_hash, find_shipped
-
-PRETRAINED = "-pretrained"
-"""Stands behind the names of models whose weights were not made by the run."""
-SLOTS = "-{}-slots"
-"""Stands behind the names of models that have another number of slots than the track's, the background's apart."""
 
 
 @dataclass(frozen=True)

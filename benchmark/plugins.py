@@ -17,14 +17,17 @@ Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`), and may 
 """
 
 import inspect
+import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, cast
 
+from benchmark.escaping import brief
 from benchmark.interface import Segmenter
 from benchmark.model_spec import DEFAULT_BUDGET, KINDS, MOST_TRIALS, PRIORS, VIEWS_SEEN, Builder, ModelSpec, Views
+from benchmark.names import check_model_name, check_row_name, find_twin
 from datagen.errors import UsageError
 
 GROUP = "obpose.models"
@@ -58,14 +61,20 @@ class Problem:
 def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Problem]]:
     """Models of other packages by name, and what is wrong with the rest; names in `taken` are ours."""
     entries = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value))
-    times = Counter(entry.name for entry in entries)
-    models, problems = {}, []
+    times = Counter(entry.name.casefold() for entry in entries)
+    models: dict[str, ModelSpec] = {}
+    problems: list[Problem] = []
     for entry in entries:
         try:
-            _check_name(entry, taken, times[entry.name])
-            models[entry.name] = spec_of(_load(entry))
+            _check_name(entry.name, taken, times[entry.name.casefold()])
+            spec = spec_of(_load(entry))
+            _check_extra(entry.name, spec.extra, {*taken, *(other.name for other in entries)})
+            models[entry.name] = spec
         except UsageError as error:
-            problems.append(Problem(entry.name, f"{_origin(entry)}: {error}"))
+            problems.append(Problem(entry.name, brief(f"{_origin(entry)}: {error}")))
+        except Exception as error:  # Attributes of a foreign class may raise anything; it costs this model only.
+            reason = f"{_origin(entry)}: it cannot be read: {type(error).__name__}: {error}."
+            problems.append(Problem(entry.name, brief(reason)))
     return models, problems
 
 
@@ -100,17 +109,31 @@ def spec_of(model: Any) -> ModelSpec:
     )
 
 
-def _check_name(entry: EntryPoint, taken: Collection[str], times: int) -> None:
-    if entry.name in taken:
-        raise UsageError(f"the name {entry.name!r} is one of obpose's own; give the entry point another.")
+def _check_name(name: str, taken: Collection[str], times: int) -> None:
+    check_model_name(name, "Give the entry point another.")
+    if "--" in name:
+        raise UsageError(f"the name {name!r} has two dashes in a row, which separate the parts of file names.")
+    if twin := find_twin(name, taken):
+        raise UsageError(f"the name {twin!r} is one of obpose's own; give the entry point another.")
     if times > 1:
-        raise UsageError(f"{times} entry points have the name {entry.name!r}; uninstall or rename all but one.")
+        raise UsageError(
+            f"{times} entry points have the name {name!r}, upper and lower case being equal; uninstall or rename all "
+            "but one."
+        )
+
+
+def _check_extra(name: str, extra: Collection[str], taken: Collection[str]) -> None:
+    """Check that rows of further segmentations, which are called MODEL-NAME, have names that nothing else has."""
+    for other in extra:
+        check_row_name(f"{name}-{other}", "Give this entry of extra another name.")
+        if find_twin(f"{name}-{other}", taken):
+            raise UsageError(f"its extra holds {other!r}, but {name}-{other} is a model; give it another name.")
 
 
 def _load(entry: EntryPoint) -> Any:
     try:
         return entry.load()
-    except Exception as error:  # Anything may go wrong in a foreign module; it is reported, and costs this model only.
+    except (Exception, SystemExit) as error:  # Anything may go wrong in a foreign module; it costs this model only.
         raise UsageError(f"it does not import: {type(error).__name__}: {error}.") from error
 
 
@@ -123,14 +146,17 @@ def _check(said: Mapping[str, Any]) -> None:
     for name, default in UNSAID.items():
         if type(said[name]) is not type(default):
             raise UsageError(f"its {name} is {said[name]!r}; expected {type(default).__name__}, such as {default!r}.")
-    if said["version"] < 1:
+    if not 1 <= said["version"] < 2**31:
         raise UsageError(f"its version is {said['version']}; the first is 1.")
-    if not said["budget"] > 0:
+    if not 0 < said["budget"] < math.inf:
         raise UsageError(f"its budget is {said['budget']:g}; expected more than 0 seconds.")
-    if said["kind"] not in KINDS:
-        raise UsageError(f"its kind is {said['kind']!r}; expected one of {', '.join(KINDS)}.")
+    kinds = [kind for kind in KINDS if kind != "predictions"]
+    if said["kind"] not in kinds:
+        raise UsageError(f"its kind is {said['kind']!r}; expected one of {', '.join(kinds)}.")
     if said["views"] and (len(said["views"]) != 2 or not {*said["views"]} <= {*VIEWS_SEEN}):
         raise UsageError(f"its views are {said['views']!r}; expected two of {', '.join(VIEWS_SEEN)}.")
+    if wrong := [name for name in said["extra"] if not isinstance(name, str)]:
+        raise UsageError(f"its extra holds {wrong[0]!r}; expected names.")
     if unknown := [prior for prior in said["priors"] if prior not in PRIORS]:
         raise UsageError(f"its priors name {', '.join(map(repr, unknown))}; expected some of {', '.join(PRIORS)}.")
 

@@ -1,12 +1,11 @@
 """The tables of poses, beneath those of segmentations: only of models that give poses, and of no influence on ranks."""
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmark import statistics
+from benchmark import escaping
 from benchmark.standings import Entry, best_first
-from benchmark.wording import seeds_covered
+from benchmark.wording import mean_and_std, seeds_covered
 
 
 @dataclass(frozen=True)
@@ -61,13 +60,13 @@ def markdown(field: Sequence[Entry]) -> list[str]:
     rows = _rows(field)
     if not rows:
         return []
-    lines = [f"| {' | '.join(cells)} |" for cells in rows]
+    lines = [f"| {' | '.join(map(escaping.markdown, cells))} |" for cells in rows]
     return ["### Poses", "\n".join([lines[0], f"|---|{'---:|' * len(HEADER)}", *lines[1:]])]
 
 
-def latex(field: Sequence[Entry], title: str, escaped: Callable[[str], str]) -> list[str]:
-    """The same, `escaped` for LaTeX."""
-    rows = [" & ".join(escaped(cell).replace("°", r"$^\circ$") for cell in cells) for cells in _rows(field)]
+def latex(field: Sequence[Entry], title: str) -> list[str]:
+    """Table of one track for LaTeX, with a caption that names the title; nothing where no model gives poses."""
+    rows = [" & ".join(escaping.latex(cell).replace("°", r"$^\circ$") for cell in cells) for cells in _rows(field)]
     if not rows:
         return []
     lines = [
@@ -82,7 +81,7 @@ def latex(field: Sequence[Entry], title: str, escaped: Callable[[str], str]) -> 
         r"        \bottomrule",
         r"    \end{tabular}",
         r"    \end{adjustbox}",
-        rf"    \caption{{Poses of {escaped(title)}.}}",
+        rf"    \caption{{Poses of {escaping.latex(title)}.}}",
         r"\end{table*}",
         "",
     ]
@@ -90,11 +89,11 @@ def latex(field: Sequence[Entry], title: str, escaped: Callable[[str], str]) -> 
 
 
 def _rows(field: Iterable[Entry]) -> list[tuple[str, ...]]:
-    """Header and models, the worst first as in the tables above; nothing where no model gives poses."""
-    rows = [(f"{entry.row.key.model} {entry.marks}".strip(), *pose_cells(entry)) for entry in posed(field)[::-1]]
+    """Header and models, the best segmentation first; nothing where no model gives poses."""
+    rows = [(f"{entry.row.key.model} {entry.marks}".strip(), *pose_cells(entry)) for entry in posed(field)]
     return [("model", *HEADER), *rows] if rows else []
 
 
 def _cell(entry: Entry, column: Column) -> str:
-    mean, std = (value * column.per_unit for value in statistics.spread(entry.seed_means(column.name))[:2])
-    return "–" if math.isnan(mean) else f"{mean:z.{column.digits}f}±{std:.{column.digits}f}"
+    mean, std = (value * column.per_unit for value in entry.spread(column.name))
+    return mean_and_std(mean, std, column.digits)

@@ -11,7 +11,7 @@ picks:
 Other packages add models through the entry point group `obpose.models`; see `benchmark.plugins`.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from benchmark import plugins
@@ -62,8 +62,13 @@ GROUPS: dict[str, Group] = {
 
 def discover() -> tuple[dict[str, ModelSpec], list[Problem]]:
     """All models by name, our own and those of other packages, and what is wrong with those that cannot be used."""
-    foreign, problems = plugins.load(taken={*MODELS, *GROUPS})
+    foreign, problems = plugins.load(taken=row_names(MODELS) | set(GROUPS))
     return {**MODELS, **foreign}, problems
+
+
+def row_names(models: Mapping[str, ModelSpec]) -> set[str]:
+    """Names of the rows that models have in tables: their own, and those of further segmentations."""
+    return {*models, *(f"{name}-{extra}" for name, spec in models.items() for extra in spec.extra)}
 
 
 def find_model(name: str) -> ModelSpec:
@@ -78,7 +83,7 @@ def find_model(name: str) -> ModelSpec:
     if name in models:
         return models[name]
     for problem in problems:
-        if problem.name == name:
+        if problem.name.casefold() == name.casefold():
             raise UsageError(f"Model {name!r} cannot be used: {problem.reason}")
     raise unknown_name("model", name, sorted([*models, *GROUPS]))
 

@@ -1,25 +1,33 @@
 """From the flags of `obpose-bench` to what is to be compared."""
 
-import re
 from pathlib import Path
 
 from benchmark import arguments
 from benchmark.adapters.predictions import PredictionFolder
-from benchmark.editing.job import REFERENCES
-from benchmark.interface import LARGEST_LABEL
-from benchmark.plan import PRETRAINED, Request, Weights
-from benchmark.registry import budget_of, discover, expand, find_model
-from benchmark.tracks import DEFAULT, DataFolder, Source, find_track, find_tracks
+from benchmark.flag_limits import check_flag
+from benchmark.names import check_model_name, find_twin
+from benchmark.plan import Request, Weights
+from benchmark.registry import budget_of, discover, expand, find_model, row_names
+from benchmark.tracks import DEFAULT, DataFolder, Source, find_data_folder, find_track, find_tracks
 from datagen.errors import UsageError
-from datagen.storage import Dataset
 from obpose.shipped import find_checkpoint
 from obpose.systems import system_of
 
 _OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
 """Flags that mean nothing where label maps were made elsewhere."""
 
-NAME = re.compile(r"(?=.{1,80}$)[^\W_]([\w.+-]| (?! |$))*")
-"""What predictions may be called."""
+_NUMBERS = (
+    "seeds",
+    "workers",
+    "steps",
+    "scenes",
+    "refine",
+    "background_slot",
+    "time_limit",
+    "budget",
+    "memory_limit",
+)
+"""Flags that `benchmark.flag_limits` bounds."""
 
 
 def request_of(values: arguments.Run) -> Request:
@@ -30,7 +38,7 @@ def request_of(values: arguments.Run) -> Request:
     """
     _check(values)
     names = values.track or (values.fit_track or DEFAULT,)
-    sources: list[Source] = [_data_folder(values.data)] if values.data else [*find_tracks(names, values.profile)]
+    sources: list[Source] = [_scored_folder(values.data)] if values.data else [*find_tracks(names, values.profile)]
     if values.predictions and values.task == "editing":
         raise UsageError("--task editing is for models; label maps cannot be edited.")
     if values.predictions:
@@ -76,34 +84,23 @@ def _check(values: arguments.Run) -> None:
         raise UsageError("--scenes is for --task editing; segmentations are scored on all test scenes.")
     if values.refine and values.task != "editing":
         raise UsageError("--refine is for --task editing; segmentations are scored as they are inferred.")
-    if values.refine < 0:
-        raise UsageError(f"--refine {values.refine}: expected 0 or more.")
-    for flag, number in (
-        ("seeds", values.seeds),
-        ("workers", values.workers),
-        ("steps", 1 if values.steps is None else values.steps),
-    ):
-        if number < 1:
-            raise UsageError(f"--{flag} is {number}; expected 1 or more.")
-    if unfit := [number for number in values.slots if not 1 <= number <= LARGEST_LABEL]:
-        raise UsageError(f"--slots is {unfit[0]}; expected 1 to {LARGEST_LABEL}, the background being one more.")
-    positive = {"time-limit": values.time_limit, "budget": values.budget, "memory-limit": values.memory_limit}
-    for flag, number in positive.items():
-        if number is not None and not number > 0:
-            raise UsageError(f"--{flag} is {number:g}; expected more than 0.")
+    if values.background_slot is not None and not values.predictions:
+        raise UsageError("--background-slot is for --predictions; models say themselves which slot is the background.")
+    for flag in _NUMBERS:
+        check_flag(flag.replace("_", "-"), getattr(values, flag))
+    for number in values.slots:
+        check_flag("slots", number)
     if values.out.exists() and not values.out.is_dir():
         raise UsageError(f"{values.out} is a file; give a folder with --out.")
     if (values.out / "dataset.json").exists():
         raise UsageError(f"{values.out} is a dataset, whose manifest would be lost; give another folder with --out.")
 
 
-def _data_folder(folder: Path) -> DataFolder:
-    dataset = Dataset(folder)
-    if dataset.spec["resolution"] is None:
-        raise UsageError(f"{folder} holds no images; make them with: obpose-datagen render --from {folder}.")
-    if not dataset.splits["test"]:
+def _scored_folder(folder: Path) -> DataFolder:
+    source = find_data_folder(folder)
+    if not source.size("test"):
         raise UsageError(f"{folder} has no test scenes to score on; generate some with --scenes or --split test=N.")
-    return DataFolder(folder)
+    return source
 
 
 def _predictions_request(values: arguments.Run, sources: list[Source]) -> Request:
@@ -144,18 +141,9 @@ def _weights(values: arguments.Run) -> tuple[Weights, ...]:
 
 
 def _name(values: arguments.Run, folder: Path) -> str:
-    """What label maps, or weights, of a folder are called."""
-    name = values.name or folder.name
-    if not NAME.fullmatch(name):
-        raise UsageError(
-            f"{name!r} cannot be a model's name, which is part of file names; expected up to 80 letters, digits, dots, "
-            "dashes, underscores and single spaces, the first a letter or digit. Give one with --name."
-        )
-    if name == REFERENCES or name.endswith((PRETRAINED, "-att")):
-        raise UsageError(
-            f"{name!r} is what rows of other things are called; expected another name than {REFERENCES!r}, and none "
-            f"that ends in {PRETRAINED} or -att. Give one with --name."
-        )
-    if name in discover()[0]:
-        raise UsageError(f"{name!r} is the name of a model; give what is in {folder} another with --name.")
+    """Name for the label maps, or weights, of a folder in tables, files and keys."""
+    name = folder.name if values.name is None else values.name
+    check_model_name(name, "Give one with --name.")
+    if twin := find_twin(name, row_names(discover()[0])):
+        raise UsageError(f"{twin!r} is the name of a model; give what is in {folder} another with --name.")
     return name

@@ -6,18 +6,20 @@ from pathlib import Path
 from benchmark.results import RunRow
 from benchmark.runner import SPLIT
 from benchmark.scoring import score_labels
+from benchmark.standings import Progress, silent
 from benchmark.whereabouts import labels_path, locate
 from datagen.errors import DatagenError
 from datagen.storage import Dataset
 
 
-def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = ()) -> int:
-    """Compute the scene tables of all finished rows anew from their label maps; returns how many.
+def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, progress: Progress = silent) -> int:
+    """Compute the scene tables of all finished rows anew from their label maps, and give their number.
 
     Args:
         folder: The run folder.
         rows: Its rows.
         data: Datasets to look into first.
+        progress: Shows how many rows are done.
 
     Raises:
         DatagenError: a row's dataset is not there.
@@ -26,7 +28,7 @@ def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = ()) -> 
     finished = [row for row in rows if row.status == "ok"]
     # All are looked for before any table is written: a folder without some of them stays as it was.
     found = [_find(folder, row, data) for row in finished]
-    for row, (labels, dataset) in zip(finished, found, strict=True):
+    for row, (labels, dataset) in progress(list(zip(finished, found, strict=True)), "scoring rows"):
         score_labels(labels, Dataset(dataset).split(SPLIT), folder, row.key.name)
     return len(finished)
 

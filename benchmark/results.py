@@ -8,13 +8,14 @@ OUT/
     training/ ......... models' own files: checkpoints, pictures
     watched/ .......... scores on validation clips while models learn, which go into the curves
 with NAME = track--model--seed--8 hex digits of the key. What else lies in OUT is made from these.
+Folders in the packed form of `benchmark.packed_runs` are read in the same way and never written to.
 """
 
-import csv
 import dataclasses
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,16 +23,25 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from benchmark.csv_files import read_csv
 from benchmark.curves import load_curve, save_curve
 from benchmark.files import write_whole
-from benchmark.metrics import METRICS
+from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.model_spec import Kind
+from benchmark.packed_runs import SCENES_FILE, is_packed, packed_rows, packed_scenes
 from datagen.errors import CorruptFile, UsageError
+from datagen.safe_io import MOST_JSON_BYTES, brief_reason, parse_json, read_text
+from datagen.wording import counted
 
 RUNS, SCENES, LABELS, CURVES, TRAINING = "runs", "scenes", "labels", "curves", "training"
 COUNTS = ("objects", "one_object", "undefined", "identity_switches", "ignored")
 """Columns of a scene's line behind its metrics: objects (mean over frames), frames with one object, frames in which a
 metric is undefined, identity switches, ignored pixels."""
+
+SCORES = (*METRICS, *CLIP_METRICS)
+"""Columns whose values lie between -1 and 1."""
+ROUNDING = 1e-6
+"""Largest excess of a stored score."""
 
 SceneTable = dict[str, np.ndarray]
 """Column name to float64 array over scenes: `scene`, `n_frames`, `<metric>`, `<metric>_n`, and `COUNTS`."""
@@ -122,13 +132,29 @@ def digest(values: Mapping[str, Any]) -> str:
 
 def save_row(folder: Path, row: RunRow) -> None:
     """Write a row, and its learning curve before it; from then on it counts."""
-    values = dataclasses.asdict(row)
-    if curve := values.pop("learning_curve"):
-        save_curve(_curve_path(folder, row.key), curve)
-    # JSON has no nan.
-    values["measured"] = {name: cost if math.isfinite(cost) else None for name, cost in values["measured"].items()}
-    text = json.dumps(values, indent=1, default=str) + "\n"
+    if row.learning_curve:
+        save_curve(_curve_path(folder, row.key.name), row.learning_curve)
+    text = json.dumps(plain_values(row), indent=1, default=str) + "\n"
     write_whole(row_path(folder, row.key), text.encode())
+
+
+def plain_values(row: RunRow) -> dict[str, Any]:
+    """Turn a row into values for JSON; its learning curve is left out, and nan, which JSON lacks, becomes None."""
+    values = dataclasses.asdict(row)
+    del values["learning_curve"]
+    values["measured"] = {name: cost if math.isfinite(cost) else None for name, cost in values["measured"].items()}
+    return storable(values)
+
+
+def storable(value: Any) -> Any:
+    """Replace what `load_row` would refuse in values of foreign models: other infinite numbers, and broken UTF-16."""
+    if isinstance(value, dict):
+        return {name: storable(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [storable(item) for item in value]
+    if isinstance(value, str):
+        return value.encode(errors="replace").decode()
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def row_path(folder: Path, key: RunKey) -> Path:
@@ -137,12 +163,31 @@ def row_path(folder: Path, key: RunKey) -> Path:
 
 
 def load_runs(folder: Path) -> list[RunRow]:
-    """All rows of a run folder, ordered by their keys; none where there is no such folder yet.
+    """Load all rows of a run folder, ordinary or packed, ordered by their keys; none where there is no such folder yet.
 
     Raises:
+        UsageError: the folder has rows in both forms.
         CorruptFile: a row is damaged.
     """
-    return sorted((load_row(path) for path in sorted((folder / RUNS).glob("*.json"))), key=lambda row: row.key)
+    paths = sorted((folder / RUNS).glob("*.json"))
+    if not is_packed(folder):
+        return sorted(map(load_row, paths), key=lambda row: row.key)
+    if paths:
+        raise UsageError(
+            f"{folder} holds packed results, and rows of its own in {RUNS}/. Move that folder elsewhere, and add its "
+            "rows with: obpose-bench pack."
+        )
+    return sorted((_packed_row(folder, values) for values in packed_rows(folder)), key=lambda row: row.key)
+
+
+def _packed_row(folder: Path, values: dict[str, Any]) -> RunRow:
+    try:
+        own = {name: value for name, value in values.items() if name not in ("name", "scenes", "curve")}
+        return _row(values["name"], own)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise CorruptFile(
+            f"{folder} has a damaged row, {values['name']:.200} ({brief_reason(error)}). Get it again."
+        ) from None
 
 
 def check_runs(folder: Path) -> list[RunRow]:
@@ -157,34 +202,60 @@ def check_runs(folder: Path) -> list[RunRow]:
 
 
 def load_row(path: Path) -> RunRow:
-    """One row.
+    """Load one row.
 
     Raises:
         CorruptFile: it is damaged.
     """
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        costs = {name: math.nan if cost is None else cost for name, cost in values.pop("measured").items()}
-        key, measured = _build(RunKey, values.pop("key")), _build(Measured, costs)
-        values["learning_curve"] = load_curve(_curve_path(path.parent.parent, key))
-        row = _build(RunRow, {**values, "key": key, "measured": measured, "priors": tuple(values["priors"])})
-        if path.stem != key.name:
-            raise ValueError(f"it holds the row {key.name}")
-        return row
+        # Rows of older versions have NaN where a cost was not measured; JSON has no such number.
+        values = parse_json(re.sub(r": NaN(?=,?$)", ": null", read_text(path, MOST_JSON_BYTES), flags=re.MULTILINE))
+        if not isinstance(values, dict):
+            raise ValueError(f"it holds a {type(values).__name__}, expected an object")
+        return _row(path.stem, {**values, "learning_curve": load_curve(_curve_path(path.parent.parent, path.stem))})
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
+        raise CorruptFile(
+            f"{path} is damaged ({brief_reason(error)}); delete it and run the same command again."
+        ) from None
 
 
-def _build(kind: type[Any], values: Mapping[str, Any]) -> Any:
-    """Raises TypeError where a plain value is none of those that its field may have."""
-    for name, hint in get_type_hints(kind).items():
+def _row(name: str, values: dict[str, Any]) -> RunRow:
+    """Build the row of that name from plain values; raises ValueError, TypeError, KeyError or AttributeError."""
+    json.dumps(values, ensure_ascii=False).encode()  # raises ValueError for text that cannot be written again
+    costs = {name: math.nan if cost is None else cost for name, cost in values["measured"].items()}
+    key, measured = build_checked(RunKey, values["key"]), build_checked(Measured, costs)
+    if key.name != name or not {"/", "\0"}.isdisjoint(name):
+        raise ValueError(f"it holds the row {key.name}")
+    if not isinstance(values["priors"], list) or not all(isinstance(prior, str) for prior in values["priors"]):
+        raise TypeError(f"priors is {values['priors']!r:.40}")
+    return build_checked(RunRow, {**values, "key": key, "measured": measured, "priors": tuple(values["priors"])})
+
+
+def build_checked(kind: type[Any], values: Mapping[str, Any]) -> Any:
+    """Build a dataclass from values of a file.
+
+    Raises:
+        TypeError: a field is missing or unknown, or a plain value is none of those that its field may have.
+    """
+    hints = get_type_hints(kind)
+    required = [field.name for field in dataclasses.fields(kind) if _is_required(field)]
+    if missing := [name for name in required if name not in values]:
+        raise TypeError(f"{missing[0]} is missing")
+    if unknown := [name for name in values if name not in hints]:
+        raise TypeError(f"it has an unknown field {unknown[0]:.40}")
+    for name, hint in hints.items():
         if name not in values:
             continue
         value = values[name]
         plain = hint in (str, int, float, bool)
-        if (plain and type(value) is not hint) or (get_origin(hint) is Literal and value not in get_args(hint)):
-            raise TypeError(f"{name} is {value!r}")
+        wrong = (plain and type(value) is not hint) or (get_origin(hint) is dict and not isinstance(value, dict))
+        if wrong or (get_origin(hint) is Literal and value not in get_args(hint)) or (type(value) is int and value < 0):
+            raise TypeError(f"{name} is {value!r:.40}")
     return kind(**values)
+
+
+def _is_required(field: dataclasses.Field[Any]) -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
@@ -193,11 +264,11 @@ def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
         row_path(folder, row.key).unlink(missing_ok=True)
         (folder / SCENES / f"{row.key.name}.csv").unlink(missing_ok=True)
         (folder / LABELS / f"{row.key.name}.h5").unlink(missing_ok=True)
-        _curve_path(folder, row.key).unlink(missing_ok=True)
+        _curve_path(folder, row.key.name).unlink(missing_ok=True)
 
 
-def _curve_path(folder: Path, key: RunKey) -> Path:
-    return folder / CURVES / f"{key.name}.csv"
+def _curve_path(folder: Path, name: str) -> Path:
+    return folder / CURVES / f"{name}.csv"
 
 
 def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float | int]:
@@ -223,23 +294,57 @@ def save_scenes(folder: Path, name: str, lines: Sequence[Mapping[str, float | in
 
 
 def load_scenes(folder: Path, row: RunRow) -> SceneTable:
-    """Scores of a row scene by scene.
+    """Load the scores of a row scene by scene, from an ordinary or a packed folder.
 
     Raises:
         CorruptFile: the table is missing or damaged.
     """
+    if is_packed(folder):
+        return _packed_scenes(folder, row)
     path = folder / SCENES / f"{row.key.name}.csv"
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            header, *lines = csv.reader(file)
+        header, lines = read_csv(path)
         values = np.array(lines, np.float64).reshape(len(lines), len(header))
-        if len(lines) != row.n_scenes or not lines:
-            raise ValueError(f"{len(lines)} scenes where the row has {row.n_scenes}")
-        if missing := [name for name in METRICS if name not in header or f"{name}_n" not in header]:
-            raise ValueError(f"no column {missing[0]}")
+        return _checked({name: values[:, column] for column, name in enumerate(header)}, row)
     except (OSError, ValueError) as error:
         raise CorruptFile(f"{path} is missing or damaged ({error}); restore it with: obpose-bench rescore.") from None
-    return {name: values[:, column] for column, name in enumerate(header)}
+
+
+def _packed_scenes(folder: Path, row: RunRow) -> SceneTable:
+    try:
+        return _checked(packed_scenes(folder, row.key.name), row)
+    except ValueError as error:
+        path = folder / SCENES_FILE
+        raise CorruptFile(f"{path} is damaged ({row.key.name}: {error}). Get the file again.") from None
+
+
+def _checked(table: SceneTable, row: RunRow) -> SceneTable:
+    """Raises ValueError where a table has not the row's scenes, lacks a column, or has a value that is no score."""
+    scenes = max((len(values) for values in table.values()), default=0)
+    if scenes != row.n_scenes or not scenes:
+        raise ValueError(f"{counted(scenes, 'scene')} where the row has {row.n_scenes}")
+    if missing := [name for name in SCORES if not {name, f"{name}_n"} <= set(table)]:
+        raise ValueError(f"no column {missing[0]}")
+    _check_values(table)
+    return table
+
+
+def _check_values(table: SceneTable) -> None:
+    """Check that scenes are numbered from 0, counts are counts, and means are finite where their count is not 0."""
+    if "scene" not in table or not np.array_equal(table["scene"], np.arange(len(table["scene"]))):
+        raise ValueError("its scenes are not numbered 0, 1, ...")
+    for name, values in table.items():
+        if name.endswith("_n") or name in ("n_frames", *COUNTS):
+            good, expected = np.isfinite(values) & (values >= 0), "a count"
+        elif name == "scene":
+            continue
+        elif f"{name}_n" not in table:
+            raise ValueError(f"no column {name}_n")
+        else:
+            within = np.abs(values) <= (1 + ROUNDING if name in SCORES else np.inf)
+            good, expected = (table[f"{name}_n"] == 0) | (np.isfinite(values) & within), "a score"
+        if not good.all():
+            raise ValueError(f"{name} holds {values[~good][0]}, expected {expected}")
 
 
 def pooled(table: SceneTable, metric: str) -> float:

@@ -10,6 +10,7 @@ from pathlib import Path
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.clips import ClipSequence, TruthSequence
 from benchmark.curves import Curve
+from benchmark.escaping import brief, one_line
 from benchmark.interface import Segmenter
 from benchmark.machine import commit, peak_mib
 from benchmark.model_spec import ModelSpec, Options
@@ -118,7 +119,7 @@ def blank_row(key: RunKey, spec: ModelSpec | None, *, status: str, reason: str =
     return RunRow(
         key=key,
         status="ok" if status == "ok" else "failed",
-        reason=reason,
+        reason=brief(reason),
         config={},
         tuned=False,
         uses_labels=spec is not None and spec.uses_labels,
@@ -147,7 +148,7 @@ class _Fitted:
     def learning_curve(self) -> Curve | None:
         """What the model recorded while it learned, and what was seen of it then."""
         curve = getattr(self.segmenter, "learning_curve", None)
-        points = [{name: float(value) for name, value in point.items()} for point in curve or ()]
+        points = [{one_line(str(name)): float(value) for name, value in point.items()} for point in curve or ()]
         return (self.watch.added_to(points) if self.watch else points) or None
 
 
@@ -195,7 +196,7 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
         trials=fitted.spec.trials_with_labels,
         n_scenes=len(scenes),
         parameters=int(getattr(segmenter, "parameters", 0)),
-        device=str(getattr(segmenter, "device", "cpu")),
+        device=brief(str(getattr(segmenter, "device", "cpu"))),
         measured=Measured(seconds_per_frame, fitted.seconds, peak_mib()),
         pretrained=job.pretrained,
         views=fitted.spec.views.on(scenes.views) if fitted.spec.views else "",

@@ -9,17 +9,15 @@ import numpy as np
 
 from benchmark.clips import ClipSequence, read_truth
 from benchmark.interface import Clip, Poses, Prediction
-from benchmark.labels import LARGEST, read_labels, write_labels
+from benchmark.labels import LARGEST, check_labels_fit, read_labels, write_labels
 from benchmark.metrics import clip_scores
 from benchmark.metrics.poses import pose_scores
 from benchmark.pose_files import read_poses
+from benchmark.pose_rules import ARRAYS, pose_fault
 from benchmark.results import save_scenes, scene_line
 from benchmark.true_poses import read_true_poses
-from datagen.errors import CorruptFile, DatagenError
+from datagen.errors import DatagenError
 from datagen.storage import Split
-
-UNIT_TOLERANCE = 1e-3
-"""By which the columns of a rotation may miss being orthogonal and of unit length."""
 
 Predict = Callable[[int, Clip], Prediction]
 """Gives the segmentation of a scene, by its number and its clip."""
@@ -68,20 +66,16 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
     Raises:
         CorruptFile: the label maps do not fit the scenes.
     """
+    check_labels_fit(path, scenes)
     lines = []
     poses = read_poses(path)
-    try:
-        for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
-            truth = read_truth(scenes, index)
-            if labels.shape != truth.shape:
-                raise ValueError(f"shape {labels.shape} where the dataset has {truth.shape}")
-            scores = clip_scores(truth, labels, slot, ~clip.valid)
-            if poses is not None:
-                true = read_true_poses(scenes, index, clip, truth)
-                scores |= pose_scores(true, poses[index], truth, labels, slot, ~clip.valid)
-            lines.append(scene_line(index, scores))
-    except ValueError as error:
-        raise CorruptFile(f"{path} does not fit the dataset's scenes ({error}); run the model again.") from None
+    for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
+        truth = read_truth(scenes, index)
+        scores = clip_scores(truth, labels, slot, ~clip.valid)
+        if poses is not None:
+            true = read_true_poses(scenes, index, clip, truth)
+            scores |= pose_scores(true, poses[index], truth, labels, slot, ~clip.valid)
+        lines.append(scene_line(index, scores))
     save_scenes(out, name, lines)
     return int(sum(line["n_frames"] for line in lines))
 
@@ -116,25 +110,6 @@ def _check_labels(labels: np.ndarray, slot: int | None, clip: Clip, where: str) 
 
 def _check_poses(poses: Poses, clip: Clip, where: str) -> None:
     frames, views = clip.depth.shape[:2]
-    labels = poses.center.shape[2] if poses.center.ndim == 4 else "labels"
-    expected = {"center": (frames, views, labels, 3), "rotation": (frames, views, labels, 3, 3)}
-    expected["size"] = expected["center"]
-    there = np.isfinite(poses.center).all(axis=-1)
-    for name, shape in expected.items():
-        array = getattr(poses, name)
-        if array is None:
-            continue
-        if array.shape != shape or array.dtype.kind != "f":
-            found = f"{array.dtype} {array.shape}"
-            raise BadPrediction(f"In {where} the model gave a {name} of poses {found}; expected floats of {shape}.")
-        if not np.isfinite(array[there]).all():
-            raise BadPrediction(f"In {where} a pose has a center and no {name}; expected both, or nan in both.")
-    if poses.size is not None and (poses.rotation is None or np.any(poses.size[there] < 0)):
-        raise BadPrediction(f"In {where} the model gave boxes without rotation, or of negative size.")
-    if poses.rotation is not None and not _are_rotations(poses.rotation[there]):
-        raise BadPrediction(f"In {where} a rotation is none: expected orthogonal columns of length 1, right-handed.")
-
-
-def _are_rotations(matrices: np.ndarray) -> bool:
-    squares = np.swapaxes(matrices, -1, -2) @ matrices
-    return bool(np.all(np.abs(squares - np.eye(3)) < UNIT_TOLERANCE) and np.all(np.linalg.det(matrices) > 0))
+    arrays = {name: None if (array := getattr(poses, name)) is None else np.asarray(array) for name in ARRAYS}
+    if fault := pose_fault(arrays, (frames, views)):
+        raise BadPrediction(f"In {where} the model gave {fault}.")

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations, groupby
 from pathlib import Path
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -19,6 +20,8 @@ from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.results import RunRow, SceneTable, load_runs, load_scenes
 from benchmark.statistics import Difference, Resamples, Summary
+from datagen.errors import CorruptFile
+from datagen.wording import counted
 
 ALL_METRICS = (*METRICS, *CLIP_METRICS)
 RANKED_METRICS = ("ari_fg", "msc_fg")
@@ -34,8 +37,19 @@ whose weights the run did not make."""
 
 BOOTSTRAP_SEED = 0
 
+Item = TypeVar("Item")
+
 Scores = tuple[Float64[np.ndarray, "seed scene"], Float64[np.ndarray, "seed scene"]]
 """Of one metric: each scene's mean, and the number of values behind it."""
+
+
+@runtime_checkable
+class Progress(Protocol):
+    """Gives the items of a sequence, and shows how many are done."""
+
+    def __call__(self, items: Sequence[Item], title: str, /) -> Iterable[Item]:
+        """Give the items; `title` says what is done with them."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,26 +157,72 @@ class Entry:
         """Pooled means of a metric, one for each of `rows`; nan where there are no scores."""
         return np.array([_pooled(table, metric) for table in self.tables])
 
+    def spread(self, metric: str, *, without_failed: bool = False) -> tuple[float, float]:
+        """Mean and population standard deviation over the runs; the latter is nan where only one run has a score."""
+        causes = self.causes[: self.n_runs]
+        kept = [not (without_failed and cause) for cause in causes]
+        mean, deviation, sample_deviation = statistics.spread(self.seed_means(metric)[: self.n_runs][kept])
+        return mean, np.nan if np.isnan(sample_deviation) else deviation
+
     def best_known(self, metric: str) -> float:
         """The mean over seeds: what entries are compared by."""
         return statistics.spread(self.seed_means(metric))[0]
 
 
-def load_standings(folder: Path) -> list[Entry]:
-    """All entries of a run folder, ordered by track, track fitted on and model, judged and ranked."""
+def silent(items: Sequence[Item], title: str) -> Iterable[Item]:
+    """Show no progress; a `Progress`."""
+    return items
+
+
+def load_standings(folder: Path, progress: Progress = silent) -> list[Entry]:
+    """Load all entries of a run folder, ordered by track, track fitted on and model, judged and ranked.
+
+    Raises:
+        CorruptFile: a row or its scene table is damaged.
+    """
+    return ranked(load_entries(folder, progress), progress)
+
+
+def load_entries(folder: Path, progress: Progress = silent) -> list[Entry]:
+    """Load all entries of a run folder, judged but not ranked; order and errors as in `load_standings`."""
     rows = load_runs(folder)
-    return standings(rows, [load_scenes(folder, row) if row.status == "ok" else None for row in rows])
+    _check_scenes(folder, rows)
+    return judged(
+        rows, [load_scenes(folder, row) if row.status == "ok" else None for row in progress(rows, "reading scores")]
+    )
+
+
+def _check_scenes(folder: Path, rows: Iterable[RunRow]) -> None:
+    """Check that all finished rows of a dataset have the same scenes, by which they are paired."""
+    first: dict[str, RunRow] = {}
+    for row in rows:
+        other = first.setdefault(row.key.track_spec, row) if row.status == "ok" else row
+        if row.n_scenes != other.n_scenes:
+            raise CorruptFile(
+                f"{folder} has {counted(row.n_scenes, 'scene')} in the row {row.key.name} and {other.n_scenes} in "
+                f"{other.key.name}, of the same dataset; expected equally many. Delete the wrong row in runs/ and run "
+                "it again."
+            )
 
 
 def standings(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> list[Entry]:
-    """As `load_standings`, from the rows and their scene tables."""
+    """Judge and rank rows, given with their scene tables; the result is that of `load_standings`."""
+    return ranked(judged(rows, tables))
+
+
+def judged(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> list[Entry]:
+    """Bring rows together over seeds, and say which seeds failed."""
     pairs = sorted(zip(rows, tables, strict=True), key=lambda pair: (_group(pair[0]), pair[0].key.seed))
     entries = [_entry(list(members)) for _, members in groupby(pairs, key=lambda pair: _group(pair[0]))]
     floors = _best_floors(entries)
     defined = _defined(entries)
-    judged = [_judged(entry, floors.get(entry.row.key.track_spec, np.nan), defined) for entry in entries]
-    ranked = [entry for field in fields(judged) for entry in _ranked(field)]
-    return sorted(ranked, key=lambda entry: _group(entry.row))
+    return [_judged(entry, floors.get(entry.row.key.track_spec, np.nan), defined) for entry in entries]
+
+
+def ranked(entries: Sequence[Entry], progress: Progress = silent) -> list[Entry]:
+    """Rank judged entries within each field; those that may not be ranked stay as they are."""
+    found = [entry for field in progress(fields(entries), "ranking models") for entry in _ranked(field)]
+    return sorted(found, key=lambda entry: _group(entry.row))
 
 
 def compare_entries(one: Entry, two: Entry, metric: str) -> Difference:
@@ -178,6 +238,15 @@ def best_first(entries: Iterable[Entry]) -> list[Entry]:
         return float(rank), float(score), entry.place
 
     return sorted(entries, key=order)
+
+
+def in_order_of_rank(blocks: Mapping[str, Sequence[Entry]]) -> list[str]:
+    """Order blocks of entries by their best rank, so that the best model stands on top; unranked ones stay last."""
+
+    def best_rank(block: str) -> float:
+        return min((entry.rank for entry in blocks[block] if entry.rank is not None), default=np.inf)
+
+    return sorted(blocks, key=best_rank)
 
 
 def best_without_training(field: Iterable[Entry]) -> Entry | None:

@@ -27,6 +27,9 @@ SIGNIFICANCE = 0.05
 RESOLVABLE = 1.96 + 0.84
 """In standard errors: a true difference this large is found significant at 5 % in 80 % of all samples of scenes."""
 
+TIE = 1.5e-6
+"""Largest difference of equal scores: packed results have six decimals, and means over seeds have rounding errors."""
+
 Scores = Float[np.ndarray, "seed scene"]
 """nan only where the weight is 0."""
 OtherScores = Float[np.ndarray, "other_seed scene"]
@@ -135,7 +138,7 @@ def difference(one: tuple[Scores, Scores], two: tuple[OtherScores, OtherScores],
     found = float(pooled_means(x, v)[0] - pooled_means(y, w)[0])
     drawn = (_resampled_means(x, v, resamples.scenes) - _resampled_means(y, w, resamples.scenes))[:, 0]
     drawn = drawn[~np.isnan(drawn)]
-    wins = np.where(x == y, 0.5, x > y)[0, both]
+    wins = np.where(np.abs(x - y) <= TIE, 0.5, x > y)[0, both]
     return Difference(
         mean=found,
         low=interval(drawn)[0],

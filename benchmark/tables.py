@@ -1,16 +1,19 @@
-"""The leaderboard in the paper's layout, as Markdown and as LaTeX: mean±std over seeds, in blocks of kinds of models.
+"""The leaderboard with the paper's columns, as Markdown and as LaTeX: mean±std over seeds, in blocks by kind.
 
-Within a block the worse comes first, as floors come first; the best row without training is repeated on top of the
-learned ones. The paper's own figures stand in a grey column. Failed seeds count in a row; the row beneath leaves them
-out.
+Within a block the best comes first, and the block with the best model stands on top. The best row without training is
+repeated among the learned ones. The paper's own figures stand in a grey column. Failed seeds count in a row; the row
+beneath leaves them out.
 """
 
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmark import pose_tables, statistics
+from benchmark import pose_tables
+from benchmark.escaping import latex as latex_text
+from benchmark.escaping import markdown as markdown_text
+from benchmark.escaping import one_line
 from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
 from benchmark.standings import (
     ORACLE_METRICS,
@@ -22,10 +25,11 @@ from benchmark.standings import (
     best_first,
     best_without_training,
     fields,
+    in_order_of_rank,
 )
 from benchmark.wording import (
-    counted,
     free_of_slots,
+    mean_and_std,
     rank_in_words,
     run_once,
     seeds_covered,
@@ -33,6 +37,7 @@ from benchmark.wording import (
     views_explained,
     without_floor,
 )
+from datagen.wording import counted
 
 SHOWN = {
     "miou_bg": "mIoU-BG",
@@ -45,10 +50,10 @@ SHOWN = {
 """Metrics in the tables; the CSV has them all."""
 
 BLOCKS = {
-    "floor": "Floors",
     "classical": "Without training",
     "predictions": "Given label maps",
     "learned": "Learned",
+    "floor": "Floors",
     "oracle": f"Oracles and models that use labels {USES_LABELS}: not ranked",
 }
 
@@ -121,49 +126,47 @@ def boards(entries: Iterable[Entry]) -> list[Board]:
 def markdown(entries: Iterable[Entry]) -> str:
     """All tables as one Markdown page."""
     entries = list(entries)
-    parts = ["# Leaderboard", "\n".join(f"- {note}" for note in _notes(entries))]
+    parts = ["# Leaderboard", "\n".join(f"- {note}" for note in _notes(entries, markdown_text))]
     for field in fields(entries):
         board = _board(field)
-        parts += [f"## {board.title}", "\n".join(_markdown_rows(board)), *pose_tables.markdown(field)]
+        parts += [f"## {markdown_text(board.title)}", "\n".join(_markdown_rows(board)), *pose_tables.markdown(field)]
     return "\n\n".join(parts) + "\n"
 
 
 def latex(entries: Iterable[Entry]) -> str:
     """All tables as LaTeX, for documents that load booktabs, adjustbox and xcolor."""
     entries = list(entries)
-    notes = [f"% {note}" for note in (*_notes(entries), "Needs booktabs, adjustbox and xcolor.")]
+    notes = [f"% {note}" for note in (*_notes(entries, one_line), "Needs booktabs, adjustbox and xcolor.")]
     tables = [
         table
         for field in fields(entries)
-        for table in (_latex_table(_board(field)), *pose_tables.latex(field, _board(field).title, _escaped))
+        for table in (_latex_table(_board(field)), *pose_tables.latex(field, _board(field).title))
     ]
     return "\n".join(notes) + "\n\n" + "\n".join(tables)
 
 
-def mean_and_std(mean: float, std: float) -> str:
-    """As the paper prints scores: two decimals."""
-    return "–" if math.isnan(mean) else f"{mean:z.2f}±{std:.2f}"
-
-
-def _notes(entries: Sequence[Entry]) -> Iterator[str]:
+def _notes(entries: Sequence[Entry], escaped: Callable[[str], str]) -> Iterator[str]:
+    """Notes on all tables; names in them are escaped."""
     seeds, once = seeds_in_words(entries), run_once(entries)
     yield (
-        "Mean±population standard deviation over seeds; leaderboard.csv has all metrics, and 95 % bootstrap intervals "
-        "over seeds and scenes"
+        "Mean±population standard deviation over seeds, of one seed the score alone; leaderboard.csv has all metrics, "
+        "and 95 % bootstrap intervals over seeds and scenes"
         + (f"; with few seeds these under-cover, and here models have {seeds}." if seeds else ".")
     )
     if once:
-        yield f"Run once, as seeds make no difference to them: {once}."
+        yield f"Run once, as seeds make no difference to them: {escaped(once)}."
     yield from NOTES
     if any(entry.has_poses for entry in entries):
         yield from pose_tables.NOTES
-    yield from filter(None, (views_explained(entries), free_of_slots(entries), without_floor(entries)))
+    said = views_explained(entries), free_of_slots(entries), without_floor(entries)
+    yield from (escaped(note) for note in said if note)
 
 
 def _board(field: Sequence[Entry]) -> Board:
     track, fit_track, _ = field[0].place
     key = field[0].row.key
-    title = track if fit_track == track else f"{track}, models fitted on {fit_track}"
+    fitted = "weights trained" if all(entry.row.pretrained for entry in field) else "models fitted"
+    title = track if fit_track == track else f"{track}, {fitted} on {fit_track}"
     scenes = max(entry.n_scenes for entry in field)
     skipped = max(entry.n_skipped for entry in field)
     without = f", {skipped} without any object" if skipped else ""
@@ -172,13 +175,16 @@ def _board(field: Sequence[Entry]) -> Board:
 
 
 def _blocks(track: str, field: Sequence[Entry]) -> Iterator[Block]:
-    best = _best_cells(field)
-    for kind, title in BLOCKS.items():
-        members = best_first(entry for entry in field if _block_of(entry) == kind)[::-1]
-        lines = [line for entry in members for line in _lines(entry, best)]
-        if kind == "learned" and lines:
-            lines = [*_best_without_training(field, best), *lines]
-        yield Block(title, tuple(lines))
+    best, free = _best_cells(field), best_without_training(field)
+    members = {kind: [entry for entry in field if _block_of(entry) == kind] for kind in BLOCKS}
+    for kind in in_order_of_rank(members):
+        repeated = [free] if free and kind == "learned" and members[kind] else []
+        lines = [
+            line
+            for entry in best_first([*members[kind], *repeated])
+            for line in _lines(entry, best, prefix="best without training: " if entry in repeated else "")
+        ]
+        yield Block(BLOCKS[kind], tuple(lines))
     missing = set(PAPER_MODELS) - {entry.row.key.model for entry in field}
     others = [model for model in PAPER_MODELS if model in missing and paper_cells(track, model)]
     yield Block("In the paper, not run here", tuple(_paper_line(track, model) for model in others))
@@ -186,11 +192,6 @@ def _blocks(track: str, field: Sequence[Entry]) -> Iterator[Block]:
 
 def _block_of(entry: Entry) -> str:
     return "oracle" if entry.row.uses_labels else entry.row.kind
-
-
-def _best_without_training(field: Iterable[Entry], best: Mapping[str, str]) -> list[Line]:
-    entry = best_without_training(field)
-    return _lines(entry, best, prefix="best without training: ") if entry else []
 
 
 def _best_cells(field: Iterable[Entry]) -> dict[str, str]:
@@ -228,8 +229,7 @@ def _brief(cause: str) -> str:
 
 
 def _cells(entry: Entry, *, without_failed: bool) -> tuple[str, ...]:
-    kept = [not (without_failed and cause) for cause in entry.causes]
-    return tuple(mean_and_std(*statistics.spread(entry.seed_means(name)[kept])[:2]) for name in SHOWN)
+    return tuple(mean_and_std(*entry.spread(name, without_failed=without_failed)) for name in SHOWN)
 
 
 def _paper_line(track: str, model: str) -> Line:
@@ -247,12 +247,12 @@ def _markdown_rows(board: Board) -> Iterator[str]:
         yield _markdown_row([f"**{block.title}**", *[""] * (len(header) - 1)])
         for line in block.lines:
             paper = [f"*{line.paper}*" if line.paper else ""] if board.has_paper else []
-            said = [line.label, *(line.views for _ in views), line.rank, line.seeds]
+            said = [markdown_text(line.label), *(markdown_text(line.views) for _ in views), line.rank, line.seeds]
             yield _markdown_row([*said, *map(_markdown_cell, line.cells, line.groups, line.bold), *paper])
 
 
 def _markdown_row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+    return f"| {' | '.join(cells)} |"
 
 
 def _markdown_cell(cell: str, groups: str, bold: bool) -> str:
@@ -269,7 +269,7 @@ def _latex_table(board: Board) -> str:
     grey = [_grey(_paper_header(board))] if board.has_paper else []
     views = ["views"] if board.has_views else []
     columns = "l " + "l " * len(views) + "r r " + " ".join("c" * (len(SHOWN) + len(grey)))
-    header = ["", *views, "rank", "seeds", *(rf"{_escaped(name)}$\uparrow$" for name in SHOWN.values()), *grey]
+    header = ["", *views, "rank", "seeds", *(rf"{latex_text(name)}$\uparrow$" for name in SHOWN.values()), *grey]
     lines = [
         r"\begin{table*}",
         r"    \centering",
@@ -281,19 +281,19 @@ def _latex_table(board: Board) -> str:
     for block in board.blocks:
         lines += [
             r"        \midrule",
-            rf"        \multicolumn{{{len(header)}}}{{l}}{{\itshape {_escaped(block.title)}}} \\",
+            rf"        \multicolumn{{{len(header)}}}{{l}}{{\itshape {latex_text(block.title)}}} \\",
         ]
         lines += [f"        {_latex_row(line, board)}" for line in block.lines]
     lines += [r"        \bottomrule", r"    \end{tabular}", r"    \end{adjustbox}"]
-    caption = rf"    \caption{{Segmentation of {_escaped(board.title)}.}}"
+    caption = rf"    \caption{{Segmentation of {latex_text(board.title)}.}}"
     return "\n".join([*lines, caption, r"\end{table*}", ""])
 
 
 def _latex_row(line: Line, board: Board) -> str:
     cells = map(_latex_cell, line.cells, line.groups, line.bold)
     paper = [_grey(line.paper) if line.paper else ""] if board.has_paper else []
-    views = [line.views] if board.has_views else []
-    return " & ".join([rf"\textsc{{{_escaped(line.label)}}}", *views, line.rank, line.seeds, *cells, *paper]) + r" \\"
+    views = [latex_text(line.views)] if board.has_views else []
+    return " & ".join([rf"\textsc{{{latex_text(line.label)}}}", *views, line.rank, line.seeds, *cells, *paper]) + r" \\"
 
 
 def _latex_cell(cell: str, groups: str, bold: bool) -> str:
@@ -305,15 +305,4 @@ def _latex_cell(cell: str, groups: str, bold: bool) -> str:
 
 
 def _grey(text: str) -> str:
-    return rf"\textcolor{{gray}}{{{_escaped(text)}}}"
-
-
-_LATEX = str.maketrans(
-    {character: f"\\{character}" for character in "&%_#${}"}
-    | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}"}
-    | {"±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$", "§": r"\S{}", "–": "--"}
-)
-
-
-def _escaped(text: str) -> str:
-    return text.translate(_LATEX)
+    return rf"\textcolor{{gray}}{{{latex_text(text)}}}"

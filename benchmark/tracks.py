@@ -11,10 +11,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from benchmark.clips import labels_shape
+from benchmark.names import check_dataset_name
 from datagen.config import load_recipe, recipe_names
 from datagen.errors import DatagenError, UsageError, unknown_name
 from datagen.schema import EditKind
 from datagen.storage import Dataset
+from datagen.wording import counted
 
 CACHE = "OBPOSE_CACHE"
 """Environment variable that names the cache folder; without it, it is `~/.cache/obpose`."""
@@ -83,6 +86,11 @@ class Track:
         """Scenes of a split, made or not."""
         return SIZES[split]
 
+    def labels_shape(self, split: str) -> tuple[int, int, int, int, int]:
+        """Shape of the label maps of a split: scenes, frames, views, height, width."""
+        recipe, (width, height) = load_recipe(self.name), self.resolution
+        return SIZES[split], recipe.frames, recipe.views, height, width
+
     def missing(self, splits: Iterable[str]) -> int:
         """How many scenes of these splits are still to be made."""
         if not (self.folder / "dataset.json").exists():
@@ -145,6 +153,10 @@ class DataFolder:
         """Scenes of a split, made or not."""
         return Dataset(self.folder).splits[split]
 
+    def labels_shape(self, split: str) -> tuple[int, int, int, int, int]:
+        """Shape of the label maps of a split: scenes, frames, views, height, width."""
+        return labels_shape(Dataset(self.folder).split(split))
+
     def missing(self, splits: Iterable[str]) -> int:
         """How many scenes of these splits have not been made."""
         dataset = Dataset(self.folder)
@@ -159,7 +171,7 @@ class DataFolder:
         names = tuple(splits)
         if missing := self.missing(names):
             raise DatagenError(
-                f"{self.folder} is incomplete: {missing} scenes are missing ({', '.join(names)}). "
+                f"{self.folder} is incomplete: {counted(missing, 'scene')} missing ({', '.join(names)}). "
                 "Run the command that began it again to complete it."
             )
         return self.folder
@@ -167,6 +179,20 @@ class DataFolder:
 
 Source = Track | DataFolder
 """Something to fit on or to score on."""
+
+
+def find_data_folder(folder: Path) -> DataFolder:
+    """Give the dataset of images in a folder.
+
+    Raises:
+        UsageError: the folder holds no dataset or none with images, or has a name that cannot be part of file names.
+        CorruptFile: its `dataset.json` is damaged.
+    """
+    if Dataset(folder).spec["resolution"] is None:
+        raise UsageError(f"{folder} holds no images; make them with: obpose-datagen render --from {folder}.")
+    found = DataFolder(folder)
+    check_dataset_name(found.name)
+    return found
 
 
 def find_track(name: str, profile: Profile = "cpu") -> Track:

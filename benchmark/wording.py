@@ -4,11 +4,14 @@ import math
 from collections.abc import Iterable
 
 from benchmark.standings import Entry
+from datagen.wording import counted
 
 
-def counted(number: int, noun: str) -> str:
-    """A number of things, such as "1 track" or "2 tracks"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+def mean_and_std(mean: float, std: float, digits: int = 2) -> str:
+    """Format a score as the paper does; without a deviation where that is nan, as over one seed."""
+    if math.isnan(mean):
+        return "–"
+    return f"{mean:z.{digits}f}" if math.isnan(std) else f"{mean:z.{digits}f}±{std:.{digits}f}"
 
 
 def seeds_in_words(entries: Iterable[Entry]) -> str:
@@ -36,10 +39,10 @@ def rank_in_words(entry: Entry) -> str:
 
 
 def without_floor(entries: Iterable[Entry]) -> str:
-    """Where models compete and no floor says what a collapse is, in a sentence; empty where there is no such track."""
+    """Name the tracks on which models compete without a floor, in a sentence; empty if there are none."""
     blind = [entry for entry in entries if entry.row.kind not in ("floor", "oracle") and math.isnan(entry.best_floor)]
     tracks = ", ".join(sorted({entry.row.key.track for entry in blind}))
-    return f"No floor was scored on {tracks}: a seed that collapsed is not told there; add --model floors." * bool(
+    return f"No floor was scored on {tracks}: collapsed seeds cannot be detected there; add --model floors." * bool(
         blind
     )
 

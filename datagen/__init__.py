@@ -19,3 +19,12 @@ def _choose_kernels() -> None:
 
 
 _choose_kernels()
+
+
+def __getattr__(name: str) -> str:
+    """Give `__version__`, which takes longer to find than the rest of this package to import."""
+    if name != "__version__":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from datagen.version import find_version
+
+    return find_version()

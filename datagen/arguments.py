@@ -38,9 +38,9 @@ class Generate:
     """Generate a dataset, complete an interrupted one, or extend one: the same command again goes on."""
 
     scenes: int | None = None
-    """Number of scenes, split 80/10/10 into train, val and test."""
+    """Number of scenes, 1 to 1,000,000, split 80/10/10 into train, val and test."""
     split: str | None = None
-    """Instead of --scenes, the scenes of each split: train=2000,val=100,test=300."""
+    """Instead of --scenes, the scenes of each split, up to 1,000,000 each: train=2000,val=100,test=300."""
     video: _Flag = False
     """Clips of moving objects (recipe `moving`) instead of stills (recipe `static`)."""
     recipe: str | None = None
@@ -48,11 +48,11 @@ class Generate:
     out: Path | None = None
     """Folder of the dataset; default data/RECIPE-WxH-seedS."""
     resolution: str | None = None
-    """Width x height in pixels, such as 64x64; default the recipe's."""
+    """Width x height in pixels, such as 64x64, from 8x8 to 4096x4096; default the recipe's."""
     seed: int = 0
-    """Any number from 0; scene i of a split depends on the recipe, the seed, the split and i alone."""
+    """From 0 to 2^63 - 1; scene i of a split depends on the recipe, the seed, the split and i alone."""
     workers: int | None = None
-    """Processes; default one a core."""
+    """Processes, at most 64 or four times the number of cores, whichever is more; default one a core."""
     renderer: Literal["raster", "pyrender"] | None = None
     """`raster`, the default, needs no GL library; `pyrender` uses EGL."""
     simulate_only: _Flag = False
@@ -60,7 +60,7 @@ class Generate:
     edits: str | None = None
     """Counterfactual edits that are rendered beside each scene: some of remove,move,add."""
     shard: str | None = None
-    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs can share the work."""
+    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs, up to 100,000, can share the work."""
     overwrite: _Flag = False
     """Give up a dataset of other settings in the same folder."""
     constants: Annotated[Constants, _OVERRIDES] = Constants()
@@ -75,17 +75,17 @@ class Render:
     out: Path | None = None
     """Folder of the new dataset; default data/RECIPE-WxH-seedS."""
     resolution: str | None = None
-    """Width x height in pixels; default the source's."""
+    """Width x height in pixels, from 8x8 to 4096x4096; default the source's."""
     renderer: Literal["raster", "pyrender"] = "raster"
     """`raster` needs no GL library; `pyrender` uses EGL."""
     views: int = 1
-    """Cameras; more than one are spread evenly around the world's z axis."""
+    """Cameras, 1 to 360; more than one are spread evenly around the world's z axis."""
     edits: str | None = None
     """Counterfactual edits that are rendered beside each scene: some of remove,move,add."""
     workers: int | None = None
-    """Processes; default one a core."""
+    """Processes, at most 64 or four times the number of cores, whichever is more; default one a core."""
     shard: str | None = None
-    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs can share the work."""
+    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs, up to 100,000, can share the work."""
     overwrite: _Flag = False
     """Give up a dataset of other settings in the same folder."""
     rig: Rig = field(default_factory=Rig)
@@ -97,7 +97,7 @@ class Verify:
 
     folder: _FOLDER
     workers: int | None = None
-    """Processes; default one a core."""
+    """Processes, at most 64 or four times the number of cores, whichever is more; default one a core."""
 
 
 @dataclass(frozen=True)

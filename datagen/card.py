@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from datagen.folder import write_whole
+from datagen.folder import write_file
 from datagen.schema import FIELDS
 from datagen.shard import CONVENTIONS
-from datagen.spec import CARD_FILE, Spec
+from datagen.spec import CARD_FILE, Spec, settings_hash
 from datagen.stats import Summary, summary
 from datagen.storage import Dataset
 
@@ -19,9 +19,9 @@ def write_card(folder: str | Path) -> Path:
     Raises:
         DatagenError: the folder holds no complete dataset.
     """
-    path = Path(folder) / CARD_FILE
-    write_whole(path, card(Dataset(folder).spec, summary(folder)).encode())
-    return path
+    spec = Dataset(folder).spec
+    write_file(Path(folder), CARD_FILE, card(spec, summary(folder)).encode(), settings_hash(spec))
+    return Path(folder) / CARD_FILE
 
 
 def card(spec: Spec, figures: Summary) -> str:

@@ -16,6 +16,7 @@ import tyro
 
 from datagen import options
 from datagen.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
+from datagen.command_line import given_arguments
 from datagen.config import Recipe, recipe_names
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError, run_program
 from datagen.spec import read_spec, rendered_recipe_of
@@ -44,9 +45,8 @@ Make images of it:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and give its exit code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
     kept = "Interrupted; finished shards are kept, the same command again goes on."
-    return run_program(PROGRAM, lambda: _run(given), interrupted=kept)
+    return run_program(PROGRAM, lambda: _run(given_arguments(arguments)), interrupted=kept)
 
 
 def _run(arguments: list[str]) -> int:
@@ -95,8 +95,7 @@ def _default_render(arguments: list[str]) -> dict[str, Any]:
 
 
 def _generate(values: Generate) -> int:
-    if values.seed < 0:
-        raise UsageError(f"--seed {values.seed}: expected 0 or more.")
+    options.check_seed(values.seed)
     splits = options.parse_splits(values.scenes, values.split)
     recipe = values.constants.recipe()
     if values.video and not recipe.video:

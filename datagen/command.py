@@ -1,15 +1,18 @@
-"""Where `obpose-datagen` begins: imports take a second, in which Ctrl-C may come."""
+"""Entry point of `obpose-datagen`: answers `--version` at once, and handles Ctrl-C while libraries are imported."""
 
 import sys
 
 from datagen import interrupts
-from datagen.errors import EXIT_INTERRUPTED
+from datagen.command_line import answer_version
+from datagen.errors import EXIT_INTERRUPTED, EXIT_OK
 
 
 def main() -> int:
-    """Run the command; give its exit code."""
+    """Run the command and give its exit code."""
     interrupts.listen()
     try:
+        if answer_version("obpose-datagen"):
+            return EXIT_OK
         from datagen.cli import main as run
     except KeyboardInterrupt:
         print("obpose-datagen: Interrupted before anything was done.", file=sys.stderr)

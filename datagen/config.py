@@ -144,9 +144,9 @@ class Rig:
     """Cameras."""
 
     distance: float = 1.03
-    """From the camera to the point it looks at, metres."""
+    """From the camera to the point it looks at, metres; nothing may come nearer to the camera than 5 cm."""
     elevation: float = 55.0
-    """Degrees that the camera looks down."""
+    """Degrees that the camera looks down; it must stand above the table's top."""
     field_of_view: float = 40.0
     """Horizontal, degrees, of a frame with the aspect of `visibility_resolution`; other images show more than that."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -210,7 +210,7 @@ class Sensor:
     edge_dropout: float = 0.5
     """Share of pixels beside a depth edge that return nothing."""
     grazing_angle: float = 75.0
-    """Degrees between ray and surface normal from which on returns fade."""
+    """Degrees between ray and surface normal from which on returns fade, 0 to 90."""
     dark_reflectance: float = 0.05
     """Linear reflectance below which returns fade."""
     quantisation: float = 0.001
@@ -226,11 +226,11 @@ class Recipe:
     description: str = ""
     """What it is for."""
     frames: int = 10
-    """Frames in a clip."""
+    """Frames in a clip, 1 to 10,000; the limits of all constants are in docs/dataset.md."""
     fps: float = 12.0
     """Frames per second."""
     views: int = 1
-    """Cameras; more than one are spread evenly around the world's z axis."""
+    """Cameras, 1 to 360; more than one are spread evenly around the world's z axis."""
     resolution: tuple[int, int] = (128, 128)
     """Width and height in pixels."""
     least_visible_pixels: int = 20

@@ -1,5 +1,6 @@
 """Making datasets: scenes as a pure function of the spec, in parallel, shard by shard, from wherever a run left off."""
 
+import functools
 import itertools
 import json
 import time
@@ -12,8 +13,8 @@ from typing import Any
 from datagen.card import write_card
 from datagen.config import Recipe, recipe_to_dict
 from datagen.errors import UsageError
-from datagen.folder import begin, settle, write_whole
-from datagen.maker import SceneMaker, make_scene, renderer_identity
+from datagen.folder import filling, settle, write_file
+from datagen.maker import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.manifest import make_manifest
 from datagen.parallel import make_all
 from datagen.progress import Advance, Progress, no_progress
@@ -144,7 +145,7 @@ def render(
         )
     dataset.check_complete()
     spec = render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig, edits=edits)
-    return _fill(folder, spec, source, run)
+    return _fill(folder, spec, Source(source, settings_hash(dataset.spec)), run)
 
 
 def render_spec(
@@ -184,23 +185,25 @@ def regenerate(folder: Path, split: str, index: int) -> list[str]:
     ]
 
 
-def _fill(folder: Path, wanted: Spec, source: Path | None, run: Run) -> Report:
+def _fill(folder: Path, wanted: Spec, source: Source | None, run: Run) -> Report:
     started = time.monotonic()
-    spec = begin(folder, wanted, overwrite=run.overwrite, prove=lambda: _make_first(SceneMaker(wanted, source)))
-    tasks = [task for task in _tasks(folder, spec) if _is_wanted(task, run)]
-    scenes = [(task.split, index) for task in tasks for index in task.todo]
-    maker = SceneMaker(spec, source)
-    progress = run.progress if scenes else no_progress
-    with progress(len(scenes)) as advance, closing(make_all(maker, scenes, run.workers)) as made:
-        for task in tasks:
-            new = [_counted(scene, advance) for scene in itertools.islice(made, len(task.todo))]
-            _write_shard(folder, spec, task, new)
-    # Runs that asked for other numbers of scenes may have been at work in the meantime.
-    spec = settle(folder, spec)
-    complete = not any(task.todo for task in _tasks(folder, spec))
-    seconds = time.monotonic() - started
-    if complete:
-        _finish(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
+    check_memory(wanted)
+    prove = functools.partial(_make_first, SceneMaker(wanted, source))
+    with filling(folder, wanted, overwrite=run.overwrite, prove=prove) as spec:
+        tasks = [task for task in _tasks(folder, spec) if _is_wanted(task, run)]
+        scenes = [(task.split, index) for task in tasks for index in task.todo]
+        maker = SceneMaker(spec, source)
+        progress = run.progress if scenes else no_progress
+        with progress(len(scenes)) as advance, closing(make_all(maker, scenes, run.workers)) as made:
+            for task in tasks:
+                new = [_counted(scene, advance) for scene in itertools.islice(made, len(task.todo))]
+                _write_shard(folder, spec, task, new)
+        # Runs that asked for other numbers of scenes may have been at work in the meantime.
+        spec = settle(folder, spec)
+        complete = not any(task.todo for task in _tasks(folder, spec))
+        seconds = time.monotonic() - started
+        if complete:
+            _finish(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
     return Report(spec, len(scenes), complete, seconds)
 
 
@@ -243,16 +246,14 @@ def _tasks(folder: Path, spec: Spec) -> list[_Task]:
 
 
 def _task(folder: Path, spec: Spec, order: int, split: str, number: int, indices: range) -> _Task:
-    path = folder / shard_name(split, number)
-    kept = _usable_scenes(path, spec) if path.exists() else 0
+    kept = _usable_scenes(folder, spec, split, number) if (folder / shard_name(split, number)).exists() else 0
     return _Task(split, order, number, indices[:kept], indices[kept:])
 
 
-def _usable_scenes(path: Path, spec: Spec) -> int:
+def _usable_scenes(folder: Path, spec: Spec, split: str, number: int) -> int:
     """Scenes of a shard that hold all fields that a new one would hold."""
-    with closing(Shard(path)) as shard:
-        if shard.attributes["settings_hash"] != settings_hash(spec):
-            raise UsageError(f"{path} belongs to another dataset; move it away and run the same command again.")
+    with closing(Shard(folder, spec, split, number)) as shard:
+        shard.check()
         return len(shard) if set(shard.fields) == _fields(spec) else 0
 
 
@@ -261,21 +262,21 @@ def _fields(spec: Spec) -> set[str]:
 
 
 def _write_shard(folder: Path, spec: Spec, task: _Task, new: list[PackedScene]) -> None:
-    path = folder / shard_name(task.split, task.number)
     scenes = new
     if task.kept:
-        with closing(Shard(path)) as shard:
+        with closing(Shard(folder, spec, task.split, task.number)) as shard:
             scenes = [*(shard.packed(row) for row in range(len(task.kept))), *new]
+    settings = settings_hash(spec)
     attributes = {
         "data_version": spec["data_version"],
-        "settings_hash": settings_hash(spec),
+        "settings_hash": settings,
         "split": task.split,
         "first_scene": (task.kept or task.todo).start,
     }
-    write_whole(path, shard_image(scenes, attributes))
+    write_file(folder, shard_name(task.split, task.number), shard_image(scenes, attributes), settings)
 
 
 def _finish(folder: Path, spec: Spec, **run: Any) -> None:
     write_card(folder)
     manifest = make_manifest(folder, spec, **run)
-    write_whole(folder / MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode())
+    write_file(folder, MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode(), settings_hash(spec))

@@ -2,7 +2,8 @@
 
 import dataclasses
 import functools
-from dataclasses import dataclass
+import uuid
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from datagen.config import Recipe
 from datagen.edits import edits_record
 from datagen.edits.stage import stage_of
+from datagen.errors import CorruptFile, UsageError
 from datagen.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
@@ -18,8 +20,12 @@ from datagen.scene import Scene
 from datagen.schema import FIELDS, SPLITS, EditKind, SceneRecord
 from datagen.shapes import build
 from datagen.shard import PackedScene, pack
-from datagen.spec import Spec, edits_of, recipe_of, rendered_recipe_of
+from datagen.spec import Spec, edits_of, recipe_of, rendered_recipe_of, views_of
 from datagen.storage import Dataset, Split
+from datagen.visible_range import check_range
+
+MOST_MEMORY = 4 * 2**30
+"""Bytes that a scene may take while it is made; every worker makes one."""
 
 _SENSOR_STREAM = 1
 _RIG_STREAM = 2
@@ -27,28 +33,85 @@ _EDIT_STREAMS: dict[EditKind, int] = {"remove": 3, "move": 4, "add": 5}
 
 
 @dataclass(frozen=True)
+class Source:
+    """A dataset whose scenes are rendered anew."""
+
+    folder: Path
+    settings: str
+    """Its settings hash."""
+    run: str = field(default_factory=lambda: uuid.uuid4().hex)
+    """Differs from run to run, so that each opens the files anew."""
+
+
+@dataclass(frozen=True)
 class SceneMaker:
     """Makes the scenes of a dataset, ready to be stored, in whatever process it is called."""
 
     spec: Spec
-    source: Path | None = None
+    source: Source | None = None
     """Dataset that the simulation fields are read from; None simulates."""
 
     def __call__(self, split: str, index: int) -> PackedScene:
-        """Make one scene."""
+        """Make one scene.
+
+        Raises:
+            UsageError: another dataset has taken the source's folder.
+            CorruptFile: a scene of the source cannot be read or built.
+        """
         return pack(make_scene(self.spec, split, index, self._source_record(split, index)))
 
     def _source_record(self, split: str, index: int) -> SceneRecord | None:
         if self.source is None:
             return None
-        scenes = _source_split(self.source, self.spec["spec_hash"], split)
-        return scenes.read(index, [name for name in scenes.fields(index) if FIELDS[name].group == "simulation"])
+        scenes = _source_split(self.source, split)
+        names = [name for name in scenes.fields(index) if name in FIELDS and FIELDS[name].group == "simulation"]
+        record = scenes.read(index, names)
+        try:
+            scene_and_trajectory(record)
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise CorruptFile(
+                f"{self.source.folder}, {split} scene {index}: scene/description is damaged ({error}). "
+                "Delete the shard and run the command that made it again."
+            ) from None
+        return record
 
 
 @functools.lru_cache(maxsize=len(SPLITS))
-def _source_split(folder: Path, _spec_hash: str, split: str) -> Split:
+def _source_split(source: Source, split: str) -> Split:
     """A split, kept open from scene to scene."""
-    return Dataset(folder).split(split)
+    scenes = Dataset(source.folder).split(split)
+    if scenes.settings_hash != source.settings:
+        raise UsageError(
+            f"{source.folder} was replaced by another dataset while its scenes were rendered; nothing of it was used. "
+            "Run the command again."
+        )
+    return scenes
+
+
+def check_memory(spec: Spec) -> None:
+    """Check that a scene of a dataset fits into memory while it is made.
+
+    Raises:
+        UsageError: it would take more than `MOST_MEMORY` bytes.
+    """
+    needed = scene_memory(spec)
+    if needed > MOST_MEMORY:
+        raise UsageError(
+            f"A scene would take about {needed / 2**30:.1f} GiB of memory, expected at most {MOST_MEMORY / 2**30:.0f} "
+            "GiB. Lower --frames, --views, --resolution or --objects.maximum, or leave out --edits."
+        )
+
+
+def scene_memory(spec: Spec) -> int:
+    """Bytes that a process holds at most while it makes a scene, measured and rounded up."""
+    recipe = recipe_of(spec)
+    objects, edits = object_rows(recipe), edits_of(spec)
+    width, height = spec["resolution"] or (0, 0)
+    # Removals are rendered at three times the resolution, and keep a mask for each object.
+    finer, masks = (9, 80 + 2 * objects) if "remove" in edits else (1, 0)
+    images = recipe.frames * views_of(spec) * width * height * (40 + 20 * len(edits) + masks)
+    tables = recipe.frames * (48 * (objects + 1) ** 2 + 72 * views_of(spec) * objects)
+    return images + 80 * finer * width * height + tables
 
 
 def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = None) -> SceneRecord:
@@ -71,6 +134,7 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
     shapes = tuple(build(body.shape) for body in scene.bodies)
     renderer = _renderer(spec["renderer"]["name"])
     width, height = spec["resolution"]
+    check_range(scene, shapes, trajectory.world_from_object, (width, height), name=f"{split} scene {index}: ")
     pixels = pixel_record(
         scene,
         shapes,

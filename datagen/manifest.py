@@ -1,16 +1,18 @@
 """The record of a finished dataset, `manifest.json`; all in it but `run` and `versions` follows from the shards."""
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import closing
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from datagen.errors import CorruptFile
+from datagen.safe_io import read_json
 from datagen.schema import SPLITS
 from datagen.shard import Shard
-from datagen.spec import MANIFEST_FILE, Spec, shard_name, shard_ranges
+from datagen.spec import MANIFEST_FILE, Spec, shard_ranges
 
 _PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender")
 
@@ -39,20 +41,21 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     """The manifest of a dataset, None where no run has finished.
 
     Raises:
-        ValueError: the file is damaged.
+        CorruptFile: the file is damaged.
     """
     path = folder / MANIFEST_FILE
-    if not path.exists():
+    try:
+        manifest = read_json(path)
+    except FileNotFoundError:
         return None
-    manifest = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(manifest, dict):
-        raise ValueError(f"it holds {manifest!r:.20}, expected an object")
+        raise CorruptFile(f"{path} is damaged: it holds {manifest!r:.20}, expected an object.")
     return manifest
 
 
 def _split_facts(folder: Path, spec: Spec, split: str) -> dict[str, Any]:
     numbers = range(len(shard_ranges(spec["splits"][split], spec["scenes_per_shard"])))
-    shards = [_shard_facts(folder / shard_name(split, number)) for number in numbers]
+    shards = [_shard_facts(folder, spec, split, number) for number in numbers]
     rejections = sum((shard.pop("rejections") for shard in shards), Counter[str]())
     return {
         "scenes": sum(shard["scenes"] for shard in shards),
@@ -64,20 +67,20 @@ def _split_facts(folder: Path, spec: Spec, split: str) -> dict[str, Any]:
     }
 
 
-def _shard_facts(path: Path) -> dict[str, Any]:
-    shard = Shard(path)
-    rejections = [json.loads(text) for text in shard.column("scene/rejections")]
-    facts = {
-        "file": path.name,
-        "scenes": len(shard),
-        "bytes": path.stat().st_size,
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        "content_hash": _joint_hash(shard.hashes()),
-        "attempts": int(shard.column("scene/attempts").sum()),
-        "rejections": sum((Counter(counts) for counts in rejections), Counter[str]()),
-    }
-    shard.close()
-    return facts
+def _shard_facts(folder: Path, spec: Spec, split: str, number: int) -> dict[str, Any]:
+    with closing(Shard(folder, spec, split, number)) as shard:
+        path = shard.path
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        return {
+            "file": path.name,
+            "scenes": len(shard),
+            "bytes": path.stat().st_size,
+            "sha256": digest,
+            "content_hash": _joint_hash(shard.hashes()),
+            "attempts": int(shard.column("scene/attempts").sum()),
+            "rejections": sum((shard.rejections(row) for row in range(len(shard))), Counter[str]()),
+        }
 
 
 def _joint_hash(hashes: Iterable[str]) -> str:

@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from datagen.errors import UsageError
 from datagen.schema import SceneRecord
+from datagen.spec import groups_of
 from datagen.storage import Dataset, Split
 
 LEAST_TILE = 160
@@ -19,6 +20,9 @@ WIDEST = 2000
 
 SHOWN = 4
 """Scenes that are drawn if nobody says which."""
+
+LONGEST = 655_350
+"""Milliseconds that a GIF may show one image; Pillow makes one of frames that are equal."""
 
 SHEET_ENDINGS = (".png", ".jpg", ".jpeg")
 ANIMATION_ENDINGS = (".gif", ".mp4")
@@ -93,7 +97,8 @@ def save_animation(path: Path, frames: list[Rgb], fps: float) -> None:
         return
     # Pillow's own choice of palette spends its colours on the depth and gives objects those of their neighbours.
     images = [Image.fromarray(frame).quantize(256, Image.Quantize.FASTOCTREE) for frame in frames]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=round(1000 / fps), loop=0)
+    milliseconds = min(round(1000 / fps), LONGEST // len(images))
+    images[0].save(path, save_all=True, append_images=images[1:], duration=milliseconds, loop=0)
 
 
 def colored_depth(depth: Labels, near: float, far: float) -> Rgb:
@@ -137,7 +142,7 @@ def _chosen(scenes: Split, wanted: Sequence[int] | None) -> dict[str, SceneRecor
         raise UsageError("No scene is named; give some, such as --scenes 0 1.")
     if wrong := [index for index in indices if not 0 <= index < len(scenes)]:
         raise UsageError(f"Split {scenes.name} has scenes 0 to {len(scenes) - 1}, but {wrong[0]} was asked for.")
-    fields = [name for name in ("rgb", "depth", "segmentation", "sensor_depth") if name in scenes.fields(indices[0])]
+    fields = ["rgb", "depth", "segmentation", *(["sensor_depth"] if "sensor" in groups_of(scenes.spec) else [])]
     return {f"{scenes.name} scene {index}": scenes.read(index, fields) for index in indices}
 
 

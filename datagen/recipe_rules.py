@@ -1,51 +1,99 @@
-"""What every recipe keeps, so that impossible settings are refused before anything is generated."""
+"""Rules that every recipe keeps, so that impossible settings are refused before anything is generated."""
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 MOST_OBJECTS = 250
 """Ids are bytes, and 0 is the background."""
 
 MOST_STEPS = 10_000
-"""Steps of physics between two frames, 20 seconds at the default step."""
+"""Largest number of steps of physics between two frames, 20 seconds at the default step."""
 
-_POSITIVE = {
-    "frames", "fps", "views", "resolution", "visibility_resolution", "attempts", "minimum", "size_skew", "tries",
-    "half_extent", "workspace_half_extent", "table_size", "distance", "field_of_view", "push_duration",
-}  # fmt: skip
-_NOT_NEGATIVE = {
-    "least_visible_pixels", "shape_pool", "gap", "speed", "drop_height", "spin", "push_start", "jitter", "key", "fill",
-    "ambient", "rolling_friction", "spinning_friction", "rest", "drop", "slide", "roll", "push", "throw",
-    "least_travel", "contact_gap", "rest_speed", "axial_noise", "quantisation",
-}  # fmt: skip
-_RANGES = {
-    "size", "density", "friction", "restitution", "speed", "drop_height", "push_start", "push_duration", "key", "fill",
-    "ambient", "lighting.elevation",
-}  # fmt: skip
-_LIMITS = {
+MOST_STEPS_OF_A_SCENE = 1_000_000
+"""Largest number of steps of physics of a scene, the time in which it settles included."""
+
+_SHARE = (0, 1, "")
+
+LIMITS: dict[str, tuple[int | float, int | float, str]] = {
+    "frames": (1, 10_000, ""),
+    "fps": (0.001, 1000, "frames a second"),
+    "views": (1, 360, ""),
+    "resolution": (1, 4096, "pixels"),
+    "least_visible_pixels": (0, 4096**2, "pixels"),
+    "visibility_resolution": (1, 4096, "pixels"),
+    "attempts": (1, 10_000, ""),
+    "objects.minimum": (1, math.inf, ""),
+    "objects.maximum": (1, math.inf, ""),
     "objects.size": (0.01, 10, "metres"),
     "objects.sizes": (0.01, 10, "metres"),
+    "objects.size_skew": (0.001, 1000, ""),
+    "objects.shape_pool": (0, 500_000, "shapes"),
     "objects.density": (10, 30_000, "kg/m^3"),
     "objects.friction": (0, 5, ""),
-    "objects.restitution": (0, 1, ""),
-    "lighting.elevation": (1, 90, "degrees"),
-    "lighting.softness": (0, 45, "degrees"),
+    "objects.restitution": _SHARE,
+    "layout.stack_share": _SHARE,
+    "layout.center": (-100, 100, "metres"),
+    "layout.half_extent": (0.001, 100, "metres"),
+    "layout.gap": (0, 100, "metres"),
+    "layout.upright_share": _SHARE,
+    "layout.tries": (1, 10_000, ""),
+    "layout.workspace_half_extent": (0.001, 100, "metres"),
+    "layout.table_size": (0.01, 100, "metres"),
+    **dict.fromkeys(
+        (f"motion.weights.{kind}" for kind in ("rest", "drop", "slide", "roll", "push", "throw")), (0, 1e6, "")
+    ),
+    "motion.speed": (0, 100, "m/s"),
+    "motion.drop_height": (0, 10, "metres"),
+    "motion.spin": (0, 1000, "rad/s"),
+    "motion.push_start": (0, 10_000, "seconds"),
+    "motion.push_duration": (0.001, 10_000, "seconds"),
+    "motion.aim_share": _SHARE,
+    "motion.least_travel": (0, 100, "metres"),
+    "motion.contact_gap": (0, 0.02, "metres"),
+    "motion.contact_share": _SHARE,
+    "motion.rest_speed": (0, 100, "m/s"),
+    "appearance.one_hue_share": _SHARE,
+    "appearance.hue_width": _SHARE,
+    "appearance.metal_share": _SHARE,
+    "appearance.pattern_share": _SHARE,
+    "rig.distance": (0.05, 100, "metres"),
     "rig.elevation": (-89.9, 89.9, "degrees"),
     "rig.field_of_view": (1, 170, "degrees"),
+    "rig.target": (-100, 100, "metres"),
+    "rig.azimuth": (-3600, 3600, "degrees"),
+    "rig.jitter": (0, 10, "metres"),
+    "lighting.softness": (0, 45, "degrees"),
+    "lighting.elevation": (1, 90, "degrees"),
+    "lighting.key": (0, 100, ""),
+    "lighting.fill": (0, 100, ""),
+    "lighting.ambient": (0, 100, ""),
     "physics.step": (1e-5, 1 / 120, "seconds"),
     "physics.gravity": (0.1, 100, "m/s^2"),
     "physics.table_friction": (0, 5, ""),
-    "physics.table_restitution": (0, 1, ""),
-    "physics.settle_seconds": (0, 60, "seconds"),
+    "physics.table_restitution": _SHARE,
+    "physics.rolling_friction": (0, 1, "metres"),
+    "physics.spinning_friction": (0, 1, "metres"),
     "physics.deepest_overlap": (0, 0.001, "metres"),
     "physics.deepest_in_motion": (0, 0.01, "metres"),
+    "physics.settle_seconds": (0, 60, "seconds"),
+    "sensor.axial_noise": (0, 0.1, "metres"),
+    "sensor.edge_dropout": _SHARE,
+    "sensor.grazing_angle": (0, 90, "degrees"),
+    "sensor.dark_reflectance": _SHARE,
+    "sensor.quantisation": (0, 0.1, "metres"),
 }
-"""Least and greatest value, and their unit: beyond these the simulator fails, or `verify` would object."""
+"""Least and greatest value of every number of a recipe, and their unit; pairs and lists hold such numbers."""
 
-_SHARES = ("_share", "edge_dropout", "dark_reflectance", "hue_width")
-_COLORS = ("palette", "table_color")
+RANGES = {
+    "objects.size", "objects.density", "objects.friction", "objects.restitution", "motion.speed", "motion.drop_height",
+    "motion.push_start", "motion.push_duration", "lighting.elevation", "lighting.key", "lighting.fill",
+    "lighting.ambient",
+}  # fmt: skip
+"""Pairs of a least and a greatest value."""
+
+_COLORS = ("appearance.palette", "appearance.table_color")
 
 
 def problems(recipe: dict[str, Any]) -> Iterator[str]:
@@ -64,27 +112,41 @@ def constants(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def _problems_of(name: str, value: Any) -> Iterator[str]:
-    leaf = name.rpartition(".")[2]
     values = value if isinstance(value, tuple) else (value,)
-    low, high, unit = _LIMITS.get(name, (-math.inf, math.inf, ""))
-    if not all(math.isfinite(x) for x in values if isinstance(x, float)):
-        yield f"{name} is {value}, expected finite numbers"
-    elif name in _LIMITS and not all(low <= x <= high for x in values):
-        yield f"{name} is {value}, expected {low:.6g} to {high:.6g} {unit}".rstrip()
-    elif leaf in _POSITIVE and not all(x > 0 for x in values):
-        yield f"{name} is {value}, expected more than 0"
-    elif leaf in _NOT_NEGATIVE and not all(x >= 0 for x in values):
-        yield f"{name} is {value}, expected 0 or more"
-    elif {leaf, name} & _RANGES and values[0] > values[-1]:
-        yield f"{name} is {value}, expected the least before the greatest"
-    elif leaf.endswith(_SHARES) and not all(0 <= x <= 1 for x in values):
-        yield f"{name} is {value}, expected 0 to 1"
-    elif leaf in _COLORS and not all(re.fullmatch(r"#[0-9a-fA-F]{6}", x) for x in values if x or leaf == "palette"):
+    if name in LIMITS:
+        low, high, unit = LIMITS[name]
+        if not all(math.isfinite(x) for x in values if isinstance(x, float)):
+            yield f"{name} is {value}, expected finite numbers"
+        elif not all(low <= x <= high for x in values):
+            yield f"{name} is {value}, expected {span(low, high)} {unit}".rstrip()
+        elif name in RANGES and values[0] > values[-1]:
+            yield f"{name} is {value}, expected the least before the greatest"
+    elif name == "appearance.finishes" and not values:
+        yield f"{name} names none, expected at least one"
+    elif name == "objects.categories" and (unknown := set(values) - _categories(values)):
+        names = ", ".join(sorted(_categories(values)))
+        yield f"objects.categories has unknown {', '.join(sorted(unknown))}, expected some of {names}"
+    elif name in _COLORS and not all(re.fullmatch(r"#[0-9a-fA-F]{6}", x) for x in values if x or name == _COLORS[0]):
         yield f"{name} is {value!r}, expected colours such as #ad2323"
 
 
+def span(low: int | float, high: int | float) -> str:
+    """Both ends of a range in words; whole numbers are written out."""
+    least, greatest = (f"{end:,}" if isinstance(end, int) and end >= 10_000 else f"{end:.6g}" for end in (low, high))
+    return f"{least} to {greatest}" if math.isfinite(high) else f"{least} or more"
+
+
+def _categories(wanted: Collection[str]) -> set[str]:
+    """Names of the catalog; it is only imported where a recipe names any."""
+    if not wanted:
+        return set()
+    from datagen.catalog import CATEGORIES
+
+    return set(CATEGORIES)
+
+
 def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
-    """What settings that are possible by themselves are together."""
+    """Settings that are possible by themselves, but not together."""
     objects, layout = recipe["objects"], recipe["layout"]
     if objects["minimum"] > objects["maximum"]:
         yield f"objects.minimum {objects['minimum']} exceeds objects.maximum {objects['maximum']}"
@@ -95,10 +157,47 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
     reach = max(abs(c) + h for c, h in zip(layout["center"], layout["workspace_half_extent"], strict=True))
     if reach > layout["table_size"] / 2:
         yield f"the workspace reaches {reach:.2f} m out, beyond a table of layout.table_size {layout['table_size']} m"
-    steps = 1 / (recipe["fps"] * recipe["physics"]["step"])
-    if steps > MOST_STEPS:
-        yield f"fps {recipe['fps']} takes {steps:.0f} steps of physics.step a frame, expected at most {MOST_STEPS}"
+    width, height = recipe["visibility_resolution"]
+    if recipe["least_visible_pixels"] > width * height:
+        yield (
+            f"least_visible_pixels is {recipe['least_visible_pixels']}, but a frame of visibility_resolution has only "
+            f"{width * height} pixels"
+        )
+    farthest = 2 * math.hypot(*layout["workspace_half_extent"])
+    if recipe["frames"] > 1 and recipe["motion"]["moving"] and recipe["motion"]["least_travel"] > farthest:
+        yield (
+            f"motion.least_travel is {recipe['motion']['least_travel']} m, but the workspace is only {farthest:.2f} m "
+            "from corner to corner"
+        )
     if not any(recipe["motion"]["weights"].values()):
         yield "motion.weights are all 0"
     if unknown := set(recipe["overrides"]) - {name for name, _ in constants(recipe)}:
         yield f"overrides names {', '.join(sorted(unknown))}, which are no constants"
+    yield from _endless(recipe)
+    yield from _below_the_table(recipe["rig"])
+
+
+def _endless(recipe: dict[str, Any]) -> Iterator[str]:
+    """Too many steps of physics."""
+    fps, physics = recipe["fps"], recipe["physics"]
+    steps = 1 / (fps * physics["step"])
+    if steps > MOST_STEPS:
+        yield f"fps {fps} takes {steps:.0f} steps of physics.step a frame, expected at most {MOST_STEPS}"
+        return
+    steps = max(1, math.ceil(steps))
+    total = steps * (recipe["frames"] - 1 + fps * physics["settle_seconds"])
+    if total > MOST_STEPS_OF_A_SCENE:
+        yield (
+            f"frames, fps, physics.step and physics.settle_seconds take {total:,.0f} steps a scene, expected at most "
+            f"{MOST_STEPS_OF_A_SCENE:,}"
+        )
+
+
+def _below_the_table(rig: dict[str, Any]) -> Iterator[str]:
+    """Cameras below the table's top, which could only show its underside."""
+    height = rig["target"][2] + rig["distance"] * math.sin(math.radians(rig["elevation"]))
+    if height <= 0:
+        yield (
+            f"rig.target, rig.distance and rig.elevation put the cameras at a height of {100 * height:.1f} cm above "
+            "the table's top, expected more than 0; raise rig.elevation or the third number of rig.target"
+        )

@@ -16,6 +16,8 @@ from datagen.schema import SceneRecord, encode_depth
 from datagen.sensor import sense
 from datagen.shapes.shape import Shape
 
+_FARTHEST = 1e6
+"""Largest value of a pose or velocity."""
 _POSES = ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity")
 
 
@@ -54,11 +56,18 @@ def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
     """The scene and trajectory that a record was made of.
 
     Raises:
-        ValueError, KeyError or TypeError: its description is not that of a scene.
+        ValueError, KeyError or TypeError: its description is not that of a scene, or does not fit its poses.
     """
     scene = scene_from_json(record["scene/description"].item().decode())
-    rows = len(scene.bodies)
+    rows, frames = len(scene.bodies), len(record["poses/position"])
+    if rows != record["objects/count"] or scene.frames != frames:
+        raise ValueError(
+            f"it has {rows} objects in {scene.frames} frames, but there are poses of {record['objects/count']} objects "
+            f"in {frames} frames"
+        )
     poses = {name: record[f"poses/{name}"][:, :rows] for name in _POSES}
+    if wrong := [name for name, values in poses.items() if not np.all(np.abs(values) <= _FARTHEST)]:
+        raise ValueError(f"poses/{wrong[0]} holds values that are not finite, or beyond {_FARTHEST:g}")
     gap, impulse = (record[f"contacts/{name}"][:, : rows + 1, : rows + 1] for name in ("gap", "impulse"))
     return scene, Trajectory(**poses, contact_gap=gap, contact_impulse=impulse)
 

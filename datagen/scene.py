@@ -7,12 +7,22 @@ together are all that a renderer needs.
 import dataclasses
 import json
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from datagen.geometry import intrinsics, look_at, rigid
+from datagen.safe_io import parse_json
+
+_MOST = 1e6
+"""Largest number in the description of a scene."""
+_MOST_FORCE = 1e13
+"""Largest force in newton: recipes allow objects of 10 m and 30,000 kg/m^3 that reach 100 m/s in a millisecond."""
+_MOST_PARAMETER = 10
+"""Largest number in the parameters of a shape: metres, or how many parts it has; recipes allow no larger objects."""
+_MOST_PARAMETERS = 1000
+"""Largest number of values of a shape's parameter."""
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -187,39 +197,100 @@ def scene_from_json(text: str) -> Scene:
     Raises:
         ValueError, KeyError or TypeError: the text is not the description of a scene.
     """
-    data = json.loads(text)
+    data = parse_json(text)
     return Scene(
         bodies=tuple(_body(body) for body in data["bodies"]),
-        table=Table(data["table"]["size"], _material(data["table"]["material"])),
+        table=Table(_number(data["table"]["size"]), _material(data["table"]["material"])),
         cameras=tuple(
-            Camera(tuple(c["position"]), tuple(c["target"]), c["field_of_view"], c["aspect"]) for c in data["cameras"]
+            Camera(
+                _numbers(c["position"], 3), _numbers(c["target"], 3), _number(c["field_of_view"]), _number(c["aspect"])
+            )
+            for c in data["cameras"]
         ),
         lights=tuple(
-            Light(tuple(x["direction"]), tuple(x["radiance"]), x["angular_radius"], x["casts_shadow"])
+            Light(
+                _numbers(x["direction"], 3),
+                _numbers(x["radiance"], 3),
+                _number(x["angular_radius"]),
+                bool(x["casts_shadow"]),
+            )
             for x in data["lights"]
         ),
-        ambient=tuple(data["ambient"]),
-        backdrop=tuple(data["backdrop"]),
-        frames=data["frames"],
-        fps=data["fps"],
+        ambient=_numbers(data["ambient"], 3),
+        backdrop=_numbers(data["backdrop"], 3),
+        frames=int(_number(data["frames"])),
+        fps=_number(data["fps"]),
     )
 
 
 def _body(data: dict[str, Any]) -> Body:
-    vectors = {
-        name: tuple(data[name]) for name in ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity")
-    }
+    sizes = {"position": 3, "quaternion_wxyz": 4, "linear_velocity": 3, "angular_velocity": 3}
+    numbers = {name: _number(data[name]) for name in ("density", "friction", "restitution")}
+    rows = {name: data[name] if data[name] is None else int(_number(data[name])) for name in ("touches", "shape_id")}
     push = data["push"]
     return Body(
         **{
             **data,
-            **vectors,
-            "shape": ShapeSpec(**data["shape"]),
+            **rows,
+            **{name: _numbers(data[name], size) for name, size in sizes.items()},
+            **numbers,
+            "category": _word(data["category"]),
+            "shape": _shape(data["shape"]),
             "material": _material(data["material"]),
-            "push": push and Push(push["start"], push["duration"], tuple(push["force"])),
+            "motion": _one_of(data["motion"], Motion),
+            "push": push and _push(push),
         }
     )
 
 
+def _push(data: dict[str, Any]) -> Push:
+    return Push(_number(data["start"]), _number(data["duration"]), _numbers(data["force"], 3, _MOST_FORCE))
+
+
+def _shape(data: dict[str, Any]) -> ShapeSpec:
+    spec = ShapeSpec(**data)
+    _word(spec.family)
+    for value in spec.parameters.values():
+        _check_parameter(value)
+    return spec
+
+
+def _check_parameter(value: Any) -> None:
+    if isinstance(value, list):
+        if len(value) > _MOST_PARAMETERS:
+            raise ValueError(f"a parameter of a shape has {len(value)} values, expected at most {_MOST_PARAMETERS}")
+        for item in value:
+            _check_parameter(item)
+    elif not isinstance(value, str):
+        _number(value, _MOST_PARAMETER)
+
+
 def _material(data: dict[str, Any]) -> Material:
-    return Material(**{**data, **{name: tuple(data[name]) for name in ("color", "color2", "axis")}})
+    numbers = {name: _number(data[name]) for name in ("period", "roughness", "metalness")}
+    vectors = {name: _numbers(data[name], 3) for name in ("color", "color2", "axis")}
+    names = {"name": _word(data["name"]), "pattern": _one_of(data["pattern"], Pattern)}
+    return Material(**{**data, **numbers, **vectors, **names})
+
+
+def _number(value: Any, most: int | float = _MOST) -> Any:
+    if type(value) not in (int, float) or not abs(value) <= most:
+        raise ValueError(f"it holds {value!r:.40}, expected a number up to {most:g}")
+    return value
+
+
+def _numbers(values: Any, count: int, most: int | float = _MOST) -> Any:
+    if type(values) is not list or len(values) != count:
+        raise ValueError(f"it holds {values!r:.40}, expected {count} numbers")
+    return tuple(_number(value, most) for value in values)
+
+
+def _word(value: Any) -> str:
+    if type(value) is not str:
+        raise ValueError(f"it holds {value!r:.40}, expected a text")
+    return value
+
+
+def _one_of(value: Any, literal: Any) -> Any:
+    if value not in get_args(literal):
+        raise ValueError(f"it holds {value!r:.40}, expected one of {', '.join(get_args(literal))}")
+    return value

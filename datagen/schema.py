@@ -143,6 +143,11 @@ _FIELDS = [
     *_edit("add", "object that there is a copy of", "where the object is to where its copy is, the same in all frames", "ids of the edited scene; the copy's is objects/count plus 1"),
 ]  # fmt: skip
 
+_LENGTHS = {"3": 3, "4": 4, "8": 8, "2": 2, "channel": 3}
+"""Lengths of axes that are the same in every dataset."""
+_MOST = {"object": 255, "light": 255, "byte": 32}
+"""Greatest lengths of axes whose lengths a spec does not say."""
+
 FIELDS: dict[str, Field] = {row[0]: _field(*row) for row in _FIELDS}
 
 
@@ -159,25 +164,40 @@ def validate(record: Mapping[str, np.ndarray], groups: tuple[str, ...]) -> None:
     wanted = {name for name, field in FIELDS.items() if field.group in groups}
     if missing := sorted(wanted - set(record)):
         raise SchemaError(f"Fields are missing: {', '.join(missing)}.")
-    sizes: dict[str, int] = {"3": 3, "4": 4, "8": 8, "2": 2, "channel": 3}
+    lengths: dict[str, int] = {}
     for name, array in record.items():
         if name not in FIELDS:
             raise SchemaError(f"Field {name} is not part of format {FORMAT_VERSION}.")
-        _check(FIELDS[name], np.asarray(array), sizes)
+        stored = np.asarray(array)
+        check_field(FIELDS[name], stored.dtype, stored.shape, lengths)
 
 
-def _check(field: Field, array: np.ndarray, sizes: dict[str, int]) -> None:
+def check_field(field: Field, dtype: np.dtype, shape: tuple[int, ...], lengths: dict[str, int]) -> None:
+    """Check type and axes of one scene's array.
+
+    Args:
+        field: What it should be.
+        dtype: Its type.
+        shape: Its shape.
+        lengths: Lengths of the axes that are known from elsewhere; those of other axes are added.
+
+    Raises:
+        SchemaError: names the field and what is wrong with it.
+    """
     if field.dtype == "S":
-        if array.dtype.kind != "S":
-            raise SchemaError(f"Field {field.name} has dtype {array.dtype}, expected fixed-length bytes.")
-    elif array.dtype != np.dtype(field.dtype):
-        raise SchemaError(f"Field {field.name} has dtype {array.dtype}, expected {field.dtype}.")
-    if array.ndim != len(field.axes):
-        raise SchemaError(f"Field {field.name} has shape {array.shape}, expected axes {' '.join(field.axes)}.")
-    for axis, length in zip(field.axes, array.shape, strict=True):
+        if dtype.kind != "S":
+            raise SchemaError(f"Field {field.name} has dtype {dtype}, expected fixed-length bytes.")
+    elif dtype != np.dtype(field.dtype):
+        raise SchemaError(f"Field {field.name} has dtype {dtype}, expected {field.dtype}.")
+    if len(shape) != len(field.axes):
+        raise SchemaError(f"Field {field.name} has shape {shape}, expected axes {' '.join(field.axes)}.")
+    for axis, length in zip(field.axes, shape, strict=True):
         base, extra = ("object", 1) if axis == "object+1" else (axis, 0)
-        if sizes.setdefault(base, length - extra) + extra != length:
-            raise SchemaError(f"Field {field.name}: axis {axis} has length {length}, expected {sizes[base] + extra}.")
+        expected = _LENGTHS[base] if base in _LENGTHS else lengths.setdefault(base, length - extra)
+        if expected + extra != length:
+            raise SchemaError(f"Field {field.name}: axis {axis} has length {length}, expected {expected + extra}.")
+        if expected > _MOST.get(base, expected):
+            raise SchemaError(f"Field {field.name}: axis {axis} has length {length}, expected at most {_MOST[base]}.")
 
 
 def scene_hash(record: Mapping[str, np.ndarray]) -> str:

@@ -9,19 +9,32 @@ from jaxtyping import Float, Int
 
 from datagen import shapes as shape_families
 from datagen.config import Recipe
-from datagen.errors import ImpossibleScene
+from datagen.errors import ImpossibleScene, UsageError
 from datagen.physics import World
 from datagen.render import make_renderer
+from datagen.render.renderer import NEAREST
 from datagen.sampling import Rejected, sample_scene
+from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Scene, Trajectory
-from datagen.schema import SPLITS
+from datagen.schema import MAX_DEPTH, SPLITS
 from datagen.shapes.shape import Shape
+from datagen.visible_range import near_object, table_fault
 
 _DENSEST = 0.6
 """Share of a region that discs dropped at random places can fill before there is no place left."""
 
 _LAYERS = 4
 """Where objects may lie on each other: how many times over they may cover the region."""
+
+_LEAST_TRIED = 20
+"""Scenes that are drawn before a recipe may count as hopeless."""
+
+_DEVIATIONS = 2.5
+"""Standard deviations by which the objects that fit must fall short of `objects.minimum` for that: no more than one
+draw in 160 would fit by chance."""
+
+_CAUTION = 3.0
+"""Standard errors by which the number of these standard deviations is lowered, since it is measured on few draws."""
 
 _REMEDIES = {
     "crowded": "no free place: lower --objects.maximum or enlarge --layout.half-extent",
@@ -34,6 +47,8 @@ _REMEDIES = {
     "restless": "objects do not come to rest: raise --physics.settle-seconds",
     "hidden": "an object shows too few pixels: lower --least-visible-pixels or bring the camera closer",
     "still": "nothing moves far enough: raise --motion.speed",
+    "near": f"a camera comes within {100 * NEAREST:.0f} cm of an object or the table, or sees the table from beyond "
+    f"{MAX_DEPTH:.4f} m: change --rig.distance or lower --rig.jitter",
 }
 
 
@@ -54,13 +69,15 @@ def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulat
     """Scene `index` of a split, a pure function of its arguments and `DATA_VERSION`.
 
     Raises:
-        ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws.
-        UsageError: PyBullet is not installed.
+        ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws, or they came nowhere near.
+        UsageError: the cameras cannot show the table, or PyBullet is not installed.
     """
     rng = np.random.default_rng([seed, SPLITS.index(split), index, 0])
     part = recipe.for_scene(index)
     check_room(part)
+    check_rig(part)
     rejections: Counter[str] = Counter()
+    fitting: list[int] = []
     for attempt in range(1, recipe.attempts + 1):
         try:
             scene = sample_scene(part, rng, split, index)
@@ -68,9 +85,27 @@ def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulat
             trajectory = _trajectory(part, scene, shapes)
         except Rejected as rejection:
             rejections[rejection.reason] += 1
+            if rejection.fitting is not None:
+                fitting.append(rejection.fitting)
+            if is_hopeless(fitting, part.objects.minimum):
+                break
             continue
         return Simulated(scene, shapes, trajectory, attempt, dict(rejections))
-    raise ImpossibleScene(_explain(part, split, index, rejections))
+    raise ImpossibleScene(_explain(part, split, index, rejections, fitting))
+
+
+def is_hopeless(fitting: Sequence[int], least: int) -> bool:
+    """Whether scenes with `least` objects that all have a place in view are out of reach.
+
+    Args:
+        fitting: For each scene that was drawn in vain, the number of its objects that had a place in view.
+        least: Number of objects that a scene must have.
+    """
+    if len(fitting) < _LEAST_TRIED or max(fitting) > least - 2:
+        return False
+    # Counts are whole numbers, so that a few equal ones do not prove that there is no variation.
+    short = (least - np.mean(fitting)) / max(np.std(fitting), 0.5)
+    return bool(short * (1 - _CAUTION / np.sqrt(2 * len(fitting))) >= _DEVIATIONS)
 
 
 def _trajectory(recipe: Recipe, scene: Scene, shapes: Sequence[Shape]) -> Trajectory:
@@ -78,7 +113,19 @@ def _trajectory(recipe: Recipe, scene: Scene, shapes: Sequence[Shape]) -> Trajec
         check_start(recipe, scene, shapes, world.start())
         trajectory = world.run()
     check_course(recipe, trajectory)
+    # Last, so that it changes neither the draws nor the rejections of scenes that keep it.
+    _check_range(recipe, scene, shapes, trajectory)
     return trajectory
+
+
+def _check_range(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], trajectory: Trajectory) -> None:
+    """All that the cameras show of their frame lies in the range of depths of renderers and format."""
+    size = recipe.visibility_resolution
+    for camera in scene.cameras:
+        if table_fault(camera, scene.table.size, *size):
+            raise Rejected("near")
+        if near_object(camera, shapes, trajectory.world_from_object, *size):
+            raise Rejected("near")
 
 
 def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Trajectory) -> None:
@@ -96,8 +143,9 @@ def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Tr
                 raise Rejected("unmet")
     if not recipe.motion.moving and np.max(_surface_speed(start, shapes)) > recipe.motion.rest_speed:
         raise Rejected("restless")
-    if np.min(visible_pixels(recipe, scene, shapes, start.world_from_object[0])) < recipe.least_visible_pixels:
-        raise Rejected("hidden")
+    visible = visible_pixels(recipe, scene, shapes, start.world_from_object[0])
+    if np.min(visible) < recipe.least_visible_pixels:
+        raise Rejected("hidden", fitting=int(np.count_nonzero(visible >= recipe.least_visible_pixels)))
 
 
 def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
@@ -121,8 +169,10 @@ def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
 
 def _check_workspace(recipe: Recipe, trajectory: Trajectory) -> None:
     away = np.abs(trajectory.position[..., :2] - np.array(recipe.layout.center))
-    if not np.all(away < np.array(recipe.layout.workspace_half_extent)):
-        raise Rejected("left")
+    inside = np.all(away < np.array(recipe.layout.workspace_half_extent), axis=(0, 2))
+    if not np.all(inside):
+        # Objects that leave later had a place at the start.
+        raise Rejected("left", fitting=int(np.count_nonzero(inside)) if len(trajectory.position) == 1 else None)
 
 
 def _surface_speed(start: Trajectory, shapes: Sequence[Shape]) -> np.ndarray:
@@ -166,6 +216,34 @@ def check_room(recipe: Recipe) -> None:
         )
 
 
-def _explain(recipe: Recipe, split: str, index: int, rejections: Counter[str]) -> str:
+def check_rig(recipe: Recipe) -> None:
+    """Refuse at once cameras that cannot show the table; those with jitter are checked scene by scene.
+
+    Raises:
+        UsageError: says what would have to change.
+    """
+    if recipe.rig.jitter:
+        return
+    for view, camera in enumerate(sample_cameras(recipe, np.random.default_rng(0))):
+        if fault := table_fault(camera, recipe.layout.table_size, *recipe.visibility_resolution):
+            raise UsageError(
+                f"Recipe {recipe.name!r}: camera {view} {fault}. Change --rig.distance, --rig.elevation, --rig.target "
+                "or --rig.field-of-view."
+            )
+
+
+def _explain(recipe: Recipe, split: str, index: int, rejections: Counter[str], fitting: Sequence[int]) -> str:
+    draws = rejections.total()
     reasons = "; ".join(f"{count} times {_REMEDIES[reason]}" for reason, count in rejections.most_common())
-    return f"Recipe {recipe.name!r}, {split} scene {index}: no scene in {recipe.attempts} attempts. {reasons}."
+    text = f"Recipe {recipe.name!r}, {split} scene {index}: no scene in {draws} attempts. {reasons}."
+    if draws == recipe.attempts:
+        return text
+    remedies = {
+        "hidden": "let the cameras see more with --rig.distance or --rig.target",
+        "left": "enlarge --layout.workspace-half-extent",
+    }
+    remedy = remedies.get(rejections.most_common(1)[0][0], "enlarge --layout.half-extent")
+    return (
+        f"{text} No more than {max(fitting)} of at least {recipe.objects.minimum} objects had a place in view, and "
+        f"further attempts are hopeless; lower --objects.minimum and --objects.maximum or --objects.size, or {remedy}."
+    )

@@ -13,24 +13,38 @@ The spec is a plain dict:
     spec_hash ....... SHA-256 of all this: the dataset's identity
 """
 
+import functools
 import hashlib
 import json
-from collections.abc import Callable, Collection, Mapping
+import math
+import os
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
+from datagen.safe_io import MOST_ARRAY_BYTES, brief_reason, read_json
 from datagen.schema import DATA_VERSION, EDITS, FORMAT_VERSION, GENERATOR, SPLITS, EditKind
 
 SPEC_FILE = "dataset.json"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "README.md"
 
+MOST_SCENES = 1_000_000
+"""Largest number of scenes of a split."""
+
 _MOST_SCENES_PER_SHARD = 64
 _MOST_BYTES_PER_SHARD = 2**30
+_MOST_PIXELS = MOST_ARRAY_BYTES // 3
+"""Largest number of pixels of a scene: its colours are read as one array."""
 _BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
 _BYTES_PER_EDITED_PIXEL = 7  # rgb, depth, segmentation, effects
+
+_LONGEST_NAME = 1000
+_MEND = "Restore it, or delete it and run the command that made the dataset again, which rebuilds it from the shards."
 
 Spec = dict[str, Any]
 
@@ -46,10 +60,8 @@ def make_spec(
     edits: Collection[EditKind] = (),
 ) -> Spec:
     """The spec of a dataset; `recipe` and `rig` as plain values."""
-    views = rig["views"] if rig else recipe["views"]
-    width, height = resolution or (0, 0)
-    pixel_bytes = _BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL
-    scene_bytes = recipe["frames"] * views * width * height * pixel_bytes
+    pixels = _pixels(recipe, rig, resolution)
+    scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL)
     spec = {
         "format_version": FORMAT_VERSION,
         "data_version": DATA_VERSION,
@@ -67,6 +79,11 @@ def make_spec(
         spec["edits"] = [kind for kind in EDITS if kind in edits]
     spec = json.loads(json.dumps(spec))
     return {**spec, "spec_hash": _digest(spec)}
+
+
+def _pixels(recipe: Mapping[str, Any], rig: Mapping[str, Any] | None, resolution: Sequence[int] | None) -> int:
+    """Number of pixels of all images of a scene."""
+    return recipe["frames"] * (rig or recipe)["views"] * math.prod(resolution or (0, 0))
 
 
 def with_splits(spec: Spec, splits: Mapping[str, int]) -> Spec:
@@ -105,6 +122,14 @@ def shard_name(split: str, number: int) -> str:
     return f"{split}-{number:05d}.h5"
 
 
+def shard_numbers(folder: Path, split: str) -> list[int]:
+    """Numbers of the shards of a split that are in a folder, in their order; none if it is no folder."""
+    names = os.listdir(folder) if folder.is_dir() else []
+    matches = (re.fullmatch(rf"{split}-(\d{{5,18}})\.h5", name) for name in names)
+    numbers = sorted({int(match[1]) for match in matches if match})
+    return [number for number in numbers if shard_name(split, number) in names]
+
+
 def shard_ranges(scenes: int, per_shard: int) -> list[range]:
     """Indices of the scenes of each shard of a split."""
     return [range(start, min(start + per_shard, scenes)) for start in range(0, scenes, per_shard)]
@@ -119,25 +144,32 @@ def read_spec(folder: Path) -> Spec:
     """
     path = folder / SPEC_FILE
     try:
-        spec = json.loads(path.read_text(encoding="utf-8"))
+        spec = read_json(path)
     except (FileNotFoundError, NotADirectoryError):
-        raise UsageError(
-            f"{folder} holds no dataset: it has no {SPEC_FILE}; give a folder made by {GENERATOR}."
-        ) from None
-    except ValueError as error:
-        raise CorruptFile(
-            f"{path} is damaged ({error}); restore it, or make the dataset anew with --overwrite."
-        ) from None
+        raise UsageError(f"{folder} holds no dataset: {_missing_spec(folder)}") from None
+    except CorruptFile as error:
+        raise CorruptFile(f"{error} {_MEND}") from None
     if not isinstance(spec, dict) or spec.get("generator") != GENERATOR:
         raise UsageError(f"{path} was not written by {GENERATOR}; give a folder made by it.")
     if spec.get("format_version") != FORMAT_VERSION:
-        found = spec.get("format_version")
+        found = f"{spec.get('format_version')!r:.20}"
         raise UsageError(f"{path} has format version {found}, this program reads {FORMAT_VERSION}; update the program.")
     if spec.get("spec_hash") != _digest({key: value for key, value in spec.items() if key != "spec_hash"}):
-        raise CorruptFile(f"{path} was changed after it was written: its spec_hash does not fit; restore the original.")
+        raise CorruptFile(f"{path} was changed after it was written: its spec_hash does not fit. {_MEND}")
     if wrong := [key for key, fits in _FITS.items() if not _holds(fits, spec.get(key))]:
-        raise CorruptFile(f"{path} is no spec: {', '.join(wrong)} missing or malformed; restore the original.")
+        raise CorruptFile(f"{path} is no spec: {', '.join(wrong)} missing or malformed. {_MEND}")
+    if _pixels(spec["recipe"], spec["rig"], spec["resolution"]) > _MOST_PIXELS:
+        raise CorruptFile(f"{path} is no spec: its scenes have more than {_MOST_PIXELS:,} pixels. {_MEND}")
     return spec
+
+
+def _missing_spec(folder: Path) -> str:
+    if shards := [shard_name(split, number) for split in SPLITS for number in shard_numbers(folder, split)]:
+        return (
+            f"{SPEC_FILE} is missing beside {', '.join(shards[:3])}{', ...' * (len(shards) > 3)}. Run the command that "
+            "made these shards again, which rebuilds it from them."
+        )
+    return f"it has no {SPEC_FILE}; give a folder made by {GENERATOR}."
 
 
 def edits_of(spec: Spec) -> tuple[EditKind, ...]:
@@ -148,6 +180,13 @@ def edits_of(spec: Spec) -> tuple[EditKind, ...]:
 def views_of(spec: Spec) -> int:
     """Number of cameras of a dataset of this spec: of the rig that it was rendered with, or else of its recipe."""
     return (spec["rig"] or spec["recipe"])["views"]
+
+
+def lengths_of(spec: Spec) -> dict[str, int]:
+    """Lengths of those axes of `schema.FIELDS` that a spec decides."""
+    width, height = spec["resolution"] or (0, 0)
+    images = {"width": width, "height": height} if spec["resolution"] else {}
+    return {"frame": spec["recipe"]["frames"], "view": views_of(spec), **images}
 
 
 def groups_of(spec: Spec) -> tuple[str, ...]:
@@ -166,9 +205,37 @@ def recipe_of(spec: Spec) -> Recipe:
         CorruptFile: a constant is of another kind than it should be.
     """
     try:
-        return recipe_from_dict(spec["recipe"])
-    except (TypeError, ValueError, AttributeError) as error:
-        raise CorruptFile(f"{SPEC_FILE} holds no recipe ({error}); restore the original.") from None
+        recipe = recipe_from_dict(spec["recipe"])
+    except UsageError as error:
+        raise UsageError(f"{SPEC_FILE} holds a recipe that this version does not take: {error}") from None
+    except (TypeError, ValueError, KeyError, IndexError, AttributeError, ArithmeticError) as error:
+        raise CorruptFile(f"{SPEC_FILE} holds no recipe ({brief_reason(error)}); restore the original.") from None
+    if wrong := list(_mistyped(recipe)):
+        raise CorruptFile(f"{SPEC_FILE} holds no recipe ({wrong[0]} has another type); restore the original.")
+    return recipe
+
+
+def _mistyped(values: Any, prefix: str = "") -> Iterator[str]:
+    """Names of the constants that are of another type than a recipe's."""
+    for name, hint in _hints(type(values)).items():
+        value = getattr(values, name)
+        if is_dataclass(value) and isinstance(value, hint):
+            yield from _mistyped(value, f"{prefix}{name}.")
+        elif not _is_of(value, hint):
+            yield prefix + name
+
+
+_hints = functools.cache(get_type_hints)
+
+
+def _is_of(value: Any, hint: Any) -> bool:
+    kind, parts = get_origin(hint), get_args(hint)
+    if kind is Literal:
+        return value in parts
+    if kind is tuple:
+        hints = parts[:1] * len(value) if parts[-1] is ... else parts
+        return type(value) is tuple and len(value) == len(hints) and all(map(_is_of, value, hints))
+    return type(value) in ((int, float) if hint is float else (hint,))
 
 
 def rendered_recipe_of(spec: Spec) -> Recipe:
@@ -179,27 +246,48 @@ def rendered_recipe_of(spec: Spec) -> Recipe:
 def _holds(fits: Callable[[Any], bool], value: Any) -> bool:
     try:
         return fits(value)
-    except (TypeError, ValueError, KeyError):
+    except (TypeError, ValueError, KeyError, AttributeError, ArithmeticError):
         return False
 
 
-def _is_number(value: Any, least: int = 0) -> bool:
-    return type(value) is int and value >= least
+def _is_number(value: Any, least: int = 0, most: int | float = math.inf) -> bool:
+    return type(value) is int and least <= value <= most
+
+
+def _is_name(value: Any) -> bool:
+    return type(value) is str and len(value) <= _LONGEST_NAME and value.isprintable()
+
+
+def _is_size(value: Any) -> bool:
+    return type(value) is list and len(value) == 2 and all(_is_number(side, 1, _MOST_PIXELS) for side in value)
 
 
 def _has_views(values: Mapping[str, Any]) -> bool:
-    return _is_number(values["views"], 1)
+    return _is_number(values["views"], 1, _MOST_PIXELS)
+
+
+def _is_recipe(recipe: Mapping[str, Any]) -> bool:
+    return (
+        all(_is_name(name) for name in (recipe["name"], recipe["description"], *recipe["parts"]))
+        and _is_number(recipe["frames"], 1, _MOST_PIXELS)
+        and _has_views(recipe)
+        and _is_size(recipe["resolution"])
+        and 0.001 <= recipe["fps"] <= 1e6
+        and _is_number(recipe["objects"]["maximum"], 1, 255)
+        and type(recipe["sensor"]["enabled"]) is bool
+    )
 
 
 _FITS: dict[str, Callable[[Any], bool]] = {
-    "recipe": lambda recipe: _is_number(recipe["frames"], 1) and _has_views(recipe),
+    "data_version": lambda version: _is_number(version, 1),
+    "recipe": _is_recipe,
     "seed": _is_number,
-    "resolution": lambda size: size is None or (len(size) == 2 and all(_is_number(side, 1) for side in size)),
-    "renderer": lambda renderer: renderer is None or type(renderer["name"]) is str,
-    "rig": lambda rig: rig is None or _has_views(rig),
-    "scenes_per_shard": lambda scenes: _is_number(scenes, 1),
-    "splits": lambda splits: all(_is_number(splits[name]) for name in SPLITS),
-    "edits": lambda edits: edits is None or set(edits) <= set(EDITS),
+    "resolution": lambda size: size is None or _is_size(size),
+    "renderer": lambda renderer: renderer is None or (_is_name(renderer["name"]) and _is_number(renderer["version"])),
+    "rig": lambda rig: rig is None or (_has_views(rig) and type(rig["rig"]) is dict),
+    "scenes_per_shard": lambda scenes: _is_number(scenes, 1, MOST_SCENES),
+    "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
+    "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
 }
 """What reading a dataset relies on, key by key."""
 
@@ -216,4 +304,4 @@ def _differences(old: Any, new: Any, where: str) -> list[str]:
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [*old, *(key for key in new if key not in old)]
         return [line for key in keys for line in _differences(old.get(key), new.get(key), f"{where}.{key}".lstrip("."))]
-    return [] if old == new else [f"{where}: {json.dumps(old)} -> {json.dumps(new)}"]
+    return [] if old == new else [f"{where}: {json.dumps(old):.100} -> {json.dumps(new):.100}"]

@@ -1,7 +1,6 @@
 """What is in a dataset, in figures."""
 
 import itertools
-import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -9,10 +8,11 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from datagen.errors import UsageError
-from datagen.schema import FIELDS, SceneRecord, decode_depth
+from datagen.schema import SceneRecord, decode_depth
 from datagen.storage import Dataset
 
 MOVES = 0.005
@@ -36,8 +36,21 @@ _SMALL = (
     "contacts/gap",
     "contacts/impulse",
     "scene/attempts",
-    "scene/rejections",
 )
+_TABLE = (
+    "objects/count",
+    "objects/category",
+    "objects/motion",
+    "objects/size",
+    "objects/color",
+    "objects/pattern",
+    "objects/material",
+    "objects/mass",
+    "poses/position",
+    "contacts/gap",
+    "scene/attempts",
+)
+_VISIBILITY = "visibility/visible_fraction"
 
 
 def summary(folder: str | Path) -> Summary:
@@ -48,8 +61,8 @@ def summary(folder: str | Path) -> Summary:
     """
     dataset = Dataset(folder)
     dataset.check_complete()
-    records = {split: _read(dataset, split, _SMALL) for split in dataset.splits}
-    figures = {**_facts(dataset), **_contents([record for part in records.values() for record in part])}
+    records = [record for split in dataset.splits for record in _read(dataset, split, _SMALL)]
+    figures = {**_facts(dataset), **_contents(records, _rejections(dataset))}
     return {**figures, **_pixels(dataset)} if dataset.spec["resolution"] else figures
 
 
@@ -59,9 +72,9 @@ def run(folder: str | Path) -> None:
     Raises:
         DatagenError: the folder holds no complete dataset.
     """
-    table = Table("figure", "value", title=str(folder), title_style="bold")
+    table = Table("figure", "value", title=escape(str(folder)), title_style="bold")
     for name, value in summary(folder).items():
-        table.add_row(name.replace("_", " "), _text(value))
+        table.add_row(name.replace("_", " "), escape(_text(value)))
     Console().print(table)
 
 
@@ -75,29 +88,27 @@ def inspect(folder: str | Path, split: str, scene: int) -> None:
     scenes = Dataset(folder).split(split)
     if not 0 <= scene < len(scenes):
         raise UsageError(f"Split {split} has scenes 0 to {len(scenes) - 1}, but {scene} was asked for.")
-    record = scenes.read(scene, [name for name in scenes.fields(scene) if not _is_image(name)])
+    record = scenes.read(scene, [*_TABLE, *({_VISIBILITY} & set(scenes.fields(scene)))])
     console = Console(width=max(Console().width, 120))
     console.print(object_table(record, f"{folder}: {split} scene {scene}"))
-    console.print(f"attempts {record['scene/attempts']}   contacts (gap < 5 mm): {_contacts(record)}")
-    console.print(f"hash {scenes.hash(scene)}", soft_wrap=True)
+    console.print(f"attempts {record['scene/attempts']}   contacts (gap < 5 mm): {_contacts(record)}", markup=False)
+    console.print(f"hash {scenes.hash(scene)}", soft_wrap=True, markup=False)
 
 
 def object_table(record: SceneRecord, title: str) -> Table:
     """One scene's objects, one a row."""
     columns = ["id", "category", "size (cm)", "colour", "pattern", "material", "mass (g)", "motion", "path (cm)"]
-    table = Table(*columns, "visible", title=title, title_style="bold")
+    table = Table(*columns, "visible", title=escape(title), title_style="bold")
     for row in range(int(record["objects/count"])):
         size = " x ".join(f"{100 * side:.1f}" for side in record["objects/size"][row])
-        color = "#" + "".join(f"{round(255 * float(channel)):02x}" for channel in record["objects/color"][row, 0])
-        names = {name: _word(record[f"objects/{name}"][row]) for name in ("category", "pattern", "material", "motion")}
+        channels = np.clip(np.nan_to_num(255 * record["objects/color"][row, 0]), 0, 255)
+        color = "#" + "".join(f"{round(float(channel)):02x}" for channel in channels)
+        words = {name: _word(record[f"objects/{name}"][row]) for name in ("category", "pattern", "material", "motion")}
+        names = {name: escape(word) for name, word in words.items()}
         cells = [str(row + 1), names["category"], size, f"[{color}]██[/] {color}", names["pattern"], names["material"]]
         cells += [f"{1000 * record['objects/mass'][row]:.0f}", names["motion"]]
         table.add_row(*cells, f"{100 * _path_length(record, row):.1f}", _visibility(record, row))
     return table
-
-
-def _is_image(name: str) -> bool:
-    return {"height", "width"} <= set(FIELDS[name].axes)
 
 
 def _word(text: bytes) -> str:
@@ -111,9 +122,9 @@ def _path_length(record: SceneRecord, row: int) -> float:
 
 def _visibility(record: SceneRecord, row: int) -> str:
     """Least and greatest share of the object that any frame and view shows."""
-    if "visibility/visible_fraction" not in record:
+    if _VISIBILITY not in record:
         return "-"
-    fractions = record["visibility/visible_fraction"][:, :, row]
+    fractions = record[_VISIBILITY][:, :, row]
     return f"{100 * np.min(fractions):.0f}-{100 * np.max(fractions):.0f} %"
 
 
@@ -133,7 +144,8 @@ def _read(dataset: Dataset, split: str, fields: Sequence[str]) -> list[SceneReco
 def _facts(dataset: Dataset) -> Summary:
     spec = dataset.spec
     images = sum(dataset.splits.values()) * spec["recipe"]["frames"] * dataset.views
-    size = sum(path.stat().st_size for path in dataset.folder.glob("*.h5"))
+    scenes = [dataset.split(split) for split in dataset.splits]
+    size = sum(part.path(number).stat().st_size for part in scenes for number in range(len(part.shards)))
     return {
         "recipe": spec["recipe"]["name"],
         "seed": spec["seed"],
@@ -147,12 +159,14 @@ def _facts(dataset: Dataset) -> Summary:
     }
 
 
-def _contents(records: list[SceneRecord]) -> Summary:
+def _rejections(dataset: Dataset) -> Counter[str]:
+    splits = [dataset.split(split) for split in dataset.splits]
+    return sum((scenes.rejections(index) for scenes in splits for index in range(len(scenes))), Counter[str]())
+
+
+def _contents(records: list[SceneRecord], rejections: Counter[str]) -> Summary:
     counts = [int(record["objects/count"]) for record in records]
     attempts = sum(int(record["scene/attempts"]) for record in records)
-    rejections = Counter()
-    for record in records:
-        rejections.update(json.loads(_word(record["scene/rejections"].item()) or "{}"))
     return {
         "objects_per_scene": _histogram(counts),
         "categories": _histogram(_words(records, "objects/category")),
@@ -161,7 +175,7 @@ def _contents(records: list[SceneRecord]) -> Summary:
         "colliding_clips": _share(_collides(record) for record in records),
         "touching_frames": _share(touches for record in records for touches in _touches(record)),
         "attempts_per_scene": attempts / max(len(records), 1),
-        "rejected": {reason: number / attempts for reason, number in rejections.most_common()},
+        "rejected": {reason: number / max(attempts, 1) for reason, number in rejections.most_common()},
     }
 
 
@@ -200,13 +214,13 @@ def _touches(record: SceneRecord) -> list[bool]:
 
 
 def _pixels(dataset: Dataset) -> Summary:
-    fields = ("objects/count", "visibility/visible_pixels", "visibility/visible_fraction", "visibility/amodal_pixels")
+    fields = ("objects/count", "visibility/visible_pixels", _VISIBILITY, "visibility/amodal_pixels")
     records = {split: _read(dataset, split, fields) for split in dataset.splits}
     everything = [record for part in records.values() for record in part]
     width, height = dataset.spec["resolution"]
     there = [record["visibility/amodal_pixels"] > 0 for record in everything]
     pairs = zip(everything, there, strict=True)
-    fractions = np.concatenate([record["visibility/visible_fraction"][mask] for record, mask in pairs] or [np.zeros(0)])
+    fractions = np.concatenate([record[_VISIBILITY][mask] for record, mask in pairs] or [np.zeros(0)])
     return {
         "foreground": {
             split: _foreground(part, width * height) for split, part in {"all": everything, **records}.items() if part
@@ -226,8 +240,9 @@ def _foreground(records: list[SceneRecord], pixels: int) -> float:
 def _depth_range(dataset: Dataset) -> list[float]:
     ranges = []
     for split, size in dataset.splits.items():
+        scenes = dataset.split(split)
         for index in range(0, size, max(size // DEPTH_SCENES, 1)):
-            depth = decode_depth(dataset.split(split).read(index, ["depth"], slice(0, 1))["depth"])
+            depth = decode_depth(scenes.read(index, ["depth"], slice(0, 1))["depth"])
             ranges.append([np.min(depth[depth > 0], initial=np.inf), np.max(depth)])
     return [float(np.min(np.array(ranges)[:, 0])), float(np.max(np.array(ranges)[:, 1]))] if ranges else []
 

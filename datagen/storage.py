@@ -8,15 +8,24 @@ record = scenes.read(0, ["rgb", "depth"], frames=slice(2, 6))  # some fields, so
 
 import operator
 import os
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, SupportsIndex, overload
 
 from datagen.errors import DatagenError, UsageError
 from datagen.schema import SPLITS, EditKind, SceneRecord
-from datagen.shard import PackedScene, Shard
-from datagen.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges, views_of
+from datagen.shard import PackedScene, Shard, scenes_present
+from datagen.spec import (
+    Spec,
+    edits_of,
+    groups_of,
+    read_spec,
+    settings_hash,
+    shard_name,
+    shard_ranges,
+    views_of,
+)
 
 _MOST_OPEN_FILES = 64
 
@@ -57,11 +66,14 @@ class Dataset:
         """The scenes of one split.
 
         Raises:
-            UsageError: there is no such split.
+            UsageError: there is no such split, or shards beyond its scenes belong elsewhere.
+            CorruptFile: such a shard is damaged.
         """
         if name not in self.splits:
             raise UsageError(f"Unknown split {name!r}; expected one of {', '.join(SPLITS)}.")
-        return Split(self.folder, self.spec, name)
+        scenes = Split(self.folder, self.spec, name)
+        scenes_present(self.folder, self.spec, name, first=len(scenes.shards))
+        return scenes
 
     def check_complete(self) -> None:
         """Check that every scene is there.
@@ -130,6 +142,11 @@ class Split(Sequence[SceneRecord]):
         shard, row = self._locate(index)
         return shard.hashes()[row]
 
+    def rejections(self, index: SupportsIndex) -> Counter[str]:
+        """How many samples of one scene were rejected for which reason."""
+        shard, row = self._locate(index)
+        return shard.rejections(row)
+
     def fields(self, index: SupportsIndex = 0) -> list[str]:
         """Names of the arrays of one scene that its hash covers."""
         return self._locate(index)[0].fields
@@ -139,10 +156,15 @@ class Split(Sequence[SceneRecord]):
         shard, row = self._locate(index)
         return shard.packed(row)
 
+    @property
+    def shards(self) -> list[range]:
+        """Indices of the scenes of each shard."""
+        return shard_ranges(len(self), self._per_shard)
+
     def missing(self) -> list[int]:
         """Indices of the scenes that have not been made yet."""
         missing: list[int] = []
-        for number, indices in enumerate(shard_ranges(len(self), self._per_shard)):
+        for number, indices in enumerate(self.shards):
             there = len(self._shard(number)) if self.path(number).exists() else 0
             missing.extend(indices[there:])
         return missing
@@ -176,10 +198,7 @@ class Split(Sequence[SceneRecord]):
             # HDF5 handles that came along with a fork are dropped, not closed: they belong to the parent.
             self._shards, self._process = OrderedDict(), os.getpid()
         if number not in self._shards:
-            shard = Shard(self.path(number))
-            if shard.attributes["settings_hash"] != settings_hash(self.spec):
-                raise UsageError(f"{shard.path} belongs to another dataset: its settings differ from {self.folder}'s.")
-            self._shards[number] = shard
+            self._shards[number] = Shard(self.folder, self.spec, self.name, number)
             if len(self._shards) > _MOST_OPEN_FILES:
                 self._shards.popitem(last=False)[1].close()
         self._shards.move_to_end(number)

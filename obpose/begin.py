@@ -1,24 +1,34 @@
-"""Where those commands begin whose imports take seconds, in which Ctrl-C may come."""
+"""Entry points of `obpose-train`, `obpose-segment` and `obpose-edit`.
 
-from obpose.errors import interruptible_imports
+They answer `--version` at once, and handle Ctrl-C during the imports, which take seconds.
+"""
+
+from datagen.command_line import answer_version
+from obpose.errors import EXIT_OK, interruptible_imports
 
 
 def train() -> int:
-    """Run `obpose-train`; give its exit code."""
+    """Run `obpose-train` and give its exit code."""
+    if answer_version("obpose-train"):
+        return EXIT_OK
     with interruptible_imports("obpose-train"):
         from obpose.cli import main
     return main()
 
 
 def segment() -> None:
-    """Run `obpose-segment`; leave with its exit code."""
+    """Run `obpose-segment` and leave with its exit code."""
+    if answer_version("obpose-segment"):
+        return
     with interruptible_imports("obpose-segment"):
         from obpose.segment_cli import main
     main()
 
 
 def edit() -> int:
-    """Run `obpose-edit`; give its exit code."""
+    """Run `obpose-edit` and give its exit code."""
+    if answer_version("obpose-edit"):
+        return EXIT_OK
     with interruptible_imports("obpose-edit"):
         from obpose.edit_cli import main
     return main()

@@ -1,4 +1,4 @@
-"""Models and unfinished trainings on disk: safetensors and JSON, nothing pickled.
+"""Models and unfinished trainings on disk, as safetensors and JSON.
 
 A folder holds `model.safetensors` and `config.json`, from which `load` builds the model, and `training.safetensors`:
 everything that a training needs to go on, weights included, in one file, so that it is always of one step.
@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
 
+from datagen.safe_io import brief_reason, check_file, parse_json, read_json
 from obpose.config_text import differences, from_plain, to_plain
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
 from obpose.model import ObPose
 from obpose.systems import ARCHITECTURES, OBPOSE, architecture_of, build_model
+from obpose.tensors import Check, Forms, State, differences_of, forms_of, read_tensors
 from obpose.trainable import Configuration, Trainable
 
 MODEL, CONFIG, TRAINING = "model.safetensors", "config.json", "training.safetensors"
@@ -35,6 +35,7 @@ _MEND = {
     "own and can be used still.",
 }
 """What to do where one is damaged."""
+_AGAIN = f"Give the {CONFIG} of the same run, or train again into another folder."
 
 Build = Callable[[Any], Trainable]
 """Makes a model with fresh weights."""
@@ -42,7 +43,8 @@ Build = Callable[[Any], Trainable]
 Info = dict[str, Any]
 """How a model came to be: steps, seconds and whatever else; what JSON can say."""
 
-State = dict[str, Tensor]
+_MOST_CONFIG_BYTES = 2**20
+_MOST_TABLE_BYTES = 2**30
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +65,18 @@ def save_model(folder: Path, weights: State, config: Configuration, info: Info) 
 
 
 def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configuration, Info]:
-    """The model of a folder, on the CPU and in evaluation mode; `build` makes another than that of its configuration.
+    """Load the model of a folder, on the CPU and in evaluation mode; `build` makes another than its configuration says.
 
     Raises:
-        UsageError: there is none, or it is of another version or architecture.
-        CorruptFile: a file is damaged, or holds numbers that are none.
+        UsageError: there is none, it is of another version or architecture, or its weights do not fit.
+        CorruptFile: a file is damaged, or holds NaN or infinity.
     """
     config = read_config(folder)
-    weights, info = _read_tensors(folder / MODEL)
-    if broken := [name for name, tensor in weights.items() if not tensor.isfinite().all()]:
-        raise CorruptFile(f"{folder / MODEL} holds numbers that are not finite, in {broken[0]}; {_MEND[MODEL]}")
     with torch.random.fork_rng(devices=[]):
         model = build(config)
-    put_weights(model, weights, str(folder))
+    expected = forms_of(model.state_dict())
+    weights, info = _read_tensors(folder / MODEL, lambda found: _check_fit(found, expected, str(folder)))
+    model.load_state_dict(weights)
     return model.eval(), config, info
 
 
@@ -113,12 +114,18 @@ def put_weights(model: Trainable, weights: State, place: str) -> None:
     """Load weights into a model.
 
     Raises:
-        UsageError: they are another architecture's.
+        UsageError: their names, types or shapes are not those of the model.
     """
-    try:
-        model.load_state_dict(weights)
-    except RuntimeError as error:
-        raise UsageError(f"The weights in {place} do not fit the model of this version: {_line(error)}") from None
+    _check_fit(forms_of(weights), forms_of(model.state_dict()), place)
+    model.load_state_dict(weights)
+
+
+def _check_fit(found: Forms, expected: Forms, place: str) -> None:
+    if wrong := differences_of(found, expected):
+        raise UsageError(
+            f"The weights in {place} do not fit the model of its configuration: {wrong}. Expected {CONFIG} and "
+            f"{MODEL} of one run, made by this version."
+        )
 
 
 def save_training(folder: Path, state: TrainingState) -> None:
@@ -158,19 +165,20 @@ def _stored_config(folder: Path) -> Configuration:
     path = folder / CONFIG
     if not path.exists():
         raise UsageError(f"{folder} holds no model: there is no {CONFIG}. obpose-train makes one.")
-    try:
-        facts = json.loads(path.read_text())
-        version, plain = facts["version"], facts["config"]
-    except (ValueError, KeyError, TypeError):
-        raise CorruptFile(f"{path} is damaged; train again into another folder.") from None
-    if version != VERSION:
-        raise UsageError(f"{path} is of version {version}, expected {VERSION}; train again, or use that version.")
+    # A training that counts steps may have an infinite budget in time.
+    facts = read_json(path, most_bytes=_MOST_CONFIG_BYTES, infinite=True)
+    known = {"version", "architecture", "config"}
+    if not isinstance(facts, dict) or not {"version", "config"} <= facts.keys() <= known:
+        raise CorruptFile(f"{path} is damaged; expected {', '.join(sorted(known))} and nothing else. {_AGAIN}")
+    version, plain = facts["version"], facts["config"]
+    if type(version) is not int or version != VERSION:
+        raise UsageError(f"{path} is of version {version!r:.40}, expected {VERSION}; train again, or use that version.")
     if not isinstance(plain, dict):
-        raise CorruptFile(f"{path} is damaged; train again into another folder.")
+        raise CorruptFile(f"{path} is damaged; expected a group of values as config. {_AGAIN}")
     # Files that do not say it are older than the second architecture.
     name = facts.get("architecture", OBPOSE.name)
     if not isinstance(name, str) or name not in ARCHITECTURES:
-        raise UsageError(f"{path} is of architecture {name!r}; this version has {', '.join(ARCHITECTURES)}.")
+        raise UsageError(f"{path} is of architecture {name!r:.40}; this version has {', '.join(ARCHITECTURES)}.")
     try:
         return from_plain(plain, ARCHITECTURES[name].config)
     except UsageError as error:
@@ -185,7 +193,7 @@ def _check_free(folder: Path) -> None:
                 f"{folder} has a {name} but no {CONFIG}; it would be overwritten. Give another --out, or move it away."
             )
     for name in TABLES:
-        if (folder / name).exists() and (folder / name).read_bytes().count(b"\n") > 1:
+        if (folder / name).exists() and _has_rows(folder / name):
             raise UsageError(
                 f"{folder / name} has rows, but there is no {CONFIG} beside it; it would be overwritten. Give another "
                 "--out, or move it away."
@@ -200,16 +208,20 @@ def _write_tensors(path: Path, tensors: State, info: Info) -> None:
     write_whole(path, save(copies, metadata={"info": json.dumps(info)}))
 
 
-def _read_tensors(path: Path) -> tuple[State, Info]:
+def _has_rows(path: Path) -> bool:
+    check_file(path, _MOST_TABLE_BYTES)
+    with path.open("rb") as file:
+        return sum(1 for _ in file) > 1
+
+
+def _read_tensors(path: Path, check: Check | None = None) -> tuple[State, Info]:
     if not path.exists():
         raise CorruptFile(f"{path} is missing, though there is a {CONFIG}; {_MEND[path.name]}")
+    tensors, metadata = read_tensors(path, _MEND[path.name], check)
     try:
-        with safe_open(path, framework="pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-            return tensors, json.loads((file.metadata() or {})["info"])
-    except (SafetensorError, KeyError, ValueError) as error:
-        raise CorruptFile(f"{path} is damaged ({error}); {_MEND[path.name]}") from None
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())
+        info = parse_json(metadata["info"])
+        if not isinstance(info, dict):
+            raise ValueError("its info is no group of values")
+    except (ValueError, KeyError) as error:
+        raise CorruptFile(f"{path} is damaged ({brief_reason(error)}); {_MEND[path.name]}") from None
+    return tensors, info

@@ -17,16 +17,21 @@ import tyro
 from rich.console import Console
 
 from benchmark.tracks import DataFolder, Track, find_track
+from datagen.command_line import given_arguments
+from datagen.wording import counted
 from obpose.arguments import Train
 from obpose.config import TrainConfig
+from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program, unknown_name
+from obpose.files import check_no_dataset
 from obpose.scene_bar import scene_bar
 from obpose.systems import System, find_system
 
 PROGRAM = "obpose-train"
 RUNS = Path("runs")
-MOST_THREADS = 1024
+LIMITS = {"minutes": MOST_MINUTES, "steps": MOST_STEPS, "threads": 1024, "workers": 1024}
+"""Largest values of flags, all of which are positive."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -35,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
     return run_program(
         PROGRAM,
-        lambda: run(tyro.cli(Train, prog=PROGRAM, args=arguments, description=description)),
+        lambda: run(tyro.cli(Train, prog=PROGRAM, args=given_arguments(arguments), description=description)),
         interrupted="Interrupted; the same command goes on from the last checkpoint.",
         out_of_memory="Out of memory; give smaller --set train.batch, train.frames or train.rays.",
     )
@@ -47,7 +52,13 @@ def run(values: Train) -> int:
     _check(values, system)
     changes = parse_changes(values.set, system.architecture.config)
     data = _data(values)
+    if not data.size("train"):
+        raise UsageError(
+            f"{values.data} has no training scenes; expected at least one. Make a dataset with some, such as with "
+            "obpose-datagen --split train=2000,val=100,test=300."
+        )
     out = values.out or RUNS / f"{values.variant}-{values.profile}-{data.name}-seed{values.seed}"
+    check_no_dataset(out)
     console = Console(stderr=True, soft_wrap=True, highlight=False, quiet=_process() > 0)
     folder = _prepare(data, values, console)
 
@@ -72,7 +83,7 @@ def run(values: Train) -> int:
             source, val_source, config, folder=out, report=report, device=values.device, tensorboard=values.tensorboard
         )
     if _process() == 0:
-        print(f"{out.resolve()}: {trained.steps} steps in {trained.seconds / 60:.1f} minutes.")
+        print(f"{out.resolve()}: {counted(trained.steps, 'step')} in {trained.seconds / 60:.1f} minutes.")
     return EXIT_OK
 
 
@@ -81,14 +92,12 @@ def _check(values: Train, system: System) -> None:
         raise unknown_name("profile", values.profile, profiles)
     if values.minutes is not None and values.steps is not None:
         raise UsageError("--minutes and --steps contradict each other; leave one of them out.")
-    for name in ("minutes", "steps", "threads"):
+    for name, most in LIMITS.items():
         value = getattr(values, name)
-        if value is not None and value <= 0:
-            raise UsageError(f"--{name} {value}: expected a positive number.")
+        if value is not None and not 0 < value <= most:
+            raise UsageError(f"--{name} {value}: expected more than 0 and at most {most}.")
     if not 0 <= values.seed < 2**63:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
-    if values.threads > MOST_THREADS:
-        raise UsageError(f"--threads {values.threads}: expected at most {MOST_THREADS}.")
 
 
 def _data(values: Train) -> Track | DataFolder:
@@ -114,7 +123,7 @@ def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str
 
 
 def _in_words(settings: TrainConfig) -> str:
-    return f"{settings.steps} steps" if settings.steps is not None else f"{settings.minutes:g} minutes"
+    return counted(settings.minutes, "minute") if settings.steps is None else counted(settings.steps, "step")
 
 
 def _process() -> int:

@@ -1,4 +1,4 @@
-"""Where training gets its clips from."""
+"""Sources of clips for training, and clips as batches."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -10,6 +10,7 @@ from einops import rearrange
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from datagen.wording import counted
 from obpose.errors import UsageError
 from obpose.types import Observation
 
@@ -81,6 +82,19 @@ class LabelledArrayClip(ArrayClip, Protocol):
         ...
 
 
+def check_window(start: int, frames: int, clip_frames: int) -> None:
+    """Check that a window lies inside a clip.
+
+    Raises:
+        UsageError: it does not.
+    """
+    if start < 0 or frames < 1 or start + frames > clip_frames:
+        raise UsageError(
+            f"A window of {counted(frames, 'frame')} from frame {start} on is not inside a clip of "
+            f"{counted(clip_frames, 'frame')}; expected 1 or more of its frames, counted from 0."
+        )
+
+
 class ArrayClips:
     """A sequence of clips as arrays, read when they are needed."""
 
@@ -89,15 +103,26 @@ class ArrayClips:
 
     @property
     def frames_of_clip(self) -> int:
-        """Frames of the first clip, and so of all."""
+        """Frames of the first clip, and so of all.
+
+        Raises:
+            UsageError: there are no clips.
+        """
+        if not len(self._clips):
+            raise UsageError("There are no clips; expected at least one.")
         return len(self._clips[0].depth)
 
     def __len__(self) -> int:
         return len(self._clips)
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Some frames of a clip."""
+        """Some frames of a clip.
+
+        Raises:
+            UsageError: the clip has no such frames.
+        """
         clip, cut = self._clips[index], slice(start, start + frames)
+        check_window(start, frames, len(clip.depth))
         return {
             "rgb": torch.from_numpy(clip.rgb[cut]).to(torch.float32).mul_(1 / 255),
             "depth": torch.from_numpy(clip.depth[cut]).to(torch.float32),
@@ -118,7 +143,7 @@ class LabelledArrayClips(ArrayClips):
         """Some frames of a clip, with `segmentation`.
 
         Raises:
-            UsageError: the clip has no labels.
+            UsageError: the clip has no labels, or no such frames.
         """
         truth = self._labelled[index].truth
         if truth is None:

@@ -310,6 +310,14 @@ class SupervisedConfig(Config):
     """The same for `obpose.supervised`, for which many values have no meaning: those of latents, fields and losses."""
 
 
+ADDED_LATER = frozenset({"loss.air_growth", "model.backbone.scene_means"})
+"""Values that the configurations of weights that ship do not all state; where they are missing the default is meant.
+
+Whoever adds a value to a configuration adds its name here, if weights from before are to be read still. Any other value
+that is missing in a file means that the file is damaged.
+"""
+
+
 def override(config: Any, changes: dict[str, Any]) -> Any:
     """A configuration with some values replaced, named with dots.
 

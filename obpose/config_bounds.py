@@ -1,4 +1,4 @@
-"""Which values of a configuration make sense: bounds that their types cannot say, looked at before anything is made."""
+"""Bounds of the values of a configuration, checked before a model is built: types alone allow sizes of terabytes."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -34,13 +34,21 @@ def between_0_and_1(names: str) -> Rule:
 
 
 def at_most(names: str, limit: int) -> Rule:
-    """Not so much that only a slip of the finger explains it, or numbers stop making sense."""
+    """No more than a machine could hold, or than anybody would wait for."""
     return names, lambda value: value <= limit, f"at most {limit}"
 
 
+MOST_STEPS, MOST_MINUTES = 10**9, 5_256_000
+"""Of a training; so many minutes are ten years."""
+MOST_IMAGES = 4096
+"""Images of a step: of more the activations fill any machine."""
+
 TRAINING: tuple[Rule, ...] = (
     counts("train.batch train.frames train.steps"),
-    at_most("train.batch train.frames train.rays", 1_000_000),
+    at_most("train.batch train.frames", MOST_IMAGES),
+    at_most("train.rays", 1_000_000),
+    at_most("train.steps", MOST_STEPS),
+    at_most("train.minutes", MOST_MINUTES),
     # Label images have 8 bits: the background, and so many objects.
     at_most("model.slots", 254),
     positive("train.learning_rate train.minutes train.half_life"),
@@ -70,9 +78,15 @@ model.slot_attention.position_frequencies model.latent.frequencies"""
 _FREQUENCIES = """model.object_field.position_frequencies model.object_field.direction_frequencies
 model.background_field.position_frequencies model.background_field.direction_frequencies
 model.slot_attention.position_frequencies model.latent.frequencies"""
-_SIZES = """model.voxels model.backbone.embedding model.backbone.feature model.latent.where model.latent.what
-model.latent.background model.latent.hidden model.latent.encoder model.object_field.width model.object_field.depth
-model.background_field.width model.background_field.depth model.slot_attention.width"""
+_WIDTHS = """model.backbone.embedding model.backbone.colour model.backbone.feature model.latent.where
+model.latent.what model.latent.background model.latent.hidden model.latent.encoder model.slot_attention.width"""
+_FIELD_WIDTHS = "model.object_field.width model.background_field.width"
+_FIELD_DEPTHS = "model.object_field.depth model.background_field.depth"
+_ROUNDS = """model.attention.looks model.attention.evaluation_rounds model.pose.refinements
+model.slot_attention.iterations"""
+MOST_WIDTH, MOST_FIELD_WIDTH, MOST_DEPTH, MOST_LEVELS = 512, 1024, 16, 6
+"""With all values at their largest a model has 0.8 GB of weights; those of the paper have some megabytes."""
+MOST_ROUNDS = 100
 
 
 def check_bounds(config: Config) -> None:
@@ -92,7 +106,14 @@ def check_bounds(config: Config) -> None:
             at_most("model.pose.grid_level", 4),
             # 2^k turns in single precision.
             at_most(_FREQUENCIES, 24),
-            at_most(_SIZES, 65_536),
+            at_most(_WIDTHS, MOST_WIDTH),
+            at_most(_FIELD_WIDTHS, MOST_FIELD_WIDTH),
+            at_most(_FIELD_DEPTHS, MOST_DEPTH),
+            at_most(_ROUNDS, MOST_ROUNDS),
+            # Their cube is the number of points at which a field is evaluated at once.
+            at_most("model.voxels", 128),
+            at_most("model.latent.samples", 1_000_000),
+            at_most("model.backbone.input_stride", 1024),
             # The position is added to three of them, the colour to three more.
             ("model.backbone.colour", lambda value: value >= 6, "6 or more"),
             *TRAINING,
@@ -109,14 +130,20 @@ def check_values(config: Any, rules: Iterable[Rule]) -> None:
         UsageError: names the first value that does not.
     """
     for name, value in dotted_values(config):
-        expect(not (isinstance(value, float) and math.isnan(value)), name, value, "a number")
-        within = value if isinstance(value, tuple) else ()
-        finite = all(math.isfinite(each) for each in within if isinstance(each, float))
-        expect(finite, name, value, "finite numbers")
+        numbers = value if isinstance(value, tuple) else (value,)
+        sensible = all(abs(each) <= MOST_NUMBER for each in numbers if isinstance(each, float))
+        expect(sensible, name, value, f"finite numbers between {-MOST_NUMBER:g} and {MOST_NUMBER:g}")
     for names, holds, expected in rules:
         for name in names.split():
             value = reduce(getattr, name.split("."), config)
             expect(value is None or holds(value), name, value, expected)
+    batch, frames = config.train.batch, config.train.frames
+    images = f"a number that gives at most {MOST_IMAGES} images a step with train.frames, which is {frames}"
+    expect(batch * frames <= MOST_IMAGES, "train.batch", batch, images)
+
+
+MOST_NUMBER = 1e9
+"""Largest magnitude of a number that is not whole, in whatever unit; products of a few stay finite."""
 
 
 def expect(holds: bool, name: str, value: Any, expected: str) -> None:
@@ -126,16 +153,19 @@ def expect(holds: bool, name: str, value: Any, expected: str) -> None:
         UsageError: it does not hold, and what was expected.
     """
     if not holds:
-        raise UsageError(f"{name} is {value}; expected {expected}.")
+        raise UsageError(f"{name} is {value!s:.80}; expected {expected}.")
 
 
 def _check_levels(config: Config) -> None:
     """The lists of the backbone, an entry a level, fit each other."""
     backbone = config.model.backbone
     levels = len(backbone.widths)
-    expect(levels > 0 and min(backbone.widths) >= 4, "model.backbone.widths", backbone.widths, "numbers of 4 or more")
-    fits = len(backbone.blocks) == levels and min(backbone.blocks) >= 0
-    expect(fits, "model.backbone.blocks", backbone.blocks, f"{levels} numbers, one for each of model.backbone.widths")
+    fits = 0 < levels <= MOST_LEVELS and min(backbone.widths) >= 4 and max(backbone.widths) <= MOST_WIDTH
+    sizes = f"1 to {MOST_LEVELS} numbers of 4 to {MOST_WIDTH}"
+    expect(fits, "model.backbone.widths", backbone.widths, sizes)
+    fits = len(backbone.blocks) == levels and min(backbone.blocks) >= 0 and max(backbone.blocks) <= MOST_DEPTH
+    counts = f"{levels} numbers of 0 to {MOST_DEPTH}, one for each of model.backbone.widths"
+    expect(fits, "model.backbone.blocks", backbone.blocks, counts)
     expect(
         0 <= backbone.output_level < levels, "model.backbone.output_level", backbone.output_level, f"0 to {levels - 1}"
     )

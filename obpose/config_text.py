@@ -7,11 +7,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from obpose.config import Config
+from datagen.safe_io import parse_json
+from datagen.wording import counted
+from obpose.config import ADDED_LATER, Config
 from obpose.errors import UsageError
 
 Plain = dict[str, Any]
 """What JSON can say."""
+_NAMED, _LONGEST = 3, 80
+"""Unknown values that a message names, and characters that it shows of a value."""
 
 
 def to_plain(config: Any) -> Plain:
@@ -20,12 +24,23 @@ def to_plain(config: Any) -> Plain:
 
 
 def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
-    """The inverse of `to_plain`; a value that is not there, in an older file, has the default of this kind.
+    """Rebuild a configuration of this kind: the inverse of `to_plain`.
+
+    Values of `obpose.config.ADDED_LATER` may be missing, in files from before, and then have their defaults.
 
     Raises:
-        UsageError: an unknown name, or a value of the wrong kind.
+        UsageError: another value is missing, a name is unknown, or a value is of the wrong kind.
     """
-    return _build(kind, plain, "")
+    config = _build(kind, plain, "")
+    if missing := [name for name, _ in _kinds(kind, "") if name not in ADDED_LATER and not _has(plain, name)]:
+        others = f" and {counted(len(missing) - 1, 'other value')}" if missing[1:] else ""
+        raise UsageError(f"The configuration lacks {missing[0]}{others}: the file is damaged, or was written by hand.")
+    return config
+
+
+def _has(plain: Mapping[str, Any], name: str) -> bool:
+    first, _, rest = name.partition(".")
+    return first in plain and (not rest or _has(plain[first], rest))
 
 
 def parse_changes(texts: Iterable[str], kind: type = Config) -> dict[str, Any]:
@@ -70,7 +85,7 @@ def dotted_values(config: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 def _build(kind: type, plain: Mapping[str, Any], place: str) -> Any:
     kinds = get_type_hints(kind)
     if unknown := sorted(set(plain) - set(kinds)):
-        names = ", ".join(place + name for name in unknown)
+        names = ", ".join(_brief(place + name) for name in unknown[:_NAMED]) + ", ..." * (len(unknown) > _NAMED)
         raise UsageError(f"The configuration has unknown values, {names}: it was written by another version.")
     return kind(**{name: _conform(value, kinds[name], place + name) for name, value in plain.items()})
 
@@ -95,14 +110,14 @@ def _conform(value: Any, kind: Any, name: str) -> Any:
             return float(value)
         if isinstance(choice, type) and choice is not float and type(value) is choice:
             return value
-    raise UsageError(f"{name}={value}: expected {_say(kind)}.")
+    raise UsageError(f"{name}={_brief(value)}: expected {_say(kind)}.")
 
 
 def _conform_items(values: list[Any] | tuple[Any, ...], kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
     if kinds[-1] is ...:
         kinds = kinds[:1] * len(values)
     if len(values) != len(kinds):
-        raise UsageError(f"{name}: {len(values)} values, expected {len(kinds)}.")
+        raise UsageError(f"{name}: {counted(len(values), 'value')}, expected {len(kinds)}.")
     return tuple(_conform(value, kind, name) for value, kind in zip(values, kinds, strict=True))
 
 
@@ -113,12 +128,20 @@ def _read(text: str, kind: Any) -> Any:
     if text.lower() in ("none", "null") and type(None) in get_args(kind):
         return None
     try:
-        return json.loads(text)
-    except ValueError:  # Not only of bad JSON: whole numbers of thousands of digits are refused as well.
+        return parse_json(text)
+    except ValueError:  # Not only of bad JSON: NaN, infinity and numbers of thousands of digits are refused as well.
         return text
 
 
+def _brief(value: Any) -> str:
+    """A value on one short line, whatever a file says."""
+    text = " ".join(str(value).split())
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
 def _say(kind: Any) -> str:
+    if dataclasses.is_dataclass(kind):
+        return "a group of values"
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, get_args(kind)))}"
     if get_origin(kind) in (UnionType, Union):

@@ -1,4 +1,4 @@
-"""Datasets on disk as PyTorch sees them: clips of tensors, without labels unless asked for."""
+"""Datasets on disk as PyTorch datasets of clips, without labels unless asked for."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +11,8 @@ from torch.utils.data import Dataset
 
 from datagen import schema, storage
 from datagen.errors import UsageError, unknown_name
+from datagen.wording import counted
+from obpose.clips import check_window
 
 Window = Literal["first", "random", "all"]
 
@@ -43,7 +45,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         extra: Sequence[str] = (),
         seed: int = 0,
     ):
-        """Say what to read; of the dataset itself only its description is read now.
+        """Choose what to read; of the dataset itself only its description is read now.
 
         Args:
             folder: Of a dataset made by obpose-datagen.
@@ -57,7 +59,9 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
             seed: Of the random windows.
 
         Raises:
-            UsageError: the dataset, the split, a view or a field does not exist, or windows are longer than clips.
+            UsageError: the dataset, the split, a view or a field does not exist, windows are longer than clips, or a
+                value is of another kind.
+            CorruptFile: the dataset's description is damaged.
         """
         dataset = storage.Dataset(folder)
         self._scenes = dataset.split(split)
@@ -70,14 +74,18 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._views = _chosen_views(views, self._scenes.views, folder)
         sensor: bool = spec["recipe"]["sensor"]["enabled"]
         self._sensor = _one_of(depth, ("observed", "clean"), "depth") == "observed" and sensor
-        self._extra = tuple(_one_of(name, _numeric_fields(dataset.groups), "field") for name in extra)
-        self._seed = seed
+        self._extra = _known_fields(extra, _numeric_fields(dataset.groups))
+        self._seed = _not_negative(seed, "seed")
         # In shared memory, so that workers that outlive an epoch see the number of the next one.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the random windows of an epoch; call it before iterating."""
-        self._epoch.fill_(epoch)
+        """Choose the random windows of an epoch; call it before iterating.
+
+        Raises:
+            UsageError: the number is negative.
+        """
+        self._epoch.fill_(_not_negative(epoch, "epoch"))
 
     @property
     def recipe(self) -> str:
@@ -99,12 +107,21 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
 
     def __getitem__(self, index: int) -> dict[str, Tensor]:
         if not 0 <= index < len(self):
-            raise IndexError(f"Item {index} of a dataset with {len(self)} items, counted from 0.")
+            raise IndexError(f"Item {index} of a dataset with {counted(len(self), 'item')}, counted from 0.")
         scene, window = divmod(index, self._windows_per_clip)
         return self.window(scene, self._start(index, window), self._frames)
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Some frames of a scene, wherever the dataset's own windows are: what `obpose.clips.ClipSource` asks for."""
+        """Read some frames of a scene, wherever the dataset's own windows are (see `obpose.clips.ClipSource`).
+
+        Raises:
+            IndexError: there is no such scene.
+            UsageError: its clip has no such frames.
+            CorruptFile: a file is damaged.
+        """
+        if not 0 <= index < len(self._scenes):
+            raise IndexError(f"Scene {index} of a split with {counted(len(self._scenes), 'scene')}, counted from 0.")
+        check_window(start, frames, self._clip_frames)
         depth = "sensor_depth" if self._sensor else "depth"
         fields = {"rgb", depth, "camera/K", "camera/world_from_camera", *self._extra}
         if self._sensor:
@@ -151,7 +168,7 @@ def _tensor(name: str, array: np.ndarray) -> Tensor:
 def _window_length(frames: int | None, clip_frames: int, folder: str | Path) -> int:
     if frames is None:
         return clip_frames
-    if not 1 <= frames <= clip_frames:
+    if not _is_whole(frames) or not 1 <= frames <= clip_frames:
         raise UsageError(
             f"Windows of {frames} frames: clips of {folder} have {clip_frames}; choose 1 to {clip_frames}."
         )
@@ -162,13 +179,29 @@ def _chosen_views(views: int | Sequence[int] | None, available: int, folder: str
     if views is None:
         return None
     chosen = list(range(views)) if isinstance(views, int) else list(views)
-    if not chosen or not all(0 <= view < available for view in chosen):
+    if not chosen or not all(_is_whole(view) and 0 <= view < available for view in chosen):
         raise UsageError(f"Views {views}: clips of {folder} have {available}, counted from 0; choose among them.")
     return chosen
 
 
 def _numeric_fields(groups: Sequence[str]) -> list[str]:
     return [field.name for field in schema.FIELDS.values() if field.dtype != "S" and field.group in groups]
+
+
+def _known_fields(names: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(names, str):
+        raise UsageError(f"extra={names!r} is a text; expected a list of names, such as [{names!r}].")
+    return tuple(_one_of(name, known, "field") for name in names)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _not_negative(value: int, name: str) -> int:
+    if not _is_whole(value) or value < 0:
+        raise UsageError(f"{name}={value!r}: expected a whole number of 0 or more.")
+    return int(value)
 
 
 def _one_of(name: str, names: Sequence[str], kind: str) -> str:

@@ -22,6 +22,8 @@ from joblib import cpu_count
 from torch import Tensor
 
 import assets
+from datagen.command_line import given_arguments
+from datagen.wording import counted
 from obpose.clips import clip_part
 from obpose.creation import edit
 from obpose.creation.bounds import check_inside
@@ -63,10 +65,9 @@ LARGEST = 2048
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and give its exit code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
     return run_program(
         PROGRAM,
-        lambda: _run(given),
+        lambda: _run(given_arguments(arguments)),
         interrupted="Interrupted; nothing was changed.",
         out_of_memory="Out of memory; give a smaller --resolution.",
     )
@@ -85,7 +86,6 @@ def _run(arguments: list[str]) -> int:
 
 
 def _infer(values: Infer) -> None:
-    check_free(values.out)
     framed = any((values.rgb, values.depth, values.intrinsics, values.camera_pose))
     if framed == (values.data is not None):
         raise UsageError("Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own.")
@@ -96,10 +96,12 @@ def _infer(values: Infer) -> None:
     if values.data is not None:
         place = (values.data, values.split, values.scene)
         clip = read_clip(*place)
+        check_free(values.out)
         print(f"Resolution: {spacing_note(origin.model, clip)}.")
         scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
     else:
         sight = look(values, origin.model)
+        check_free(values.out)
         print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
         scene = infer_scene(origin, sight.observation, refinements=values.refine)
     _show(scene, origin, values.out, values.resolution)
@@ -110,7 +112,6 @@ def _infer(values: Infer) -> None:
 
 
 def _sample(values: Sample) -> None:
-    check_free(values.out)
     if not 0 <= values.objects <= MOST_OBJECTS:
         raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
     if not 0 <= values.seed < 2**63:
@@ -125,20 +126,25 @@ def _sample(values: Sample) -> None:
     origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
     generator = torch.Generator().manual_seed(values.seed)
     if values.prior == "found":
-        assert values.data is not None
-        source = _found(origin, values.data, values.clips, generator)
+        source = _found(origin, values, generator)
     else:
         source = named_prior(origin, values.prior or ("flow" if has_flow(origin) else "fitted"))
     scene = sample_scene(origin, source, objects=values.objects, cameras=cameras, generator=generator)
     _show(scene, origin, values.out, values.resolution)
 
 
-def _found(origin: Origin, data: Path, clips: int, generator: torch.Generator) -> FoundObjects:
+def _found(origin: Origin, values: Sample, generator: torch.Generator) -> FoundObjects:
+    data = values.data
+    assert data is not None
     number = len(SceneDataset(data, "train"))
     if not number:
         raise UsageError(f"{data} has no training scenes to take objects from; make some with --split train=N.")
-    chosen = torch.randperm(number, generator=generator)[:clips].tolist()
-    print(f"Looking for objects in {len(chosen)} training clips of {data}; each takes some seconds.", flush=True)
+    check_free(values.out)
+    chosen = torch.randperm(number, generator=generator)[: values.clips].tolist()
+    print(
+        f"Looking for objects in {counted(len(chosen), 'training clip')} of {data}; each takes some seconds.",
+        flush=True,
+    )
     return find_objects(origin, (read_clip(data, "train", index) for index in chosen), refinements=STEPS)
 
 
@@ -147,13 +153,13 @@ def _fit(values: Fit) -> None:
     model = origin.model
     if has_prior(origin):
         raise UsageError(f"{origin.folder / PRIOR} is there already; move it elsewhere to fit another one.")
-    _say(f"Looking for lights and patterns in {min(count, MOST)} clips; each takes some seconds.")
-    whole = (read_clip(values.data, "train", i) for i in _counted(min(count, MOST)))
+    _say(f"Looking for lights and patterns in {counted(min(count, MOST), 'clip')}; each takes some seconds.")
+    whole = (read_clip(values.data, "train", i) for i in _places(min(count, MOST)))
     tables = find_tables(origin, whole, refinements=STEPS)
-    _say(f"Looking at the first frames of {count} clips.")
+    _say(f"Looking at the first frames of {counted(count, 'clip')}.")
     clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
     save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips), tables))
-    print(f"Fitted to {count} clips, for obpose-edit sample: {origin.folder}")
+    print(f"Fitted to {counted(count, 'clip')}, for obpose-edit sample: {origin.folder}")
 
 
 def _learn(values: Learn) -> None:
@@ -170,14 +176,14 @@ def _learn(values: Learn) -> None:
         path = learn_flow(origin, values.data, Lesson(count, values.steps, values.seed), workers=workers, say=_say)
     except KeyboardInterrupt:
         raise Interrupted("Interrupted; what was done is kept, and the same command goes on.") from None
-    print(f"Learned from {count} clips, for obpose-edit sample: {path}")
+    print(f"Learned from {counted(count, 'clip')}, for obpose-edit sample: {path}")
 
 
-def _counted(clips: int) -> Iterator[int]:
+def _places(clips: int) -> Iterator[int]:
     """Places of clips, and a word now and then of how many are done."""
     for place in range(clips):
         if place and place % 8 == 0:
-            _say(f"{place} of {clips} clips")
+            _say(f"{place} of {counted(clips, 'clip')}")
         yield place
 
 
@@ -208,7 +214,6 @@ def _clips(values: Fit | Learn) -> int:
 
 
 def _render(values: Render) -> None:
-    check_new(values.out)
     if values.turntable is not None and not 0 < values.turntable <= MOST_TURNS:
         raise UsageError(f"--turntable {values.turntable}: expected 1 to {MOST_TURNS}.")
     if values.clip and (values.turntable is not None or values.frame is not None):
@@ -221,6 +226,7 @@ def _render(values: Render) -> None:
     frame = one_of("--frame", values.frame or 0, scene.frames)
     camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
     camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
+    check_new(values.out)
     renderer = Renderer(origin.model)
     with new_file(values.out) as out:
         if values.turntable is not None:
@@ -240,13 +246,13 @@ def _tell_of_fog(images: list[Image], distance: float) -> None:
     """Say if there is something before most of what a camera should see, so many metres away."""
     if fogged := sum(float(image.depth.median()) < distance / 2 for image in images):
         print(
-            f"In {fogged} of {len(images)} pictures there is fog before the scene: these weights know what is empty "
-            "only where their training's cameras looked. Turntables want weights that were trained with several views."
+            f"In {fogged} of {counted(len(images), 'picture')} there is fog before the scene: these weights know what "
+            "is empty only where their training's cameras looked. Turntables want weights that were trained with "
+            "several views."
         )
 
 
 def _mesh(values: Mesh) -> None:
-    check_new(values.out)
     if values.out.suffix not in FORMATS:
         raise UsageError(f"--out {values.out}: expected a name that ends with {' or '.join(FORMATS)}.")
     if not 2 <= values.cells <= MOST_CELLS:
@@ -254,18 +260,19 @@ def _mesh(values: Mesh) -> None:
     scene = load_scene(values.scene)
     frame = one_of("--frame", values.frame, scene.frames)
     model = origin_of(scene, values.checkpoint).model
+    scene.place(values.object)
+    check_new(values.out)
     mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
     with new_file(values.out) as out:
         write_mesh(out, mesh)
     sides = " x ".join(f"{100 * side:.1f}" for side in mesh.extents)
-    print(f"{values.out}: {len(mesh.faces)} triangles, {sides} cm along the world's axes")
+    print(f"{values.out}: {counted(len(mesh.faces), 'triangle')}, {sides} cm along the world's axes")
 
 
 def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:
     """A command that loads a scene, changes it, and writes what comes of it."""
 
     def command(values: Any) -> None:
-        check_free(values.out)
         scene = load_scene(values.scene)
         changed = change(values, scene)
         _show(changed, origin_of(scene, values.checkpoint), values.out, values.resolution)
@@ -316,17 +323,14 @@ def _check_seen(scene: Scene) -> None:
             raise UsageError(f"A copy in the same place as object {name} would not be seen; give --by or --to.")
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
 def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> None:
     """Check, render, write and describe a scene."""
     check_inside(scene, origin.model)
     camera = _sized(scene.cameras[0], resolution)
+    check_free(out)
     picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
     save_scene(out, scene, picture)
-    print(f"{out}: {_count(scene.frames, 'frame')}, {_count(len(scene.ids), 'object')}; {out / PICTURE}")
+    print(f"{out}: {counted(scene.frames, 'frame')}, {counted(len(scene.ids), 'object')}; {out / PICTURE}")
     for place, name in enumerate(scene.ids):
         x, y, z = scene.center[0, place].tolist()
         print(f"  object {name} at {x:.3f}, {y:.3f}, {z:.3f} m in the first frame")

@@ -1,6 +1,5 @@
 """Files that are there whole or not at all."""
 
-import fcntl
 import glob
 import os
 import shutil
@@ -9,7 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from datagen.locks import FolderLock
 from datagen.processes import is_running
+from datagen.spec import SPEC_FILE
 from obpose.errors import Busy, DatagenError, UsageError
 
 
@@ -95,6 +96,7 @@ def check_free(folder: Path) -> None:
         raise UsageError(f"{folder} is a link that leads to itself; give another --out.") from None
     if resolved == Path.cwd():
         raise UsageError(f"{folder} is the current folder; give a new one with --out, nothing was changed.")
+    check_no_dataset(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} is there already and not empty; give another --out, nothing was changed.")
 
@@ -151,22 +153,31 @@ def _taken(path: Path) -> UsageError:
 
 @contextmanager
 def claimed(folder: Path) -> Iterator[None]:
-    """A folder that one process at a time writes to, and what killed ones left half-written is gone.
+    """Hold a folder for results alone while writing to it; files that killed processes left half-written are removed.
 
     Raises:
         Busy: another process has it.
-        UsageError: it is a file.
+        UsageError: it is a file, or the folder of a dataset.
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; expected a folder, or a place for a new one.")
+    check_no_dataset(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        _lock(descriptor, folder)
+    with FolderLock(folder) as lock:
+        if not lock.take_alone():
+            raise Busy(f"Another process is writing to {folder}; let it end, or give another --out.")
         remove_abandoned(folder)
         yield
-    finally:
-        os.close(descriptor)
+
+
+def check_no_dataset(folder: Path) -> None:
+    """Check that a folder for results is not the folder of a dataset.
+
+    Raises:
+        UsageError: it is.
+    """
+    if os.path.lexists(folder / SPEC_FILE):
+        raise UsageError(f"{folder} holds a dataset; give another --out, nothing was changed.")
 
 
 def remove_abandoned(folder: Path) -> None:
@@ -175,13 +186,3 @@ def remove_abandoned(folder: Path) -> None:
         # Named as `write_whole` does; what is called otherwise is somebody else's.
         if path.suffixes[-2:-1] and path.suffixes[-2][1:].isdecimal():
             path.unlink(missing_ok=True)
-
-
-def _lock(descriptor: int, folder: Path) -> None:
-    """The system lets go of it when the process ends, however it ends."""
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise Busy(f"Another process is writing to {folder}; let it end, or give another --out.") from None
-    except OSError:
-        pass  # some file systems of networks have no locks

@@ -1,4 +1,4 @@
-"""What a model has to know of its world before training: how far apart surface points are, and where they lie."""
+"""Dataset statistics that a model needs before training: point spacing and the extent of the workspace."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -41,20 +41,22 @@ class SceneMeasures:
 
 
 def measure_scene(source: ClipSource) -> SceneMeasures:
-    """Look at some clips of a source.
+    """Measure the first frames of some clips of a source.
 
     Raises:
-        UsageError: no pixel has a depth, or there are no clips, or their points are not finite.
+        UsageError: there are no clips, no pixel has a depth, or the points are not finite.
     """
+    if not len(source):
+        raise UsageError("There are no training clips; expected a training split with at least one scene.")
     images = list(_first_frames(source))
-    points = torch.cat([unproject(image)[image.valid] for image in images]) if images else torch.zeros(0, 3)
-    steps = torch.cat([neighbour_distances(image) for image in images]) if images else torch.zeros(0)
+    points = torch.cat([unproject(image)[image.valid] for image in images])
+    steps = torch.cat([neighbour_distances(image) for image in images])
     if not len(points) or not len(steps):
         raise UsageError("The training clips show nothing: no neighbouring pixels with a depth in the first frames.")
     if not points.isfinite().all():
         raise UsageError(
-            "The surface points of the training clips are not finite: their depths, camera matrices or poses hold "
-            "numbers that are none. obpose-datagen verify says where."
+            "The surface points of the training clips are not finite: their depths, camera matrices or poses hold NaN "
+            "or infinity. obpose-datagen verify says where."
         )
     low, high = _quantile(points, TAIL), _quantile(points, 1 - TAIL)
     middle = (low + high) / 2

@@ -15,6 +15,8 @@ import tyro
 from einops import rearrange
 from jaxtyping import Float, Int
 
+from datagen.command_line import given_arguments
+from datagen.wording import counted
 from obpose.checkpoint import load_obpose
 from obpose.errors import EXIT_OK, run_program
 from obpose.files import check_free
@@ -43,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
     code = run_program(
         PROGRAM,
-        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=description)),
+        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=given_arguments(arguments), description=description)),
         out_of_memory="Out of memory; give fewer frames at a time, or a larger --every.",
     )
     sys.exit(code)
@@ -51,9 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(values: Arguments) -> int:
     """Segment and write."""
-    check_free(values.out)
     model = load_obpose(find_checkpoint(values.checkpoint))
     sight = look(values, model)
+    check_free(values.out)
     found = fitting_model(model, sight.observation).segment(sight.observation)
     labels = _enlarged(found, values.every, sight.whole.depth.shape)
     facts = {
@@ -65,7 +67,7 @@ def run(values: Arguments) -> int:
     page = write_results(values.out, sight.whole, labels, _objects(found, labels, model), sight.pose, facts)
     print(f"World: {sight.world}.")
     print(f"Resolution: {sight.resolution}.")
-    print(f"Labels, overlays and poses of {len(labels)} frames: {page}")
+    print(f"Labels, overlays and poses of {counted(len(labels), 'frame')}: {page}")
     return EXIT_OK
 
 

@@ -7,7 +7,11 @@ import hashlib
 from pathlib import Path
 
 import assets
+from datagen.safe_io import read_bytes
 from obpose.errors import UsageError
+
+MOST_BYTES = 4 * 2**30
+"""Largest file of weights."""
 
 
 def shipped_name(model: str, track: str, resolution: tuple[int, int]) -> str:
@@ -75,9 +79,14 @@ def find_checkpoint(checkpoint: Path) -> Path:
 
 
 def content_hash(folder: Path) -> str:
-    """SHA-256 of names and contents of the files in a folder that hold the model's weights and its configuration."""
+    """SHA-256 of names and contents of the files in a folder that hold the model's weights and its configuration.
+
+    Raises:
+        UsageError: one of them is no regular file.
+        CorruptFile: one of them is too large.
+    """
     found = hashlib.sha256()
     for path in (folder / "config.json", folder / "model.safetensors"):
         if path.exists():
-            found.update(f"{path.name}|{hashlib.sha256(path.read_bytes()).hexdigest()}|".encode())
+            found.update(f"{path.name}|{hashlib.sha256(read_bytes(path, MOST_BYTES)).hexdigest()}|".encode())
     return found.hexdigest()

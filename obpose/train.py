@@ -7,6 +7,7 @@ stopped goes on exactly as if it had not been. With a budget in minutes the lear
 took, which is never the same twice; with one in steps the weights are equal to the last bit.
 """
 
+import math
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ import torch
 from lightning_fabric import Fabric
 
 from benchmark.metrics import clip_scores
+from datagen.wording import counted
 from obpose.checkpoint import TRAINING, Build, load_training
 from obpose.clips import ClipSource
 from obpose.errors import CorruptFile, Interrupted, UsageError
@@ -272,17 +274,32 @@ def _resume(learner: Learner, folder: Path, config: Configuration, processes: in
     if state is None:
         return _Progress()
     try:
-        began, curve = state.info["processes"], [CurvePoint(**point) for point in state.info["curve"]]
-        progress = _Progress(state.info["step"], state.info["seconds"], curve)
-    except (KeyError, TypeError):
+        began, progress = _how_far(state.info)
+    except (AttributeError, KeyError, TypeError, ValueError):
         raise CorruptFile(f"{folder / TRAINING} does not say how far it came; begin anew with another --out.") from None
+    if progress.step and not state.optimizer and not config.train.skip:
+        raise CorruptFile(f"{folder / TRAINING} lacks the state of the optimiser; begin anew with another --out.")
     if began != processes:
         raise UsageError(
-            f"{folder} holds a run of {began} processes, this is one of {processes}; "
+            f"{folder} holds a run of {counted(began, 'process', 'processes')}, this is one of {processes}; "
             "start as many, or give another --out."
         )
     learner.restore(state)
     return progress
+
+
+def _how_far(info: dict[str, Any]) -> tuple[int, _Progress]:
+    """Number of processes, and the progress of the training that they made.
+
+    Raises:
+        AttributeError, KeyError, TypeError, ValueError: it does not say, or something impossible.
+    """
+    processes, step, seconds = info["processes"], info["step"], info["seconds"]
+    if type(processes) is not int or type(step) is not int or type(seconds) not in (int, float):
+        raise TypeError
+    if processes < 1 or step < 0 or not 0 <= seconds < math.inf:
+        raise ValueError
+    return processes, _Progress(step, float(seconds), [CurvePoint.from_plain(point) for point in info["curve"]])
 
 
 def _ari_fg(truth: Labels, labels: Labels) -> float:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from datagen.command_line import answer_version, given_arguments
 from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program
 
 if TYPE_CHECKING:
@@ -50,10 +51,12 @@ class Arguments:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve until Ctrl-C and give the exit code."""
+    if answer_version(PROGRAM, arguments):
+        return EXIT_OK
     description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
     return run_program(
         PROGRAM,
-        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=arguments, description=description)),
+        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=given_arguments(arguments), description=description)),
         interrupted="Closed; what was not saved is gone.",
         out_of_memory="Out of memory; give a dataset of shorter clips or smaller images.",
     )
@@ -77,12 +80,12 @@ def check(values: Arguments) -> None:
     """Refuse what cannot work, before anything slow.
 
     Raises:
-        UsageError: viser is missing, or nobody can listen there.
+        UsageError: viser is missing, a number is impossible, or nobody can listen there.
     """
     if importlib.util.find_spec("viser") is None:
         raise UsageError("The page needs viser, which is not installed: pip install viser.")
-    if values.out.exists() and not values.out.is_dir():
-        raise UsageError(f"--out {values.out} is a file; expected a folder, or a place for a new one.")
+    if values.scene < 0:
+        raise UsageError(f"--scene {values.scene}: expected 0 or more.")
     if not 0 < values.port < 65536:
         raise UsageError(f"--port {values.port}: expected 1 to 65535.")
     try:
@@ -104,10 +107,14 @@ def serve(values: Arguments) -> "Page":
     """
     # Late, because PyTorch takes seconds to import.
     with interruptible_imports(PROGRAM):
-        from obpose.viewer.opening import open_path
+        from obpose.viewer.opening import check_request, open_path
         from obpose.viewer.page import Page
         from obpose.viewer.serving import open_server
 
+    check_request(values.path, checkpoint=values.checkpoint, data=values.data)
+    # Later, because a folder that is there must not hide what is missing.
+    if values.out.exists() and not values.out.is_dir():
+        raise UsageError(f"--out {values.out} is a file; expected a folder, or a place for a new one.")
     opened = open_path(
         values.path, checkpoint=values.checkpoint, data=values.data, split=values.split, index=values.scene
     )

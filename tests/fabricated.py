@@ -15,16 +15,18 @@ RADIUS = 0.05
 def write_dataset(
     folder: Path,
     *,
-    scenes: int = 3,
+    scenes: int | dict[str, int] = 3,
     frames: int = 4,
     views: int = 1,
     size: tuple[int, int] = (64, 48),
     spheres: int = 3,
     sensor: bool = False,
 ) -> Path:
-    """A dataset folder with that many scenes in every split; `size` is width and height."""
+    """A dataset folder with that many scenes in every split, or in each by name; `size` is width and height."""
     recipe = spheres_recipe(frames=frames, views=views, resolution=size, sensor=config.Sensor(enabled=sensor))
-    splits = dict.fromkeys(schema.SPLITS, scenes)
+    splits = (
+        dict.fromkeys(schema.SPLITS, scenes) if isinstance(scenes, int) else dict.fromkeys(schema.SPLITS, 0) | scenes
+    )
     facts = spec.make_spec(
         config.recipe_to_dict(recipe),
         seed=0,
@@ -34,9 +36,12 @@ def write_dataset(
     )
     folder.mkdir(parents=True)
     (folder / spec.SPEC_FILE).write_text(json.dumps(facts))
-    for number, split in enumerate(schema.SPLITS if scenes else ()):
-        packed = [shard.pack(scene_record(recipe, [number, i], spheres)) for i in range(scenes)]
-        image = shard.shard_image(packed, {"split": split, "settings_hash": spec.settings_hash(facts)})
+    for number, split in enumerate(schema.SPLITS):
+        if not splits[split]:
+            continue
+        packed = [shard.pack(scene_record(recipe, [number, i], spheres)) for i in range(splits[split])]
+        said = {"data_version": facts["data_version"], "settings_hash": spec.settings_hash(facts)}
+        image = shard.shard_image(packed, {**said, "split": split, "first_scene": 0})
         (folder / spec.shard_name(split, 0)).write_bytes(image)
     return folder
 

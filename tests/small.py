@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen import schema
-from datagen.config import Recipe, load_recipe
+from datagen import schema, spec
+from datagen.config import Recipe, load_recipe, recipe_to_dict
 from datagen.generate import Report, Run, generate
 from datagen.storage import Dataset
 
@@ -55,6 +55,13 @@ def command(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+def random_spec(*, seed: int = 0, **splits: int) -> spec.Spec:
+    """The spec of a dataset whose scenes are of the size of `random_record`; equal seeds are equal settings."""
+    small = recipe_to_dict(recipe(views=2))
+    renderer = {"name": "raster", "version": 1}
+    return spec.make_spec(small, seed=seed, splits=splits, resolution=(7, 5), renderer=renderer)
+
+
 def random_record(seed: int, *, frames: int = 3, views: int = 2, size: tuple[int, int] = (7, 5)) -> schema.SceneRecord:
     """Noise in every field of the format."""
     rng = np.random.default_rng(seed)
@@ -67,5 +74,6 @@ def random_record(seed: int, *, frames: int = 3, views: int = 2, size: tuple[int
             texts = [b"x" * int(length) for length in rng.integers(0, 30, int(np.prod(shape)))]
             record[name] = np.reshape(np.array(texts), shape)
         else:
-            record[name] = np.asarray(rng.uniform(0, 250, shape)).astype(field.dtype)
+            most = 4 if name == "objects/count" else 250
+            record[name] = np.asarray(rng.uniform(0, most, shape)).astype(field.dtype)
     return record

@@ -114,17 +114,7 @@ def write_dataset(folder: Path, scenes: Sequence[SceneRecord], *, sensor: bool =
     folder.mkdir(parents=True, exist_ok=True)
     (folder / spec.SPEC_FILE).write_text(json.dumps(facts))
     for number, indices in enumerate(spec.shard_ranges(len(scenes), facts["scenes_per_shard"])):
-        packed = [shard.pack(scenes[index]) for index in indices]
-        image = shard.shard_image(
-            packed,
-            {
-                "data_version": facts["data_version"],
-                "settings_hash": spec.settings_hash(facts),
-                "split": "train",
-                "first_scene": indices.start,
-            },
-        )
-        (folder / spec.shard_name("train", number)).write_bytes(image)
+        write_shard(folder, facts, "train", number, [shard.pack(scenes[index]) for index in indices])
     write_manifest(folder)
     return folder
 
@@ -140,14 +130,27 @@ def change_scene(
     if keep_hash:
         changed = dataclasses.replace(changed, hash=dataset.split(split).hash(index))
     number, row = divmod(index, dataset.spec["scenes_per_shard"])
-    path = dataset.split(split).path(number)
-    old = shard.Shard(path)
+    old = shard.Shard(folder, dataset.spec, split, number)
     scenes = [changed if i == row else old.packed(i) for i in range(len(old))]
-    names = ("data_version", "settings_hash", "split", "first_scene")
-    image = shard.shard_image(scenes, {name: value for name, value in old.attributes.items() if name in names})
     old.close()
-    path.write_bytes(image)
+    write_shard(folder, dataset.spec, split, number, scenes)
     write_manifest(folder)
+
+
+def write_shard(
+    folder: Path, facts: spec.Spec, split: str, number: int, scenes: list[shard.PackedScene], /, **changes: object
+) -> Path:
+    """Write a shard that says of itself what it should, except for `changes`, and give its path."""
+    said = {
+        "data_version": facts["data_version"],
+        "settings_hash": spec.settings_hash(facts),
+        "split": split,
+        "first_scene": number * facts["scenes_per_shard"],
+    }
+    path = folder / spec.shard_name(split, number)
+    path.unlink(missing_ok=True)  # a new file, as the old one may be open
+    path.write_bytes(shard.shard_image(scenes, {**said, **changes}))
+    return path
 
 
 def write_manifest(folder: Path) -> None:

@@ -37,18 +37,32 @@ LAYERS = (
         "shapes",
         "catalog",
         "progress",
+        "safe_io",
+        "locks",
+        "version",
+        "command_line",
+        "wording",
     },
     {"sampling", "physics", "render", "sensor", "storage", "shard", "folder", "manifest", "parallel"},
-    {"simulate", "records", "edits", "maker", "stats", "card", "preview", "verify"},
+    {"simulate", "records", "edits", "maker", "stats", "card", "preview", "verify", "visible_range"},
     {"generate"},
     {"options", "arguments", "cli", "command"},
 )
 """Parts of `datagen` from the bottom up; none imports from a layer above its own."""
 
+MAY_OPEN = (
+    "datagen/safe_io.py",
+    "benchmark/isolation.py",  # lines from its own child process
+    "benchmark/selftest.py",  # a file of this package
+)
+"""Files that call HDF5, NPY, image and JSON readers themselves; all others use `datagen.safe_io`."""
+
 DATAGEN_FOR = {
     "obpose/data.py": {"schema", "storage", "errors"},
+    "obpose/": {"safe_io", "command_line", "wording"},
+    "obpose/__init__.py": {"version"},
     "obpose/errors.py": {"errors"},
-    "obpose/files.py": {"processes"},
+    "obpose/files.py": {"locks", "processes", "spec"},
     "obpose/creation/examples.py": {"parallel"},
     "benchmark/": {
         "config",
@@ -61,6 +75,10 @@ DATAGEN_FOR = {
         "verify",
         "errors",
         "processes",
+        "safe_io",
+        "version",
+        "command_line",
+        "wording",
     },
 }
 """What files and folders of the other packages may use of `datagen`; all others nothing."""
@@ -130,6 +148,31 @@ def test_a_good_import_is_let_through(path: str, source: str):
     assert violations(path, source) == []
 
 
+def test_only_safe_io_opens_files_from_outside():
+    found = {path: calls for path in sources() if (calls := unsafe_calls((ROOT / path).read_text()))}
+    assert {path: calls for path, calls in found.items() if path not in MAY_OPEN} == {}
+
+
+@pytest.mark.parametrize(
+    ("source", "unsafe"),
+    [
+        ("h5py.File(path)", True),
+        ("h5py.File(path, 'r')", True),
+        ("h5py.File(path, mode='r+')", True),
+        ("h5py.File(path, 'w')", False),
+        ("np.load(path)", True),
+        ("numpy.load(path)", True),
+        ("Image.open(path)", True),
+        ("json.load(file)", True),
+        ("json.loads(text)", True),
+        ("json.loads(json.dumps(value))", False),
+        ("parse_json(text)", False),
+    ],
+)
+def test_an_unsafe_call_is_found(source: str, unsafe: bool):
+    assert bool(unsafe_calls(source)) == unsafe
+
+
 def test_a_cycle_is_found():
     assert cycle({"a": {"b"}, "b": {"c", "d"}, "c": {"a"}, "d": set()}) == ["a", "b", "c", "a"]
 
@@ -154,6 +197,23 @@ def third_party_modules_of(module: str) -> set[str]:
 def sources() -> list[str]:
     """All source files, as paths from the root."""
     return sorted(str(path.relative_to(ROOT)) for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+
+def unsafe_calls(source: str) -> list[str]:
+    """Calls that open or parse a file without the checks of `datagen.safe_io`."""
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    return [ast.unparse(call) for call in calls if is_unsafe(call)]
+
+
+def is_unsafe(call: ast.Call) -> bool:
+    """Whether a call reads what may come from outside; writing HDF5 and copying values through JSON are safe."""
+    name = ast.unparse(call.func)
+    if name == "h5py.File":
+        mode = next((word.value for word in call.keywords if word.arg == "mode"), None) or (call.args[1:2] or [None])[0]
+        return mode is None or ast.unparse(mode) != "'w'"
+    if name == "json.loads":
+        return not ast.unparse(call.args[0]).startswith("json.dumps(")
+    return name in ("json.load", "np.load", "numpy.load", "Image.open")
 
 
 def violations(path: str, source: str) -> list[str]:

@@ -12,6 +12,7 @@ from benchmark.adapters.poses import poses_of
 from benchmark.adapters.settings import settings_of
 from benchmark.interface import Clip, Prediction
 from benchmark.watch import Watch
+from datagen.errors import UsageError
 from obpose.checkpoint import load
 from obpose.clips import ArrayClips, LabelledArrayClips, observation_of, views_apart
 from obpose.measure import measure_scene
@@ -86,6 +87,11 @@ class LearnedSegmenter:
         return Prediction(labels, model.background_slot, extra, poses)
 
     def _train(self, clips: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> Trainable:
+        if not len(clips):
+            raise UsageError(
+                "The dataset has no training scenes; expected some to learn from. Generate some with --split train=N, "
+                "or use weights with --pretrained or --checkpoint."
+            )
         kind = LabelledArrayClips if self._system.uses_labels else ArrayClips
         source, validation = kind(clips), kind(val) if len(val) else None
         config = self._config(source, seed, budget)

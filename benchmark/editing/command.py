@@ -10,12 +10,14 @@ from benchmark import arguments
 from benchmark.console import prepare, progress_bar, status
 from benchmark.duration import GRACE_SECONDS
 from benchmark.editing import summary
-from benchmark.editing.job import REFERENCES, VERSION, EditJob
+from benchmark.editing.job import VERSION, EditJob
 from benchmark.editing.lines import FOLDER
 from benchmark.editing.truth import kinds_in
+from benchmark.escaping import terminal
 from benchmark.files import remove_abandoned
 from benchmark.isolation import LOGS, limits, run_isolated
-from benchmark.outputs import wide_console
+from benchmark.names import REFERENCES, REFINED
+from benchmark.outputs import print_path, wide_console
 from benchmark.plan import Request, trained
 from benchmark.registry import find_model
 from benchmark.results import digest
@@ -25,6 +27,7 @@ from benchmark.tracks import Source, Track
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
 from datagen.schema import EDITS
 from datagen.storage import Dataset
+from datagen.wording import counted
 from obpose.shipped import content_hash
 
 
@@ -37,8 +40,6 @@ def score_edits(values: arguments.Run, request: Request) -> int:
         )
     if idle := [model for model in request.models if find_model(model).kind != "learned"]:
         raise UsageError(f"{idle[0]!r} infers no scenes that could be edited; leave it out.")
-    if values.scenes is not None and values.scenes < 1:
-        raise UsageError(f"--scenes {values.scenes}: expected 1 or more.")
     sources = [_with_edits(source) for source in request.sources]
     jobs = [job for source in sources for job in _jobs(request, source, values)]
     remove_abandoned(values.out)
@@ -47,7 +48,8 @@ def score_edits(values: arguments.Run, request: Request) -> int:
     reasons = _run([job for job in jobs if job.missing()], values)
     console = wide_console()
     console.print(summary.screen_table(summary.write(values.out)))
-    console.print(f"\nTable: {values.out.resolve() / summary.FILES[1]}", soft_wrap=True, highlight=False)
+    console.print()
+    print_path(console, "Table: ", values.out / summary.FILES[1])
     return EXIT_INCOMPLETE if reasons else EXIT_OK
 
 
@@ -61,13 +63,16 @@ def _with_edits(source: Source) -> Source:
 
 def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJob]:
     fit = request.fit_source or source
-    scenes = min(values.scenes or source.size(SPLIT), source.size(SPLIT))
+    there = source.size(SPLIT)
+    if values.scenes is not None and values.scenes > there:
+        raise UsageError(f"--scenes is {values.scenes}; expected at most {there}, the test scenes of {source.name}.")
+    scenes = values.scenes or there
     answers: dict[str, Path | None] = {REFERENCES: None}
     answers |= {weights.name: weights.folder for weights in trained(request, fit)}
     return [
         EditJob(
             track=source.name,
-            model=f"{model}-refined" if checkpoint and values.refine else model,
+            model=f"{model}{REFINED}" if checkpoint and values.refine else model,
             data=source.folder,
             checkpoint=checkpoint,
             refinements=values.refine,
@@ -113,9 +118,9 @@ def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
             share = limits(seconds, workers=values.workers, memory_mib=values.memory_limit)
             ending = run_isolated(job, share, job.out / LOGS / f"{job.name}.log", stop, hear)
             if job.name in ending.events:
-                console.print(f"{job.track}, {job.model}: {job.scenes} scenes", markup=False)
+                console.print(terminal(f"{job.track}, {job.model}: {counted(job.scenes, 'scene')}"))
             elif not stop.is_set():
-                console.print(f"{job.track}, {job.model}: FAILED, {ending.reason}", markup=False)
+                console.print(terminal(f"{job.track}, {job.model}: FAILED, {ending.reason}"))
                 reasons.append(ending.reason)
             return []
 

@@ -11,13 +11,11 @@ from benchmark.editing.lines import line_of, line_without_edit, load_lines, path
 from benchmark.editing.truth import EditedScene, Pair, kinds_in, read_edits
 from benchmark.interface import Clip
 from benchmark.runner import SPLIT
+from datagen.errors import UsageError
 from datagen.storage import Dataset
 
 VERSION = 1
 """Rises when the scores of equal pictures change."""
-
-REFERENCES = "references"
-"""In the place of a model's name: answers that need none."""
 
 Scored = Iterator[tuple[Pair, Answer]]
 
@@ -58,8 +56,19 @@ class EditJob:
         return path_of(self.out, self.name)
 
     def missing(self) -> list[int]:
-        """Scenes that have no line yet."""
-        done = {line["scene"] for line in load_lines(self.path)}
+        """Scenes that have no line yet.
+
+        Raises:
+            UsageError: the file has lines of another track or model, whose names together make the same file name.
+            CorruptFile: the file is damaged.
+        """
+        lines = load_lines(self.path)
+        if others := [line for line in lines if (line["track"], line["model"]) != (self.track, self.model)]:
+            raise UsageError(
+                f"{self.path} has lines of {others[0]['model']} on {others[0]['track']}, expected {self.model} on "
+                f"{self.track}. Give another folder with --out."
+            )
+        done = {line["scene"] for line in lines}
         return [scene for scene in range(self.scenes) if scene not in done]
 
     def run(self, announce: Callable[[str], None]) -> None:

@@ -4,18 +4,18 @@ A file grows while its job runs, scene by scene, so that a job that was stopped 
 edit has a line without an edit, which says that it was looked at.
 """
 
-import csv
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from benchmark.csv_files import read_csv
 from benchmark.editing.answers import Answer
 from benchmark.editing.scores import METRICS
 from benchmark.editing.truth import Pair
 from benchmark.files import write_whole
 from benchmark.leaderboard import Line, to_csv
 from datagen.errors import CorruptFile
+from datagen.schema import EDITS
 
 FOLDER = "editing"
 """In the run folder."""
@@ -66,15 +66,11 @@ def load_lines(path: Path) -> list[Line]:
     if not path.exists():
         return []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != COLUMNS:
-                raise ValueError(f"its columns are {reader.fieldnames}")
-            lines = list(_typed(reader))
-        if not path.read_bytes().endswith(b"\n"):
-            raise ValueError("its last line is cut short")
-        return lines
-    except (OSError, ValueError, TypeError, csv.Error) as error:
+        names, lines = read_csv(path)
+        if tuple(names) != COLUMNS:
+            raise ValueError(f"its columns are {', '.join(names):.80}")
+        return [_typed(dict(zip(names, cells, strict=True))) for cells in lines]
+    except (OSError, ValueError) as error:
         raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
 
 
@@ -84,10 +80,12 @@ def load_all(folder: Path) -> list[Line]:
     return [line for path in paths for line in load_lines(path) if line["edit"]]
 
 
-def _typed(rows: Iterable[dict[Any, Any]]) -> Iterator[Line]:
-    for number, row in enumerate(rows, start=2):
-        # What DictReader makes of lines that are too long or too short.
-        if None in row or None in row.values():
-            raise ValueError(f"line {number} has not {len(COLUMNS)} columns")
-        numbers = {name: float(row[name]) if row[name] else math.nan for name in METRICS}
-        yield {**{name: row[name] for name in COLUMNS}, "scene": int(row["scene"]), **numbers}
+def _typed(row: dict[str, str]) -> Line:
+    """Parse the cells of one line; raises ValueError where one is not what `line_of` writes."""
+    if row["edit"] not in ("", *EDITS) or row["found"] not in ("", "no", "yes"):
+        raise ValueError(f"a line has edit {row['edit']!r:.40} and found {row['found']!r:.40}")
+    numbers = {name: float(row[name]) if row[name] else math.nan for name in METRICS}
+    scene = int(row["scene"])
+    if scene < 0 or math.inf in map(abs, numbers.values()):
+        raise ValueError(f"a line of scene {scene} has a score that is infinite, or the scene is none")
+    return {**row, "scene": scene, **numbers}

@@ -7,15 +7,17 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from benchmark.editing.lines import load_all
 from benchmark.editing.scores import LARGEST_PSNR, METRICS
+from benchmark.escaping import markdown as markdown_text
+from benchmark.escaping import terminal
 from benchmark.files import write_whole
 from benchmark.leaderboard import Line, to_csv
 from benchmark.statistics import Summary, draw, summarise
 from datagen.schema import EDITS
+from datagen.wording import counted
 
 FILES = ("editing.csv", "editing.md")
 
@@ -103,8 +105,8 @@ def markdown(entries: Sequence[Entry]) -> str:
     for (track, edit), members in groupby(entries, key=lambda entry: (entry.track, entry.edit)):
         rows = list(members)
         counts = {entry.scenes for entry in rows}
-        said = f", {counts.pop()} scenes" if len(counts) == 1 else ""
-        parts.append(f"## {track}: {edit}{said}\n\n{_markdown_table(rows)}\n")
+        said = f", {counted(counts.pop(), 'scene')}" if len(counts) == 1 else ""
+        parts.append(f"## {markdown_text(track)}: {edit}{said}\n\n{_markdown_table(rows)}\n")
     return "\n".join([*parts, *(f"{note}\n" for note in NOTES)])
 
 
@@ -113,7 +115,9 @@ def _markdown_table(entries: Sequence[Entry]) -> str:
     differ = len({entry.scenes for entry in entries}) > 1
     head = ["", *(["scenes"] if differ else []), *SHOWN.values(), "not found"]
     rows = [head, ["---"] * len(head)]
-    rows += [[_label(entry), *([str(entry.scenes)] if differ else []), *_cells(entry)] for entry in entries]
+    rows += [
+        [markdown_text(_label(entry)), *([str(entry.scenes)] if differ else []), *_cells(entry)] for entry in entries
+    ]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
@@ -122,8 +126,7 @@ def screen_table(entries: Sequence[Entry]) -> Table:
     table = Table("track", "edit", "picture", *SHOWN.values(), "not found", box=None)
     for entry in entries:
         means = (_number(name, entry.metrics[name].mean) for name in METRICS)
-        # Names that people give may look like markup.
-        names = map(escape, (entry.track, entry.edit, _label(entry)))
+        names = map(terminal, (entry.track, entry.edit, _label(entry)))
         table.add_row(*names, *means, _not_found(entry))
     return table
 

@@ -22,9 +22,12 @@ def contingency(
     renumbered.
 
     Raises:
-        ValueError: the maps differ in shape, are not integer, hold negative labels outside `ignore`, or are empty.
+        ValueError: the maps differ in shape, are not integer, hold negative labels outside `ignore`, or are empty, or
+            the background slot is negative.
     """
     _check(truth, prediction, ignore)
+    if background_slot < 0:
+        raise ValueError(f"The background slot is {background_slot}; expected 0 or more.")
     if ignore is not None:
         truth, prediction = np.where(ignore, 0, truth), np.where(ignore, 0, prediction)
     if truth.min() < 0 or prediction.min() < 0:

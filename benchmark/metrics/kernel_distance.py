@@ -30,7 +30,12 @@ def kernel_distance(
 
     Features are measured in standard deviations of both samples together. Members of one group (the objects of a
     scene) depend on each other: the divisions that give the p-value move whole groups.
+
+    Raises:
+        ValueError: a sample has fewer than two members.
     """
+    if min(len(one), len(other)) < 2:
+        raise ValueError(f"The samples have {len(one)} and {len(other)} members; expected two or more in each.")
     both = np.concatenate([one, other])
     scale = both.std(axis=0)
     kernel = _gaussian((both - both.mean(axis=0)) / np.where(scale > 0, scale, 1.0))

@@ -41,17 +41,24 @@ def background_overlap(
     return np.where(tables[:, 0].sum(axis=1) > 0, iou[:, 0, slot], np.nan)
 
 
+def oracle_background_overlap(
+    iou: Float64[np.ndarray, "frame truth slot"], tables: Int64[np.ndarray, "frame truth slot"]
+) -> Float64[np.ndarray, "frame"]:
+    """Best IoU of the true background with any slot; nan in frames without true background."""
+    return np.where(tables[:, 0].sum(axis=1) > 0, iou[:, 0].max(axis=1), np.nan)
+
+
 def best_background_slot(
     iou: Float64[np.ndarray, "frame truth slot"], tables: Int64[np.ndarray, "frame truth slot"]
 ) -> Int64[np.ndarray, "frame"]:
-    """Of the slots that have pixels, the one that overlaps the true background most; the first of equals."""
-    return np.where(tables.sum(axis=1) > 0, iou[:, 0], -1.0).argmax(axis=1)
+    """Slot that overlaps the true background most, the first of equals; -1 in frames without true background."""
+    return np.where(tables[:, 0].sum(axis=1) > 0, iou[:, 0].argmax(axis=1), -1)
 
 
 def without_slot(
     iou: Float64[np.ndarray, "frame truth slot"], slots: Int64[np.ndarray, "frame"]
 ) -> Float64[np.ndarray, "frame truth slot"]:
-    """The same overlaps with one slot of each frame taken out of the running."""
+    """Overlaps with one slot of each frame set to 0, so that it is no candidate; -1 leaves a frame unchanged."""
     columns = np.arange(iou.shape[2])
     return np.where(columns == slots[:, None, None], 0.0, iou)
 

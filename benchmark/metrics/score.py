@@ -14,6 +14,7 @@ from benchmark.metrics.overlap import (
     covering,
     intersection_over_union,
     one_to_one_overlap,
+    oracle_background_overlap,
     without_slot,
 )
 
@@ -86,8 +87,9 @@ def score(
     - `msc_fg`: mean over objects of the best IoU with a predicted segment, the predicted background slot being no
       candidate (the paper's rule); `msc_fg_allslots`: with all slots as candidates (GENESIS-V2's rule, = mBO).
     - `miou_bg`: IoU of the background with the predicted background slot.
-    - `miou_bg_oracle` and `msc_fg_oracle_bg`: the same two with, in each frame, the slot that suits the truth best in
-      the place of `background_slot`. They use the truth: not to be ranked beside the others.
+    - `miou_bg_oracle` and `msc_fg_oracle_bg`: `miou_bg` and `msc_fg` with the slot as background that suits the truth
+      best, frame by frame. In a frame without true background the first is nan, and the second has all slots as
+      candidates. Both use the truth, so they must not be ranked beside the others.
     - `miou_fg_hungarian`: mean IoU of objects and slots matched one to one; an unmatched object counts 0.
     - `ari_video`, `ari_fg_video`, `msc_fg_video` (all slots): the frames as one image in space and time, so that an
       object must keep its slot. Of one frame they are the frame's own values.
@@ -103,7 +105,8 @@ def score(
     (0.75, 0.8, 0.5714285714285714)
 
     Raises:
-        ValueError: the maps differ in shape, are not integer, hold negative labels outside `ignore`, or are empty.
+        ValueError: the maps differ in shape, are not integer, hold negative labels outside `ignore`, or are empty, or
+            the background slot is negative.
     """
     tables, slot = contingency(truth, prediction, background_slot, ignore)
     frames = _frame_scores(tables, slot) | {"ignored": truth[0].size - tables.sum(axis=(1, 2))}
@@ -136,7 +139,7 @@ def _frame_scores(tables: Int64[np.ndarray, "frame truth slot"], slot: int) -> F
         "msc_fg": covering(np.delete(iou, slot, axis=2), tables),
         "msc_fg_allslots": covering(iou, tables),
         "miou_bg": background_overlap(iou, tables, slot),
-        "miou_bg_oracle": iou[:, 0].max(axis=1),
+        "miou_bg_oracle": oracle_background_overlap(iou, tables),
         "msc_fg_oracle_bg": covering(without_slot(iou, best_background_slot(iou, tables)), tables),
         "miou_fg_hungarian": one_to_one_overlap(iou, tables),
         "objects": np.count_nonzero(tables[:, 1:].sum(axis=2), axis=1),

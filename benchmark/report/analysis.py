@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from benchmark.labels import read_labels
+from benchmark.labels import check_labels_fit, read_labels
 from benchmark.report.gallery import Card, disagreements, telling_image, typical_scenes, worst_scenes
 from benchmark.report.observations import Objects, Outcome, Truth, outcome_of_scene, read_truth, scene_tables
 from benchmark.rescore import labels_path
@@ -41,6 +41,7 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
 
     Raises:
         UsageError: no run has label maps, or there is nothing to see.
+        CorruptFile: label maps are damaged, or of other scenes.
     """
     with_maps = {model: [row for row in rows if labels_path(folder, row).exists()] for model, rows in seeds.items()}
     kept = {model: rows if rows[0].random else rows[:1] for model, rows in with_maps.items() if rows}
@@ -48,6 +49,8 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
         raise UsageError("The run folder holds no label maps of this track.")
     if not len(objects.scene):
         raise UsageError("No scene shows an object.")
+    for row in (row for rows in kept.values() for row in rows):
+        check_labels_fit(labels_path(folder, row), scenes)
     truths = [read_truth(scenes, index) for index in range(len(scenes))]
     found = {
         model: [outcome(truths, read_labels(labels_path(folder, r))) for r in rows] for model, rows in kept.items()

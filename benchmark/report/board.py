@@ -2,12 +2,21 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmark.metrics import CLIP_METRICS, METRICS
-from benchmark.standings import PRETRAINED, TUNED, USES_LABELS, Entry, best_first, best_without_training
+from benchmark.number_text import plain_number
+from benchmark.standings import (
+    PRETRAINED,
+    TUNED,
+    USES_LABELS,
+    Entry,
+    best_first,
+    best_without_training,
+    in_order_of_rank,
+)
 from benchmark.statistics import Summary
 from benchmark.wording import rank_in_words, seeds_covered
 
@@ -73,12 +82,12 @@ class Row:
     failure: str
     views: str
     repeated: bool = False
-    """Whether it stands above models that learn, for comparison, and has a place of its own."""
+    """Whether it stands among models that learn for comparison, and has its own place elsewhere."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Models of one kind, best first; above those that learn stands the best one without training."""
+    """Models of one kind, best first; the best one without training stands among those that learn, too."""
 
     title: str
     rows: tuple[Row, ...]
@@ -86,14 +95,21 @@ class Block:
 
 def blocks(entries: Iterable[Entry], numbers: Mapping[str, int]) -> list[Block]:
     """The leaderboard; `numbers` are those of the models in the report."""
-    ordered = best_first(entries)
-    free = best_without_training(ordered)
+    entries = list(entries)
     titles = [*list(BLOCKS.values())[:3], LABELLED, *list(BLOCKS.values())[3:]]
-    found = {title: [entry for entry in ordered if block_title(entry) == title] for title in titles}
-    rows = {title: [_row(entry, numbers) for entry in members] for title, members in found.items() if members}
-    if free and (learned := BLOCKS["learned"]) in rows:
-        rows[learned].insert(0, replace(_row(free, numbers), repeated=True))
-    return [Block(title, tuple(members)) for title, members in rows.items()]
+    members = {title: [entry for entry in entries if block_title(entry) == title] for title in titles}
+    return [
+        Block(title, tuple(_rows(title, members[title], best_without_training(entries), numbers)))
+        for title in in_order_of_rank(members)
+        if members[title]
+    ]
+
+
+def _rows(title: str, members: Sequence[Entry], free: Entry | None, numbers: Mapping[str, int]) -> Iterator[Row]:
+    """Rows of a block, with the best one without training, `free`, among those that learn."""
+    repeated = [free] if free and title == BLOCKS["learned"] else []
+    for entry in best_first([*members, *repeated]):
+        yield replace(_row(entry, numbers), repeated=entry in repeated)
 
 
 def block_title(entry: Entry) -> str:
@@ -141,7 +157,7 @@ def duration(seconds: float) -> str:
     """A time in the unit that suits it."""
     for size, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
         if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
+            return f"{plain_number(seconds / size, 3)} {unit}"
     return "–"
 
 
@@ -183,14 +199,13 @@ def _failure(entry: Entry) -> str:
 
 
 def _details(entry: Entry, numbers: Mapping[str, int], shown: Sequence[str], *, without_failed: bool) -> dict[str, Any]:
-    summaries = [entry.summary(name, without_failed=without_failed) for name in shown]
+    spreads = [entry.spread(name, without_failed=without_failed) for name in shown]
     extra = "without failed seeds" if without_failed else ""
-    return {"model": numbers[entry.row.key.model], "extra": extra, "cells": [_with_spread(s) for s in summaries]}
+    return {"model": numbers[entry.row.key.model], "extra": extra, "cells": [_with_spread(*s) for s in spreads]}
 
 
-def _with_spread(summary: Summary) -> str:
-    several = math.isfinite(summary.sample_std)
-    return f"{number(summary.mean)} ± {number(summary.std)}" if several else number(summary.mean)
+def _with_spread(mean: float, std: float) -> str:
+    return f"{number(mean)} ± {number(std)}" if math.isfinite(std) else number(mean)
 
 
 def _defined(entry: Entry, metric: str) -> bool:

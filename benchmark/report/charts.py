@@ -4,6 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from benchmark.number_text import plain_number
+from datagen.wording import counted
+
 WIDTH, HEIGHT = 320, 208
 LEFT, RIGHT, TOP, BOTTOM = 34, 12, 12, 40
 """Margins of the plotting area, in the units of the drawing."""
@@ -91,7 +94,7 @@ def class_chart(
         Bar(round(x - 0.35 * step, 1), round(0.7 * step, 1), round(TALLEST_BAR * count / most, 1))
         for x, count in zip(xs, counts, strict=True)
     ]
-    words = [f"{name}, {count} observations" for name, count in zip(names, counts, strict=True)]
+    words = [f"{name}, {counted(count, 'observation')}" for name, count in zip(names, counts, strict=True)]
     curves = [_curve(model, xs, [unit_y(v) for v in line], line, words) for model, line in values.items()]
     every = math.ceil(len(names) / 7)
     ticks = [Tick(round(x, 1), name) for x, name in zip(xs[::every], names[::every], strict=True)]
@@ -108,11 +111,11 @@ def history_chart(title: str, axis: str, lines: Sequence[tuple[int, Values, Valu
     place_y = lambda y: HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (y - low_y) / (high_y - low_y)  # noqa: E731
     one = axis.removesuffix("s")
     curves = [
-        _curve(model, [place_x(x) for x in xs], [place_y(y) for y in ys], ys, [f"{one} {x:.4g}" for x in xs])
+        _curve(model, [place_x(x) for x in xs], [place_y(y) for y in ys], ys, [f"{one} {plain_number(x)}" for x in xs])
         for model, xs, ys in lines
     ]
-    x_ticks = [Tick(round(place_x(x), 1), f"{x:.4g}") for x in (low_x, (low_x + high_x) / 2, high_x)]
-    y_ticks = [Tick(round(place_y(y), 1), f"{y:.3g}") for y in (low_y, (low_y + high_y) / 2, high_y)]
+    x_ticks = [Tick(round(place_x(x), 1), plain_number(x)) for x in (low_x, (low_x + high_x) / 2, high_x)]
+    y_ticks = [Tick(round(place_y(y), 1), plain_number(y, 3)) for y in (low_y, (low_y + high_y) / 2, high_y)]
     return LineChart(title, axis, tuple(x_ticks), tuple(y_ticks), tuple(curves))
 
 
@@ -194,5 +197,7 @@ def _span(values: Values) -> tuple[float, float]:
 
 
 def _seconds(power: int) -> str:
-    names = {-6: "1 µs", -5: "10 µs", -4: "0.1 ms", -3: "1 ms", -2: "10 ms", -1: "0.1 s", 0: "1 s", 1: "10 s"}
-    return names.get(power, f"1e{power} s")
+    names = {-5: "10 µs", -4: "0.1 ms", -3: "1 ms", -2: "10 ms", -1: "0.1 s"}
+    if power in names:
+        return names[power]
+    return f"{plain_number(10.0**power)} s" if power >= 0 else f"{plain_number(10.0 ** (power + 6))} µs"

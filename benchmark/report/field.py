@@ -7,6 +7,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from benchmark.curves import CLOCKS
+from benchmark.number_text import MOST_DECIMALS
 from benchmark.pose_tables import pose_cells, posed
 from benchmark.published import PAPER_MODELS, paper_cells
 from benchmark.report import board
@@ -15,16 +17,14 @@ from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.panel import error_rows, slice_charts
 from benchmark.runner import SPLIT
-from benchmark.standings import Entry, best_first, compare_entries
+from benchmark.standings import PRETRAINED, Entry, best_first, compare_entries
 from benchmark.watch import SCORES
-from benchmark.wording import counted, free_of_slots, views_explained, without_floor
+from benchmark.wording import free_of_slots, views_explained, without_floor
 from datagen.errors import DatagenError, UsageError
 from datagen.storage import Dataset, Split
+from datagen.wording import counted
 
 OWN = "the track itself"
-CLOCKS = ("step", "seconds")
-"""What learning curves count time in."""
-
 Find = Callable[[str, str], Path | None]
 """From a track and its hash to the folder of that dataset, or None where it is not at hand."""
 
@@ -126,7 +126,7 @@ def comparisons(field: Field, numbers: Mapping[str, int]) -> dict[str, list[floa
         for a, b in combinations(scored, 2)
     }
     return {
-        pair: [round(v, 4) for v in (d.mean, d.low, d.high, d.win_rate, d.resolvable, float(d.n_scenes))]
+        pair: [round(v, MOST_DECIMALS) for v in (d.mean, d.low, d.high, d.win_rate, d.resolvable, float(d.n_scenes))]
         for pair, d in found.items()
         if d.n_scenes > 1
     }
@@ -135,9 +135,18 @@ def comparisons(field: Field, numbers: Mapping[str, int]) -> dict[str, list[floa
 def _subtitle(field: Field) -> str:
     scenes = max(entry.n_scenes for entry in field.entries)
     skipped = max(entry.n_skipped for entry in field.entries)
-    fitted = "each model fitted on this track" if field.fit == OWN else f"all models fitted on {field.fit}"
     without = f", {skipped} of them without any object" if skipped else ""
-    return f"{counted(scenes, 'test scene')}{without}; {fitted}; dataset {field.entries[0].row.key.track_spec[:8]}."
+    dataset = field.entries[0].row.key.track_spec[:8]
+    return f"{counted(scenes, 'test scene')}{without}; {_fitting(field)}; dataset {dataset}."
+
+
+def _fitting(field: Field) -> str:
+    """Say where models were fitted; given weights were trained before the run, on this track or elsewhere."""
+    given = [bool(entry.row.pretrained) for entry in field.entries]
+    place = "this track" if field.fit == OWN else field.fit
+    if all(given):
+        return f"weights ({PRETRAINED}) trained before this run"
+    return f"models fitted on {place}" + f", but for weights trained before this run ({PRETRAINED})" * any(given)
 
 
 def _paper(track: str) -> list[dict[str, Any]]:

@@ -11,7 +11,9 @@ from xml.sax.saxutils import escape
 import numpy as np
 from jaxtyping import Float64
 
+from benchmark.escaping import one_line
 from benchmark.files import write_whole
+from benchmark.number_text import plain_number
 from benchmark.report.board import NAMES
 from benchmark.standings import Entry, fields
 from benchmark.watch import SCORES
@@ -84,7 +86,7 @@ def drawing(columns: Sequence[Sequence[Panel]]) -> str:
     for place, (name, colour) in enumerate(colours.items()):
         at = LEFT + (place % per_line) * LEGEND_COLUMN, legend + (place // per_line) * LEGEND_LINE + LEGEND_LINE
         parts.append(f'<path d="M{at[0]} {at[1] - 4}h24" stroke="{colour}" stroke-width="2.5"/>')
-        parts.append(f'<text x="{at[0] + 30}" y="{at[1]}">{escape(name)}</text>')
+        parts.append(f'<text x="{at[0] + 30}" y="{at[1]}">{escape(one_line(name))}</text>')
     return "\n".join([*parts, "</svg>", ""])
 
 
@@ -103,20 +105,21 @@ def _lines(field: Sequence[Entry], metric: str) -> dict[str, list[Line]]:
 def _panel(panel: Panel, colours: dict[str, str]) -> Iterator[str]:
     last = max(float(minutes[-1]) for lines in panel.lines.values() for minutes, _ in lines)
     scale = PANEL_WIDTH / last if last > 0 else 1.0
-    yield f'<text y="-8" font-weight="bold">{escape(panel.title)}: {NAMES[panel.metric]} on validation clips</text>'
+    title = escape(one_line(panel.title))
+    yield f'<text y="-8" font-weight="bold">{title}: {NAMES[panel.metric]} on validation clips</text>'
     for value in (0.0, 0.5, 1.0):
         y = PANEL_HEIGHT * (1 - value)
         yield f'<path d="M0 {y:.1f}h{PANEL_WIDTH}" stroke="#dddddd"/>'
         yield f'<text x="-6" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>'
     for share in (0.0, 0.5, 1.0):
         x = share * PANEL_WIDTH
-        yield f'<text x="{x:.1f}" y="{PANEL_HEIGHT + 16}" text-anchor="middle">{share * last:.3g}</text>'
+        yield f'<text x="{x:.1f}" y="{PANEL_HEIGHT + 16}" text-anchor="middle">{plain_number(share * last, 3)}</text>'
     yield f'<text x="{PANEL_WIDTH / 2}" y="{PANEL_HEIGHT + 32}" text-anchor="middle">minutes</text>'
     for name, lines in panel.lines.items():
         for line in lines if len(lines) > 1 else []:
             yield f'<path d="{_path(line, scale)}" fill="none" stroke="{colours[name]}" opacity="0.35"/>'
         mean = _path(mean_line(lines), scale)
-        title = f"<title>{escape(name)}</title>"
+        title = f"<title>{escape(one_line(name))}</title>"
         yield f'<path d="{mean}" fill="none" stroke="{colours[name]}" stroke-width="2.5">{title}</path>'
 
 

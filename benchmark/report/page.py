@@ -15,7 +15,8 @@ from benchmark.report.field import OWN, Field, Find, Truths, comparisons, facts,
 from benchmark.report.panel import LIMITS, Album, Limits, Painter
 from benchmark.results import check_runs
 from benchmark.standings import Entry, fields
-from benchmark.wording import counted, seeds_in_words
+from benchmark.wording import seeds_in_words
+from datagen.wording import counted
 
 LARGEST = 14_000_000
 """Bytes that a page may have; reports with many models have fewer pictures."""

@@ -7,16 +7,19 @@ from pathlib import Path
 from benchmark.arguments import Search
 from benchmark.console import prepare, progress_bar, status
 from benchmark.duration import estimate_trainings, in_words, time_limit
+from benchmark.escaping import brief, terminal
 from benchmark.files import remove_abandoned
+from benchmark.flag_limits import check_flag
 from benchmark.isolation import LOGS, Limits, limits, run_isolated
-from benchmark.outputs import wide_console
+from benchmark.outputs import print_path, wide_console
 from benchmark.registry import expand
 from benchmark.schedule import side_by_side
 from benchmark.search import table
 from benchmark.search.plan import make_trials, missing
 from benchmark.search.trial import TRIALS, Outcome, Trial, load_outcomes, save_outcome
-from benchmark.tracks import DEFAULT, DataFolder, Source, find_tracks
+from benchmark.tracks import DEFAULT, Source, find_data_folder, find_tracks
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
+from datagen.wording import counted
 
 SPLITS = ("train", "val")
 """What a search reads: no scene that anything is scored on."""
@@ -25,7 +28,7 @@ SPLITS = ("train", "val")
 def search(values: Search) -> int:
     """Make the trials that are missing, then the table."""
     _check(values)
-    sources: list[Source] = [DataFolder(values.data)] if values.data else _tracks(values)
+    sources: list[Source] = [find_data_folder(values.data)] if values.data else _tracks(values)
     trials = make_trials(
         expand(values.model),
         sources,
@@ -45,7 +48,8 @@ def search(values: Search) -> int:
     outcomes = load_outcomes(values.out)
     console = wide_console()
     console.print(table.shown(outcomes), highlight=False)
-    console.print(f"\nTable: {table.write(values.out, outcomes).resolve()}", soft_wrap=True, highlight=False)
+    console.print()
+    print_path(console, "Table: ", table.write(values.out, outcomes))
     names = {trial.name for trial in trials}
     return EXIT_INCOMPLETE if any(outcome.reason for outcome in outcomes if outcome.name in names) else EXIT_OK
 
@@ -53,11 +57,19 @@ def search(values: Search) -> int:
 def _check(values: Search) -> None:
     if values.track and values.data:
         raise UsageError("Name tracks with --track or a dataset with --data, not both.")
-    for flag, number in (("workers", values.workers), ("steps", 1 if values.steps is None else values.steps)):
-        if number < 1:
-            raise UsageError(f"--{flag} is {number}; expected 1 or more.")
-    if not values.minutes > 0:
-        raise UsageError(f"--minutes is {values.minutes:g}; expected more than 0.")
+    check_flag("workers", values.workers)
+    check_flag("steps", values.steps)
+    check_flag("minutes", values.minutes)
+    check_flag("memory-limit", values.memory_limit)
+    if values.out.exists() and not values.out.is_dir():
+        raise UsageError(f"{values.out} is a file; give a folder with --out.")
+    if (values.out / "dataset.json").exists():
+        raise UsageError(f"{values.out} is a dataset; give another folder with --out.")
+    if (values.out / table.SEARCH).exists() and not (values.out / TRIALS).exists():
+        raise UsageError(
+            f"{values.out} holds the table of a search without its trials, which would be overwritten. Give another "
+            "folder with --out."
+        )
 
 
 def _tracks(values: Search) -> list[Source]:
@@ -79,7 +91,7 @@ def _run(trials: Sequence[Trial], values: Search) -> None:
     with progress_bar(console, "trials", len(trials)) as advance:
 
         def hear(outcome: Outcome) -> None:
-            console.print(_line(outcome), markup=False)
+            console.print(terminal(_line(outcome)))
             advance()
 
         def do(trial: Trial, stop: threading.Event) -> list[Trial]:
@@ -96,7 +108,7 @@ def make(trial: Trial, share: Limits, stop: threading.Event, hear: Callable[[Out
     if trial.name not in ending.events:
         if stop.is_set():
             return
-        save_outcome(trial.out, Outcome.of(trial, reason=ending.reason))
+        save_outcome(trial.out, Outcome.of(trial, reason=brief(ending.reason)))
     hear(next(outcome for outcome in load_outcomes(trial.out) if outcome.name == trial.name))
 
 
@@ -108,4 +120,5 @@ def _line(outcome: Outcome) -> str:
     place = f"{outcome.track}, {outcome.model}, trial {outcome.trial}"
     if outcome.reason:
         return f"{place}: FAILED, {outcome.reason}"
-    return f"{place}: {outcome.steps:g} steps in {outcome.seconds:.1f} s, validation loss {outcome.validation_loss:.4f}"
+    steps = counted(outcome.steps, "step")
+    return f"{place}: {steps} in {outcome.seconds:.1f} s, validation loss {outcome.validation_loss:.4f}"

@@ -6,8 +6,10 @@ from itertools import groupby
 from pathlib import Path
 
 from rich.console import Group
+from rich.markup import escape
 from rich.table import Table
 
+from benchmark.escaping import one_line, terminal
 from benchmark.files import write_whole
 from benchmark.leaderboard import Line, to_csv
 from benchmark.search.choice import choices
@@ -45,13 +47,13 @@ def shown(outcomes: Sequence[Outcome]) -> Group:
     """For the terminal: losses by track, and the choice of every system in words."""
     chosen = choices(outcomes)
     tracks = list(dict.fromkeys(outcome.track for outcome in outcomes))
-    table = Table("system", "trial", "changes", *tracks, "", box=None)
+    table = Table("system", "trial", "changes", *(escape(one_line(track)) for track in tracks), "", box=None)
     for (model, trial), members in _by_trial(outcomes):
         losses = {outcome.track: outcome for outcome in members}
         cells = [_loss(losses.get(track)) for track in tracks]
         mark = "chosen" if chosen.get(model) == trial else ""
-        table.add_row(model, str(trial), in_words(members[0].changes), *cells, mark)
-    return Group(table, "", *_choices(outcomes, chosen))
+        table.add_row(*map(terminal, (model, str(trial), in_words(members[0].changes), *cells, mark)))
+    return Group(table, "", *map(terminal, _choices(outcomes, chosen)))
 
 
 def in_words(changes: Mapping[str, object]) -> str:

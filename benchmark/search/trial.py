@@ -12,12 +12,14 @@ from typing import Any
 
 from benchmark.clips import ClipSequence
 from benchmark.curves import save_curve
+from benchmark.escaping import one_line
 from benchmark.files import write_whole
 from benchmark.model_spec import Options
 from benchmark.registry import find_model
-from benchmark.results import CURVES, TRAINING
+from benchmark.results import CURVES, TRAINING, build_checked, storable
 from benchmark.tracks import Profile
 from datagen.errors import CorruptFile, DatagenError
+from datagen.safe_io import MOST_JSON_BYTES, brief_reason, parse_json, read_text
 from datagen.storage import Dataset
 
 TRIALS = "trials"
@@ -27,6 +29,8 @@ OBSERVATION = ("colour loss", "surface loss", "air loss")
 """Terms of the observation loss in learning curves, which are what decides."""
 TOTAL = "loss"
 """Decides where a system has none of them."""
+_MEASURED = ("seconds", "validation_loss")
+"""Numbers that are nan where a trial failed, and null in files."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ class Trial:
         train, val = (ClipSequence(dataset.split(split)) for split in ("train", "val"))
         model.fit(train, val, seed=SEED, budget=self.seconds)
         points = getattr(model, "learning_curve", None) or ()
-        curve = [{name: float(value) for name, value in point.items()} for point in points]
+        curve = [{one_line(str(name)): float(value) for name, value in point.items()} for point in points]
         loss = observation_loss(curve[-1]) if curve else math.nan
         if not math.isfinite(loss):
             raise DatagenError(f"{self.model!r} has no finite loss on validation clips, by which trials are compared.")
@@ -138,7 +142,7 @@ def observation_loss(point: Mapping[str, float]) -> float:
 def save_outcome(folder: Path, outcome: Outcome) -> None:
     """Write an outcome; from then on it counts."""
     # JSON has no nan.
-    values = {name: None if value != value else value for name, value in asdict(outcome).items()}
+    values = {name: None if value != value else storable(value) for name, value in asdict(outcome).items()}
     write_whole(folder / TRIALS / f"{outcome.name}.json", (json.dumps(values, indent=1, default=str) + "\n").encode())
 
 
@@ -154,8 +158,13 @@ def load_outcomes(folder: Path) -> Sequence[Outcome]:
 
 def _load(path: Path) -> Outcome:
     try:
-        values: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        unknown: dict[str, Any] = {name: math.nan for name, value in values.items() if value is None}
-        return Outcome(**(values | unknown))
+        values: dict[str, Any] = parse_json(read_text(path, MOST_JSON_BYTES))
+        unknown: dict[str, Any] = {name: math.nan for name in _MEASURED if values.get(name, "") is None}
+        outcome = build_checked(Outcome, values | unknown)
+        if outcome.name != path.stem:
+            raise ValueError(f"it holds the outcome of {outcome.name}")
+        return outcome
     except (ValueError, TypeError, AttributeError) as error:
-        raise CorruptFile(f"{path} is damaged ({error}); delete it and run the same command again.") from None
+        raise CorruptFile(
+            f"{path} is damaged ({brief_reason(error)}); delete it and run the same command again."
+        ) from None

@@ -11,6 +11,7 @@ from datagen.edits.stage import Stage, displaced, with_copy, without
 from datagen.sampling.poses import Stance, about_vertical
 from datagen.schema import EditKind
 from datagen.simulate import visible_pixels
+from datagen.visible_range import near_object
 
 GROUNDED = 0.01
 """An object whose lowest point comes this near to the table in some frame is one that stands on it, metres."""
@@ -60,9 +61,15 @@ def _placed(kind: EditKind, recipe: Recipe, stage: Stage, row: int, rng: np.rand
         if not around.is_free(transform):
             continue
         edited = change(stage, row, transform)
-        if np.min(_least_visible(recipe, edited)) >= recipe.least_visible_pixels:
+        if np.min(_least_visible(recipe, edited)) >= recipe.least_visible_pixels and not _comes_near(recipe, edited):
             return Edit(row, transform, edited)
     return None
+
+
+def _comes_near(recipe: Recipe, stage: Stage) -> bool:
+    """Whether a camera sees an object, within its frame, from nearer than renderers show it."""
+    poses, size = stage.world_from_object, recipe.visibility_resolution
+    return any(near_object(camera, stage.shapes, poses, *size) for camera in stage.scene.cameras)
 
 
 class _Surroundings:

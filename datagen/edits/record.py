@@ -11,6 +11,7 @@ from datagen.edits.stage import Stage, without
 from datagen.records import render_clip, stack_images, stored_depth
 from datagen.render.renderer import Renderer
 from datagen.schema import EditKind, SceneRecord
+from datagen.visible_range import check_range
 
 _IMAGES = ("rgb", "depth", "segmentation")
 
@@ -32,7 +33,7 @@ def edits_record(
         rngs: Draw which object is edited, and where it goes.
 
     Raises:
-        UsageError: a depth is farther than the format can hold.
+        UsageError: an edited object comes too near to a camera, or a depth is farther than the format can hold.
     """
     own = {name: pixels[name] for name in _IMAGES}
     record: SceneRecord = {}
@@ -64,6 +65,7 @@ def _fields(kind: EditKind, edit: Edit, images: SceneRecord) -> SceneRecord:
 
 def _images(stage: Stage, own: SceneRecord, renderer: Renderer) -> SceneRecord:
     height, width = own["segmentation"].shape[2:]
+    check_range(stage.scene, stage.shapes, stage.world_from_object, (width, height))
     images = render_clip(stage.scene, stage.shapes, stage.world_from_object, renderer, (width, height))
     return {
         "rgb": stack_images(images, "rgb"),

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 NEAR = 0.05
-"""Surfaces nearer to the camera than this are cut away, pixel by pixel, metres."""
+"""`renderer.NEAREST`: surfaces nearer to the camera than this are cut away, pixel by pixel, metres."""
 
 SUB = 3
 """Samples per pixel along each axis."""

@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from datagen.errors import UsageError
 from datagen.render import kernels
 from datagen.render.lighting import light_axes, linear
-from datagen.render.renderer import Image
+from datagen.render.renderer import NEAREST, Image
 from datagen.scene import Camera, Light, Material, Scene
 from datagen.shapes.shape import Shape
 
@@ -60,7 +60,7 @@ class PyrenderRenderer:
         self._shadows = bool(scene.lights) and scene.lights[0].casts_shadow
         for row, light in enumerate(scene.lights):
             self._add_light(light, shadow=self._shadows and row == 0)
-        self._camera = self._scene.add(self._pyrender.IntrinsicsCamera(1, 1, 0, 0, znear=kernels.NEAR, zfar=100.0))
+        self._camera = self._scene.add(self._pyrender.IntrinsicsCamera(1, 1, 0, 0, znear=NEAREST, zfar=100.0))
 
     def render(
         self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int

@@ -10,6 +10,9 @@ from jaxtyping import Float, Float32, Int, UInt8
 from datagen.scene import Camera, Scene
 from datagen.shapes.shape import Shape
 
+NEAREST = 0.05
+"""Planar depth up to which renderers cut surfaces away, metres; scenes keep all that their cameras see beyond it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Image:

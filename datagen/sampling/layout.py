@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from datagen.config import Layout, MotionConfig
 from datagen.sampling import poses
@@ -55,7 +55,11 @@ def scatter(
     """
     spots: list[Spot] = []
     for row in sorted(range(len(items)), key=lambda row: motions[row] in AIRBORNE):
-        spots.append(place(items[row], motions[row], spots, layout, motion, rng))
+        spot = try_to_place(items[row], motions[row], spots, layout, motion, rng)
+        if spot is None:
+            # What is airborne comes last, and always finds a place.
+            raise Rejected("crowded", fitting=len(spots) + sum(kind in AIRBORNE for kind in motions))
+        spots.append(spot)
     return spots
 
 
@@ -79,19 +83,33 @@ def try_to_place(
     """As `place`, but None where no free place was found; in the air there always is one."""
     stance = sample_stance(item, kind, layout, rng)
     height = rng.uniform(*motion.drop_height) if kind in AIRBORNE else _CLEARANCE
+    centers, reaches = _discs(others)
     for _ in range(layout.tries):
         center = np.array(layout.center) + np.array(layout.half_extent) * rng.uniform(-1, 1, 2)
-        below = [spot for spot in others if _overlap_from_above(stance, center, spot, layout.gap)]
-        if below and kind not in AIRBORNE:
+        below = np.flatnonzero(_overlaps_from_above(center, stance.reach, centers, reaches, layout.gap))
+        if len(below) and kind not in AIRBORNE:
             continue
-        ground = max((spot.high for spot in below), default=0.0)
+        ground = max((others[row].high for row in below.tolist()), default=0.0)
         return Spot(item, kind, stance, np.array([*center, ground + height - stance.bottom]))
     return None
 
 
-def _overlap_from_above(stance: Stance, center: Float[np.ndarray, "2"], spot: Spot, gap: float) -> bool:
-    distance = np.sqrt(np.sum((center - spot.position[:2]) ** 2))
-    return bool(distance < stance.reach + spot.stance.reach + gap)
+def _discs(spots: Sequence[Spot]) -> tuple[Float[np.ndarray, "spot 2"], Float[np.ndarray, "spot"]]:
+    """Centres and radii of the discs that objects cover, seen from above."""
+    centers = np.array([spot.position[:2] for spot in spots], float).reshape(-1, 2)
+    return centers, np.array([spot.stance.reach for spot in spots], float)
+
+
+def _overlaps_from_above(
+    center: Float[np.ndarray, "2"],
+    reach: float,
+    centers: Float[np.ndarray, "spot 2"],
+    reaches: Float[np.ndarray, "spot"],
+    gap: float,
+) -> Bool[np.ndarray, "spot"]:
+    """Whether a disc comes nearer than `gap` metres to each of the others."""
+    distance = np.sqrt(np.sum((center - centers) ** 2, axis=1))
+    return distance < reach + reaches + gap
 
 
 def sample_stance(item: Item, kind: Motion, layout: Layout, rng: np.random.Generator) -> Stance:
@@ -145,14 +163,15 @@ def _beside(
         Rejected: no free place was found.
     """
     standing = [row for row, spot in enumerate(spots) if spot.low < 2 * _CLEARANCE]
+    centers, reaches = _discs(spots)
     for _ in range(layout.tries):
         row = int(rng.choice(standing))
         angle = rng.uniform(0, 2 * np.pi)
         way = np.array([np.cos(angle), np.sin(angle)])
         distance = poses.extent(spots[row].stance, way) + poses.extent(stance, -way) + _CLEARANCE
         center = spots[row].position[:2] + distance * way
-        rest = [spot for other, spot in enumerate(spots) if other != row]
-        if not any(_overlap_from_above(stance, center, spot, 0.0) for spot in rest):
+        overlaps = _overlaps_from_above(center, stance.reach, centers, reaches, 0.0)
+        if not np.any(np.delete(overlaps, row)):
             return Spot(item, kind, stance, np.array([*center, _CLEARANCE - stance.bottom]), touches=row)
     raise Rejected("crowded")
 

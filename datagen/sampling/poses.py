@@ -1,7 +1,7 @@
 """How an object can stand, lie, roll or tumble: orientations of a shape, and what it rests on in each of them."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -82,6 +82,7 @@ def upright(shape: Shape) -> Stance:
     return Stance(shape, np.eye(3))
 
 
+@lru_cache(maxsize=64)
 def steady_stances(shape: Shape) -> list[Stance]:
     """All orientations with an axis of the object frame or of the smallest box down in which the shape stays put."""
     axes = np.eye(3)

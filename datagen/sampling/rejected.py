@@ -2,8 +2,14 @@
 
 
 class Rejected(Exception):
-    """A sample that breaks a rule of its recipe; carries the rule's short name."""
+    """A sample that breaks a rule of its recipe.
 
-    def __init__(self, reason: str):
+    Args:
+        reason: Short name of the rule.
+        fitting: Number of objects that had a place in view, where the rule is that all have one.
+    """
+
+    def __init__(self, reason: str, *, fitting: int | None = None):
         super().__init__(reason)
         self.reason = reason
+        self.fitting = fitting

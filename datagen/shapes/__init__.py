@@ -5,6 +5,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from datagen.errors import UsageError
+from datagen.safe_io import parse_json
 from datagen.scene import ShapeSpec
 from datagen.shapes import composite, extrusion, furniture, lathe, mug, primitives, seating, superquadric
 from datagen.shapes.shape import Shape
@@ -63,6 +64,8 @@ def build(spec: ShapeSpec) -> Shape:
 @lru_cache(maxsize=32)
 def _build(family: str, parameters: str) -> Shape:
     try:
-        return FAMILIES[family](**json.loads(parameters))
-    except TypeError as error:
-        raise UsageError(f"Shape family {family!r} cannot be built from {parameters}: {error}") from error
+        return FAMILIES[family](**parse_json(parameters))
+    except (TypeError, ValueError, LookupError, ArithmeticError, AttributeError) as error:
+        raise UsageError(
+            f"Shape family {family!r} cannot be built from {parameters:.200}: {type(error).__name__} {error}"
+        ) from error

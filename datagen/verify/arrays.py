@@ -5,9 +5,10 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
-from jaxtyping import Integer
+from jaxtyping import Float, Integer
 
 from datagen import schema
+from datagen.config import Sensor
 from datagen.scene import Body
 from datagen.shapes.shape import Shape
 from datagen.verify.case import Case
@@ -15,6 +16,12 @@ from datagen.verify.finding import Finding
 
 RELATIVE = 1e-5
 """Relative difference that rounding to float32 may leave."""
+
+DEVIATIONS = 8.0
+"""Standard deviations of normal noise that no pixel of any dataset reaches: one of 10^15 would."""
+
+MANY = 30
+"""Pixels that make a median meaningful."""
 
 Expected = Callable[[Body, Shape], object]
 
@@ -125,12 +132,48 @@ def tight_box(mask: np.ndarray) -> Integer[np.ndarray, "4"]:
 
 
 def check_sensor(case: Case) -> Iterator[Finding]:
-    """Sensor depth is there where it is valid, only where there is something to see, and about right."""
+    """Sensor depth is where it is valid, only where there is something to see, and no noisier than the recipe says."""
     record = case.record
     depth, sensed, valid = record["depth"], record["sensor_depth"], record["sensor_valid"].astype(bool)
     if np.any(valid != (sensed > 0)):
         yield Finding("sensor", "sensor_valid is not where sensor_depth is positive")
     if np.any(valid & (depth == 0)):
         yield Finding("sensor", "the sensor returns depth where there is nothing")
-    elif np.any(valid) and abs(np.median(sensed[valid].astype(float) / depth[valid]) - 1) > 0.01:
-        yield Finding("sensor", "the median of sensor_depth is more than 1 % off depth")
+        return
+    exact, measured = (array[valid & (sensed > 0)] * schema.DEPTH_SCALE for array in (depth, sensed))
+    yield from _check_noise(exact, measured, case.allowed.sensor)
+    yield from _check_bias(exact, measured, case.allowed.sensor)
+
+
+def _check_noise(
+    exact: Float[np.ndarray, "pixel"], measured: Float[np.ndarray, "pixel"], sensor: Sensor
+) -> Iterator[Finding]:
+    """Single pixels: noise of 8 standard deviations before inverse depth was rounded, and rounding of both depths."""
+    half, step = 0.51 * schema.DEPTH_SCALE, 0.5 * sensor.quantisation
+    most = DEVIATIONS * sensor.axial_noise * exact**2 + half
+    low = 1 / (1 / (measured - half) + step)
+    high = 1 / np.maximum(1 / (measured + half) - step, 1e-9)
+    wrong = (low > exact + most) | (high < exact - most)
+    if np.any(wrong):
+        worst = np.max(np.abs(measured - exact)[wrong])
+        message = f"{np.count_nonzero(wrong)} pixels are up to {1e3 * worst:.1f} mm off depth, more than their noise"
+        yield Finding("sensor", message)
+
+
+def _check_bias(
+    exact: Float[np.ndarray, "pixel"], measured: Float[np.ndarray, "pixel"], sensor: Sensor
+) -> Iterator[Finding]:
+    """All pixels together: the median of a noise that is symmetric where nothing of it was cut off."""
+    noise = sensor.axial_noise * exact
+    whole = (DEVIATIONS * noise < 1) & (exact * (1 + DEVIATIONS * noise) < schema.MAX_DEPTH)
+    count = np.count_nonzero(whole)
+    if count < MANY:
+        return
+    farthest = np.max(exact[whole])
+    # The median of n values of this noise deviates less than their mean would with n / 8 standard deviations.
+    spread = DEVIATIONS * sensor.axial_noise * farthest / np.sqrt(count)
+    steps = sensor.quantisation * farthest + schema.DEPTH_SCALE / np.min(exact[whole])
+    bias = abs(np.median(measured[whole] / exact[whole]) - 1)
+    if bias > spread + steps:
+        message = f"the median of sensor_depth is {100 * bias:.2f} % off depth (allowed {100 * (spread + steps):.2f} %)"
+        yield Finding("sensor", message)

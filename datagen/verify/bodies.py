@@ -48,7 +48,7 @@ def check_boxes(case: Case) -> Iterator[Finding]:
 def check_overlap(case: Case) -> Iterator[Finding]:
     """Nothing overlaps deeply: by the stored contacts in any frame, by the exact surfaces in frame 0."""
     for frame, gap in enumerate(case.record["contacts/gap"]):
-        deepest = case.physics.deepest_in_motion if frame else DEEPEST
+        deepest = case.allowed.physics.deepest_in_motion if frame else DEEPEST
         if np.min(gap) < -deepest - GAP_ROUNDING:
             message = f"stored contacts overlap by {-1e3 * np.min(gap):.2f} mm (allowed {1e3 * deepest:.2f})"
             yield Finding("overlap", message, frame=frame)

@@ -3,20 +3,38 @@
 Cameras and rays are computed here from the stored arrays alone, by other code than the renderers use.
 """
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Integer
 
-from datagen.config import Physics
+from datagen.config import Physics, Sensor
 from datagen.scene import Scene, scene_from_json
 from datagen.schema import DEPTH_SCALE
 from datagen.shapes import build
 from datagen.shapes.shape import Shape
+from datagen.verify.precision import PRECISION, Precision
 
-DEFAULT_PHYSICS = Physics()
+
+@dataclass(frozen=True)
+class Allowed:
+    """Settings of a dataset that decide how far its arrays may be from the exact geometry."""
+
+    physics: Physics = field(default_factory=Physics)
+    """It says how deep contacts may be."""
+    sensor: Sensor = field(default_factory=Sensor)
+    """It says how noisy sensor depth is."""
+    precision: Precision = PRECISION["raster"]
+    """Errors of the renderer."""
+
+
+DEFAULT = Allowed()
+
+_MOST_RAYS = 10_000_000
+"""Rays that are kept in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +46,8 @@ class Case:
     shapes: Sequence[Shape]
     world_from_object: Float[np.ndarray, "frame object 4 4"]
     """From the stored poses."""
-    physics: Physics
-    """What the recipe allows."""
+    allowed: Allowed = DEFAULT
+    """What the recipe and the renderer allow."""
 
     @property
     def count(self) -> int:
@@ -55,18 +73,15 @@ class Case:
         return self.record["camera/world_from_camera"][view, :3, 3]
 
     @cached_property
-    def rays(self) -> list[Float[np.ndarray, "height width 3"]]:
-        """World directions through the pixel centres of each view; depth times ray is the step from camera to point."""
-        return [self._rays(view) for view in range(len(self.record["camera/K"]))]
+    def focal(self) -> Float[np.ndarray, "view"]:
+        """Focal length of each view, the shorter one of its two, in pixels."""
+        return np.min(self.record["camera/K"][:, [0, 1], [0, 1]], axis=1)
 
-    def _rays(self, view: int) -> Float[np.ndarray, "height width 3"]:
+    @cached_property
+    def rays(self) -> "ViewRays":
+        """World directions through the pixel centres of each view; depth times ray is the step from camera to point."""
         height, width = self.record["segmentation"].shape[2:]
-        u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        pixels = np.stack([u, v, np.ones_like(u)], axis=-1)
-        rotation = self.record["camera/world_from_camera"][view, :3, :3]
-        return (
-            np.linalg.solve(self.record["camera/K"][view], pixels.reshape(-1, 3).T).T.reshape(pixels.shape) @ rotation.T
-        )
+        return ViewRays(self.record["camera/K"], self.record["camera/world_from_camera"], height, width)
 
     def project(
         self, points: Float[np.ndarray, "point 3"], view: int
@@ -79,7 +94,31 @@ class Case:
         return homogeneous[:, :2] / np.where(np.abs(z) > 1e-9, z, 1e-9)[:, None], z
 
 
-def make_case(record: Mapping[str, np.ndarray], physics: Physics = DEFAULT_PHYSICS) -> Case:
+class ViewRays:
+    """Rays of each view by its number; of large images, only those of the last views stay in memory."""
+
+    def __init__(
+        self,
+        k: Float[np.ndarray, "view 3 3"],
+        world_from_camera: Float[np.ndarray, "view 4 4"],
+        height: int,
+        width: int,
+    ):
+        self._k, self._world_from_camera, self._height, self._width = k, world_from_camera, height, width
+        self._get = functools.lru_cache(max(2, _MOST_RAYS // (height * width)))(self._make)
+
+    def __getitem__(self, view: int) -> Float[np.ndarray, "height width 3"]:
+        """Directions of one view, per unit of depth."""
+        return self._get(view)
+
+    def _make(self, view: int) -> Float[np.ndarray, "height width 3"]:
+        u, v = np.meshgrid(np.arange(self._width) + 0.5, np.arange(self._height) + 0.5)
+        pixels = np.stack([u, v, np.ones_like(u)], axis=-1)
+        directions = np.linalg.solve(self._k[view], pixels.reshape(-1, 3).T).T.reshape(pixels.shape)
+        return directions @ self._world_from_camera[view, :3, :3].T
+
+
+def make_case(record: Mapping[str, np.ndarray], allowed: Allowed = DEFAULT) -> Case:
     """Build the geometry that a record describes.
 
     Raises:
@@ -88,7 +127,7 @@ def make_case(record: Mapping[str, np.ndarray], physics: Physics = DEFAULT_PHYSI
     scene = scene_from_json(bytes(record["scene/description"].item()).decode())
     shapes = [build(body.shape) for body in scene.bodies]
     poses = rigid_poses(record["poses/position"], record["poses/quaternion_wxyz"])
-    return Case(record, scene, shapes, poses[:, : len(shapes)], physics)
+    return Case(record, scene, shapes, poses[:, : len(shapes)], allowed)
 
 
 def rigid_poses(

@@ -18,9 +18,10 @@ from datagen.manifest import make_manifest, read_manifest
 from datagen.parallel import make_all
 from datagen.shard import Shard
 from datagen.spec import MANIFEST_FILE, groups_of, recipe_of, shard_name, shard_ranges
-from datagen.storage import Dataset
+from datagen.storage import Dataset, Split
 from datagen.verify.finding import Finding
 from datagen.verify.record import verify_record
+from datagen.wording import counted
 
 SCENES_PER_JOB = 8
 
@@ -55,7 +56,9 @@ def run(folder: str | Path, *, workers: int = 1) -> int:
         console.print(f"... and {len(findings) - MOST_PRINTED} more.")
     if findings:
         scenes = {(finding.split, finding.scene) for finding in findings if finding.scene is not None}
-        console.print(f"{folder}: {len(findings)} findings in {len(scenes)} scenes.", markup=False)
+        console.print(
+            f"{folder}: {counted(len(findings), 'finding')} in {counted(len(scenes), 'scene')}.", markup=False
+        )
         return EXIT_VERIFICATION
     console.print(f"{folder}: {sum(Dataset(folder).splits.values())} scenes verified, no finding.", markup=False)
     return EXIT_OK
@@ -90,7 +93,7 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
 
 def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
     findings, contents = [], {}
-    recipe, records = recipe_of(dataset.spec), dataset.split(split)
+    recipe, records = recipe_of(dataset.spec), Split(dataset.folder, dataset.spec, split)
     for scene in scenes:
         place = {"split": split, "scene": scene, "shard": shard_name(split, scene // dataset.spec["scenes_per_shard"])}
         try:
@@ -100,7 +103,13 @@ def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
             continue
         if schema.scene_hash(record) != stored:
             findings.append(Finding("hash", f"the arrays' SHA-256 is not the stored {stored[:16]}...", **place))
-        found = verify_record(record, groups_of(dataset.spec), recipe.for_scene(scene).physics)
+        found = verify_record(
+            record,
+            groups_of(dataset.spec),
+            recipe.for_scene(scene).physics,
+            sensor=recipe.sensor,
+            renderer=(dataset.spec["renderer"] or {"name": "raster"})["name"],
+        )
         findings.extend(dataclasses.replace(finding, **place) for finding in found)
         if "scene/description" in record:
             text = bytes(record["scene/description"].item())
@@ -125,14 +134,10 @@ def _check_files(dataset: Dataset) -> Iterator[Finding]:
 
 def _wrong_about(dataset: Dataset, split: str, number: int, scenes: range) -> Iterator[str]:
     try:
-        with closing(Shard(dataset.split(split).path(number))) as shard:
-            stored, there = shard.attributes, len(shard)
+        with closing(Shard(dataset.folder, dataset.spec, split, number)) as shard:
+            there = len(shard)
     except UNREADABLE:
         return  # Its scenes have been reported.
-    expected = {"depth_scale": schema.DEPTH_SCALE, "split": split, "first_scene": scenes.start}
-    for name, value in {**expected, "data_version": dataset.spec["data_version"]}.items():
-        if stored.get(name) != value:
-            yield f"attribute {name} is {stored.get(name)}, expected {value}"
     if there > len(scenes):
         yield f"holds {there} scenes, expected {len(scenes)}"
 
@@ -141,8 +146,8 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
     """The record of the finished dataset is that of its files."""
     try:
         manifest = read_manifest(dataset.folder)
-    except (ValueError, OSError) as error:
-        yield Finding("file", f"{MANIFEST_FILE} is damaged: {error}")
+    except (DatagenError, OSError) as error:
+        yield Finding("file", f"{MANIFEST_FILE} cannot be read: {error}")
         return
     if manifest is None:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")

@@ -74,7 +74,7 @@ def edited_case(
     record = {**{name: case.record[name] for name in _CAMERAS}, **images}
     scene = replace(case.scene, bodies=tuple(case.scene.bodies[other] for other in rows))
     shapes = [case.shapes[other] for other in rows]
-    return Case(record, scene, shapes, poses, case.physics), segmentation == 255
+    return Case(record, scene, shapes, poses, case.allowed), segmentation == 255
 
 
 def _is_along_the_table(transform: Float[np.ndarray, "4 4"]) -> bool:

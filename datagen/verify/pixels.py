@@ -1,8 +1,8 @@
 """Pixels against the geometry of the scene: depth on the labelled surface, label of the nearest object, counts.
 
 Everything is measured as distance to exact surfaces. A rendered mesh lies within `MESH_TOLERANCE` of the surface, and
-stored depth is rounded to half a unit (1.1 times that along the ray at the image's corner): the tolerances come from
-there, and none of them depends on the renderer or on the angle of view, since a distance to a surface does not.
+stored depth is rounded to half a step, which is longer along the rays of wide views: the tolerances come from there and
+from `precision`.
 """
 
 from collections.abc import Iterator
@@ -15,19 +15,27 @@ from datagen.schema import DEPTH_SCALE
 from datagen.shapes.shape import MESH_TOLERANCE
 from datagen.verify.case import Case
 from datagen.verify.finding import Finding
+from datagen.verify.precision import rounding
 from datagen.verify.trace import clip_to_box, trace
 
-SURFACE_TOLERANCE = MESH_TOLERANCE + 0.7 * DEPTH_SCALE
-"""Metres that a single unprojected pixel may lie off the surface it is labelled with."""
+SURFACE_STEPS, PLANE_STEPS = 0.7, 0.8
+"""Steps of depth that stored depth may be off: half a step, and a reserve for arithmetic in float32."""
+
+SURFACE_TOLERANCE = MESH_TOLERANCE + SURFACE_STEPS * DEPTH_SCALE
+"""Metres that a single unprojected pixel in the middle of an image may lie off the surface it is labelled with."""
 
 MEDIAN_TOLERANCE = 9e-5
-"""Metres that the median of an object's pixels in one image may lie off its surface: just above a mesh's tolerance."""
+"""Metres that the median of very many of an object's pixels may lie off its surface: just above a mesh's tolerance."""
+
+DEVIATIONS = 6.0
+"""Depths that differ are rounded independently, each by up to a half step. The median of n of them is off by less than
+this times a half step over the square root of n, with a probability of 1 - 10^-7."""
 
 MANY = 30
 """Pixels that make a median meaningful."""
 
-PLANE_TOLERANCE = 0.8 * DEPTH_SCALE
-"""Metres that pixels of the table may lie above or below its plane."""
+PLANE_TOLERANCE = PLANE_STEPS * DEPTH_SCALE
+"""Metres that pixels of the table may lie above or below its plane where a step of depth lifts them by no more."""
 
 SHELL = MESH_TOLERANCE + 0.2 * DEPTH_SCALE
 """Metres below a surface from where on a ray must have met the mesh that stands for it."""
@@ -35,6 +43,9 @@ SHELL = MESH_TOLERANCE + 0.2 * DEPTH_SCALE
 NEAR_MISS = 2 * MESH_TOLERANCE + SHELL
 """Metres to which tracing surely comes near a surface whose mesh a ray meets: its last step ends at most a shell and a
 miss behind the nearest point."""
+
+MOST_AT_ONCE = 1_000_000
+"""Points or rays that are measured at once, so that memory is bounded."""
 
 ORDER_TOLERANCE = 1.0 * DEPTH_SCALE
 """Metres of depth that a hidden surface may seem to lie in front of the visible one."""
@@ -47,12 +58,9 @@ def check_surfaces(case: Case) -> Iterator[Finding]:
         if np.max(segmentation) > case.count:
             message = f"id {np.max(segmentation)}, but the scene has {case.count} objects"
             yield Finding("surface", message, frame=frame, view=view)
-        rows, columns = np.nonzero(segmentation)
-        points = case.center(view) + depth[rows, columns, None] * case.rays[view][rows, columns]
-        labels = segmentation[rows, columns]
         for row in range(case.count):
-            distance = signed_distance(case, row, frame, points[labels == row + 1])
-            yield from _off_surface(distance, row, frame, view)
+            pixels = segmentation == row + 1
+            yield from _off_surface(case, row, frame, view, case.rays[view][pixels], depth[pixels])
 
 
 def signed_distance(
@@ -60,23 +68,69 @@ def signed_distance(
 ) -> Float[np.ndarray, "point"]:
     """Metres from world points to the surface of one object at its stored pose, negative inside."""
     pose = case.world_from_object[frame, row]
-    return case.shapes[row].signed_distance((points - pose[:3, 3]) @ pose[:3, :3])
+    parts = np.array_split(points, 1 + len(points) // MOST_AT_ONCE)
+    return np.concatenate([case.shapes[row].signed_distance((part - pose[:3, 3]) @ pose[:3, :3]) for part in parts])
 
 
-def _off_surface(distance: Float[np.ndarray, "point"], row: int, frame: int, view: int) -> Iterator[Finding]:
-    off = np.abs(distance) > SURFACE_TOLERANCE
+def _off_surface(
+    case: Case, row: int, frame: int, view: int, rays: Float[np.ndarray, "pixel 3"], depth: Float[np.ndarray, "pixel"]
+) -> Iterator[Finding]:
+    distance = signed_distance(case, row, frame, case.center(view) + depth[:, None] * rays)
+    allowed = MESH_TOLERANCE + rounding(rays, SURFACE_STEPS) + _renderer_error(case, view, rays, depth)
+    off = np.abs(distance) > allowed
+    if np.any(off) and case.allowed.precision.snap:
+        off[off] = ~_grazes(case, row, frame, view, rays[off], depth[off])
     if np.any(off):
+        worst = np.argmax(np.where(off, np.abs(distance), 0))
         message = (
             f"{np.count_nonzero(off)} of {len(off)} pixels of object {row + 1} lie off its surface, "
-            f"by up to {1e3 * np.max(np.abs(distance)):.2f} mm (allowed {1e3 * SURFACE_TOLERANCE:.2f})"
+            f"by up to {1e3 * abs(distance[worst]):.2f} mm (allowed {1e3 * allowed[worst]:.2f})"
         )
         yield Finding("surface", message, frame=frame, view=view)
-    elif len(distance) >= MANY and abs(median := float(np.median(distance))) > MEDIAN_TOLERANCE:
-        message = (
-            f"the median pixel of object {row + 1} lies {1e3 * median:.3f} mm off its surface "
-            f"(allowed {1e3 * MEDIAN_TOLERANCE:.3f})"
-        )
-        yield Finding("surface", message, frame=frame, view=view)
+    elif len(distance) >= MANY:
+        median, error = float(np.median(distance)), _median_error(case, view, rays, depth)
+        if abs(median) > error:
+            message = (
+                f"the median pixel of object {row + 1} lies {1e3 * median:.3f} mm off its surface "
+                f"(allowed {1e3 * error:.3f})"
+            )
+            yield Finding("surface", message, frame=frame, view=view)
+
+
+def _median_error(
+    case: Case, view: int, rays: Float[np.ndarray, "pixel 3"], depth: Float[np.ndarray, "pixel"]
+) -> float:
+    """Metres that the median of some pixels may lie off a surface."""
+    independent = min(1.0, DEVIATIONS / np.sqrt(len(np.unique(depth))))
+    error = rounding(rays, 0.5 * independent) + _renderer_error(case, view, rays, depth)
+    return MEDIAN_TOLERANCE + float(np.median(error))
+
+
+def _renderer_error(
+    case: Case, view: int, rays: Float[np.ndarray, "*pixel 3"], depth: Float[np.ndarray, "*pixel"]
+) -> Float[np.ndarray, "*pixel"]:
+    """Metres that the renderer itself may have moved what it shows."""
+    precision = case.allowed.precision
+    length = np.sqrt(np.sum(rays**2, axis=-1))
+    return precision.buffer(depth) * length + precision.sideways(depth, case.focal[view])
+
+
+def _grazes(
+    case: Case, row: int, frame: int, view: int, rays: Float[np.ndarray, "pixel 3"], depth: Float[np.ndarray, "pixel"]
+) -> Bool[np.ndarray, "pixel"]:
+    """Whether rays pass an object at its outline, so near that a renderer that moves corners sideways may show it.
+
+    Such a pixel lies beside a triangle that is seen edge-on, and carries the depth to which that is extended.
+    """
+    pose, shape = case.world_from_object[frame, row], case.shapes[row]
+    origin, local = (case.center(view) - pose[:3, 3]) @ pose[:3, :3], rays @ pose[:3, :3]
+    origins = np.broadcast_to(origin, local.shape)
+    distance = np.abs(shape.signed_distance(origins + depth[:, None] * local))
+    sideways = case.allowed.precision.sideways(depth, case.focal[view])
+    near, far = clip_to_box(shape.minimum_box, origins, local, float(np.max(sideways)) + NEAR_MISS)
+    far = np.minimum(far, depth + 10 * distance + 0.002)
+    hit, closest = trace(shape.signed_distance, origins, local, near, far, SHELL + sideways)
+    return np.isinf(hit) & (closest <= NEAR_MISS + sideways)
 
 
 def check_table(case: Case) -> Iterator[Finding]:
@@ -85,18 +139,30 @@ def check_table(case: Case) -> Iterator[Finding]:
         depth, rays, center = case.depth(frame, view), case.rays[view], case.center(view)
         background = case.segmentation(frame, view) == 0
         height = center[2] + depth * rays[..., 2]
+        steep = np.maximum(np.abs(rays[..., 2]), 1)
+        error = _renderer_error(case, view, rays, depth)
+        plane = PLANE_TOLERANCE * steep + error
         seen = background & (depth > 0)
-        off = seen & (np.abs(height) > PLANE_TOLERANCE)
-        yield from _pixels(off, "of the table lie off its plane", np.abs(height), PLANE_TOLERANCE, frame, view)
-        below = ~background & (depth > 0) & (height < -SURFACE_TOLERANCE)
-        yield from _pixels(below, "of objects lie below the table", -height, SURFACE_TOLERANCE, frame, view)
-        inside = _distance_to_border(case, view)
-        wrong = seen & (inside < -PLANE_TOLERANCE)
-        yield from _pixels(wrong, "return a depth beyond the table", -inside, PLANE_TOLERANCE, frame, view)
-        missing = (depth == 0) & (inside > PLANE_TOLERANCE)
-        yield from _pixels(missing, "return no depth where the table is", inside, PLANE_TOLERANCE, frame, view)
+        off = seen & (np.abs(height) > plane)
+        yield from _pixels(off, "of the table lie off its plane", np.abs(height), plane, frame, view)
+        surface = MESH_TOLERANCE + SURFACE_STEPS * DEPTH_SCALE * steep + error
+        below = ~background & (depth > 0) & (height < -surface)
+        yield from _pixels(below, "of objects lie below the table", -height, surface, frame, view)
+        inside, border = _distance_to_border(case, view), PLANE_TOLERANCE + _border_error(case, view)
+        wrong = seen & (inside < -border)
+        yield from _pixels(wrong, "return a depth beyond the table", -inside, border, frame, view)
+        missing = (depth == 0) & (inside > border)
+        yield from _pixels(missing, "return no depth where the table is", inside, border, frame, view)
         if np.any(~background & (depth == 0)):
             yield Finding("table", "pixels of objects without depth", frame=frame, view=view)
+
+
+def _border_error(case: Case, view: int) -> Float[np.ndarray, "height width"]:
+    """Metres along the table that the renderer may have moved its border, where each ray meets its plane."""
+    rays = case.rays[view]
+    drop = np.maximum(-rays[..., 2], 1e-9)
+    sideways = case.allowed.precision.sideways(case.center(view)[2] / drop, case.focal[view])
+    return sideways * np.sqrt(np.sum(rays**2, axis=-1)) / drop
 
 
 def _distance_to_border(case: Case, view: int) -> Float[np.ndarray, "height width"]:
@@ -111,13 +177,16 @@ def _pixels(
     wrong: Bool[np.ndarray, "height width"],
     what: str,
     measure: Float[np.ndarray, "height width"],
-    allowed: float,
+    allowed: Float[np.ndarray, "height width"],
     frame: int,
     view: int,
 ) -> Iterator[Finding]:
     if np.any(wrong):
-        worst, share = np.max(measure[wrong]), np.count_nonzero(wrong)
-        message = f"{share} pixels {what}, by up to {1e3 * worst:.2f} mm (allowed {1e3 * allowed:.2f})"
+        worst = np.unravel_index(np.argmax(np.where(wrong, measure, -np.inf)), wrong.shape)
+        message = (
+            f"{np.count_nonzero(wrong)} pixels {what}, by up to {1e3 * measure[worst]:.2f} mm "
+            f"(allowed {1e3 * allowed[worst]:.2f})"
+        )
         yield Finding("table", message, frame=frame, view=view)
 
 
@@ -136,44 +205,67 @@ class Rays:
 def check_order(case: Case) -> Iterator[Finding]:
     """No object lies in front of what a pixel shows, and amodal counts are what the shapes alone would cover."""
     for row in range(case.count):
-        rays = _rays_near(case, row)
-        near, far = clip_to_box(case.shapes[row].minimum_box, rays.origins, rays.directions, SHELL)
-        hit, closest = trace(case.shapes[row].signed_distance, rays.origins, rays.directions, near, far, SHELL)
-        yield from _in_front(rays, hit, row)
+        tally = Tally(case.record["segmentation"].shape[:2])
+        for rays in _rays_near(case, row):
+            _count(case, rays, row, tally)
+        for frame, view in np.argwhere(tally.wrong):
+            message = (
+                f"object {row + 1} lies in front of what {tally.wrong[frame, view]} pixels show, "
+                f"by up to {1e3 * tally.lead[frame, view]:.2f} mm (allowed {1e3 * ORDER_TOLERANCE:.2f})"
+            )
+            yield Finding("label", message, frame=int(frame), view=int(view))
         if "visibility/amodal_pixels" in case.record:
-            yield from _amodal(case, rays, np.isfinite(hit), closest <= NEAR_MISS, row)
+            yield from _check_amodal(case, tally, row)
 
 
-def _in_front(rays: Rays, hit: Float[np.ndarray, "ray"], row: int) -> Iterator[Finding]:
-    wrong = hit < rays.depth - ORDER_TOLERANCE
-    for frame, view in np.unique(rays.image[wrong], axis=0):
-        chosen = wrong & np.all(rays.image == (frame, view), axis=1)
-        lead = np.max(np.minimum(rays.depth[chosen] - hit[chosen], 10.0))
+def _check_amodal(case: Case, tally: "Tally", row: int) -> Iterator[Finding]:
+    stored = case.record["visibility/amodal_pixels"][..., row]
+    for frame, view in np.argwhere((stored < tally.covered) | (stored > tally.touched)):
         message = (
-            f"object {row + 1} lies in front of what {np.count_nonzero(chosen)} pixels show, "
-            f"by up to {1e3 * lead:.2f} mm (allowed {1e3 * ORDER_TOLERANCE:.2f})"
-        )
-        yield Finding("label", message, frame=int(frame), view=int(view))
-
-
-def _amodal(
-    case: Case, rays: Rays, covered: Bool[np.ndarray, "ray"], touched: Bool[np.ndarray, "ray"], row: int
-) -> Iterator[Finding]:
-    stored = case.record["visibility/amodal_pixels"]
-    least, most = np.zeros(stored.shape[:2], int), np.zeros(stored.shape[:2], int)
-    np.add.at(least, tuple(rays.image[covered].T), 1)
-    np.add.at(most, tuple(rays.image[touched].T), 1)
-    for frame, view in np.argwhere((stored[..., row] < least) | (stored[..., row] > most)):
-        message = (
-            f"object {row + 1} alone would cover {least[frame, view]} to {most[frame, view]} pixels, "
-            f"stored are {stored[frame, view, row]}"
+            f"object {row + 1} alone would cover {tally.covered[frame, view]} to {tally.touched[frame, view]} pixels, "
+            f"stored are {stored[frame, view]}"
         )
         yield Finding("amodal", message, frame=int(frame), view=int(view))
 
 
-def _rays_near(case: Case, row: int) -> Rays:
-    parts = [_rays_in_image(case, row, frame, view) for frame, view in case.images]
-    return Rays(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+class Tally:
+    """Counts of one object's pixels in every image, by frame and view."""
+
+    def __init__(self, images: tuple[int, int]):
+        self.covered, self.touched = np.zeros(images, int), np.zeros(images, int)
+        """Pixels that the object alone covers for sure, and those that it may cover."""
+        self.wrong, self.lead = np.zeros(images, int), np.zeros(images)
+        """Pixels that show something behind the object, and by how many metres at most."""
+
+
+def _count(case: Case, rays: Rays, row: int, tally: Tally) -> None:
+    box, solid = case.shapes[row].minimum_box, case.shapes[row].signed_distance
+    precision, focal = case.allowed.precision, case.focal[rays.image[:, 1]]
+    # The renderer may have moved the object sideways by so much, at the farthest point of its box.
+    farthest = np.sqrt(np.sum(rays.origins**2, axis=-1)) + np.sqrt(np.sum((np.abs(box.center) + box.size) ** 2))
+    sideways = precision.sideways(farthest, focal)
+    near, far = clip_to_box(box, rays.origins, rays.directions, SHELL + float(np.max(sideways, initial=0)))
+    hit, closest = trace(solid, rays.origins, rays.directions, near, far, SHELL + sideways)
+    wrong = hit < rays.depth - ORDER_TOLERANCE - precision.buffer(np.where(np.isfinite(hit), hit, 0))
+    np.add.at(tally.covered, tuple(rays.image[np.isfinite(hit)].T), 1)
+    np.add.at(tally.touched, tuple(rays.image[closest <= NEAR_MISS + sideways].T), 1)
+    np.add.at(tally.wrong, tuple(rays.image[wrong].T), 1)
+    np.maximum.at(tally.lead, tuple(rays.image[wrong].T), np.minimum(rays.depth[wrong] - hit[wrong], 10.0))
+
+
+def _rays_near(case: Case, row: int) -> Iterator[Rays]:
+    """Rays of all images, of many images or part of one at a time."""
+    parts: list[tuple[np.ndarray, ...]] = []
+    for frame, view in case.images:
+        columns = _rays_in_image(case, row, frame, view)
+        pieces = 1 + len(columns[0]) // MOST_AT_ONCE
+        for piece in zip(*(np.array_split(column, pieces) for column in columns), strict=True):
+            parts.append(piece)
+            if sum(len(part[0]) for part in parts) >= MOST_AT_ONCE // 2:
+                yield Rays(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+                parts = []
+    if parts:
+        yield Rays(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def _rays_in_image(

@@ -5,13 +5,15 @@ from functools import partial
 
 import numpy as np
 
-from datagen.config import Physics
+from datagen.config import Physics, Sensor
+from datagen.errors import DatagenError
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
-from datagen.verify.case import DEFAULT_PHYSICS, Case, make_case
+from datagen.verify.case import DEFAULT, Allowed, Case, make_case
 from datagen.verify.edits import check_edit, check_effects
 from datagen.verify.finding import Finding
 from datagen.verify.pixels import check_order, check_surfaces, check_table
+from datagen.verify.precision import OPENGL, PRECISION
 from datagen.verify.views import check_views
 
 Check = Callable[[Case], Iterator[Finding]]
@@ -28,7 +30,12 @@ CHECKS: dict[str, tuple[Check, ...]] = {
 
 
 def verify_record(
-    record: Mapping[str, np.ndarray], groups: tuple[str, ...], physics: Physics = DEFAULT_PHYSICS
+    record: Mapping[str, np.ndarray],
+    groups: tuple[str, ...],
+    physics: Physics = DEFAULT.physics,
+    *,
+    sensor: Sensor = DEFAULT.sensor,
+    renderer: str = "raster",
 ) -> list[Finding]:
     """All contradictions within one scene's arrays.
 
@@ -36,12 +43,15 @@ def verify_record(
         record: The arrays.
         groups: Those of `schema.Field.group` that must be there.
         physics: Of the scene's recipe; it says how deep contacts may be.
+        sensor: Of the dataset's recipe; it says how noisy sensor depth is.
+        renderer: Name of the renderer; it says how exact depth and ids can be.
     """
     if findings := list(check_schema(record, groups)):
         return findings
     try:
-        case = make_case(record, physics)
-    except (ValueError, KeyError, TypeError, IndexError) as error:
+        # An unknown renderer is taken for one that is no more exact than OpenGL.
+        case = make_case(record, Allowed(physics, sensor, PRECISION.get(renderer, OPENGL)))
+    except (ValueError, KeyError, TypeError, IndexError, DatagenError) as error:
         return [Finding("description", f"cannot be built: {type(error).__name__} {error}")]
     if case.count != record["objects/count"]:
         message = f"objects/count is {record['objects/count']}, scene/description has {case.count} bodies"

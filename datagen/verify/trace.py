@@ -22,7 +22,7 @@ def trace(
     directions: Float[np.ndarray, "ray 3"],
     near: Float[np.ndarray, "ray"],
     far: Float[np.ndarray, "ray"],
-    depth_inside: float,
+    depth_inside: float | Float[np.ndarray, "ray"],
 ) -> tuple[Float[np.ndarray, "ray"], Float[np.ndarray, "ray"]]:
     """Where each ray first lies `depth_inside` metres below the surface, and its least signed distance until there.
 
@@ -30,6 +30,7 @@ def trace(
     second is never positive for rays that stay undecided.
     """
     hit, closest = np.full(len(near), np.inf), np.full(len(near), np.inf)
+    aim = np.broadcast_to(depth_inside, near.shape)
     t, active = near.copy(), np.flatnonzero(near <= far)
     speed = np.sqrt(np.sum(directions**2, axis=1))
     for _ in range(STEPS):
@@ -37,11 +38,11 @@ def trace(
             break
         distance = signed_distance(origins[active] + t[active, None] * directions[active])
         closest[active] = np.minimum(closest[active], distance)
-        inside = distance <= -depth_inside
+        inside = distance <= -aim[active]
         hit[active[inside]] = t[active[inside]]
         # The last step ends at `far`, since a surface just before it must not be stepped over.
         ends = t[active] >= far[active]
-        step = np.maximum(distance + depth_inside, LEAST_STEP) / speed[active]
+        step = np.maximum(distance + aim[active], LEAST_STEP) / speed[active]
         t[active] = np.minimum(t[active] + step, far[active])
         active = active[~inside & ~ends]
     closest[active] = np.minimum(closest[active], 0.0)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors.torch import save
 from torch import Tensor
 
 from datagen.parallel import make_all
+from datagen.wording import counted
 from obpose.creation.clip import read_clip
 from obpose.creation.grids import Grids, grids_of, together
 from obpose.creation.infer import infer_scene
@@ -21,9 +21,12 @@ from obpose.creation.scene import Scene
 from obpose.errors import CorruptFile
 from obpose.files import write_whole
 from obpose.model import ObPose
+from obpose.nerf.detail import EDGE
+from obpose.tensors import Form, Forms, differences_of, read_tensors
 
 FRAMES = 6
 """Of a clip, at most: objects that move are seen from several sides."""
+_MOST_BYTES = 2**28
 
 Say = Callable[[str], None]
 
@@ -55,13 +58,14 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
     """
     paths = [folder / f"clip-{index:05d}.safetensors" for index in range(clips)]
     missing = [index for index, path in enumerate(paths) if not path.exists()]
-    say(f"Looking for objects in {len(missing)} clips of {data}.")
+    say(f"Looking for objects in {counted(len(missing), 'clip')} of {data}.")
     look = partial(_find_in, str(origin.folder), data)
     for number, (index, contents) in enumerate(make_all(look, [("train", i) for i in missing], workers), start=1):
         write_whole(paths[index], contents)
         if number % 10 == 0:
-            say(f"{number} of {len(missing)} clips")
-    return [_read(path) for path in paths]
+            say(f"{number} of {counted(len(missing), 'clip')}")
+    latent = origin.model.config.model.latent.what
+    return [_read(path, latent) for path in paths]
 
 
 def joined(examples: list[Examples]) -> Grids:
@@ -89,9 +93,21 @@ def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, 
     return index, examples_of(origin.model, scene)
 
 
-def _read(path: Path) -> Examples:
-    try:
-        tensors = load(path.read_bytes())
-        return Examples(Grids(tensors["values"].float(), tensors["half"]), tensors["what"])
-    except (SafetensorError, KeyError):
-        raise CorruptFile(f"{path} is damaged; delete it, and run the same command again.") from None
+def _read(path: Path, latent: int) -> Examples:
+    advice = "delete it, and run the same command again."
+    tensors, _ = read_tensors(path, advice, partial(_check_file, latent), most_bytes=_MOST_BYTES)
+    if not bool((tensors["half"] > 0).all()):
+        raise CorruptFile(f"{path} is damaged (half has values below 0); {advice}")
+    return Examples(Grids(tensors["values"].float(), tensors["half"]), tensors["what"])
+
+
+def _check_file(latent: int, found: Forms) -> None:
+    """Grids of some objects, and codes of as many or fewer."""
+    objects, codes = (found[name].shape[:1] if name in found else () for name in ("half", "what"))
+    expected = {
+        "values": Form(torch.float16, (*objects, EDGE, EDGE, EDGE, 4)),
+        "half": Form(torch.float32, objects),
+        "what": Form(torch.float32, (*codes, latent)),
+    }
+    if wrong := differences_of(found, expected):
+        raise ValueError(wrong)

@@ -6,7 +6,6 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
@@ -16,6 +15,7 @@ from obpose.creation.prior import Mixture, ScenePrior, learned_prior, load_prior
 from obpose.creation.tables import Tables
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
+from obpose.tensors import Form, Forms, differences_of, forms_of, read_tensors
 
 PriorName = Literal["flow", "fitted", "learned"]
 
@@ -23,6 +23,7 @@ FILE = "flow.safetensors"
 """Beside the model's weights."""
 _WEIGHTS = "weights"
 """In the file's metadata: SHA-256 of the file of the weights that found the objects."""
+_MOST_BYTES = 2**28
 _AGAIN = "make it again with obpose-edit learn, or give another --prior."
 
 
@@ -61,19 +62,18 @@ def load_flow(origin: Origin) -> FlowPrior:
     if not has_flow(origin):
         raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit learn, or give another --prior.")
     rest = load_prior(origin)
-    try:
-        with safe_open(path, framework="pt") as file:
-            values = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118 (not a dict)
-            weights = (file.metadata() or {}).get(_WEIGHTS)
-        with torch.random.fork_rng(devices=[]):
-            flow = Flow(origin.model.config.model.latent.what)
-        flow.load_state_dict(values)
-    except (SafetensorError, RuntimeError):
-        raise CorruptFile(f"{path} is damaged, or of another version; {_AGAIN}") from None
-    if weights != origin.hash:
+    with torch.random.fork_rng(devices=[]):
+        flow = Flow(origin.model.config.model.latent.what)
+    expected = {name: Form(torch.float16, form.shape) for name, form in forms_of(flow.state_dict()).items()}
+
+    def check(found: Forms) -> None:
+        if wrong := differences_of(found, expected):
+            raise ValueError(wrong)
+
+    values, metadata = read_tensors(path, _AGAIN, check, most_bytes=_MOST_BYTES)
+    if metadata.get(_WEIGHTS) != origin.hash:
         raise CorruptFile(f"{path} is of other weights than those beside it; {_AGAIN}")
-    if not all(bool(value.isfinite().all()) for value in values.values()):
-        raise CorruptFile(f"{path} is damaged; {_AGAIN}")
+    flow.load_state_dict({name: value.float() for name, value in values.items()})
     return FlowPrior(flow.eval().requires_grad_(requires_grad=False), rest.tables, rest.background, rest.low, rest.high)
 
 

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from datagen.wording import counted
 from obpose.creation.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.creation.infer import infer_scene
 from obpose.creation.origin import Origin
@@ -54,7 +55,7 @@ def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: i
     scenes = [infer_scene(origin, clip, refinements=refinements) for clip in clips]
     places = [(scene, place) for scene in scenes for place in range(len(scene.ids)) if _is_there(origin, scene, place)]
     if not places:
-        raise UsageError(f"No objects were found in {len(scenes)} clips; give more, or others.")
+        raise UsageError(f"No objects were found in {counted(len(scenes), 'clip')}; give more, or others.")
     center = torch.stack([scene.center[-1, place] for scene, place in places])
     low, high = table_part(center[:, :2])
     if len(places) < LEAST_PLACES:

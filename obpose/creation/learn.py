@@ -1,6 +1,5 @@
 """A flow learned from the objects that a model finds in clips; both go on where they were stopped."""
 
-import io
 import json
 import math
 import shutil
@@ -10,8 +9,11 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
+from safetensors.torch import save
 from torch import Tensor, nn
 
+from datagen.safe_io import brief_reason, read_json
+from datagen.wording import counted
 from obpose.creation.examples import Examples, Say, find_examples, joined
 from obpose.creation.flow import Flow, describe, flow_loss, mirrored, sample_grids
 from obpose.creation.flow_prior import FILE, has_flow, save_flow
@@ -20,6 +22,8 @@ from obpose.creation.origin import Origin
 from obpose.data import SceneDataset
 from obpose.errors import CorruptFile, Diverged, UsageError
 from obpose.files import claimed, write_whole
+from obpose.optimizer_state import optimizer_state, put_optimizer_state
+from obpose.tensors import State, differences_of, forms_of, read_tensors
 
 PARTIAL = "flow.partial"
 """Folder beside the weights, as long as the flow is not done."""
@@ -32,9 +36,10 @@ BATCH, RATE, WARM_STEPS, CLIP = 256, 1e-3, 200, 1.0
 MEMORY = 0.999
 """Share of the old value in the mean of the weights, which is what is kept."""
 SAVE_STEPS = 250
-_LOOKING, _LEARNING, _STATE = "looking.json", "learning.json", "state.pt"
+_LOOKING, _LEARNING, _STATE = "looking.json", "learning.json", "state.safetensors"
 """Settings of what was found, those of what was learned from it, and how far that is."""
 _LEAST_OBJECTS = 32
+_MOST_SETTINGS_BYTES = 2**16
 
 
 @dataclass(frozen=True)
@@ -86,10 +91,12 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
         write_whole(path, json.dumps(settings, indent=1).encode())
         return
     try:
-        before = json.loads(path.read_text())
-        pairs = {name: (before.get(name), value) for name, value in settings.items()}
-    except (ValueError, AttributeError):
-        raise CorruptFile(f"{path} is damaged; delete {folder} to begin anew.") from None
+        before = read_json(path, most_bytes=_MOST_SETTINGS_BYTES)
+    except CorruptFile:
+        before = None
+    if not isinstance(before, dict) or before.keys() != settings.keys():
+        raise CorruptFile(f"{path} is damaged; delete {folder} to begin anew.")
+    pairs = {name: (before[name], value) for name, value in settings.items()}
     if different := [f"{name} {there} and {here}" for name, (there, here) in pairs.items() if there != here]:
         raise UsageError(
             f"{folder} holds what was begun with other settings; there and here differ: {', '.join(different)}. Give "
@@ -108,15 +115,18 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
     held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
     if len(learned.half) < _LEAST_OBJECTS:
         raise UsageError(
-            f"{len(learned.half)} examples of objects were found, and {len(held.half)} that are held out, in "
-            f"{len(found)} clips; expected {_LEAST_OBJECTS}, give more --clips."
+            f"Examples of objects found: {len(learned.half)}, and {len(held.half)} that are held out, in "
+            f"{counted(len(found), 'clip')}; expected {_LEAST_OBJECTS}. Give more --clips."
         )
-    say(f"Learning from {len(learned.half)} examples of objects, in some frames each; {len(held.half)} are held out.")
+    say(
+        f"Learning from {counted(len(learned.half), 'example')} of objects, in some frames each; held out: "
+        f"{len(held.half)}."
+    )
     describe(flow, learned, torch.cat([each.what for each in found]))
     objects, others = _both_ways(flow, learned), flow.encode(held)
     mean = _copy(flow).eval()
     optimiser = torch.optim.AdamW(flow.parameters(), lr=RATE, betas=(0.9, 0.99), weight_decay=0.01)
-    done = _restore(folder / _STATE, flow, mean, optimiser)
+    done = _restore(folder / _STATE, flow, mean, optimiser, steps=lesson.steps)
     losses: list[float] = []
     for step in range(done, lesson.steps):
         noise = torch.Generator().manual_seed((lesson.seed << 32) + step)
@@ -198,22 +208,35 @@ def _follow(mean: Flow, flow: Flow, step: int) -> None:
 
 
 def _save(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, step: int) -> None:
-    state = {"flow": flow.state_dict(), "mean": mean.state_dict(), "optimiser": optimiser.state_dict(), "step": step}
-    contents = io.BytesIO()
-    torch.save(state, contents)
-    write_whole(path, contents.getvalue())
+    parts = {
+        "flow": flow.state_dict(),
+        "mean": mean.state_dict(),
+        "optimiser": optimizer_state(flow, optimiser),
+    }
+    tensors = {f"{part}.{name}": value for part, values in parts.items() for name, value in values.items()}
+    contents = {name: value.detach().contiguous() for name, value in tensors.items()}
+    write_whole(path, save(contents, metadata={"step": str(step)}))
 
 
-def _restore(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer) -> int:
-    """Steps that were done before."""
+def _restore(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, *, steps: int) -> int:
+    """Steps that were done before, of so many."""
     if not path.exists():
         return 0
+    advice = "delete it, and run the same command again."
+    tensors, metadata = read_tensors(path, advice)
+    parts: dict[str, State] = {"flow": {}, "mean": {}, "optimiser": {}}
     try:
-        state = torch.load(path, weights_only=True)
-        flow.load_state_dict(state["flow"])
-        mean.load_state_dict(state["mean"])
-        optimiser.load_state_dict(state["optimiser"])
-        return int(state["step"])
-    except Exception as error:  # what PyTorch raises on a damaged file is of many kinds
-        what = f"{path} is damaged ({type(error).__name__})"
-        raise CorruptFile(f"{what}; delete it, and run the same command again.") from None
+        for name, tensor in tensors.items():
+            part, _, rest = name.partition(".")
+            parts[part][rest] = tensor
+        for model, part in ((flow, "flow"), (mean, "mean")):
+            if wrong := differences_of(forms_of(parts[part]), forms_of(model.state_dict())):
+                raise ValueError(wrong)
+            model.load_state_dict(parts[part])
+        put_optimizer_state(flow, optimiser, parts["optimiser"])
+        step = int(metadata["step"])
+        if not 0 < step <= steps or not parts["optimiser"]:
+            raise ValueError(f"it is of step {step} of {steps}")
+    except (KeyError, ValueError) as error:
+        raise CorruptFile(f"{path} is damaged ({brief_reason(error)}); {advice}") from None
+    return step

@@ -8,20 +8,23 @@ labels.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from datagen.wording import counted
 from obpose.creation.origin import Origin
+from obpose.creation.pattern import SPOT
 from obpose.creation.tables import Tables, are_tables, no_tables
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import write_whole
 from obpose.model import ObPose
+from obpose.tensors import Form, Forms, differences_of, read_tensors
 from obpose.types import Observation
 
 if TYPE_CHECKING:  # it takes a second to import, which only fitting needs
@@ -33,6 +36,12 @@ _WEIGHTS = "weights"
 """In the file's metadata: SHA-256 of the file of the weights that it was fitted to."""
 _AGAIN = "make it again with obpose-edit fit, or give --prior learned."
 _PARTS = "weights", "means", "factors"
+_MIXTURES = "what", "background"
+_TABLES = {"lights", "spots"}
+_MOST_BYTES = 2**28
+_LARGEST_VALUE = 1e6
+_ROUNDING = 1e-3
+"""By how much the sum of weights may differ from 1."""
 _HELD = 5
 """Every so many values are held out when the number of Gaussians is chosen."""
 _LEAST_VALUES = 16
@@ -108,7 +117,10 @@ def fit_prior(model: ObPose, clips: Iterable[Observation], tables: Tables) -> Sc
         background.append(inference.background.mean[0, 0])
     objects, scenes = (torch.cat(what) if what else torch.zeros(0, 1)), len(background)
     if len(objects) < 2 or scenes < 2:
-        raise UsageError(f"{len(objects)} objects were found in {scenes} clips; expected at least 2 in 2 clips.")
+        raise UsageError(
+            f"Objects found: {len(objects)} in {counted(scenes, 'clip')}; expected at least 2 in 2 clips. Give more "
+            "--clips."
+        )
     mixtures = fit_mixture(objects), fit_mixture(torch.stack(background))
     return ScenePrior(*mixtures, tables, *table_part(torch.cat(center)))
 
@@ -144,46 +156,55 @@ def load_prior(origin: Origin) -> ScenePrior:
     path = origin.folder / FILE
     if not has_prior(origin):
         raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit first.")
-    try:
-        with safe_open(path, framework="pt") as file:
-            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-            weights = (file.metadata() or {}).get(_WEIGHTS)
-        what, background = (Mixture(*(found[f"{name}.{part}"] for part in _PARTS)) for name in ("what", "background"))
-        # Those that older versions fitted have none.
-        none = no_tables(found["low"])
-        lights, spots = found.get("lights", none.lights), found.get("spots", none.spots).float()
-        if not are_tables(lights, spots):
-            raise ValueError("no tables")
-        prior = ScenePrior(what, background, Tables(lights, spots), found["low"], found["high"])
-    except (SafetensorError, KeyError, TypeError, ValueError):
-        raise CorruptFile(f"{path} is damaged; {_AGAIN}") from None
+    found, metadata = read_tensors(path, _AGAIN, partial(_check_file, origin.model), most_bytes=_MOST_BYTES)
+    weights = metadata.get(_WEIGHTS)
     if weights is None:
         raise CorruptFile(f"{path} does not say which weights it was fitted to, as older ones; {_AGAIN}")
     if weights != origin.hash:
         raise CorruptFile(f"{path} was fitted to other weights than those beside it; {_AGAIN}")
-    if not _is_whole(prior, origin.model):
-        raise CorruptFile(f"{path} is damaged; {_AGAIN}")
+    what, background = (Mixture(*(found[f"{name}.{part}"] for part in _PARTS)) for name in _MIXTURES)
+    # Those that older versions fitted have none.
+    none = no_tables(found["low"])
+    tables = Tables(found.get("lights", none.lights), found.get("spots", none.spots).float())
+    prior = ScenePrior(what, background, tables, found["low"], found["high"])
+    if wrong := _fault(prior):
+        raise CorruptFile(f"{path} is damaged ({wrong}); {_AGAIN}")
     return prior
 
 
-def _is_whole(prior: ScenePrior, model: ObPose) -> bool:
+def _check_file(model: ObPose, found: Forms) -> None:
+    """Check that there are two mixtures, a part of the table, and tables or none."""
     latent = model.config.model.latent
-    values = [prior.low, prior.high]
-    for mixture, size in ((prior.what, latent.what), (prior.background, latent.background)):
-        parts = mixture.weights.numel()
-        if (
-            mixture.weights.shape != (parts,)
-            or not parts
-            or mixture.means.shape != (parts, size)
-            or mixture.factors.shape != (parts, size, size)
-        ):
-            return False
-        if not bool((mixture.weights >= 0).all() & (mixture.weights.sum() > 0)):
-            return False
-        values += [mixture.weights, mixture.means, mixture.factors]
-    return prior.low.shape == prior.high.shape == (2,) and all(
-        value.dtype == torch.float32 and bool(value.isfinite().all()) for value in values
-    )
+    expected = {"low": Form(torch.float32, (2,)), "high": Form(torch.float32, (2,))}
+    for name, size in zip(_MIXTURES, (latent.what, latent.background), strict=True):
+        parts = _length(found, f"{name}.weights")
+        shapes = (parts,), (parts, size), (parts, size, size)
+        expected |= {f"{name}.{part}": Form(torch.float32, shape) for part, shape in zip(_PARTS, shapes, strict=True)}
+    if _TABLES & found.keys():
+        tables = _length(found, "lights")
+        expected["lights"] = Form(torch.float32, (tables, 4))
+        expected["spots"] = Form(torch.float16, (tables, SPOT, SPOT, 3))
+    if wrong := differences_of(found, expected):
+        raise ValueError(wrong)
+
+
+def _length(found: Forms, name: str) -> int:
+    """Length of the first axis, where there is one."""
+    return found[name].shape[0] if name in found and found[name].shape else 1
+
+
+def _fault(prior: ScenePrior) -> str | None:
+    """What is wrong with the finite numbers of a file."""
+    for mixture in (prior.what, prior.background):
+        if not 1 <= len(mixture.weights) <= 2**_MOST_POWER:
+            return f"a mixture has {len(mixture.weights)} parts, expected 1 to {2**_MOST_POWER}"
+        if not bool((mixture.weights >= 0).all()) or abs(float(mixture.weights.sum()) - 1) > _ROUNDING:
+            return "the weights of a mixture do not sum to one"
+        if max(float(part.abs().max()) for part in (mixture.means, mixture.factors)) > _LARGEST_VALUE:
+            return f"a mixture has values above {_LARGEST_VALUE:g}"
+    if not bool((prior.low <= prior.high).all()):
+        return "low is above high"
+    return None if are_tables(prior.tables.lights, prior.tables.spots) else "lights are neither unit vectors nor none"
 
 
 def fit_mixture(values: Float[Tensor, "n latent"]) -> Mixture:

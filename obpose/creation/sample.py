@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from datagen.wording import counted
 from obpose.creation.extent import LEAST_VOXELS, above_table, occupied, shape_extent
 from obpose.creation.flow import sample_grids
 from obpose.creation.flow_prior import FlowPrior
@@ -84,7 +85,7 @@ def sample_scene(
         if placed is not None:
             break
     else:
-        raise UsageError(f"There is no room for {objects} objects beside each other; sample fewer.")
+        raise UsageError(f"There is no room for {counted(objects, 'object')} beside each other; sample fewer.")
     background, light, pattern = _surroundings(source, generator)
     return Scene(
         ids=tuple(range(1, objects + 1)),

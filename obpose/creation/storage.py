@@ -1,31 +1,40 @@
-"""Scenes on disk: a folder with `scene.safetensors` and `scene.json`, nothing pickled."""
+"""Scenes on disk: a folder with `scene.safetensors` and `scene.json`."""
 
 import dataclasses
 import json
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors.torch import save
 
+from datagen.safe_io import brief_reason, read_json
 from obpose.creation.light import is_light, no_light
 from obpose.creation.pattern import no_pattern
 from obpose.creation.pictures import PICTURE, Picture, write_png
 from obpose.creation.scene import LARGEST_ID, Camera, ClipName, Scene
 from obpose.errors import CorruptFile, UsageError
 from obpose.files import new_folder, write_whole
-from obpose.nerf.detail import no_detail
+from obpose.nerf.detail import EDGE, no_detail
+from obpose.tensors import Form, Forms, State, differences_of, read_tensors
 
 TENSORS, FACTS = "scene.safetensors", "scene.json"
 VERSION = 1
 """Of the files; raised when older ones can no longer be read."""
+MOST_OBJECTS = 1000
 LARGEST_SIDE = 2**13
 """Pixels along a side of a camera's image."""
 _LARGEST_VALUE = 1e6
 """Metres, pixels or units of a latent, far beyond all that are meant."""
 _ROUNDING = 1e-3
 """By how much R^T R may differ from 1 after many turns."""
+_FACTS = {"version", "model", "checkpoint", "objects", "images"}
+_SPLITS = "train", "val", "test"
+_MOST_FACTS_BYTES, _MOST_TENSOR_BYTES = 2**20, 2**29
+_AGAIN = "make the scene again, into another folder."
 
 
 def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> None:
@@ -36,34 +45,41 @@ def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> No
         DatagenError: it cannot be written, for example because the disk is full.
     """
     if not _is_whole(scene):
-        raise UsageError("The scene has numbers that are none, or beyond all sense; nothing was written.")
-    with new_folder(folder) as partial:
-        _write(partial, scene)
+        raise UsageError(
+            f"The scene holds NaN, values above {_LARGEST_VALUE:g}, or more than {MOST_OBJECTS} objects; nothing was "
+            "written. Undo the last edit."
+        )
+    with new_folder(folder) as unfinished:
+        _write(unfinished, scene)
         if picture is not None:
-            write_png(partial / PICTURE, picture)
+            write_png(unfinished / PICTURE, picture)
 
 
 def load_scene(folder: Path) -> Scene:
-    """The scene of a folder.
+    """Read the scene of a folder.
 
     Raises:
         UsageError: there is none, or it is of another version.
         CorruptFile: a file is damaged.
     """
-    if not (folder / FACTS).is_file():
+    path = folder / FACTS
+    if not path.is_file():
         raise UsageError(f"{folder} holds no scene: there is no {FACTS}. obpose-edit infer and sample make one.")
-    damaged = CorruptFile(f"The scene in {folder} is damaged; make it again, into another folder.")
+    facts = read_json(path, most_bytes=_MOST_FACTS_BYTES)
+    version = facts.get("version") if isinstance(facts, dict) else None
+    if type(version) is int and version != VERSION:
+        raise UsageError(f"The scene in {folder} is of version {version}, expected {VERSION}; make it again.")
     try:
-        facts = json.loads((folder / FACTS).read_text())
-        version = facts["version"]
-        if version != VERSION:
-            raise UsageError(f"The scene in {folder} is of version {version}, expected {VERSION}; make it again.")
-        scene = _assemble(facts, load((folder / TENSORS).read_bytes()))
-        is_whole = _is_whole(scene)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, SafetensorError):
-        raise damaged from None
-    if not is_whole:
-        raise damaged
+        parts = _parts(facts)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise CorruptFile(f"{path} is damaged ({brief_reason(error)}); {_AGAIN}") from None
+    if not (folder / TENSORS).is_file():
+        raise CorruptFile(f"{folder / TENSORS} is missing, though there is a {FACTS}; {_AGAIN}")
+    check = partial(_check_file, len(parts["ids"]), len(parts["images"]))
+    tensors, _ = read_tensors(folder / TENSORS, _AGAIN, check, most_bytes=_MOST_TENSOR_BYTES)
+    scene = _assemble(parts, tensors)
+    if not _is_whole(scene):
+        raise CorruptFile(f"{folder / TENSORS} is damaged (its values are not those of a scene); {_AGAIN}")
     return scene
 
 
@@ -99,38 +115,96 @@ def _wherever_from(checkpoint: str) -> str:
     return str(place.resolve()) if place.exists() else checkpoint
 
 
-def _assemble(facts: dict, tensors: dict[str, torch.Tensor]) -> Scene:
+def _parts(facts: Any) -> dict[str, Any]:
+    """What a file says of a scene, checked.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: it is not what `_write` writes.
+    """
+    names = facts.keys() - {"clip"}
+    if names != _FACTS or type(facts["version"]) is not int:
+        raise ValueError(f"expected {', '.join(sorted(_FACTS))}")
+    if not all(isinstance(facts[name], str) and facts[name].strip() for name in ("model", "checkpoint")):
+        raise ValueError("model and checkpoint are no names")
+    ids = [_number(name, LARGEST_ID) for name in facts["objects"]]
+    if not isinstance(facts["objects"], list) or len(set(ids)) < len(ids) or len(ids) > MOST_OBJECTS:
+        raise ValueError(f"objects are not a list of at most {MOST_OBJECTS} different numbers")
+    images = [(_number(width, LARGEST_SIDE), _number(height, LARGEST_SIDE)) for width, height in facts["images"]]
+    if not isinstance(facts["images"], list) or not images:
+        raise ValueError("images are not a list of widths and heights")
+    # Scenes of older versions do not say which clip they are of.
+    clip = _clip(facts["clip"]) if "clip" in facts else None
+    return {"ids": ids, "images": images, "clip": clip, "model": facts["model"], "checkpoint": facts["checkpoint"]}
+
+
+def _check_file(objects: int, cameras: int, found: Forms) -> None:
+    """Check names, types and shapes of a scene's tensors; older versions wrote fewer of them.
+
+    Raises:
+        ValueError: they are others.
+    """
+    frames, what, background = 0, 0, 0
+    if "what" in found and len(found["what"].shape) == 3:
+        frames, _, what = found["what"].shape
+    if "background" in found and len(found["background"].shape) == 2:
+        background = found["background"].shape[1]
+    shapes = {
+        "what": (frames, objects, what),
+        "center": (frames, objects, 3),
+        "rotation": (frames, objects, 3, 3),
+        "background": (frames, background),
+        "k": (cameras, 3, 3),
+        "world_from_camera": (cameras, 4, 4),
+    }
+    later = {
+        "detail": (objects, EDGE, EDGE, EDGE, 4),
+        "alone": (objects,),
+        "light": tuple(no_light().shape),
+        "pattern": tuple(no_pattern().shape),
+    }
+    shapes |= {name: shape for name, shape in later.items() if name in found}
+    expected = {name: Form(torch.float32, shape) for name, shape in shapes.items()}
+    if wrong := differences_of(found, expected):
+        raise ValueError(wrong)
+    if not frames:
+        raise ValueError("it has no frames")
+
+
+def _assemble(parts: Mapping[str, Any], tensors: State) -> Scene:
+    ids, what = parts["ids"], tensors["what"]
     return Scene(
-        ids=tuple(_number(name, LARGEST_ID) for name in facts["objects"]),
-        what=tensors["what"],
+        ids=tuple(ids),
+        what=what,
         center=tensors["center"],
         rotation=tensors["rotation"],
-        # Scenes of older versions have none.
-        detail=tensors.get("detail", no_detail(len(facts["objects"]), tensors["what"])),
-        alone=tensors.get("alone", torch.zeros(len(facts["objects"]))),
+        detail=tensors.get("detail", no_detail(len(ids), what)),
+        alone=tensors.get("alone", torch.zeros(len(ids))),
         background=tensors["background"],
         cameras=tuple(
-            Camera(k, pose, _number(width, LARGEST_SIDE), _number(height, LARGEST_SIDE))
+            Camera(k, pose, width, height)
             for k, pose, (width, height) in zip(
-                tensors["k"], tensors["world_from_camera"], facts["images"], strict=True
+                tensors["k"], tensors["world_from_camera"], parts["images"], strict=True
             )
         ),
-        model=str(facts["model"]),
-        checkpoint=str(facts["checkpoint"]),
-        # Scenes of older versions do not say it, and have neither.
-        clip=_clip(facts["clip"]) if "clip" in facts else None,
+        model=parts["model"],
+        checkpoint=parts["checkpoint"],
+        clip=parts["clip"],
         light=tensors.get("light", no_light()),
         pattern=tensors.get("pattern", no_pattern()),
     )
 
 
-def _clip(facts: dict) -> ClipName:
-    return ClipName(str(facts["dataset"]), str(facts["split"]), _number(facts["index"] + 1, LARGEST_ID) - 1)
+def _clip(facts: dict[str, Any]) -> ClipName:
+    if facts.keys() != {"dataset", "split", "index"} or not isinstance(facts["dataset"], str):
+        raise ValueError("clip is no clip of a dataset")
+    if facts["split"] not in _SPLITS:
+        raise ValueError(f"clip is of no split of a dataset, expected one of {', '.join(_SPLITS)}")
+    return ClipName(facts["dataset"], facts["split"], _number(facts["index"], LARGEST_ID, least=0))
 
 
-def _number(value: object, largest: int) -> int:
-    if type(value) is not int or not 0 < value <= largest:
-        raise ValueError(f"{value} is not in 1 to {largest}")
+def _number(value: object, largest: int, *, least: int = 1) -> int:
+    if type(value) is not int or not least <= value <= largest:
+        raise ValueError(f"{value!r:.40} is not in {least} to {largest}")
     return value
 
 
@@ -148,6 +222,7 @@ def _is_whole(scene: Scene) -> bool:
         and scene.light.shape == (4,)
         and scene.pattern.shape == no_pattern().shape
         and frames > 0
+        and objects <= MOST_OBJECTS
     )
     values = [scene.what, scene.center, scene.rotation, scene.detail, scene.alone]
     values += [scene.background, scene.light, scene.pattern]

@@ -1,4 +1,4 @@
-"""A user's own RGB-D frames, as commands take them, and as a model sees them."""
+"""RGB-D frames of a user, as commands take them and as a model sees them."""
 
 import math
 from dataclasses import dataclass
@@ -12,16 +12,17 @@ from jaxtyping import Float64
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.model import ObPose
-from obpose.plane import TOLERANCE, fit_plane
+from obpose.plane import Plane
 from obpose.recordings.reading import Recording, parse_intrinsics, read_recording
-from obpose.recordings.world import FITTED, GIVEN, Pose, middle_of, pose_over_plane, read_pose
+from obpose.recordings.table import find_table, table_points
+from obpose.recordings.world import FITTED, GIVEN, Pose, pose_over_plane, read_pose
 from obpose.resolution import fitting_model, spacing_note, surface_spacing
 from obpose.types import Observation
 
 _COARSE = 5.0
 """Times the distance of neighbouring pixels in training; what is coarser most likely has depth of another unit."""
 _MOST_OUTSIDE = 0.5
-"""Share of the points in view."""
+"""Share of the table's points."""
 _MOST_TILT, _MOST_HEIGHT = 10.0, 0.02
 """Degrees and metres by which the table may differ from the plane z = 0: objects stand on that for the model, and it
 leaves out what is beneath it."""
@@ -32,14 +33,16 @@ class Frames:
     """Flags that name frames of one camera that stands still."""
 
     rgb: tuple[Path, ...] = ()
-    """Colour images in time order, or one folder of them."""
+    """Colour images in time order, or one folder of them, sorted by the numbers in their names: PNG or JPEG whose
+    pixels lie as they are shown (EXIF orientation 1)."""
     depth: tuple[Path, ...] = ()
-    """Depth images, aligned with them, or one folder: PNG or TIFF of 16 bits, or TIFF or NPY of floats in metres."""
+    """Depth images, aligned with them, or one folder: PNG or TIFF of 16 bits, or TIFF or NPY of floats in metres. No
+    depth: 0, values that are not finite, and the largest value of the type, such as 65535."""
     intrinsics: str | None = None
     """fx,fy,cx,cy in pixels; the centre of the first pixel is at 0.5, 0.5, so add 0.5 to OpenCV's cx and cy."""
     camera_pose: Path | None = None
     """File with world_from_camera, 4x4, metres, as text, JSON or NPY: camera axes x right, y down, z forward, world z
-    up from the table at z = 0. If left out, the world stands on the largest plane in view."""
+    up from the table at z = 0. If left out, the world stands on the largest plane near the camera."""
     depth_scale: float = 0.001
     """Metres of one unit of depth images of whole numbers."""
     every: int = 1
@@ -48,7 +51,7 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What a model sees of frames, and what is to be said of it."""
+    """Frames as a model sees them, and notes for the user on how they compare to its training."""
 
     whole: Recording
     """With all pixels."""
@@ -56,9 +59,9 @@ class Sight:
     """A batch of one clip, of the pixels that were taken."""
     pose: Pose
     world: str
-    """Where the world is from."""
+    """Note on the origin of the world frame."""
     resolution: str
-    """How the frames compare to those of the training."""
+    """Note on the distance of neighbouring pixels."""
 
 
 def look(frames: Frames, model: ObPose) -> Sight:
@@ -70,17 +73,20 @@ def look(frames: Frames, model: ObPose) -> Sight:
     """
     if not 0 < frames.depth_scale < math.inf:
         raise UsageError(f"--depth-scale is {frames.depth_scale:g}; expected more than 0, and finite.")
+    if frames.every < 1:
+        raise UsageError(f"--every {frames.every}: expected 1 or a little more.")
     k = parse_intrinsics(frames.intrinsics)
+    given = None if frames.camera_pose is None else read_pose(frames.camera_pose)
     whole = read_recording(frames.rgb, frames.depth, k, depth_scale=frames.depth_scale)
     recording = whole.every(frames.every)
     if (recording.depth > 0).any() and not (recording.depth[0] > 0).any():
         raise UsageError(
             "The first frame has no depth, and objects are looked for there: leave out its image and its depth."
         )
-    pose = read_pose(frames.camera_pose) if frames.camera_pose else _pose_over_plane(recording, model)
+    pose = _pose_over_table(recording, model) if given is None else given
     observation = _observation(recording, pose)
-    world = _given_note(observation, model) if frames.camera_pose else FITTED
-    return Sight(whole, observation, pose, world, _resolution_note(model, observation))
+    world = FITTED if given is None else _given_note(observation, model)
+    return Sight(whole, observation, pose, world, _resolution_note(model, observation, frames.every))
 
 
 def _observation(recording: Recording, pose: Pose) -> Observation:
@@ -94,61 +100,81 @@ def _observation(recording: Recording, pose: Pose) -> Observation:
     )
 
 
-def _pose_over_plane(recording: Recording, model: ObPose) -> Pose:
+def _pose_over_table(recording: Recording, model: ObPose) -> Pose:
     seen = _first_points(_observation(recording, np.eye(4)))
-    return pose_over_plane(seen, center=model.config.model.workspace_center)
+    return pose_over_plane(seen, center=_middle_of_table(model))
+
+
+def _middle_of_table(model: ObPose) -> tuple[float, float, float]:
+    """Where the middle of the table was in training, world frame, metres.
+
+    It is the origin as a rule. Where a model was trained in another world, it is the place nearest to the origin in the
+    middle half of its workspace.
+    """
+    trained = model.config.model
+    quarter = trained.workspace_size / 4
+    x, y, z = (min(max(0.0, middle - quarter), middle + quarter) for middle in trained.workspace_center)
+    return x, y, z
 
 
 def _given_note(observation: Observation, model: ObPose) -> str:
-    """Whether the given world is one that the model knows."""
-    points = _first_points(observation)
-    faults = [fault for fault in (_away(points, model), _off_the_table(points)) if fault]
+    """Say whether the given world is like those of the training."""
+    points, camera = _first_points(observation), observation.world_from_camera[0, 0, :3, 3].numpy()
+    plane = find_table(points - camera)
+    if plane is None:
+        return GIVEN
+    table = table_points(points - camera, plane) + camera
+    faults = [fault for fault in (_away(table, model), _off_zero(table, plane)) if fault]
     return "; ".join([GIVEN, *faults, *(["results may be poor"] if faults else [])])
 
 
-def _away(points: Float64[np.ndarray, "point 3"], model: ObPose) -> str | None:
-    """How much of what is in view lies outside the cube that the model was trained on, if that is most of it."""
+def _away(table: Float64[np.ndarray, "point 3"], model: ObPose) -> str | None:
+    """Say how much of the table lies outside the cube that the model was trained on, if that is most of it."""
     trained = model.config.model
     center = np.array(trained.workspace_center)
-    outside = (np.abs(points - center) > trained.workspace_size / 2).any(axis=1)
-    if not len(points) or outside.mean() <= _MOST_OUTSIDE:
+    outside = (np.abs(table - center) > trained.workspace_size / 2).any(axis=1)
+    if outside.mean() <= _MOST_OUTSIDE:
         return None
-    away = float(np.linalg.norm(middle_of(points) - center))
-    x, y, z = center
+    middle = np.median(table, axis=0)
     return (
-        f"what is in view lies {away:.2f} m from ({x:.2f}, {y:.2f}, {z:.2f}), around which the model was trained, and "
-        f"{100 * outside.mean():.0f} % of it outside the {trained.workspace_size:.2f} m there: move the world's origin"
+        f"the middle of the table in view lies at {_place(middle)}, and {100 * outside.mean():.0f} % of it outside the "
+        f"{trained.workspace_size:.2f} m around {_place(center)} that the model was trained on: move the world's origin"
     )
 
 
-def _off_the_table(points: Float64[np.ndarray, "point 3"]) -> str | None:
-    """How the largest plane in view lies, if that is not at z = 0."""
-    plane = fit_plane(points, np.random.default_rng(0))
-    if plane is None:
-        return None
+def _place(point: Float64[np.ndarray, "3"]) -> str:
+    return f"({', '.join(f'{value:.2f}' for value in point)})"
+
+
+def _off_zero(table: Float64[np.ndarray, "point 3"], plane: Plane) -> str | None:
+    """Say how the table lies, if that is not at z = 0."""
     tilt = math.degrees(math.acos(min(1.0, abs(float(plane.normal[2])))))
     if tilt > _MOST_TILT:
-        return (
-            f"the largest plane in view is tilted by {tilt:.0f} degrees: let the world's z axis point up from the table"
-        )
-    heights = points[np.abs(plane.height(points)) < TOLERANCE, 2]
-    height = float(np.median(heights)) if len(heights) else 0.0
+        return f"the table in view is tilted by {tilt:.0f} degrees: let the world's z axis point up from the table"
+    height = float(np.median(table[:, 2]))
     if abs(height) <= _MOST_HEIGHT:
         return None
-    return f"the largest plane in view lies at z = {height:.2f} m: move the world's origin onto the table"
+    return f"the table in view lies at z = {height:.2f} m: move the world's origin onto the table"
 
 
 def _first_points(observation: Observation) -> Float64[np.ndarray, "point 3"]:
-    """What the first frame shows, metres."""
+    """The points of the first frame, metres."""
     return unproject(observation)[0, 0][observation.valid[0, 0]].numpy().astype(np.float64)
 
 
-def _resolution_note(model: ObPose, observation: Observation) -> str:
-    """How the distance of neighbouring pixels compares to the training's, and what brings it nearer."""
+def _resolution_note(model: ObPose, observation: Observation, every: int) -> str:
+    """Compare the distance of neighbouring pixels to that of the training, and say what brings it nearer.
+
+    Args:
+        model: The model.
+        observation: One pixel of each square of `every` pixels of the images.
+        every: As given by the user; the hint replaces it.
+    """
     words, trained, spacing = spacing_note(model, observation), model.config.model.spacing, surface_spacing(observation)
     if spacing is None or fitting_model(model, observation) is model:
         return words
-    if spacing > _COARSE * trained:
+    if spacing > _COARSE * trained * every:
         return f"{words}; is --depth-scale right?"
-    step = round(trained / spacing)
-    return f"{words}; --every {step} comes near to it" if step > 1 else words
+    step = max(1, round(every * trained / spacing))
+    possible = step <= every * min(observation.depth.shape[-2:])
+    return f"{words}; --every {step} comes near to it" if step != every and possible else words

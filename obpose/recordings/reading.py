@@ -1,31 +1,36 @@
-"""Files of RGB-D frames, in the usual formats, as arrays."""
+"""Read RGB-D frames in the usual file formats as arrays."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
-from PIL import Image, UnidentifiedImageError
 
-from obpose.errors import CorruptFile, UsageError
+from obpose.errors import UsageError
+from obpose.recordings.frame_files import check_pairs
+from obpose.recordings.frame_files import list_frames as _expand
+from obpose.recordings.images import Size, colour_size, depth_size, read_colour, read_depth
 
 COLOUR_ENDINGS = (".png", ".jpg", ".jpeg")
 DEPTH_ENDINGS = (".png", ".tif", ".tiff", ".npy")
 PLAUSIBLE = (0.05, 50.0)
-"""Metres between which the median depth of a recording must lie; others come of a wrong scale."""
+"""Metres between which the median depth of a recording must lie, for others come of a wrong scale; single pixels
+outside have no return."""
 FOCAL = (0.1, 50.0)
 """Larger sides of the image between which focal lengths must lie; others come of wrong units."""
+MOST_BYTES = 2**30
+"""Largest recording in memory."""
+_PIXEL_BYTES = 7
+"""Three bytes of colour and four of depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What one camera that stands still saw, in time order."""
+    """Frames of one camera that stands still, in time order."""
 
     files: tuple[Path, ...]
-    """Of the colour images."""
+    """The colour images."""
     rgb: UInt8[np.ndarray, "frame height width 3"]
     """sRGB."""
     depth: Float32[np.ndarray, "frame height width"]
@@ -34,13 +39,14 @@ class Recording:
     """Camera matrix in pixels, pixel centres at +0.5."""
 
     def every(self, step: int) -> "Recording":
-        """Of each square of so many pixels the one in its middle; nothing is averaged, for depths must not be.
+        """Take the pixel in the middle of each square of `step` x `step`; nothing is averaged, for depths must not be.
 
         Raises:
             UsageError: the images are smaller than such a square.
         """
-        if not 1 <= step <= min(self.depth.shape[1:]):
-            raise UsageError(f"--every {step}: the images are {_size(self.depth[0])}; expected 1 or a little more.")
+        height, width = self.depth.shape[1:]
+        if not 1 <= step <= min(height, width):
+            raise UsageError(f"--every {step}: the images are {width}x{height}; expected 1 or a little more.")
         offset = step // 2
         k = self.k.copy()
         k[:2, 2] -= offset + 0.5
@@ -53,7 +59,7 @@ class Recording:
 def read_recording(
     rgb: Sequence[Path], depth: Sequence[Path], k: Float64[np.ndarray, "3 3"], *, depth_scale: float
 ) -> Recording:
-    """Read frames.
+    """Read frames, after a check of all files' headers.
 
     Args:
         rgb: Images, or one folder of them, whose names give the order.
@@ -62,8 +68,8 @@ def read_recording(
         depth_scale: Metres of one unit of depth images of whole numbers; floats are metres.
 
     Raises:
-        UsageError: files are missing, of other sizes than the first, or hold no depth; or the camera matrix belongs to
-            images of another size.
+        UsageError: files are missing, do not belong together, hold no colours or no depth, or take more than
+            `MOST_BYTES`; or the camera matrix belongs to images of another size.
         CorruptFile: a file cannot be read.
     """
     colours, depths = _expand(rgb, COLOUR_ENDINGS, "--rgb"), _expand(depth, DEPTH_ENDINGS, "--depth")
@@ -71,22 +77,23 @@ def read_recording(
         raise UsageError(
             f"--rgb names {len(colours)} images and --depth {len(depths)}; expected a pair for each frame."
         )
-    images = [_read_rgb(path) for path in colours]
-    maps = [_read_depth(path, depth_scale) for path in depths]
-    for path, array in zip((*colours, *depths), (*images, *maps), strict=True):
-        if array.shape[:2] != images[0].shape[:2]:
-            raise UsageError(
-                f"{path} is {_size(array)}, but {colours[0]} is {_size(images[0])}; all images must have one size, and "
-                "depth must be aligned with colour."
-            )
-    _check_intrinsics(k, images[0])
-    recording = Recording(tuple(colours), np.stack(images), np.stack(maps), k)
-    _check_depth(recording.depth, depths[0])
-    return recording
+    if rgb[0].is_dir() and depth[0].is_dir():
+        check_pairs(colours, depths)
+    width, height = _common_size(colours, depths)
+    _check_memory(len(colours), (width, height))
+    _check_intrinsics(k, (width, height))
+    images = np.empty((len(colours), height, width, 3), np.uint8)
+    maps = np.empty((len(colours), height, width), np.float32)
+    for frame, (colour_path, depth_path) in enumerate(zip(colours, depths, strict=True)):
+        images[frame] = read_colour(colour_path)
+        maps[frame] = read_depth(depth_path, depth_scale)
+    _check_depth(maps, depths[0])
+    maps[(maps < PLAUSIBLE[0]) | (maps > PLAUSIBLE[1])] = 0
+    return Recording(tuple(colours), images, maps, k)
 
 
 def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:
-    """The camera matrix of `fx,fy,cx,cy`.
+    """Make the camera matrix of the text `fx,fy,cx,cy`.
 
     Raises:
         UsageError: it is something else, or missing.
@@ -102,78 +109,36 @@ def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
-def _expand(paths: Sequence[Path], endings: Sequence[str], flag: str) -> list[Path]:
-    """The files themselves, in time order."""
-    if not paths:
-        raise UsageError(f"{flag} names no files; give images in time order, or one folder of them.")
-    for path in paths:
-        if not path.exists():
-            raise UsageError(f"{flag} {path} does not exist.")
-    if len(paths) > 1 or not paths[0].is_dir():
-        return list(paths)
-    found = [path for path in paths[0].iterdir() if path.suffix.lower() in endings]
-    if not found:
-        raise UsageError(f"{flag} {paths[0]}: the folder holds no {', '.join(endings)}.")
-    return sorted(found, key=_by_number)
+def _common_size(colours: Sequence[Path], depths: Sequence[Path]) -> Size:
+    """Width and height that all images have, by their headers."""
+    first = colour_size(colours[0])
+    for paths, size_of in ((colours, colour_size), (depths, depth_size)):
+        for path in paths:
+            if (size := size_of(path)) != first:
+                raise UsageError(
+                    f"{path} is {_text(size)}, but {colours[0]} is {_text(first)}; all images must have one size, and "
+                    "depth must be aligned with colour."
+                )
+    return first
 
 
-def _by_number(path: Path) -> list[tuple[int, str]]:
-    """Numbers in names count as numbers: 2.png comes before 10.png."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name) if part]
-
-
-def _read_rgb(path: Path) -> UInt8[np.ndarray, "height width 3"]:
-    image = _open(path)
-    if image.mode.startswith(("I", "F")):
-        raise UsageError(f"{path} is no colour image (mode {image.mode}); are --rgb and --depth swapped?")
-    return np.asarray(image.convert("RGB"))
-
-
-def _read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
-    values = _read_array(path) if path.suffix.lower() == ".npy" else _read_image(path)
-    metres = values.astype(np.float32) * np.float32(scale if values.dtype.kind in "ui" else 1)
-    return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
-
-
-def _read_image(path: Path) -> np.ndarray:
-    image = _open(path)
-    if not image.mode.startswith(("I", "F")):
+def _check_memory(frames: int, size: Size) -> None:
+    needed = frames * size[0] * size[1] * _PIXEL_BYTES
+    if needed > MOST_BYTES:
         raise UsageError(
-            f"{path} holds no depth: it has mode {image.mode}; expected one channel of 16 bits or of floats."
+            f"{frames} frames of {_text(size)} pixels need {needed / 2**30:.1f} GiB of memory; expected at most "
+            f"{MOST_BYTES // 2**30} GiB. Give fewer frames at a time, or smaller images."
         )
-    return np.asarray(image)
 
 
-def _read_array(path: Path) -> np.ndarray:
-    try:
-        values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise CorruptFile(f"{path} is damaged or no NPY file ({error}).") from None
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "uif":
-        raise UsageError(f"{path} holds no depth; expected an array of numbers with height and width.")
-    return values
-
-
-def _open(path: Path) -> Image.Image:
-    """An image whose pixels are loaded."""
-    try:
-        image = Image.open(BytesIO(path.read_bytes()))
-        image.load()
-    except UnidentifiedImageError:
-        raise CorruptFile(f"{path} is damaged or no image of a known format.") from None
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise CorruptFile(f"{path} is damaged or no image ({error}).") from None
-    return image
-
-
-def _check_intrinsics(k: Float64[np.ndarray, "3 3"], image: np.ndarray) -> None:
+def _check_intrinsics(k: Float64[np.ndarray, "3 3"], size: Size) -> None:
     """Refuse what no camera with such images has; the centre of a part cut out of an image may lie outside of it."""
-    (height, width), (low, high) = image.shape[:2], FOCAL
+    (width, height), (low, high) = size, FOCAL
     (fx, _, cx), (_, fy, cy), _ = k
     focal = all(low < value / max(height, width) < high for value in (fx, fy))
     if not focal or not (-width < cx < 2 * width and -height < cy < 2 * height):
         raise UsageError(
-            f"--intrinsics {fx:g},{fy:g},{cx:g},{cy:g} cannot be those of images of {_size(image)}; expected "
+            f"--intrinsics {fx:g},{fy:g},{cx:g},{cy:g} cannot be those of images of {_text(size)}; expected "
             "fx,fy,cx,cy in pixels of these images. Where images were scaled, scale all four alike."
         )
 
@@ -181,8 +146,10 @@ def _check_intrinsics(k: Float64[np.ndarray, "3 3"], image: np.ndarray) -> None:
 def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path) -> None:
     seen = depth[depth > 0]
     if not len(seen):
-        raise UsageError(f"No pixel has a depth: {example} and the others hold only zeros.")
-    median, (low, high) = float(np.median(seen)), PLAUSIBLE
+        raise UsageError(
+            f"No pixel has a depth: {example} and the others hold only zeros, or the largest value of their type."
+        )
+    median, (low, high) = float(np.median(seen, overwrite_input=True)), PLAUSIBLE
     if not low < median < high:
         raise UsageError(
             f"The median depth is {median:.3g} m; expected {low:g} to {high:g}. Floats have to be metres; of whole "
@@ -190,5 +157,5 @@ def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path
         )
 
 
-def _size(array: np.ndarray) -> str:
-    return f"{array.shape[1]}x{array.shape[0]}"
+def _text(size: Size) -> str:
+    return f"{size[0]}x{size[1]}"

@@ -1,91 +1,134 @@
-"""The world frame of a recording: the user's own, or one that stands on the largest plane in view."""
+"""The world frame of a recording: the user's own, or one that stands on the table in view."""
 
-import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float64
 
+from datagen.safe_io import npy_shape, parse_json, read_npy, read_text
 from obpose.errors import CorruptFile, UsageError
-from obpose.measure import TAIL
-from obpose.plane import Plane, fit_plane
+from obpose.plane import Plane
+from obpose.recordings.table import find_table, table_points
 
 Pose = Float64[np.ndarray, "4 4"]
 
 GIVEN = "as given with --camera-pose"
 FITTED = (
-    "stands on the largest plane in the first frame: z = 0 is the plane and z points up, x points horizontally towards "
-    "the camera, and the origin lies such that the points in view surround the place that the model knows"
+    "stands on the largest plane near the camera in the first frame, most likely the table: z = 0 is the plane and z "
+    "points up, x points horizontally towards the camera, and the origin is where the median of the plane's points is"
 )
+MOST_POSE_BYTES = 2**16
+"""Largest file of a pose."""
+MOST_TRANSLATION = 1000.0
+"""Largest distance in metres of the camera from the origin, along each axis; others come of wrong units."""
 
 
 def read_pose(path: Path) -> Pose:
-    """world_from_camera of a file: four rows of four numbers as text, JSON or NPY.
+    """Read world_from_camera from a file: four rows of four numbers as text, JSON or NPY.
 
     Raises:
         UsageError: there is no such file, or it holds no rigid pose.
         CorruptFile: it cannot be read.
     """
     try:
-        if path.suffix == ".npy":
-            # A file of several arrays that has this ending becomes an object, which the line below refuses.
-            pose = np.array(np.load(path, allow_pickle=False))
-        else:
-            text = path.read_text()
-            pose = np.array(json.loads(text) if path.suffix == ".json" else _rows(text))
-        pose = pose.astype(np.float64)
+        pose = _READERS.get(path.suffix.lower(), _read_rows)(path)
     except FileNotFoundError:
         raise UsageError(f"--camera-pose {path} does not exist.") from None
-    except (OSError, ValueError, TypeError, EOFError) as error:
-        raise CorruptFile(
-            f"--camera-pose {path} cannot be read ({error}); expected four rows of four numbers."
-        ) from None
-    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not _is_rigid(pose):
+    if pose is None or not _is_rigid(pose):
         raise UsageError(
             f"--camera-pose {path} holds no rigid pose; expected world_from_camera: 4x4, a rotation and a translation "
             "in metres over the row 0 0 0 1, camera axes x right, y down, z forward."
         )
+    if np.abs(pose[:3, 3]).max() > MOST_TRANSLATION:
+        raise UsageError(
+            f"--camera-pose {path} has the translation {', '.join(f'{value:g}' for value in pose[:3, 3])}; expected "
+            f"metres, at most {MOST_TRANSLATION:,.0f}. Move the world's origin onto the table."
+        )
     return pose
 
 
-def pose_over_plane(points: Float[np.ndarray, "point 3"], *, center: tuple[float, float, float], seed: int = 0) -> Pose:
-    """world_from_camera in the frame that `FITTED` describes.
+def pose_over_plane(
+    points: Float[np.ndarray, "point 3"], *, center: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0
+) -> Pose:
+    """Find world_from_camera in the frame that `FITTED` describes.
 
     Args:
         points: What the camera saw, camera frame, metres.
-        center: Where the middle of the points in view is to be; of this x and y count.
-        seed: Of the search for the plane.
+        center: Where the median of the table's points is to be, world frame, metres; of this x and y count.
+        seed: Of the search for the table.
 
     Raises:
         UsageError: no plane is found.
     """
-    plane = fit_plane(points, np.random.default_rng(seed))
+    plane = find_table(points, seed=seed)
     if plane is None:
         raise UsageError("No plane was found in the first frame, so that up is unknown; give --camera-pose.")
-    plane = plane.oriented_towards(np.zeros((1, 3)))
-    rotation = _axes(plane, points)
-    middle = middle_of(points @ rotation.T)
+    middle = np.median(table_points(points, plane), axis=0)
+    rotation = _axes(plane, middle)
+    x, y, _ = rotation @ middle
     pose = np.eye(4)
     pose[:3, :3] = rotation
-    pose[:3, 3] = [center[0] - middle[0], center[1] - middle[1], -plane.offset]
+    pose[:3, 3] = [center[0] - x, center[1] - y, -plane.offset]
     return pose
 
 
-def middle_of(points: Float[np.ndarray, "point 3"]) -> Float64[np.ndarray, "3"]:
-    """Middle of what was seen, as `obpose.measure` finds it in training clips."""
-    return (np.quantile(points, TAIL, axis=0) + np.quantile(points, 1 - TAIL, axis=0)) / 2
+def _read_rows(path: Path) -> Pose | None:
+    """Read numbers between spaces or commas; `#` begins a comment."""
+    lines = (line.partition("#")[0].replace(",", " ").split() for line in read_text(path, MOST_POSE_BYTES).splitlines())
+    try:
+        return _matrix([[float(number) for number in line] for line in lines if line])
+    except ValueError as error:
+        raise _unreadable(path, error) from None
 
 
-def _rows(text: str) -> list[list[float]]:
-    """Numbers between spaces or commas; `#` begins a comment."""
-    lines = (line.partition("#")[0].replace(",", " ").split() for line in text.splitlines())
-    return [[float(number) for number in line] for line in lines if line]
+def _read_json(path: Path) -> Pose | None:
+    try:
+        return _matrix(parse_json(read_text(path, MOST_POSE_BYTES)))
+    except ValueError as error:
+        raise _unreadable(path, error) from None
 
 
-def _axes(plane: Plane, points: Float[np.ndarray, "point 3"]) -> Float64[np.ndarray, "3 3"]:
-    """World axes as rows, in the camera's frame: x towards the camera, z away from the plane."""
+def _read_array(path: Path) -> Pose | None:
+    shape, dtype = npy_shape(path)
+    if shape != (4, 4) or dtype.kind not in "uif":
+        return None
+    with np.errstate(over="ignore"):
+        return read_npy(path).astype(np.float64)
+
+
+_READERS = {".json": _read_json, ".npy": _read_array}
+"""By ending; all other files are text."""
+
+
+def _matrix(value: Any) -> Pose | None:
+    """The 4x4 array of four lists of four numbers, None of anything else."""
+    if not isinstance(value, list) or not all(isinstance(row, list) and len(row) == 4 for row in value):
+        return None
+    numbers = [number for row in value for number in row]
+    if len(numbers) != 16 or not all(type(number) in (int, float) for number in numbers):
+        return None
+    return np.array([float(number) if abs(number) < 1e300 else np.inf for number in numbers]).reshape(4, 4)
+
+
+def _unreadable(path: Path, error: ValueError) -> CorruptFile:
+    said = " ".join(str(error).split())
+    return CorruptFile(f"--camera-pose {path} cannot be read ({said:.100}); expected four rows of four numbers.")
+
+
+def _is_rigid(pose: Pose) -> bool:
+    """Whether all numbers are finite, and the matrix is a rotation and a translation."""
+    rotation = pose[:3, :3]
+    if not np.isfinite(pose).all() or np.abs(rotation).max() > 2:
+        return False
+    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    return bool(orthonormal and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6))
+
+
+def _axes(plane: Plane, middle: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """World axes as rows, in the camera's frame: x from the table's middle towards the camera, z off the plane."""
     z = plane.normal
-    towards = -np.median(points, axis=0)
+    towards = -middle
     x = towards - z * (z @ towards)
     if np.linalg.norm(x) < 0.1 * np.linalg.norm(towards):
         # Seen from straight above there is no such direction: the lower side of the image is near.
@@ -93,9 +136,3 @@ def _axes(plane: Plane, points: Float[np.ndarray, "point 3"]) -> Float64[np.ndar
         x = x - z * (z @ x)
     x = x / np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
-
-
-def _is_rigid(pose: Pose) -> bool:
-    rotation = pose[:3, :3]
-    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
-    return bool(orthonormal and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6))

@@ -1,4 +1,4 @@
-"""Which windows of which clips a step sees: a function of the seed and the step alone, however they are read."""
+"""Windows of clips for each training step, a function of the seed and the step alone, however they are read."""
 
 import atexit
 import os
@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from obpose.clips import ClipSource, stack
+from obpose.errors import DatagenError
 from obpose.types import Observation
 
 READERS_FOR_A_GPU = 8
@@ -83,6 +84,9 @@ def batches(
     """The batches of this process from a step on, without end; `readers` processes read ahead, 0 for none.
 
     `sees` is what the model is given, and all that is passed on.
+
+    Raises:
+        DatagenError, OSError: a clip cannot be read; as the source raises it, also where a reader found it.
     """
     loader = DataLoader(
         _Steps(source, sampling, share, sees),
@@ -95,7 +99,7 @@ def batches(
         # Without a generator of its own the loader would draw from the global one.
         generator=torch.Generator(),
     )
-    return iter(loader)
+    return _raised(iter(loader))
 
 
 def readers_for(device: torch.device) -> int:
@@ -103,15 +107,32 @@ def readers_for(device: torch.device) -> int:
     return 0 if device.type == "cpu" else min(READERS_FOR_A_GPU, max(1, cpu_count() - 1))
 
 
-class _Steps(Dataset[dict[str, Tensor]]):
-    """Item `step` is the batch of that step."""
+def _raised(items: Iterator[dict[str, Tensor] | Exception]) -> Iterator[dict[str, Tensor]]:
+    """Pass batches on, and raise what stands in the place of one."""
+    for item in items:
+        if isinstance(item, Exception):
+            # The error's traceback would keep the readers alive.
+            del items
+            raise item
+        yield item
+
+
+class _Steps(Dataset[dict[str, Tensor] | Exception]):
+    """Item `step` is the batch of that step, or the error that came in its place.
+
+    An error that a reader raised itself would come with the reader's traceback in its message.
+    """
 
     def __init__(self, source: ClipSource, sampling: Sampling, share: Share, sees: type[Observation]):
         self._source, self._sampling, self._share, self._sees = source, sampling, share, sees
 
-    def __getitem__(self, step: int) -> dict[str, Tensor]:
+    def __getitem__(self, step: int) -> dict[str, Tensor] | Exception:
         windows = self._share.of(self._sampling.windows(step))
-        return stack([self._source.window(window.clip, window.start, window.frames) for window in windows], self._sees)
+        try:
+            clips = [self._source.window(window.clip, window.start, window.frames) for window in windows]
+            return stack(clips, self._sees)
+        except (DatagenError, OSError) as error:
+            return error.with_traceback(None)
 
 
 def _begin_and_end_apart(_reader: int) -> None:

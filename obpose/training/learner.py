@@ -8,9 +8,11 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from obpose.checkpoint import Build, State, TrainingState, put_weights
+from obpose.checkpoint import Build, TrainingState, put_weights
 from obpose.clips import views_apart
 from obpose.errors import UsageError
+from obpose.optimizer_state import optimizer_state, put_optimizer_state
+from obpose.tensors import State
 from obpose.trainable import Configuration, Trainable
 from obpose.training.budget import is_skipped
 from obpose.training.devices import mean_over_processes, noise_of
@@ -68,12 +70,7 @@ class Learner:
 
     def optimizer_state(self) -> State:
         """`parameter.value` to tensor; parameters that had no gradient yet have none."""
-        state = self._optimizer.state
-        return {
-            f"{name}.{value}": tensor
-            for name, parameter in self.model.named_parameters()
-            for value, tensor in state.get(parameter, {}).items()
-        }
+        return optimizer_state(self.model, self._optimizer)
 
     def restore(self, state: TrainingState) -> None:
         """Go on from a checkpoint.
@@ -82,15 +79,13 @@ class Learner:
             UsageError: its weights or its optimiser's state are another model's.
         """
         put_weights(self.model, state.weights, "the checkpoint")
-        places = {name: place for place, (name, _) in enumerate(self.model.named_parameters())}
-        values: dict[int, dict[str, Tensor]] = {}
-        for name, tensor in state.optimizer.items():
-            parameter, _, value = name.rpartition(".")
-            if parameter not in places:
-                raise UsageError(f"The checkpoint's optimiser knows {name!r}, which the model of this version has not.")
-            values.setdefault(places[parameter], {})[value] = tensor
-        groups = self._optimizer.state_dict()["param_groups"]
-        self._optimizer.load_state_dict({"state": values, "param_groups": groups})
+        try:
+            put_optimizer_state(self.model, self._optimizer, state.optimizer)
+        except ValueError as error:
+            raise UsageError(
+                f"The checkpoint's state of the optimiser does not fit the model of this version: {error}. Begin anew "
+                "in another folder with --out."
+            ) from None
 
     def _clip(self) -> Tensor:
         """Clip the gradient and give its norm; an infinite limit only measures."""

@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from datagen.safe_io import read_bytes
 from obpose.errors import UsageError
 from obpose.files import write_whole
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
+
+_MOST_BYTES = 2**30
+_MOST_DIGITS = 18
 
 Row = Mapping[str, float | int | str]
 
@@ -71,16 +75,22 @@ def _rows(path: Path, steps: int | None) -> list[Row]:
     """Complete rows of a table, those of at most so many steps."""
     if not path.exists():
         return []
-    whole, _, _ = path.read_text(errors="replace").rpartition("\n")  # a line that a kill cut short has no end
-    found = csv.DictReader(io.StringIO(whole))
-    if whole and (found.fieldnames or [""])[0] != "step":
-        raise UsageError(f"{path} is no table of a training; it would be overwritten. Give another --out, or move it.")
-    return [row for row in found if _is_whole(row) and (steps is None or int(row["step"]) <= steps)]
+    text = read_bytes(path, _MOST_BYTES).decode("utf-8", errors="replace")
+    whole, _, _ = text.rpartition("\n")  # a line that a kill cut short has no end
+    foreign = UsageError(f"{path} is no table of a training; it would be overwritten. Give another --out, or move it.")
+    try:
+        found = csv.DictReader(io.StringIO(whole))
+        if whole and (found.fieldnames or [""])[0] != "step":
+            raise foreign
+        return [row for row in found if _is_whole(row) and (steps is None or int(row["step"]) <= steps)]
+    except csv.Error:
+        raise foreign from None
 
 
 def _is_whole(row: dict[str, str]) -> bool:
-    """Not damaged by a crash of the machine."""
-    return None not in row and row["step"].isdecimal()
+    """Whether a row was not damaged by a crash of the machine."""
+    step = row["step"]
+    return None not in row and step.isdecimal() and step.isascii() and len(step) <= _MOST_DIGITS
 
 
 def _writer(folder: Path, steps: int) -> "SummaryWriter":

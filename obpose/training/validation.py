@@ -42,8 +42,23 @@ class CurvePoint:
         return {"step": self.step, "seconds": round(self.seconds, 3), **score, **self.losses}
 
     def plain(self) -> dict[str, Any]:
-        """As JSON can say it; the constructor takes it back."""
+        """As JSON can say it."""
         return asdict(self)
+
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> "CurvePoint":
+        """Rebuild a point: the inverse of `plain`.
+
+        Raises:
+            AttributeError, TypeError, ValueError: values are missing or unknown, or no numbers.
+        """
+        point = cls(**plain)
+        numbers = [point.step, point.seconds, *point.losses.values(), *([] if point.ari_fg is None else [point.ari_fg])]
+        if not all(type(number) in (int, float) for number in numbers) or not isinstance(point.step, int):
+            raise TypeError("expected numbers")
+        if "total" not in point.losses or not all(isinstance(name, str) for name in point.losses):
+            raise ValueError("expected losses with a total")
+        return point
 
 
 def validate(

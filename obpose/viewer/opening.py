@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from datagen.wording import counted
 from obpose.checkpoint import CONFIG
 from obpose.creation.clip import name_clip, read_clip
 from obpose.creation.infer import infer_scene
@@ -38,18 +39,29 @@ def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: s
         UsageError: the path is none of these, or something else is missing or contradicts it.
         CorruptFile: a file is damaged.
     """
-    kind = kind_of(path)
+    kind = check_request(path, checkpoint=checkpoint, data=data)
     if kind == "scene":
         return _open_scene(path, checkpoint, data, split, index)
     if kind == "model":
-        if checkpoint is not None:
-            raise UsageError(f"{path} is a trained model itself; leave out --checkpoint, or give a dataset instead.")
-        if data is None:
-            raise UsageError(f"{path} is a trained model; say with --data DIR which dataset's scenes to look at.")
+        assert data is not None
         return _infer(str(path), data, split, index)
-    if data is not None:
-        raise UsageError(f"{path} is a dataset itself; leave out --data, or give a trained model instead.")
     return _infer(checkpoint or shipped_to_create(SceneDataset(path, "test").recipe), path, split, index)
+
+
+def check_request(path: Path, *, checkpoint: str | None, data: Path | None) -> Kind:
+    """Check that what belongs to a path is named, before anything is opened; give what the path is.
+
+    Raises:
+        UsageError: the path is nothing that can be shown, or an argument is missing or contradicts it.
+    """
+    kind = kind_of(path)
+    if kind == "model" and checkpoint is not None:
+        raise UsageError(f"{path} is a trained model itself; leave out --checkpoint, or give a dataset instead.")
+    if kind == "model" and data is None:
+        raise UsageError(f"{path} is a trained model; say with --data DIR which dataset's scenes to look at.")
+    if kind == "dataset" and data is not None:
+        raise UsageError(f"{path} is a dataset itself; leave out --data, or give a trained model instead.")
+    return kind
 
 
 def kind_of(path: Path) -> Kind:
@@ -90,8 +102,8 @@ def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: st
     if clip is not None and clip.depth.shape[1:3] != (scene.frames, len(scene.cameras)):
         frames, views = clip.depth.shape[1:3]
         raise UsageError(
-            f"Scene {index} of {data} has {frames} frames and {views} views, {path} has {scene.frames} and "
-            f"{len(scene.cameras)}; give the clip that it was inferred from, or leave out --data."
+            f"Scene {index} of {data} has {counted(frames, 'frame')} and {counted(views, 'view')}, {path} has "
+            f"{scene.frames} and {len(scene.cameras)}; give the clip that it was inferred from, or leave out --data."
         )
     return Opened(scene, origin_of(scene, checkpoint), clip, path.resolve().name, is_inferred=False)
 

@@ -19,6 +19,7 @@ import viser
 from jaxtyping import Float
 from torch import Tensor
 
+from datagen.wording import counted
 from obpose.creation.infer import fit_to_frames
 from obpose.creation.refine import STEPS
 from obpose.creation.rendering import Renderer
@@ -29,7 +30,7 @@ from obpose.viewer.newest import Newest
 from obpose.viewer.opening import Opened
 from obpose.viewer.panel import Actions, Panel
 from obpose.viewer.panes import panes
-from obpose.viewer.sampling import Sampler
+from obpose.viewer.sampling import Sampler, checked_count
 from obpose.viewer.saving import save_new
 from obpose.viewer.serving import close_server
 from obpose.viewer.session import Session
@@ -47,7 +48,7 @@ class Page:
         self.title = opened.title
         self.server, self._opened, self._out = server, opened, out
         self._lock = threading.RLock()
-        self.session = Session(opened.scene, opened.origin.model)
+        self.session = Session(opened.scene, opened.origin.model, opened.title)
         self._renderer, self._sampler = Renderer(opened.origin.model), Sampler(opened.origin)
         self.events = Events(select=self._toggle, look=self._look, drag=self._drag)
         self.actions = self._all_actions()
@@ -75,8 +76,8 @@ class Page:
             look=self._look,
             draw=lambda: self._edit(lambda _: None),
             undo=lambda: self._edit(lambda session: session.undo()),
-            fit=lambda: self.work.run(self._fit),
-            sample=lambda objects: self.work.run(lambda: self._sample(objects)),
+            fit=lambda: self._run("Fitting to the frames, for some seconds", self._fit),
+            sample=self._sample_wanted,
             save=self._save,
         )
 
@@ -118,7 +119,6 @@ class Page:
         assert clip is not None
         with self._lock:
             self._check_as_inferred(self.session)
-        self._tell("Fitting", "to the frames; takes some seconds")
         fitted = fit_to_frames(scene, self._opened.origin.model, clip, refinements=STEPS)
 
         def change(session: Session) -> None:
@@ -127,24 +127,48 @@ class Page:
 
         self._edit(change)
 
+    def _run(self, doing: str, job: Callable[[], None]) -> None:
+        """Run a job in the thread that renders, and say so on the page from now until it is done."""
+        with self._lock:
+            self._panel.begin(doing)
+
+        def whole() -> None:
+            try:
+                job()
+            finally:
+                with self._lock:
+                    self._panel.end(doing)
+
+        self.work.run(whole)
+
     def _check_as_inferred(self, session: Session) -> None:
         if session.scene is not self._opened.scene:
             raise UsageError("The scene is no longer what was inferred; undo the edits, and fit again.")
 
+    def _sample_wanted(self, objects: str) -> None:
+        """Sample so many objects."""
+        try:
+            count = checked_count(objects)
+        except UsageError as error:
+            self._tell("Not possible", str(error), "red")
+            return
+        self._run("Sampling a new scene", lambda: self._sample(count))
+
     def _sample(self, objects: int) -> None:
         scene = self._sampler.next(objects, self._opened.scene.cameras)
-        self._edit(lambda session: session.replace(scene))
-        self._tell("Sampled", f"{objects} objects, with seed {self._sampler.seed}")
+        title = f"sampled with seed {self._sampler.seed}"
+        self._edit(lambda session: session.replace(scene, title))
+        self._tell("Sampled", f"{counted(objects, 'object')}, with seed {self._sampler.seed}")
 
     def _save(self) -> None:
         """Save the scene as it is now, whatever is edited before its turn comes."""
         with self._lock:
             scene = self.session.scene
-        self.work.run(lambda: self._write(scene))
+        self._run("Saving", lambda: self._write(scene))
 
     def _write(self, scene: Scene) -> None:
         folder = save_new(self._out, scene, self._renderer)
-        self._tell("Saved", f"{folder}: {scene.frames} frames, {len(scene.ids)} objects", "green")
+        self._tell("Saved", f"{folder}: {counted(scene.frames, 'frame')}, {counted(len(scene.ids), 'object')}", "green")
 
     def _refresh(self) -> None:
         """Show the session as it is, and ask for what has to be rendered."""

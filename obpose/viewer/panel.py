@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import viser
 
+from obpose.viewer.sampling import COUNTS
 from obpose.viewer.seen import slot_colour
 from obpose.viewer.session import Session
 from obpose.viewer.stage import POINTS, Layers
 
-MOST_SAMPLED = 8
-"""Objects of a sampled scene."""
 _MOVE, _HIDE, _SHOW, _COPY, _REMOVE = "move", "hide", "show", "copy", "remove"
 
 
@@ -30,8 +29,8 @@ class Actions:
     """Other layers are wanted."""
     undo: Callable[[], None]
     fit: Callable[[], None]
-    sample: Callable[[int], None]
-    """With so many objects."""
+    sample: Callable[[str], None]
+    """With so many objects, in digits."""
     save: Callable[[], None]
 
 
@@ -49,12 +48,17 @@ class Panel:
         self._gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self._gui.main_panel.dock_right()
         self._rows: dict[int, _Row] = {}
+        self._title = ""
+        self._busy = self._gui.add_html("", visible=False)
+        self._running = self._gui.add_progress_bar(100, animated=True, visible=False)
         self._picture = self._gui.add_image(np.full((24, 32, 3), 238, np.uint8), format="png")
         self._note = self._gui.add_html(_small("rendering ..."))
         self._frame, self._view = self._add_time_and_view(session)
         self._objects = self._gui.add_folder("Objects")
-        self._undo, self._fit = self._add_scene(out, can_fit)
+        self._undo, self._fit, self._jobs = self._add_scene(out, can_fit)
+        self._doing: list[str] = []
         self._as_inferred = session.scene
+        self._can_fit_now = True
         self._points, self._shapes, self._boxes, self._cameras = self._add_layers()
 
     @property
@@ -63,8 +67,29 @@ class Panel:
         values = self._shapes.value, self._boxes.value, self._cameras.value
         return Layers(self._points.value, *values)
 
+    def begin(self, doing: str) -> None:
+        """Show what is being done, and let nobody start another job, until `end` is called with the same words."""
+        self._doing.append(doing)
+        self._show_busy()
+
+    def end(self, doing: str) -> None:
+        """Show that something is done."""
+        self._doing.remove(doing)
+        self._show_busy()
+
+    def _show_busy(self) -> None:
+        busy = bool(self._doing)
+        self._busy.content = _small(f"{self._doing[0]} ..." if busy else "")
+        self._busy.visible = self._running.visible = busy
+        for button in self._jobs:
+            button.disabled = busy
+        self._fit.disabled = busy or not self._can_fit_now
+
     def show(self, session: Session) -> None:
         """Make the widgets those of the session."""
+        if session.version.title != self._title:
+            self._title = session.version.title
+            self._gui.set_panel_label(self._title)
         for name in self._rows.keys() - set(session.scene.ids):
             row = self._rows.pop(name)
             row.title.remove()
@@ -77,7 +102,8 @@ class Panel:
         self._frame.value = session.frame
         self._view.value = _view_name(session.view)
         self._undo.disabled = not session.can_undo
-        self._fit.disabled = session.scene is not self._as_inferred
+        self._can_fit_now = session.scene is self._as_inferred
+        self._fit.disabled = bool(self._doing) or not self._can_fit_now
 
     def put_picture(self, picture: np.ndarray, note: str) -> None:
         """Show what was rendered, and a line about it."""
@@ -103,19 +129,23 @@ class Panel:
             _COPY: self._actions.duplicate,
             _REMOVE: self._actions.remove,
         }
-        buttons.on_click(lambda event: actions[event.target.value](name))
+        buttons.on_click(lambda event: actions.get(event.target.value, _nothing)(name))
         self._rows[name] = _Row(title, buttons)
         return self._rows[name]
 
     def _add_time_and_view(self, session: Session) -> tuple[viser.GuiSliderHandle[int], viser.GuiDropdownHandle[str]]:
         frame = self._gui.add_slider("Frame", min=0, max=1, step=1, initial_value=0)
-        frame.on_update(lambda event: self._actions.go_to_frame(event.target.value))
+        frame.on_update(lambda event: self._actions.go_to_frame(int(event.target.value)))
         names = [_view_name(view) for view in range(len(session.scene.cameras))]
         view = self._gui.add_dropdown("View", names, visible=len(names) > 1)
-        view.on_update(lambda event: self._actions.look(names.index(event.target.value)))
+        places = {name: place for place, name in enumerate(names)}
+        view.on_update(lambda event: self._actions.look(places.get(event.target.value, session.view)))
         return frame, view
 
-    def _add_scene(self, out: str, can_fit: bool) -> tuple[viser.GuiButtonHandle, viser.GuiButtonHandle]:
+    def _add_scene(
+        self, out: str, can_fit: bool
+    ) -> tuple[viser.GuiButtonHandle, viser.GuiButtonHandle, tuple[viser.GuiButtonHandle, ...]]:
+        """Give the buttons to undo and to fit, and those of other jobs."""
         with self._gui.add_folder("Scene"):
             fit = self._gui.add_button(
                 "Fit to the frames",
@@ -125,13 +155,14 @@ class Panel:
             )
             undo = self._gui.add_button("Undo", icon=viser.Icon.ARROW_BACK_UP)
             save = self._gui.add_button("Save", icon=viser.Icon.DEVICE_FLOPPY, hint=f"Into a new folder in {out}")
-            count = self._gui.add_slider("New objects", min=0, max=MOST_SAMPLED, step=1, initial_value=4)
+            # No field for numbers: whatever cannot be read as one would end the connection.
+            count = self._gui.add_dropdown("New objects", COUNTS, initial_value=COUNTS[4])
             sample = self._gui.add_button("Sample a new scene", icon=viser.Icon.DICE_5)
         fit.on_click(lambda _: self._actions.fit())
         undo.on_click(lambda _: self._actions.undo())
         save.on_click(lambda _: self._actions.save())
         sample.on_click(lambda _: self._actions.sample(count.value))
-        return undo, fit
+        return undo, fit, (save, sample)
 
     def _add_layers(self) -> tuple:
         with self._gui.add_folder("Show", expand_by_default=False):
@@ -140,6 +171,10 @@ class Panel:
         for widget in (points, *boxes):
             widget.on_update(lambda _: self._actions.draw())
         return points, *boxes
+
+
+def _nothing(_name: int) -> None:
+    """Do nothing, for a button that is not there."""
 
 
 def _view_name(view: int) -> str:

@@ -7,6 +7,23 @@ from obpose.creation.origin import Origin
 from obpose.creation.prior import FILE, ScenePrior
 from obpose.creation.sample import sample_scene
 from obpose.creation.scene import Camera, Scene
+from obpose.errors import UsageError
+
+MOST_SAMPLED = 8
+"""Objects of a sampled scene."""
+COUNTS = tuple(str(count) for count in range(MOST_SAMPLED + 1))
+"""Numbers to choose from."""
+
+
+def checked_count(value: str) -> int:
+    """Give the number of objects that was chosen on the page, from which any text may come.
+
+    Raises:
+        UsageError: it is no whole number in 0 to `MOST_SAMPLED`.
+    """
+    if value not in COUNTS:
+        raise UsageError(f"New objects: {value!r:.20}; expected a whole number from 0 to {MOST_SAMPLED}.")
+    return int(value)
 
 
 class Sampler:

@@ -29,15 +29,17 @@ class Version:
     """Which object of the input each is, or a copy of; None where the scene is not that of the input."""
     began: Scene
     """What it was before all edits: of equal beginnings, equal names are the same object."""
+    title: str = ""
+    """Where the scene comes from."""
     hidden: frozenset[int] = frozenset()
 
 
 class Session:
     """One scene that is edited step by step; not for several threads at once."""
 
-    def __init__(self, scene: Scene, model: ObPose):
+    def __init__(self, scene: Scene, model: ObPose, title: str = ""):
         """The model says where objects can be and how large they are."""
-        self.version = Version(scene, {name: name for name in scene.ids}, began=scene)
+        self.version = Version(scene, {name: name for name in scene.ids}, began=scene, title=title)
         self.selected: int | None = None
         self.frame = 0
         self.view = 0
@@ -142,9 +144,9 @@ class Session:
             self._past.append(self._grabbed)
         self._grabbed = None
 
-    def replace(self, scene: Scene) -> None:
+    def replace(self, scene: Scene, title: str = "") -> None:
         """Go on with another scene of the same model, which is not that of the input."""
-        self._become(Version(scene, None, began=scene))
+        self._become(Version(scene, None, began=scene, title=title))
         self.selected = None
 
     def fit(self, scene: Scene) -> None:

@@ -1,6 +1,7 @@
 import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -224,6 +225,24 @@ def test_two_models_are_compared(data: Path, tmp_path: Path, capsys):
     assert run_cli("compare", "good", "god", "--run", tmp_path) == EXIT_USAGE
 
 
+def test_packed_results_are_compared_and_reported_and_never_run_into(data: Path, tmp_path: Path, capsys):
+    packed = tmp_path / "packed"
+    run = ("--model", "good", "chance", "--data", data, "--seeds", 1)
+    assert run_cli(*run, "--out", tmp_path / "run") == EXIT_OK
+    assert run_cli("pack", tmp_path / "run", "--out", packed) == EXIT_OK
+    assert f"2 rows added to {packed}, which has 2 now." in capsys.readouterr().out
+    assert run_cli("compare", "good", "chance", "--run", packed) == EXIT_OK
+    assert run_cli("report", packed) == EXIT_OK
+    shown = capsys.readouterr().out
+    assert "A = good, B = chance" in shown
+    assert (packed / "report.html").exists()
+    before = sorted(packed.rglob("*"))
+    for command in ((*run, "--overwrite", "--out", packed), ("rescore", packed)):
+        assert run_cli(*command) == EXIT_USAGE
+        assert "read-only" in capsys.readouterr().err
+    assert sorted(packed.rglob("*")) == before
+
+
 def test_the_metrics_are_checked(capsys):
     assert run_cli("selftest") == EXIT_OK
     assert "all hold" in capsys.readouterr().out
@@ -266,7 +285,60 @@ def test_models_and_tracks_are_listed(capsys):
         ),
         (["--predictions", "{empty}", "--data", "{data}", "--name", "a/b"], "'a/b' cannot be a model's name"),
         (["--predictions", "{empty}", "--data", "{data}", "--name", "x/../../evil"], "cannot be a model's name"),
-        (["--predictions", "{empty}", "--data", "{data}", "--name", " "], "cannot be a model's name"),
+        (["--predictions", "{empty}", "--data", "{data}", "--name", " "], "--name is empty"),
+        (
+            ["--predictions", "{empty}", "--data", "{data}", "--name", "Plane-DBSCAN"],
+            "'plane-dbscan' is the name of a model",
+        ),
+        (["--predictions", "{empty}", "--data", "{data}", "--name", "obpose-att"], "gives itself"),
+        (["--predictions", "{empty}", "--data", "{data}", "--background-slot", "256"], "expected 0 to 255"),
+        (["--predictions", "{empty}", "--data", "{data}", "--background-slot", "-1"], "expected 0 to 255"),
+        (
+            ["--model", "plane-dbscan", "--data", "{data}", "--background-slot", "1"],
+            "--background-slot is for --predictions",
+        ),
+        (["--predictions", "", "--data", "{data}"], "--predictions is empty"),
+        (["--model", "plane-dbscan", "--data", ""], "--data is empty"),
+        (["--model", "plane-dbscan", "--data="], "--data is empty"),
+        (["--model", "plane-dbscan", "--track", ""], "--track is empty"),
+        (["--model", "", "--data", "{data}"], "--model is empty"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--out", ""], "--out is empty"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--out="], "--out is empty"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--out", "  "], "--out is empty"),
+        (["--checkpoint", "", "--data", "{data}"], "--checkpoint is empty"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--fit-track", ""], "--fit-track is empty"),
+        (["compare", "", "b", "--run", "{empty}"], "Argument 2 is empty"),
+        (["compare", "a", "b", "--run", ""], "--run is empty"),
+        (["report", ""], "Argument 2 is empty"),
+        (["rescore", "{empty}", "--data", ""], "--data is empty"),
+        (["search", "--model", "obpose", "--data", "{data}", "--out", ""], "--out is empty"),
+        (["search", "--model", "obpose", "--data", "{data}", "--out", "{data}"], "is a dataset; give another folder"),
+        (["search", "--model", "obpose", "--data", "{data}", "--minutes", "inf"], "--minutes is inf"),
+        (
+            ["search", "--model", "obpose", "--data", "{data}", "--workers", "1000"],
+            "--workers is 1000; expected 1 to 256",
+        ),
+        (
+            ["--model", "plane-dbscan", "--data", "{data}", "--seeds", "1000000000"],
+            "--seeds is 1000000000; expected 1 to 1000",
+        ),
+        (
+            ["--model", "plane-dbscan", "--data", "{data}", "--workers", "1000000"],
+            "--workers is 1000000; expected 1 to 256",
+        ),
+        (["--model", "plane-dbscan", "--data", "{data}", "--budget", "nan"], "--budget is nan"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--budget", "inf"], "--budget is inf"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--budget", "-1"], "--budget is -1"),
+        (["--model", "plane-dbscan", "--data", "{data}", "--time-limit", "inf"], "--time-limit is inf"),
+        (
+            ["--model", "plane-dbscan", "--data", "{data}", "--slots", "1000000"],
+            "--slots is 1000000; expected 1 to 255",
+        ),
+        (["--model", "plane-dbscan", "--data", "{odd}"], "is called 'a|b', and its name becomes part of file names"),
+        (
+            ["search", "--model", "obpose", "--data", "{odd}"],
+            "is called 'a|b', and its name becomes part of file names",
+        ),
         (["--predictions", "{empty}", "--data", "{data}", "--name", "a" * 81], "cannot be a model's name"),
         (["--model", "chance", "--data", "{data}", "--deterministic"], "--steps"),
         (["--model", "plane-dbscan", "--data", "{data}", "--out", "{file}"], "is a file"),
@@ -278,7 +350,8 @@ def test_models_and_tracks_are_listed(capsys):
 def test_bad_requests_get_one_line(data: Path, tmp_path: Path, capsys, arguments: list[str], message: str):
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
-    places = {"data": data, "empty": tmp_path / "empty", "file": tmp_path / "file"}
+    shutil.copytree(data, tmp_path / "copied" / "a|b")
+    places = {"data": data, "empty": tmp_path / "empty", "file": tmp_path / "file", "odd": tmp_path / "copied" / "a|b"}
     assert run_cli(*[argument.format(**places) for argument in arguments]) == EXIT_USAGE
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1
@@ -289,7 +362,7 @@ def test_a_dataset_that_is_incomplete_gets_one_line(tmp_path: Path, capsys):
     folder = write_dataset(tmp_path / "data", scenes=1)
     next(folder.glob("test-*.h5")).unlink()
     assert run_cli("--model", "good", "--data", folder, "--out", tmp_path / "out") == EXIT_INCOMPLETE
-    assert "1 scenes are missing" in capsys.readouterr().err
+    assert "1 scene missing" in capsys.readouterr().err
 
 
 def test_what_another_process_is_making_is_not_a_failure(data: Path, tmp_path: Path, capsys):

@@ -1,5 +1,7 @@
 import io
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,6 +123,58 @@ def test_no_difference_is_minus_zero():
     assert "-0.000" not in text
     assert "+0.000 +0.000" in text
     assert "moving, 1 scene " in text
+
+
+def difference(mean: float, low: float, high: float, p_value: float = 0.001, resolvable: float = 0.01) -> Difference:
+    return Difference(mean, low, high, p_value, win_rate=0.5, resolvable=resolvable, n_scenes=9)
+
+
+@pytest.mark.parametrize(
+    ("found", "corrected", "expected"),
+    [
+        (difference(0.0003, 0.0002, 0.0004), 0.001, "+0.0003 +0.0002 +0.0004 50 % 0.010 0.001"),
+        (difference(-0.00003, -0.00004, -0.00002), 0.001, "-0.00003 -0.00004 -0.00002 50 % 0.010 0.001"),
+        (difference(0.012, 0.0004, 0.02), 0.04, "+0.0120 +0.0004 +0.0200 50 % 0.010 0.040"),
+        (difference(0.012, 0.0004, 0.02), 0.2, "+0.012 +0.000 +0.020 50 % 0.010 0.200"),
+        (difference(0.0, 0.0, 0.0), 1.0, "+0.000 +0.000 +0.000 50 % 0.010 1.000"),
+        (difference(0.1, 0.1, 0.1), 0.0004, "+0.100 +0.100 +0.100 50 % 0.010 <.001"),
+        (difference(0.1, 0.1, 0.1), 0.0496, "+0.100 +0.100 +0.100 50 % 0.010 0.0496"),
+        (difference(0.1, 0.1, 0.1), 0.0504, "+0.100 +0.100 +0.100 50 % 0.010 0.050"),
+        (difference(0.1, 0.1, 0.1, np.nan, np.nan), np.nan, "+0.100 +0.100 +0.100 50 % – –"),
+    ],
+)
+def test_what_is_significant_is_not_printed_as_nothing(found: Difference, corrected: float, expected: str):
+    line = Comparison("moving", "moving", "ari", 0.5, 0.4, found, corrected)
+    assert f"ari 0.500 0.400 {expected} " in printed([line])
+
+
+def test_significance_is_five_percent():
+    lines = [
+        Comparison("m", "m", "ari", 0.5, 0.4, difference(0.1, 0.1, 0.1), p) for p in (0.0499, 0.05, 0.0999, np.nan)
+    ]
+    assert [line.is_significant for line in lines] == [True, False, False, False]
+
+
+def test_names_are_no_markup():
+    """Rows may come from anybody."""
+    line = Comparison("[red]t", "[/u]", "ari", 0.5, 0.4, difference(0.1, 0.1, 0.1), 0.01, ("[/v] failed",))
+    console = Console(width=200, record=True, file=io.StringIO(), force_terminal=True)
+    console.print(comparison_table([line], "a", "[bold]x[/y]\x1b[2J"))
+    text = console.export_text()
+    assert "A = a, B = [bold]x[/y]?[2J" in text
+    assert "[red]t, fitted on [/u], 9 scenes" in text
+    assert "Warning: [/v] failed" in text
+
+
+def test_progress_is_shown_for_what_takes_long(folder: Path):
+    heard: list[tuple[str, int]] = []
+
+    def progress(items: Sequence[Any], title: str) -> Sequence[Any]:
+        heard.append((title, len(items)))
+        return items
+
+    compare(folder, "a", "b", metrics=("ari_fg", "msc_fg"), progress=progress)
+    assert heard == [("reading scores", 11), ("resampling scenes", 4)]
 
 
 def test_a_model_that_is_not_there_is_named(folder: Path):

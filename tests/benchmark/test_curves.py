@@ -24,7 +24,27 @@ def test_there_may_be_none(tmp_path: Path):
     assert load_curve(tmp_path / "curve.csv") is None
 
 
-@pytest.mark.parametrize("text", ["step,loss\n1,x\n", "step\n1,2\n", 'step\n"1\n'])
+def test_names_may_hold_anything(tmp_path: Path):
+    curve = [{"step": 1.0, 'a,b "c"\nd': 2.0}]
+    save_curve(tmp_path / "curve.csv", curve)
+    assert load_curve(tmp_path / "curve.csv") == curve
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "step,loss\n1,x\n",
+        "step\n1,2\n",
+        'step\n"1\n',
+        "step,loss\n1,2\n3,",
+        "step,loss\n1,2\n3,4",
+        "step,loss\n1\n",
+        "step,step\n1,2\n",
+        "step,loss\nnan,2\n",
+        "step,seconds\n1,inf\n",
+        "",
+    ],
+)
 def test_a_damaged_one_is_named(tmp_path: Path, text: str):
     (tmp_path / "curve.csv").write_text(text)
     with pytest.raises(CorruptFile, match=r"curve.csv is damaged"):

@@ -65,6 +65,17 @@ def test_seeds_are_those_that_were_run():
     assert any("were run once" in line and "broken, fixed" in line for line in lines)
 
 
+def test_weights_that_were_given_were_trained_and_not_fitted():
+    lines = printed([scored("a", 0.5, fit_track="mixed"), scored("b", 0.4, fit_track="mixed", pretrained="weights")])
+    assert any("moving (fitted on mixed)" in line and " a " in line for line in lines)
+    assert any("moving (trained on mixed)" in line and " b " in line for line in lines)
+
+
+def test_scores_that_are_not_there_are_dashes():
+    (line,) = (line for line in printed([(failed_row("m"), None), scored("n", 0.5)]) if " m " in line)
+    assert line.split()[-4:] == ["–"] * 4
+
+
 def test_a_collapse_that_cannot_be_seen_is_said():
     assert any("No floor was scored on moving" in line for line in printed([scored("m", 0.5)]))
     both = [scored("m", 0.5), scored("floor", 0.1, kind="floor")]

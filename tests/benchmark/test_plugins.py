@@ -105,6 +105,24 @@ def test_attributes_say_more(install):
         ("Nothing.options = 7", "Nothing", "options is 7; expected tuple, such as ()"),
         ("Nothing.budget = -1.0", "Nothing", "budget is -1; expected more than 0"),
         ("Nothing.extra = 'fine'", "Nothing", "extra is 'fine'; expected tuple"),
+        ("Nothing.extra = (1,)", "Nothing", "extra holds 1; expected names"),
+        ("Nothing.extra = ('../../evil',)", "Nothing", "'broken-../../evil' cannot be a model's name"),
+        ("Nothing.extra = ('x' * 80,)", "Nothing", "cannot be a model's name"),
+        (
+            "Nothing.kind = 'predictions'",
+            "Nothing",
+            "kind is 'predictions'; expected one of floor, classical, oracle, learned.",
+        ),
+        ("Nothing.budget = float('inf')", "Nothing", "budget is inf; expected more than 0"),
+        ("Nothing.budget = float('nan')", "Nothing", "budget is nan; expected more than 0"),
+        ("Nothing.version = 10**30", "Nothing", "the first is 1"),
+        ("raise SystemExit(3)", "Nothing", "does not import: SystemExit: 3"),
+        (
+            "class Meta(type):\n    @property\n    def version(cls): raise ValueError('no')\n"
+            "class Odd(Nothing, metaclass=Meta): ...",
+            "Odd",
+            "it cannot be read: ValueError: no",
+        ),
         ("Nothing.views = ('one',)", "Nothing", "views are ('one',); expected two of one, all"),
         ("Nothing.views = ('one', 'two')", "Nothing", "expected two of one, all"),
         ("Nothing.trials = ()", "Nothing", "trials are (); expected dicts of changes, the first of which is empty"),
@@ -131,6 +149,59 @@ def test_our_names_are_not_to_be_taken(install):
     install("bold", SMALLEST, plane_dbscan="bold:Nothing")
     assert "'plane-dbscan' is one of obpose's own" in only_problem().reason
     assert find_model("plane-dbscan").kind == "classical"
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("../../evil", "'../../evil' cannot be a model's name"),
+        ("/tmp/evil", "'/tmp/evil' cannot be a model's name"),
+        ("a/b", "'a/b' cannot be a model's name"),
+        (".hidden", "'.hidden' cannot be a model's name"),
+        ("a|b", "'a|b' cannot be a model's name"),
+        ("<script>", "'<script>' cannot be a model's name"),
+        ("x" * 81, "cannot be a model's name"),
+        ("a--b", "two dashes in a row"),
+        ("Plane-DBSCAN", "'plane-dbscan' is one of obpose's own"),
+        ("OBPOSE-ATT", "gives itself"),
+        ("training-free", "'training-free' is one of obpose's own"),
+        ("references", "gives itself"),
+        ("net-pretrained", "gives itself"),
+        ("net-3-slots", "gives itself"),
+    ],
+)
+def test_a_name_that_cannot_be_part_of_a_path_is_refused(install, tmp_path: Path, name: str, reason: str):
+    install("pathnet", SMALLEST, good="pathnet:Nothing")
+    facts = tmp_path / "pathnet-1.0.dist-info" / "entry_points.txt"
+    facts.write_text(f"[obpose.models]\ngood = pathnet:Nothing\n{name} = pathnet:Nothing\n")
+    problem = only_problem()
+    assert reason in problem.reason
+    assert problem.reason.isprintable()
+    assert "good" in discover()[0]
+    assert name not in discover()[0]
+    with pytest.raises(UsageError, match="cannot be used"):
+        find_model(name)
+
+
+def test_names_that_differ_in_case_only_are_nobodys(install):
+    install("one", SMALLEST, net="one:Nothing")
+    install("two", SMALLEST, Net="two:Nothing")
+    assert not {"net", "Net"} & set(discover()[0])
+    with pytest.raises(UsageError, match="2 entry points have the name 'Net', upper and lower case being equal"):
+        find_model("Net")
+
+
+def test_a_further_segmentation_has_a_name_of_its_own(install):
+    install("one", SMALLEST + "    extra = ('fine',)\n", net="one:Nothing")
+    install("two", SMALLEST, net_fine="two:Nothing")
+    assert "net-fine is a model; give it another name" in only_problem().reason
+    assert "net-fine" in discover()[0]
+
+
+def test_reasons_are_one_line(install):
+    install("loud", SMALLEST + "\nraise ValueError('a\\nb\\x1b[31m' + 'x' * 5000)\n", loud="loud:Nothing")
+    assert only_problem().reason.isprintable()
+    assert len(only_problem().reason) <= 300
 
 
 def test_a_name_taken_twice_is_nobodys(install):

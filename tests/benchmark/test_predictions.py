@@ -1,15 +1,18 @@
+import os
+import re
+import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import h5py
-import jaxtyping
 import numpy as np
 import pytest
 from PIL import Image
 
 from benchmark.adapters.predictions import PredictionFolder
 from benchmark.cli import main
-from benchmark.clips import ClipSequence
+from benchmark.clips import ClipSequence, labels_shape
 from benchmark.interface import Clip, Poses, Prediction
 from benchmark.labels import write_labels
 from benchmark.results import load_runs, load_scenes, pooled
@@ -73,7 +76,7 @@ def run_cli(*arguments: object) -> int:
 def test_every_layout_holds_the_same(scenes: Split, truths: list[np.ndarray], tmp_path: Path, write: Writer):
     write(tmp_path, truths)
     folder = PredictionFolder(tmp_path, 0)
-    folder.check(len(scenes))
+    folder.check(labels_shape(scenes))
     for index, clip in enumerate(ClipSequence(scenes)):
         prediction = folder.read(index, clip)
         np.testing.assert_array_equal(prediction.labels, truths[index])
@@ -133,7 +136,7 @@ def test_mended_predictions_replace_failed_rows_unasked(data: Path, truths: list
         write_npz(tmp_path / name, truths)
     broken = tmp_path / "b" / "test" / "00001.npz"
     whole = broken.read_bytes()
-    broken.write_bytes(b"nonsense")
+    np.savez(broken, labels=np.full_like(truths[1], 300, np.int64))
     command = ("--predictions", tmp_path / "a", tmp_path / "b", "--name", "mine", "--data", data)
     assert run_cli(*command, "--out", tmp_path / "out") == 3
     assert [row.status for row in load_runs(tmp_path / "out")] == ["ok", "failed"]
@@ -167,7 +170,7 @@ def test_palette_images_give_their_numbers(clip: Clip, truths: list[np.ndarray],
     [
         ("test/00000.npz", b"nonsense", CorruptFile, "damaged or no NPZ"),
         ("test/00000.npz", b"", CorruptFile, "damaged or no NPZ"),
-        ("labels.h5", b"nonsense", CorruptFile, "damaged or no HDF5"),
+        ("labels.h5", b"nonsense", CorruptFile, "damaged or not an HDF5 file"),
         ("test/00000/view0_frame000.png", b"nonsense", CorruptFile, "damaged or no image"),
         ("test/00000/other.png", b"", UsageError, "view0_frame000.png is missing"),
     ],
@@ -197,8 +200,10 @@ def test_what_is_not_of_the_layout_is_named(clip: Clip, tmp_path: Path):
     (tmp_path / "x.npz").rename(tmp_path / "test" / "00000.npz")
     with pytest.raises(UsageError, match="no array `labels`"):
         PredictionFolder(tmp_path).read(0, clip)
-    write_hdf5(tmp_path / "short", [np.zeros(clip.depth.shape)])
-    with pytest.raises(UsageError, match="no `labels` of scene 1"):
+    write_hdf5(tmp_path / "short", [np.zeros(clip.depth.shape, np.uint8)])
+    with pytest.raises(
+        UsageError, match=r"of shape \(1, 2, 2, 48, 64\); expected integers of shape \(2, 2, 2, 48, 64\)"
+    ):
         PredictionFolder(tmp_path / "short").read(1, clip)
 
 
@@ -206,10 +211,30 @@ def test_images_of_a_bad_kind_are_named(clip: Clip, truths: list[np.ndarray], tm
     write_png(tmp_path, truths)
     path = tmp_path / "test" / "00000" / "view0_frame001.png"
     Image.new("L", (3, 3)).save(path)
-    with pytest.raises(UsageError, match="different sizes"):
+    with pytest.raises(UsageError, match="has 3 x 3 pixels; expected 64 x 48"):
         PredictionFolder(tmp_path).read(0, clip)
-    Image.new("RGB", (3, 3)).save(path)
-    with pytest.raises(UsageError, match="mode RGB"):
+    for mode in ("RGB", "LA", "1", "I;16"):
+        Image.new(mode, (64, 48)).save(path)
+        with pytest.raises(UsageError, match=f"mode {mode}, "):
+            PredictionFolder(tmp_path).read(0, clip)
+    Image.new("L", (64, 48)).save(path, "JPEG")
+    with pytest.raises(CorruptFile, match="no image; expected PNG"):
+        PredictionFolder(tmp_path).read(0, clip)
+
+
+def test_grey_images_of_fewer_bits_are_refused(clip: Clip, truths: list[np.ndarray], tmp_path: Path):
+    """Readers of images stretch their labels: of four bits, label 3 would become 51."""
+    write_png(tmp_path, truths)
+    path = tmp_path / "test" / "00000" / "view0_frame001.png"
+    height, width = clip.depth.shape[2:]
+    rows = b"".join(b"\0" + bytes(width // 2) for _ in range(height))
+    header = struct.pack(">IIBBBBB", width, height, 4, 0, 0, 0, 0)
+    parts = [(b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")]
+    chunks = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    ]
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+    with pytest.raises(UsageError, match="mode L, 4 bits; expected eight bits"):
         PredictionFolder(tmp_path).read(0, clip)
 
 
@@ -236,14 +261,307 @@ def test_bad_requests_get_one_line(
     assert message in errors
 
 
-@pytest.mark.slow
-def test_maps_of_another_size_are_a_failed_row(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
-    write_npz(tmp_path / "mine", [np.zeros((2, 2, 3, 3), np.uint8)] * 2)
+def test_labels_out_of_range_are_a_failed_row(data: Path, truths: list[np.ndarray], tmp_path: Path):
+    """Headers do not tell what the labels are."""
+    write_npz(tmp_path / "mine", [truths[0], np.full(truths[1].shape, -1)])
     assert run_cli("--predictions", tmp_path / "mine", "--data", data, "--out", tmp_path / "out") == 3
     (row,) = load_runs(tmp_path / "out")
     assert row.status == "failed"
-    assert "expected integers of shape (2, 2, 48, 64)" in row.reason
+    assert "00001.npz: the labels of scene 1 go from -1 to -1; expected 0 to 255" in row.reason
+
+
+def add_npz(folder: Path, scene: int = 0, **arrays: object) -> None:
+    """Add arrays to a scene, or replace some."""
+    path = folder / "test" / f"{scene:05d}.npz"
+    with np.load(path) as file:
+        np.savez(path, **{**file, **arrays})
+
+
+def change_hdf5(folder: Path, **arrays: object) -> None:
+    """Add arrays to the file of all scenes, or replace some; None removes one."""
+    with h5py.File(folder / "labels.h5", "a") as file:
+        for name, values in arrays.items():
+            name = name.replace("__", "/")
+            if name in file:
+                del file[name]
+            if values is not None:
+                file[name] = values
+
+
+def put_poses(folder: Path, **arrays: object) -> None:
+    """Two poses as runs keep them, some of their arrays replaced."""
+    good = {
+        "index": np.array([[0, 0, 0, 1], [1, 1, 1, 2]]),
+        "center": np.ones((2, 3)),
+        "rotation": np.array([np.eye(3)] * 2),
+    }
+    change_hdf5(folder, **{f"poses__{name}": values for name, values in {**good, **arrays}.items()})
+
+
+ONES = np.ones((2, 2, 3, 3))
+FAULTS: dict[str, tuple[Writer, Callable[[Path, list[np.ndarray]], object], str]] = {
+    "more scenes": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, labels=np.stack([*t, t[0]])),
+        "(3, 2, 2, 48, 64); expected",
+    ),
+    "fewer scenes": (write_hdf5, lambda p, t: change_hdf5(p, labels=np.stack(t[:1])), "(1, 2, 2, 48, 64); expected"),
+    "more frames": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, labels=np.stack(t).repeat(2, 1)),
+        "(2, 4, 2, 48, 64); expected",
+    ),
+    "more views": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, labels=np.stack(t).repeat(2, 2)),
+        "(2, 2, 4, 48, 64); expected",
+    ),
+    "larger images": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, labels=np.stack(t).repeat(2, 3)),
+        "(2, 2, 2, 96, 64); expected",
+    ),
+    "one scene's axes": (write_hdf5, lambda p, t: change_hdf5(p, labels=t[0]), "(2, 2, 48, 64); expected"),
+    "one number": (write_hdf5, lambda p, t: change_hdf5(p, labels=7), "of shape (); expected"),
+    "decimal labels": (write_hdf5, lambda p, t: change_hdf5(p, labels=np.stack(t) / 2), "`labels` is float64"),
+    "no labels": (write_hdf5, lambda p, t: change_hdf5(p, labels=None), "has no array `labels`"),
+    "slots too short": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slots=[0]),
+        "`background_slots` is int64 of shape (1,); expected integers of shape (2,), [scene]",
+    ),
+    "slots too long": (write_hdf5, lambda p, t: change_hdf5(p, background_slots=[0] * 3), "of shape (3,); expected"),
+    "one slot": (write_hdf5, lambda p, t: change_hdf5(p, background_slots=0), "of shape (); expected"),
+    "slots of frames": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slots=[[0, 0]] * 2),
+        "of shape (2, 2); expected",
+    ),
+    "decimal slots": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slots=[0.0, 1.7]),
+        "`background_slots` is float64",
+    ),
+    "truths for slots": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slots=[True, False]),
+        "`background_slots` is bool",
+    ),
+    "negative slot": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slots=[0, -1]),
+        "`background_slots` holds -1; expected 0 to 255",
+    ),
+    "large slot": (write_hdf5, lambda p, t: change_hdf5(p, background_slots=[0, 256]), "`background_slots` holds 256"),
+    "texts for slots": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slots=["a", "b"]),
+        "background_slots has type object",
+    ),
+    "slots in a group": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slots=None, background_slots__x=1),
+        "background_slots is a group",
+    ),
+    "slots misspelt": (
+        write_hdf5,
+        lambda p, t: change_hdf5(p, background_slot=[0, 0]),
+        "holds an array `background_slot`",
+    ),
+    "poses misplaced": (write_hdf5, lambda p, t: change_hdf5(p, center=[0, 0]), "holds an array `center`"),
+    "both layouts": (write_hdf5, lambda p, t: write_npz(p, t), "holds both labels.h5 and test/"),
+    "negative pose index": (
+        write_hdf5,
+        lambda p, t: put_poses(p, index=[[0, 0, 0, 1], [1, 1, -1, 2]]),
+        "names view -1 in row 1; expected 0 to 1",
+    ),
+    "scene of a pose": (
+        write_hdf5,
+        lambda p, t: put_poses(p, index=[[0, 0, 0, 1], [2, 1, 1, 2]]),
+        "names scene 2 in row 1; expected 0 to 1",
+    ),
+    "frame of a pose": (
+        write_hdf5,
+        lambda p, t: put_poses(p, index=[[0, 9, 0, 1], [1, 1, 1, 2]]),
+        "names frame 9 in row 0",
+    ),
+    "label of a pose": (
+        write_hdf5,
+        lambda p, t: put_poses(p, index=[[0, 0, 0, 1], [1, 1, 1, 2**40]]),
+        "names label 1099511627776",
+    ),
+    "pose twice": (
+        write_hdf5,
+        lambda p, t: put_poses(p, index=[[0, 0, 0, 1]] * 2),
+        "names one label of an image twice",
+    ),
+    "decimal index": (write_hdf5, lambda p, t: put_poses(p, index=np.ones((2, 4))), "poses/index has type float64"),
+    "flat index": (
+        write_hdf5,
+        lambda p, t: put_poses(p, index=[0, 0, 0, 1]),
+        "poses/index has shape (4,); expected 2 axes",
+    ),
+    "short index": (write_hdf5, lambda p, t: put_poses(p, index=[[0, 0, 0]] * 2), "expected (poses, 4)"),
+    "no index": (write_hdf5, lambda p, t: put_poses(p, index=None), "poses/index is missing"),
+    "center missing": (write_hdf5, lambda p, t: put_poses(p, center=None), "rotation without center"),
+    "too many centers": (
+        write_hdf5,
+        lambda p, t: put_poses(p, center=np.ones((3, 3))),
+        "expected (2, 3), as index has",
+    ),
+    "whole centers": (
+        write_hdf5,
+        lambda p, t: put_poses(p, center=np.ones((2, 3), int)),
+        "poses/center has type int64",
+    ),
+    "infinite center": (
+        write_hdf5,
+        lambda p, t: put_poses(p, center=[[0, 0, 0.5], [0, np.inf, 0]]),
+        "poses of scene 1: of frame 1, view 1, label 2 the center is infinite",
+    ),
+    "partly nan center": (
+        write_hdf5,
+        lambda p, t: put_poses(p, center=[[0, 0, 0.5], [0, np.nan, 0]]),
+        "center is partly nan",
+    ),
+    "no rotation": (write_hdf5, lambda p, t: put_poses(p, rotation=np.ones((2, 3, 3))), "not a rotation matrix"),
+    "npz of one scene more": (
+        write_npz,
+        lambda p, t: write_more(p, "00002.npz", t),
+        "00002.npz: these label maps belong to nothing",
+    ),
+    "npz far beyond": (write_npz, lambda p, t: write_more(p, "00017.npz", t), "the dataset has 2 scenes"),
+    "npz of another width": (write_npz, lambda p, t: write_more(p, "000001.npz", t), "000001.npz: these label maps"),
+    "npz named otherwise": (write_npz, lambda p, t: write_more(p, "scene_3.npz", t), "scene_3.npz: these label maps"),
+    "npz and images": (write_npz, lambda p, t: write_png(p, t), "and the folder of the same name are both there"),
+    "npz of more frames": (
+        write_npz,
+        lambda p, t: add_npz(p, 1, labels=t[0].repeat(2, 0)),
+        "00001.npz: `labels` is uint8 of shape (4, 2, 48, 64); expected",
+    ),
+    "npz of one axis": (write_npz, lambda p, t: add_npz(p, labels=t[0].ravel()[:1]), "of shape (1,); expected"),
+    "npz of decimals": (write_npz, lambda p, t: add_npz(p, labels=t[0] / 1), "`labels` is float64"),
+    "npz slot of one axis": (
+        write_npz,
+        lambda p, t: add_npz(p, background_slot=[0]),
+        "of shape (1,); expected integers of shape (), one number",
+    ),
+    "npz decimal slot": (write_npz, lambda p, t: add_npz(p, background_slot=1.7), "`background_slot` is float64"),
+    "npz negative slot": (write_npz, lambda p, t: add_npz(p, background_slot=-1), "`background_slot` holds -1"),
+    "npz slots misspelt": (
+        write_npz,
+        lambda p, t: add_npz(p, background_slots=[0, 0]),
+        "holds an array `background_slots`",
+    ),
+    "npz infinite center": (write_npz, lambda p, t: add_npz(p, center=ONES * np.inf), "center is infinite"),
+    "npz without center": (
+        write_npz,
+        lambda p, t: add_npz(p, rotation=np.ones((2, 2, 3, 3, 3))),
+        "rotation without center",
+    ),
+    "npz center of one axis": (
+        write_npz,
+        lambda p, t: add_npz(p, center=ONES[0, 0, 0]),
+        "center of poses float64 (3,)",
+    ),
+    "npz center as text": (
+        write_npz,
+        lambda p, t: add_npz(p, center=np.full((2, 2, 3, 3), "a")),
+        "center of poses <U1",
+    ),
+    "image of one frame more": (
+        write_png,
+        lambda p, t: copy_image(p, "view0_frame002.png"),
+        "belong to nothing that is scored; clips have frames 0 to 1 and views 0 to 1",
+    ),
+    "image of one view more": (
+        write_png,
+        lambda p, t: copy_image(p, "view2_frame000.png"),
+        "view2_frame000.png: these label maps",
+    ),
+    "image named otherwise": (write_png, lambda p, t: copy_image(p, "frame0.PNG"), "frame0.PNG: these label maps"),
+    "images of one scene more": (write_png, lambda p, t: (p / "test" / "00002").mkdir(), "00002: these label maps"),
+}
+
+
+def write_more(folder: Path, name: str, truths: list[np.ndarray]) -> None:
+    np.savez(folder / "test" / name, labels=truths[0])
+
+
+def copy_image(folder: Path, name: str) -> None:
+    scene = folder / "test" / "00001"
+    (scene / name).write_bytes((scene / "view0_frame000.png").read_bytes())
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_does_not_fit_the_split_is_refused_before_anything_is_scored(
+    scenes: Split, truths: list[np.ndarray], tmp_path: Path, fault: str
+):
+    write, spoil, message = FAULTS[fault]
+    write(tmp_path / "mine", truths)
+    folder = PredictionFolder(tmp_path / "mine")
+    folder.check(labels_shape(scenes))
+    spoil(tmp_path / "mine", truths)
+    with pytest.raises((UsageError, CorruptFile), match=re.escape(message)) as error:
+        folder.check(labels_shape(scenes))
+    assert str(tmp_path / "mine") in str(error.value)
+
+
+def test_a_command_with_label_maps_that_do_not_fit_leaves_no_row(
+    data: Path, truths: list[np.ndarray], tmp_path: Path, capsys
+):
+    write_hdf5(tmp_path / "mine", [*truths, *truths])
+    assert run_cli("--predictions", tmp_path / "mine", "--data", data, "--out", tmp_path / "out") == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    assert (
+        "labels.h5: `labels` is uint8 of shape (4, 2, 2, 48, 64); expected integers of shape (2, 2, 2, 48, 64)"
+        in errors
+    )
+    assert load_runs(tmp_path / "out") == []
+
+
+def test_hidden_files_and_notes_are_let_be(scenes: Split, truths: list[np.ndarray], tmp_path: Path):
+    write_png(tmp_path, truths)
+    copy_image(tmp_path, "._view0_frame000.png")
+    for name in ("README.txt", ".DS_Store", "._00000.npz", "00000/notes.txt"):
+        (tmp_path / "test" / name).write_bytes(b"")
+    PredictionFolder(tmp_path).check(labels_shape(scenes))
+
+
+@pytest.mark.parametrize("kind", ["external storage", "external link", "soft link", "virtual dataset"])
+def test_label_maps_that_refer_to_other_files_are_refused(
+    scenes: Split, truths: list[np.ndarray], clip: Clip, tmp_path: Path, kind: str
+):
+    secret = tmp_path / "secret"
+    secret.write_bytes(bytes(np.stack(truths).size))
+    shape = np.stack(truths).shape
+    write_hdf5(tmp_path / "other", truths)
+    (tmp_path / "mine").mkdir()
+    with h5py.File(tmp_path / "mine" / "labels.h5", "w") as file:
+        if kind == "external storage":
+            file.create_dataset("labels", shape, np.uint8, external=[(str(secret), 0, h5py.h5f.UNLIMITED)])
+        elif kind == "external link":
+            file["labels"] = h5py.ExternalLink(str(tmp_path / "other" / "labels.h5"), "labels")
+        elif kind == "soft link":
+            file["real"] = np.stack(truths)
+            file["labels"] = h5py.SoftLink("/real")
+        else:
+            layout = h5py.VirtualLayout(shape, np.uint8)
+            layout[:] = h5py.VirtualSource(tmp_path / "other" / "labels.h5", "labels", shape)
+            file.create_virtual_dataset("labels", layout)
+    for act in (
+        lambda: PredictionFolder(tmp_path / "mine").check(labels_shape(scenes)),
+        lambda: PredictionFolder(tmp_path / "mine").read(0, clip),
+    ):
+        with pytest.raises(CorruptFile, match=r"labels\.h5 is truncated, damaged or not"):
+            act()
+
+
+def test_a_pipe_is_no_file_of_label_maps(scenes: Split, tmp_path: Path):
+    os.mkfifo(tmp_path / "labels.h5")
+    with pytest.raises(UsageError, match="is a pipe"):
+        PredictionFolder(tmp_path).check(labels_shape(scenes))
 
 
 def test_poses_may_lie_beside_the_labels(clip: Clip, truths: list[np.ndarray], tmp_path: Path):
@@ -263,3 +581,23 @@ def test_poses_may_lie_beside_the_labels(clip: Clip, truths: list[np.ndarray], t
     again = PredictionFolder(tmp_path / "own").read(1, clip).poses
     assert again is not None
     np.testing.assert_array_equal(again.center, center)
+
+
+def test_claims_of_millions_of_poses_are_refused_by_their_headers(
+    scenes: Split, truths: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    write_npz(tmp_path / "npz", truths)
+    add_npz(tmp_path / "npz", center=np.zeros((2, 2, 5000, 3)))
+    write_hdf5(tmp_path / "hdf5", truths)
+    with h5py.File(tmp_path / "hdf5" / "labels.h5", "a") as file:
+        file.create_dataset("poses/index", (10**7, 4), np.int64, chunks=(1000, 4))  # a few bytes on disk
+
+    def fail(*_arguments: object) -> np.ndarray:
+        pytest.fail("read before its size was checked")
+
+    monkeypatch.setattr("benchmark.adapters.predictions.read_npz", fail)
+    monkeypatch.setattr("benchmark.pose_files.read_hdf5", fail)
+    with pytest.raises(UsageError, match=r"center of poses has shape .* expected at most 3072 numbers"):
+        PredictionFolder(tmp_path / "npz").check(labels_shape(scenes))
+    with pytest.raises(DatagenError, match="poses/index has 10000000 rows; expected at most 2048"):
+        PredictionFolder(tmp_path / "hdf5").check(labels_shape(scenes))

@@ -7,7 +7,8 @@ import numpy as np
 from benchmark.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
 from benchmark.selftest import golden
 from benchmark.standings import Entry, standings
-from benchmark.tables import SHOWN, Board, boards, mean_and_std
+from benchmark.tables import SHOWN, Board, boards
+from benchmark.wording import mean_and_std
 from tests.chosen_scores import run_row, scene_table
 
 TRACKS = {"ycb_video": "moving", "ycb_static": "static"}

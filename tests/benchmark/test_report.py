@@ -115,6 +115,26 @@ def test_models_tracks_and_seeds_are_counted(page: Page, tmp_path: Path) -> None
     assert "here models have 1 seed." in words
 
 
+@pytest.mark.parametrize(
+    ("given", "fit_track", "said"),
+    [
+        ((), "moving", "1 test scene; models fitted on this track; dataset"),
+        (("a", "b"), "moving", "1 test scene; weights (§) trained before this run; dataset"),
+        (("a",), "moving", "models fitted on this track, but for weights trained before this run (§); dataset"),
+        ((), "mixed", "models fitted on mixed; dataset"),
+        (("a",), "mixed", "models fitted on mixed, but for weights trained before this run (§); dataset"),
+    ],
+)
+def test_weights_that_were_given_were_not_fitted(
+    tmp_path: Path, given: tuple[str, ...], fit_track: str, said: str
+) -> None:
+    for model in ("a", "b"):
+        row = run_row(model, n_scenes=1, fit_track=fit_track, pretrained="weights" if model in given else "")
+        save_run(tmp_path, row, scene_table({"ari_fg": [0.5]}))
+    write_report(tmp_path, {})
+    assert said in " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).text)
+
+
 def test_names_of_models_cannot_become_code(text: str, page: Page) -> None:
     assert len(page.all("script")) == 3
     assert "<script>alert" not in text

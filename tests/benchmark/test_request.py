@@ -63,7 +63,7 @@ def test_weights_of_a_folder_say_what_they_are_of(tmp_path: Path):
     with pytest.raises(UsageError, match=r"Two of --checkpoint are called 'obpose--moving--64x64'"):
         request_of(Run(checkpoint=(shipped, CHECKPOINTS / shipped)))
     for taken in ("references", "obpose-pretrained", "mine-att"):
-        with pytest.raises(UsageError, match=rf"'{taken}' is what rows of other things are called"):
+        with pytest.raises(UsageError, match=rf"'{taken}' is a name that the benchmark gives itself"):
             request_of(Run(checkpoint=(shipped,), name=taken))
     with pytest.raises(UsageError, match=r"'obpose' is the name of a model; give what is in .* another with --name"):
         request_of(Run(checkpoint=(shipped,), name="obpose"))

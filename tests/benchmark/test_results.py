@@ -128,6 +128,13 @@ def test_a_damaged_row_is_named(tmp_path: Path, text: str):
         ("key", "seed", "2"),
         ("key", "track", None),
         ("measured", "fit_seconds", "x"),
+        (None, "n_scenes", -1),
+        (None, "config", []),
+        (None, "priors", "slots"),
+        (None, "priors", [1]),
+        (None, "commit", None),
+        (None, "trials", 0.5),
+        ("key", "seed", -1),
     ],
 )
 def test_a_value_of_another_kind_is_damage(tmp_path: Path, part: str | None, name: str, value: object):
@@ -138,6 +145,67 @@ def test_a_value_of_another_kind_is_damage(tmp_path: Path, part: str | None, nam
     path.write_text(json.dumps(values))
     with pytest.raises(CorruptFile, match=f"{name} is"):
         load_runs(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"device": "cpu"', '"device": "\\ud800"'),
+        ('"reach": 0.02', '"reach": Infinity'),
+        ('"reach": 0.02', '"reach": 1e999'),
+        ('"reach": 0.02', '"reach": ' + "[" * 200 + "]" * 200),
+        ('"reach": 0.02', '"reach": ' + "[" * 100_000),
+        ('"device": "cpu"', '"gadget": "cpu"'),
+        ('"device": "cpu",', ""),
+        ('"track": "moving"', '"track": "../../moving"'),
+        ('"measured": {', '"measured": [], "x": {'),
+    ],
+)
+def test_damage_in_a_row_is_named_in_one_line(tmp_path: Path, old: str, new: str):
+    save_row(tmp_path, ROW)
+    path = row_path(tmp_path, KEY)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(CorruptFile, match=f"{KEY.name}.json is damaged") as error:
+        load_runs(tmp_path)
+    assert len(str(error.value)) < 600
+    assert "delete it and run the same command again" in str(error.value)
+
+
+def test_what_foreign_models_say_of_themselves_can_be_read_again(tmp_path: Path):
+    config = {"limit": math.inf, "deep": [{"x": math.nan}], "text": "\ud800", "count": 3}
+    save_row(tmp_path, dataclasses.replace(ROW, config=config))
+    (row,) = load_runs(tmp_path)
+    assert row.config == {"limit": "inf", "deep": [{"x": "nan"}], "text": "?", "count": 3}
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("scene", 5.0, "not numbered 0, 1"),
+        ("ari_fg", math.inf, "ari_fg holds inf, expected a score"),
+        ("ari_fg", math.nan, "ari_fg holds nan, expected a score"),
+        ("msc_fg", 9.5, "msc_fg holds 9.5, expected a score"),
+        ("ari_fg_n", -1.0, "ari_fg_n holds -1.0, expected a count"),
+        ("ari_fg_n", math.nan, "ari_fg_n holds nan, expected a count"),
+        ("ari_fg_n", math.inf, "ari_fg_n holds inf, expected a count"),
+        ("n_frames", math.nan, "n_frames holds nan"),
+        ("identity_switches", -2.0, "identity_switches holds -2.0"),
+    ],
+)
+def test_scores_that_are_none_are_damage(tmp_path: Path, column: str, value: float, message: str):
+    first, second = lines()
+    save_scenes(tmp_path, KEY.name, [first, {**second, column: value}])
+    with pytest.raises(CorruptFile, match=message) as error:
+        load_scenes(tmp_path, ROW)
+    assert "restore it with: obpose-bench rescore" in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["ari_video_n", "ari_video", "scene", "msc_fg_video_n"])
+def test_a_table_without_a_column_is_damage(tmp_path: Path, name: str):
+    save_scenes(tmp_path, KEY.name, [{key: value for key, value in line.items() if key != name} for line in lines()])
+    with pytest.raises(CorruptFile, match=r"no column|not numbered"):
+        load_scenes(tmp_path, ROW)
 
 
 def test_a_copy_of_a_row_is_not_another_seed(tmp_path: Path):
@@ -173,7 +241,7 @@ def test_scenes_are_read_exactly_as_they_were_written(tmp_path: Path):
 
 def test_a_table_with_scenes_missing_is_refused(tmp_path: Path):
     save_scenes(tmp_path, KEY.name, lines(scenes=1))
-    with pytest.raises(CorruptFile, match="1 scenes where the row has 2"):
+    with pytest.raises(CorruptFile, match="1 scene where the row has 2"):
         load_scenes(tmp_path, ROW)
     (tmp_path / "scenes" / f"{KEY.name}.csv").unlink()
     with pytest.raises(CorruptFile, match="rescore"):

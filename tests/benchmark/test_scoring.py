@@ -125,16 +125,34 @@ def unchecked(**arrays: np.ndarray) -> Poses:
     return poses
 
 
+def changed(array: np.ndarray, value: float) -> np.ndarray:
+    """One number replaced by another."""
+    other = np.array(array)
+    other[1, 0, 2].flat[1] = value
+    return other
+
+
 @pytest.mark.parametrize(
     ("poses", "message"),
     [
         (Poses(GOOD[:1]), r"center of poses float64 \(1, 2, 3, 3\)"),
         (unchecked(rotation=TURNED[:, :, :2]), "rotation of poses"),
-        (Poses(GOOD, TURNED, GOOD - 1), "negative size"),
+        (Poses(GOOD, TURNED, GOOD - 1), "size is negative"),
         (Poses(GOOD, size=GOOD), "without rotation"),
-        (Poses(GOOD, 2 * TURNED), "a rotation is none"),
-        (Poses(GOOD, -TURNED), "a rotation is none"),
-        (Poses(GOOD, np.full_like(TURNED, np.nan)), "a center and no rotation"),
+        (Poses(GOOD, 2 * TURNED), "not a rotation matrix"),
+        (Poses(GOOD, -TURNED), "not a rotation matrix"),
+        (Poses(GOOD, np.full_like(TURNED, np.nan)), "only one of center and rotation is given"),
+        (Poses(np.full_like(GOOD, np.nan), TURNED), "only one of center and rotation is given"),
+        (Poses(changed(GOOD, np.inf)), "of frame 1, view 0, label 2 the center is infinite"),
+        (Poses(changed(GOOD, -np.inf)), "center is infinite"),
+        (Poses(changed(GOOD, np.nan)), "center is partly nan"),
+        (Poses(GOOD, changed(TURNED, np.nan)), "rotation is partly nan"),
+        (Poses(GOOD, TURNED, changed(GOOD, np.inf)), "size is infinite"),
+        (Poses(GOOD, TURNED, changed(GOOD, np.nan)), "size is partly nan"),
+        (Poses(changed(GOOD, 2e6)), "center is beyond 1,000,000 m"),
+        (Poses(np.zeros((2, 2, 257, 3))), "poses of 257 labels; expected at most 256"),
+        (unchecked(center=GOOD.astype(int)), "center of poses int64"),
+        (unchecked(center=GOOD[0]), r"center of poses float64 \(2, 3, 3\); expected floats of \(2, 2, label, 3\)"),
     ],
 )
 def test_poses_that_are_none_are_refused(poses: Poses, message: str):

@@ -1,4 +1,5 @@
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,12 @@ from benchmark.standings import (
     best_first,
     compare_entries,
     fields,
+    in_order_of_rank,
     load_standings,
     standings,
 )
+from benchmark.statistics import NO_DIFFERENCE
+from datagen.errors import CorruptFile
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
 N = 40
@@ -137,6 +141,8 @@ def test_a_score_that_only_this_run_leaves_undefined_is_a_failure():
     row, table = scored("m", 0.8)
     broken = (run_row("broken", n_scenes=N), table | {"miou_bg": nothing, "miou_bg_n": np.zeros(N)})
     assert entries_of((row, table), broken)["broken"].causes == ("nan",)
+    other = (run_row("m", seed=1, n_scenes=N), broken[1])
+    assert entries_of((row, table), other)["m"].causes == ("", "nan")
     empty = [(run_row(name, n_scenes=N), scene_table(dict.fromkeys(RANKED_METRICS, nothing))) for name in ("a", "b")]
     assert {entry.causes for entry in entries_of(*empty).values()} == {("",)}
 
@@ -172,6 +178,39 @@ def test_ties_are_found_by_pairing():
     assert groups["loose"] & groups["best"]
     assert groups["loose"] & groups["second"]
     assert "a" in groups["best"]
+
+
+def pair_that_differs(errors: float) -> list[tuple[RunRow, SceneTable]]:
+    """Two models whose paired difference is so many of its standard errors."""
+    scatter = np.random.default_rng(2).normal(size=N)
+    scatter = 0.01 * (scatter - scatter.mean()) / scatter.std()
+    return [scored("one", 0.5, noise=NOISE), scored("two", 0.5, noise=NOISE + scatter + errors * 0.01 / np.sqrt(N))]
+
+
+@pytest.mark.parametrize(("errors", "together"), [(1.8, True), (2.1, False)])
+def test_models_share_a_letter_unless_they_differ_at_five_percent(errors: float, together: bool):
+    """1.8 standard errors are found by chance in about 7 % of all samples of scenes, 2.1 in about 4 %."""
+    entries = entries_of(*pair_that_differs(errors))
+    p_value = compare_entries(entries["one"], entries["two"], "msc_fg").p_value
+    assert 0.05 < p_value < 0.1 if together else 0.025 < p_value < 0.05
+    expected = ("a", "a") if together else ("b", "a")
+    assert (entries["one"].groups, entries["two"].groups) == ((expected[0],) * 2, (expected[1],) * 2)
+
+
+def test_there_are_letters_for_any_number_of_groups(monkeypatch: pytest.MonkeyPatch):
+    different = replace(NO_DIFFERENCE, p_value=0.0)
+    monkeypatch.setattr("benchmark.standings.compare_entries", lambda *arguments: different)
+    entries = entries_of(*(scored(f"m{place}", 0.2 + 0.02 * place) for place in range(28)))
+    letters = [entry.groups[0] for entry in entries.values()]
+    assert len(set(letters)) == 28
+    assert {"a", "z", "a'", "b'"} <= set(letters)
+
+
+def test_letters_are_corrected_for_the_number_of_pairs():
+    """A difference that is significant between two models is not, where four more make it one of fifteen."""
+    more = [scored(f"more-{place}", 0.5, noise=NOISE) for place in range(4)]
+    entries = entries_of(*pair_that_differs(2.1), *more)
+    assert {entry.groups for entry in entries.values()} == {("a", "a")}
 
 
 def test_failed_seeds_are_named_and_can_be_left_out():
@@ -234,8 +273,51 @@ def test_scenes_without_objects_are_counted_as_skipped():
     scores = [0.5, np.nan, 0.7]
     entry = entries_of((run_row("m"), scene_table({"ari_fg": scores, "msc_fg": scores})))["m"]
     assert entry.n_skipped == 1
+    assert entries_of((run_row("m"), scene_table({"ari_fg": scores, "msc_fg": [0.5] * 3})))["m"].n_skipped == 0
     assert entry.summary("msc_fg").mean == pytest.approx(0.6)
     assert entry.summary("ari").mean == pytest.approx(0.9)
+
+
+def test_rows_of_one_dataset_have_equally_many_scenes(tmp_path: Path):
+    """Else scenes could not be paired."""
+    save_run(tmp_path, run_row("a"), scene_table({"ari_fg": [0.5] * 3}))
+    save_run(tmp_path, run_row("b", n_scenes=2), scene_table({"ari_fg": [0.5] * 2}))
+    save_run(tmp_path, run_row("c", "static", n_scenes=4, track_spec="s"), scene_table({"ari_fg": [0.5] * 4}))
+    save_run(tmp_path, failed_row("d"))
+    with pytest.raises(CorruptFile, match=r"has 2 scenes in the row moving--b--\S+ and 3 in moving--a--\S+"):
+        load_standings(tmp_path)
+
+
+def test_the_best_block_stands_on_top():
+    entries = entries_of(scored("low", 0.5), scored("high", 0.9), scored("floor", 0.1, kind="floor"))
+    blocks = {"floors": [entries["floor"]], "worse": [entries["low"]], "empty": [], "better": [entries["high"]]}
+    assert in_order_of_rank(blocks) == ["better", "worse", "floors", "empty"]
+
+
+def test_progress_is_shown_for_what_takes_long(tmp_path: Path):
+    for model in ("a", "b"):
+        save_run(tmp_path, run_row(model), scene_table({"ari_fg": [0.5] * 3}))
+    heard: list[tuple[str, int]] = []
+
+    def progress(items: Sequence[Any], title: str) -> Sequence[Any]:
+        heard.append((title, len(items)))
+        return items
+
+    load_standings(tmp_path, progress)
+    assert heard == [("reading scores", 2), ("ranking models", 1)]
+
+
+def test_the_spread_of_one_run_is_unknown():
+    entries = entries_of(
+        *(scored("fixed", 0.5, seed, random=False) for seed in range(3)),
+        scored("half", 0.5),
+        (failed_row("half", seed=1), None),
+        *(scored("two", 0.5 + 0.2 * seed, seed) for seed in range(2)),
+    )
+    mean = 0.5 + NOISE.mean()
+    assert entries["fixed"].spread("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
+    assert entries["half"].spread("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
+    assert entries["two"].spread("msc_fg") == pytest.approx((mean + 0.1, 0.1))
 
 
 def test_entries_can_be_compared():

@@ -146,6 +146,15 @@ def test_wins_are_counted_by_scene(rng: np.random.Generator):
     assert found.mean == pytest.approx(0.1 / 4)
 
 
+@pytest.mark.parametrize("offset", [0.0, 1e-6])
+def test_scores_that_differ_by_rounding_are_no_win(offset: float, rng: np.random.Generator):
+    """Neither by that of means over seeds, nor by that of results with six decimals."""
+    one = whole(np.array([[0.1], [0.2], [0.3]]))
+    two = whole(one[0][::-1] + offset)
+    assert statistics.mean_over_seeds(*one)[0] != statistics.mean_over_seeds(*two)[0]
+    assert statistics.difference(one, two, draw(1, 1, rng, 10)).win_rate == 0.5
+
+
 def test_swapping_the_models_turns_the_sign(rng: np.random.Generator):
     one, two = whole(rng.beta(4, 2, (1, 40))), whole(rng.beta(3, 2, (1, 40)))
     resamples = draw(1, 40, rng, 500)

@@ -5,7 +5,8 @@ import pytest
 
 from benchmark.results import RunRow
 from benchmark.standings import Entry, standings
-from benchmark.tables import Board, Line, boards, latex, markdown, mean_and_std
+from benchmark.tables import Board, Line, boards, latex, markdown
+from benchmark.wording import mean_and_std
 from tests.chosen_scores import failed_row, run_row, scene_table
 
 N = 30
@@ -38,19 +39,32 @@ def lines(title: str, track: str = "moving") -> list[Line]:
     return [line for block in board(track).blocks if block.title.startswith(title) for line in block.lines]
 
 
-def test_blocks_stand_in_order():
+def test_the_block_with_the_best_model_stands_on_top():
     titles = [block.title for block in board().blocks]
-    assert titles[:3] == ["Floors", "Without training", "Learned"]
+    assert titles[:3] == ["Without training", "Learned", "Floors"]
     assert titles[3].startswith("Oracles")
     assert titles[4] == "In the paper, not run here"
+    scores = {"plane": ("classical", 0.5), "obpose": ("learned", 0.9), "mine": ("predictions", 0.4)}
+    rows = [run_row(name, kind=kind) for name, (kind, _) in scores.items()]
+    tables = [scene_table({"ari_fg": [score] * 3, "msc_fg": [score] * 3}) for _, score in scores.values()]
+    (other,) = boards(standings(rows, tables))
+    assert [block.title for block in other.blocks][:3] == ["Learned", "Without training", "Given label maps"]
+    assert [line.label for line in other.blocks[0].lines] == ["obpose", "best without training: plane"]
 
 
-def test_the_best_row_without_training_stands_above_the_learned_ones():
+@pytest.mark.parametrize("track", ["moving", "textured"])
+def test_the_best_rank_comes_first_in_every_block_and_in_the_table(track: str):
+    ranks = [[float(line.rank) for line in block.lines if line.rank] for block in board(track).blocks]
+    assert all(places == sorted(places) for places in ranks)
+    assert next(filter(None, ranks))[0] == 1
+
+
+def test_the_best_row_without_training_stands_among_the_learned_ones_by_rank():
     assert [line.label for line in lines("Learned")] == [
         "best without training: plane",
-        "slot-attention",
         "obpose",
         "– without the 1 failed of 2 seeds (out of memory)",
+        "slot-attention",
     ]
 
 
@@ -158,6 +172,12 @@ def test_where_models_were_fitted_elsewhere_the_title_says_so():
     assert "models fitted on mixed" in found.title
 
 
+def test_weights_that_were_given_were_trained_elsewhere():
+    rows = [run_row("a", fit_track="mixed", pretrained="weights")]
+    (found,) = boards(standings(rows, [scene_table({"ari_fg": [0.5] * 3})]))
+    assert "moving, weights trained on mixed" in found.title
+
+
 @pytest.mark.parametrize("track", ["moving", "textured"])
 def test_markdown_has_equally_many_cells_in_each_row(track: str):
     text = markdown(entries(track))
@@ -242,9 +262,9 @@ def test_reasons_of_failures_cannot_break_the_tables():
     found = standings([failed, run_row("obpose", seed=1)], [None, scene_table({"ari_fg": np.ones(3)})])
     rows = [line for line in markdown(found).splitlines() if "failed of 2" in line]
     assert len(rows) == 1
-    assert rows[0].count("|") == 11
+    assert len(re.findall(r"(?<!\\)\|", rows[0])) == 11
     assert len(rows[0]) < 240
-    assert r"50 \% of \{x\}\_1 \& y | \textbackslash{}z and a second line" in latex(found)
+    assert r"50 \% of \{x\}\_1 \& y \textbar{} \textbackslash{}z and a second line" in latex(found)
 
 
 def test_notes_say_how_many_seeds_there_are():
@@ -289,10 +309,23 @@ def test_no_figure_is_minus_zero():
     table = scene_table({"ari_fg": [-0.001], "msc_fg": [-0.001]})
     (found,) = boards(standings([run_row(n_scenes=1)], [table]))
     (line,) = found.blocks[0].lines
-    assert line.cells[1] == "0.00±0.00"
+    assert line.cells[1] == "0.00"
     assert line.bold[1]
 
 
 def test_undefined_scores_are_dashes():
     assert mean_and_std(float("nan"), float("nan")) == "–"
     assert mean_and_std(0.976, 0.0009) == "0.98±0.00"
+
+
+def test_a_single_seed_has_no_deviation():
+    scores = [scene_table({"ari_fg": [score] * 3, "msc_fg": [score] * 3}) for score in (0.5, 0.7, 0.9)]
+    rows = [run_row("one"), run_row("two"), run_row("two", seed=1)]
+    rows += [run_row("fixed", seed=seed, random=False) for seed in range(3)]
+    rows += [run_row("half"), failed_row("half", seed=1)]
+    found = standings(rows, [scores[0], scores[1], scores[2], *[scores[0]] * 4, None])
+    cells = {line.label: line.cells[1] for block in boards(found)[0].blocks for line in block.lines}
+    assert (cells["one"], cells["fixed"], cells["half"]) == ("0.50", "0.50", "0.50")
+    assert cells["two"] == "0.80±0.10"
+    assert r"$0.50^{" in latex(found)
+    assert "±0" not in markdown(standings([run_row("one", "textured")], scores[:1]))

@@ -103,7 +103,7 @@ def test_a_dataset_in_the_place_of_a_track(tmp_path: Path):
     assert (source.name, source.slots, source.size("test")) == ("mine", 5, 2)
     assert source.prepare(("val", "test")) == tmp_path / "mine"
     (tmp_path / "mine" / "val-00000.h5").unlink()
-    with pytest.raises(DatagenError, match="2 scenes are missing"):
+    with pytest.raises(DatagenError, match="2 scenes missing"):
         source.prepare(("val", "test"))
 
 

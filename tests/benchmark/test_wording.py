@@ -1,7 +1,5 @@
-import pytest
-
 from benchmark.standings import Entry, standings
-from benchmark.wording import counted, run_once, seeds_in_words
+from benchmark.wording import run_once, seeds_in_words
 from tests.chosen_scores import failed_row
 
 
@@ -13,11 +11,6 @@ def entries(**seeds: int) -> list[Entry]:
         for seed in range(n)
     ]
     return standings(rows, [None] * len(rows))
-
-
-@pytest.mark.parametrize(("number", "words"), [(0, "0 tracks"), (1, "1 track"), (2, "2 tracks")])
-def test_only_one_thing_is_singular(number: int, words: str):
-    assert counted(number, "track") == words
 
 
 def test_seeds_are_counted_where_they_make_a_difference():

@@ -68,3 +68,20 @@ def test_unknown_names_and_sizes_are_refused():
     handle = {"handle_height": 0.06, "handle_reach": 0.03, "handle_thickness": 0.006, "handle_width": 0.03}
     with pytest.raises(UsageError, match="wall"):
         build(ShapeSpec("mug", mug | handle))
+
+
+@pytest.mark.parametrize(
+    ("family", "parameters"),
+    [
+        ("sphere", {"radius": "wide"}),
+        ("sphere", {"radius": []}),
+        ("sphere", {"radius": float("nan")}),
+        ("box", {"size": [0.1]}),
+        ("prism", {"corners": 0, "radius": 0.1, "height": 0.1}),
+        ("gear", {"teeth": -1, "outer_radius": 0.1, "inner_radius": 0.05, "tooth_share": 0.5, "height": 0.1}),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_parameters_that_make_no_shape_are_refused(family: str, parameters: dict[str, object]):
+    with pytest.raises(UsageError, match=f"Shape family '{family}' cannot be built from"):
+        build(ShapeSpec(family, parameters))

@@ -5,11 +5,10 @@ import pytest
 
 from datagen import cli
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, EXIT_VERIFICATION
-from datagen.folder import write_whole
-from datagen.shard import pack, shard_image
-from datagen.spec import settings_hash
+from datagen.shard import pack
 from datagen.storage import Dataset
 from tests.small import FLAGS, ROOT, command, hashes, make
+from tests.staged import write_shard
 
 SMALL = (*FLAGS, "--workers", "1")
 
@@ -58,6 +57,28 @@ def run(*arguments: object) -> int:
         (("--scenes", 3, "--novelty", 1), "--novelty"),
         (("--scenes", "many"), "many"),
         (("--scenes", 3, "--renderer", "blender"), "blender"),
+        (("--scenes", 10**12), "--scenes 1000000000000: expected at least 1 and at most 1,000,000"),
+        (("--split", f"train={10**18}"), "expected at most 1,000,000 scenes in a split"),
+        (("--scenes", 3, "--frames", 10**9), "frames is 1000000000, expected 1 to 10,000"),
+        (("--scenes", 3, "--views", 10**6), "views is 1000000, expected 1 to 360"),
+        (("--scenes", 3, "--resolution", "99999x99999"), "from 8 to 4096 pixels"),
+        (("--scenes", 3, "--seed", 10**30), "at most 9223372036854775807"),
+        (("--scenes", 3, "--workers", 10**6), "--workers 1000000: expected at most"),
+        (("--scenes", 3, "--shard", f"0/{10**12}"), "n is at most 100,000"),
+        (("--scenes", 3, "--views", 6, "--resolution", "4096x4096"), "of memory, expected at most 4 GiB"),
+        (("--scenes", 3, "--frames", 9000, "--resolution", "4096x4096"), "GiB of memory, expected at most 4 GiB"),
+        (("--scenes", 3, "--rig.elevation", -20), "above the table's top, expected more than 0"),
+        (("--scenes", 3, "--sensor.grazing-angle", 91), "sensor.grazing_angle is 91.0, expected 0 to 90"),
+        (("--scenes", 3, "--recipe", ""), "--recipe is empty"),
+        (("--scenes", 3, "--out", ""), "--out is empty"),
+        (("--scenes", 3, "--out="), "--out is empty"),
+        (("render", "--from", ""), "--from is empty"),
+        (("render", "--from=", "--out", "x"), "--from is empty"),
+        (("verify", ""), "is empty"),
+        (("stats", ""), "is empty"),
+        (("preview", ""), "is empty"),
+        (("inspect", ""), "is empty"),
+        (("regenerate", ""), "is empty"),
         (("render",), "--from"),
         (("render", "--from", "nowhere"), "nowhere holds no dataset"),
         (("verify", "nowhere"), "nowhere holds no dataset"),
@@ -133,6 +154,19 @@ def test_two_commands_make_what_one_makes(tmp_path, dataset, capsys):
     assert scene["camera/K"].shape == (2, 3, 3)
 
 
+def test_cameras_that_scenes_cannot_be_rendered_with_are_refused_before_a_folder_is_made(tmp_path, dataset, capsys):
+    for flags, words in [
+        (("--rig.distance", 0.1), "Move the cameras with --rig.distance"),
+        (("--rig.elevation", 3, "--rig.distance", 0.35), "sees the table from 4.4 cm"),
+        (("--rig.elevation", -20), "above the table's top"),
+        (("--rig.distance", 9), "sees the table at"),
+        (("--views", 10**6), "views is 1000000"),
+    ]:
+        assert run("render", "--from", dataset, "--out", "made", *flags) == EXIT_USAGE
+        assert words in capsys.readouterr().err
+        assert not (tmp_path / "made").exists()
+
+
 def test_shares_say_that_others_are_missing(tmp_path, capsys):
     assert run(*SMALL, "--split", "train=1,val=1", "--shard", "0/2", "--out", "set") == EXIT_OK
     assert "Shards are still missing" in capsys.readouterr().out
@@ -159,8 +193,7 @@ def test_regenerate_proves_and_disproves(tmp_path, dataset, capsys):
     record = Dataset(dataset).split("train")[0]
     make(tmp_path / "set", {"train": 1})
     record["depth"] = record["depth"] + 1
-    attributes = {"settings_hash": settings_hash(Dataset(tmp_path / "set").spec)}
-    write_whole(tmp_path / "set" / "train-00000.h5", shard_image([pack(record)], attributes))
+    write_shard(tmp_path / "set", Dataset(tmp_path / "set").spec, "train", 0, [pack(record)])
     assert run("regenerate", tmp_path / "set", "--split", "train", "--scene", 0) == EXIT_VERIFICATION
     assert "differ from what is stored: depth" in capsys.readouterr().out
 

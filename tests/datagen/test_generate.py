@@ -14,10 +14,11 @@ from datagen.folder import write_whole
 from datagen.generate import Run, generate, regenerate, render
 from datagen.maker import make_scene, object_rows
 from datagen.manifest import read_manifest
-from datagen.shard import pack, shard_image
-from datagen.spec import SPEC_FILE, settings_hash, spec_text, with_splits
+from datagen.shard import pack
+from datagen.spec import SPEC_FILE, spec_text, with_splits
 from datagen.storage import Dataset
 from tests.small import ROOT, hashes, make, recipe
+from tests.staged import write_shard
 
 SIZES = {"train": 5, "val": 1, "test": 1}
 
@@ -327,8 +328,7 @@ def test_a_scene_made_anew_disproves_a_tampered_one_though_its_hash_fits(tmp_pat
     changed = np.array(records[1][name])
     changed.flat[0] = b"other" if changed.dtype.kind == "S" else changed.flat[0] + 1
     records[1][name] = changed
-    image = shard_image([pack(record) for record in records], {"settings_hash": settings_hash(dataset.spec)})
-    write_whole(tmp_path / "train-00000.h5", image)
+    write_shard(tmp_path, dataset.spec, "train", 0, [pack(record) for record in records])
     assert regenerate(tmp_path, "train", 0) == []
     assert regenerate(tmp_path, "train", 1) == [name]
 

@@ -90,3 +90,47 @@ def test_edits_have_one_order_and_no_others_are_known():
     for text in ("", "remove,", "recolour", "remove move"):
         with pytest.raises(UsageError, match=r"expected some of remove,move,add"):
             options.parse_edits(text)
+
+
+HUGE = "9" * 5000
+"""More digits than Python reads as a number."""
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "limit"),
+    [
+        (options.parse_resolution, "4097x64", "from 8 to 4096"),
+        (options.parse_resolution, f"{HUGE}x64", "from 8 to 4096"),
+        (options.parse_resolution, "٦٤x٦٤", "width x height"),
+        (options.parse_share, "0/100001", "n is at most 100,000"),
+        (options.parse_share, f"0/{HUGE}", "n is at most 100,000"),
+        (options.parse_share, f"{HUGE}/{HUGE}", "n is at most 100,000"),
+        (options.parse_workers, 10**6, "at most"),
+        (options.parse_workers, 10**4000, "at most"),
+        (options.check_seed, 2**63, "at most 9223372036854775807"),
+        (options.check_seed, 10**4000, "at most 9223372036854775807"),
+        (options.check_seed, -1, "expected 0 or more"),
+        (lambda scenes: options.parse_splits(scenes, None), 10**12, "at most 1,000,000"),
+        (lambda scenes: options.parse_splits(scenes, None), 10**4000, "at most 1,000,000"),
+        (lambda split: options.parse_splits(None, split), "train=1000000000000000000", "at most 1,000,000 scenes"),
+        (lambda split: options.parse_splits(None, split), f"val=1,test={HUGE}", "at most 1,000,000 scenes"),
+    ],
+)
+def test_numbers_beyond_all_reason_are_refused_with_the_limit(parse, text, limit: str):
+    with pytest.raises(UsageError, match=limit) as refused:
+        parse(text)
+    assert len(str(refused.value)) < 300
+
+
+def test_the_limits_themselves_are_accepted():
+    assert options.parse_resolution("8x4096") == (8, 4096)
+    assert options.parse_share("99999/100000") == (99_999, 100_000)
+    assert options.parse_workers(64) == 64
+    assert options.parse_splits(None, "train=1000000,val=0001000000") == {"train": 10**6, "val": 10**6}
+    assert sum(options.parse_splits(10**6, None).values()) == 10**6
+    options.check_seed(2**63 - 1)
+
+
+def test_an_empty_name_is_no_recipe():
+    with pytest.raises(UsageError, match="Unknown recipe ''"):
+        options.choose_recipe("", video=False)

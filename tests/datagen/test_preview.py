@@ -9,6 +9,7 @@ from PIL import Image
 
 from datagen import preview, spec
 from datagen.errors import UsageError
+from datagen.shard import pack
 from tests import staged
 
 
@@ -88,3 +89,19 @@ def test_mp4_is_written_or_refused_with_the_remedy(tiny_dataset: Path, tmp_path:
     with expected:
         preview.run(tiny_dataset, scenes=(0,), out=tmp_path / "sheet.png", video=target)
     assert target.exists() == has_codec
+
+
+def test_a_dataset_without_one_of_the_images_is_one_clear_error(tmp_path: Path):
+    record = staged.record(staged.scene(frames=2))
+    folder = staged.write_dataset(tmp_path / "staged", [record])
+    del record["depth"]
+    staged.write_shard(folder, spec.read_spec(folder), "train", 0, [pack(record)])
+    with pytest.raises(UsageError, match="no field 'depth'"):
+        preview.run(folder)
+
+
+@pytest.mark.parametrize(("fps", "frames"), [(0.001, 2), (0.001, 1), (1.0, 700)])
+def test_slow_and_long_clips_fit_into_a_gif(tmp_path: Path, fps: float, frames: int):
+    preview.save_animation(tmp_path / "slow.gif", [np.zeros((4, 4, 3), np.uint8)] * frames, fps)
+    with Image.open(tmp_path / "slow.gif") as clip:
+        assert clip.size == (4, 4)

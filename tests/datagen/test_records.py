@@ -112,6 +112,22 @@ def test_other_cameras_change_the_description_and_the_poses_alone():
     }
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("objects/count", lambda count: count + 1, "objects in"),
+        ("poses/position", lambda position: position[:-1], "frames"),
+        ("poses/position", lambda position: position * np.float32(np.nan), "poses/position holds values"),
+        ("poses/quaternion_wxyz", lambda quaternion: quaternion / np.float32(0), "poses/quaternion_wxyz holds values"),
+        ("scene/description", lambda _text: np.asarray(b"[" * 1000), "nested"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_description_that_does_not_fit_its_poses_is_an_error(name: str, change, message: str):
+    with pytest.raises(ValueError, match=message):
+        scene_and_trajectory({**RECORD, name: np.asarray(change(RECORD[name]))})
+
+
 class Far:
     """A renderer that sees nothing but a wall 7 m away."""
 

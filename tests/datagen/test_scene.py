@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -57,6 +58,42 @@ def test_equal_scenes_have_equal_text_and_others_do_not():
 def test_other_text_is_not_a_scene(text):
     with pytest.raises((ValueError, KeyError, TypeError)):
         scene_from_json(text)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("frames",), "ten"),
+        (("fps",), float("nan")),
+        (("fps",), float("inf")),
+        (("fps",), 1e300),
+        (("ambient",), [0.1, 0.2]),
+        (("backdrop",), 0.5),
+        (("table", "size"), None),
+        (("table", "material", "pattern"), "tartan"),
+        (("cameras", 0, "position"), [0.0, 0.0, True]),
+        (("lights", 0, "direction"), "xyz"),
+        (("bodies", 0, "motion"), "fly"),
+        (("bodies", 0, "category"), 3),
+        (("bodies", 0, "touches"), "first"),
+        (("bodies", 0, "density"), []),
+        (("bodies", 0, "push"), {"start": 0.0}),
+        (("bodies", 0, "shape", "family"), ["box"]),
+        (("bodies", 0, "shape", "parameters"), {"size": [1e9, 1.0, 1.0]}),
+        (("bodies", 0, "shape", "parameters"), {"size": [0.1] * 10_000}),
+        (("bodies", 0, "shape", "parameters"), {"size": {"x": 1.0}}),
+        (("bodies", 0, "material", "color"), [0.0, 0.0, "red"]),
+        (("bodies", 0, "mood"), "sad"),
+    ],
+)
+def test_a_description_whose_values_are_none_is_not_a_scene(place: tuple[str | int, ...], value: object):
+    data = json.loads(scene_to_json(SCENE))
+    part = data
+    for key in place[:-1]:
+        part = part[key]
+    part[place[-1]] = value
+    with pytest.raises((ValueError, KeyError, TypeError)):
+        scene_from_json(json.dumps(data))
 
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 4 / 3])

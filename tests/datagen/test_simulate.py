@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datagen import sampling, simulate
 from datagen.config import Layout, Objects, Recipe, load_recipe, recipe_names
-from datagen.errors import ImpossibleScene
+from datagen.errors import ImpossibleScene, UsageError
 from datagen.render import make_renderer
 from datagen.scene import scene_to_json
 from datagen.schema import MAX_DEPTH
-from datagen.simulate import Simulated, check_course, check_room, simulate_scene
+from datagen.simulate import Simulated, check_course, check_room, is_hopeless, simulate_scene
+from datagen.visible_range import near_object
 
 pytestmark = pytest.mark.skipif(not importlib.util.find_spec("pybullet"), reason="simulation needs PyBullet")
 
@@ -224,3 +226,94 @@ def test_a_clip_in_which_something_sinks_into_the_table_is_refused():
     gap[5, 0, 1] = gap[5, 1, 0] = -0.0021
     with pytest.raises(Rejected, match="sank"):
         check_course(recipe, dataclasses.replace(made.trajectory, contact_gap=gap))
+
+
+def draws(recipe: Recipe, monkeypatch: pytest.MonkeyPatch, remedy: str = "lower --objects.minimum") -> int:
+    """How many scenes of an impossible recipe are drawn."""
+    drawn = []
+    sample = sampling.sample_scene
+    monkeypatch.setattr(simulate, "sample_scene", lambda *arguments: drawn.append(1) or sample(*arguments))
+    with pytest.raises(ImpossibleScene, match=f"objects had a place in view.*{remedy}"):
+        simulate_scene(recipe, 0, "test", 0)
+    return len(drawn)
+
+
+def test_objects_that_cannot_fit_are_given_up_early(monkeypatch: pytest.MonkeyPatch):
+    still = load_recipe("static")
+    objects = dataclasses.replace(still.objects, minimum=12, maximum=12, categories=("cube",), sizes=(0.1,))
+    weights = dataclasses.replace(still.motion.weights, drop=0.0)
+    motion = dataclasses.replace(still.motion, weights=weights)
+    # As if there were room enough by the bound that is checked first.
+    monkeypatch.setattr(simulate, "check_room", lambda recipe: None)
+    assert draws(dataclasses.replace(still, objects=objects, motion=motion), monkeypatch) <= 30
+
+
+def test_a_region_outside_of_the_workspace_is_given_up_early(monkeypatch: pytest.MonkeyPatch):
+    moving = load_recipe("moving")
+    layout = dataclasses.replace(moving.layout, workspace_half_extent=(0.002, 0.002))
+    assert draws(dataclasses.replace(moving, layout=layout), monkeypatch, "or enlarge --layout.workspace-half") <= 40
+
+
+@pytest.mark.slow
+def test_twenty_objects_in_a_heap_are_given_up_early(monkeypatch: pytest.MonkeyPatch):
+    cluttered = load_recipe("cluttered")
+    objects = dataclasses.replace(cluttered.objects, minimum=20, maximum=20)
+    assert draws(dataclasses.replace(cluttered, objects=objects), monkeypatch) <= 40
+
+
+def test_a_recipe_is_hopeless_where_far_too_few_objects_fit():
+    rng = np.random.default_rng(0)
+    assert is_hopeless(rng.normal(9, 1.5, 20).round().astype(int).tolist(), 20)
+    assert is_hopeless([3] * 20, 6)
+    assert not is_hopeless([3] * 19, 6), "too few were drawn"
+    assert not is_hopeless([4] * 20, 6), "counts that are all equal prove little"
+    assert not is_hopeless([*[3] * 60, 5], 6), "one came near"
+    assert not is_hopeless(rng.normal(9, 5, 200).clip(0, 18).round().astype(int).tolist(), 20), "they vary much"
+
+
+@pytest.mark.parametrize("chance", [0.05, 0.02])
+def test_recipes_of_which_few_draws_fit_are_not_given_up(chance: float):
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        fitting = (10 - rng.poisson(-np.log(chance), 200)).clip(0)
+        kept = next((n for n, count in enumerate(fitting) if count == 10), 200)
+        assert not any(is_hopeless(fitting[:n].tolist(), 10) for n in range(kept))
+
+
+def near_rig(**changes: object) -> Recipe:
+    recipe = dataclasses.replace(load_recipe("moving"), frames=4, least_visible_pixels=0)
+    return dataclasses.replace(recipe, rig=dataclasses.replace(recipe.rig, **changes))
+
+
+def test_no_object_comes_nearer_to_a_camera_than_renderers_show():
+    rejected = Counter()
+    for index in range(6):
+        made = simulate_scene(near_rig(distance=0.2), 0, "test", index)
+        rejected.update(made.rejections)
+        for camera in made.scene.cameras:
+            assert near_object(camera, made.shapes, made.trajectory.world_from_object, 128, 128) is None
+    assert rejected["near"]
+
+
+def test_cameras_that_are_shaken_out_of_range_are_drawn_again():
+    shaken = near_rig(distance=0.4, elevation=10.0, jitter=0.1)
+    made = [simulate_scene(shaken, 0, "test", index) for index in range(4)]
+    assert all(camera.position[2] > 0 for one in made for camera in one.scene.cameras)
+    assert sum(one.rejections.get("near", 0) for one in made)
+
+
+@pytest.mark.parametrize(
+    ("rig", "words"),
+    [
+        (
+            {"elevation": 3.0, "distance": 0.35},
+            "camera 0 sees the table from 4.4 cm; expected more than 5 cm.*--rig",
+        ),
+        ({"elevation": 10.0, "distance": 6.5}, "camera 0 sees the table at 7.*expected at most 6.5535 m"),
+        ({"field_of_view": 170.0, "distance": 0.3}, "sees the table from"),
+    ],
+)
+def test_a_rig_that_cannot_show_the_table_is_refused_at_once(rig: dict, words: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(simulate, "sample_scene", None)
+    with pytest.raises(UsageError, match=words):
+        simulate_scene(near_rig(**rig), 0, "test", 0)

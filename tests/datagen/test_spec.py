@@ -1,10 +1,22 @@
+import dataclasses
+import functools
 import itertools
 
 import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
+from datagen.errors import CorruptFile
 from datagen.schema import SPLITS
-from datagen.spec import differences, make_spec, settings_hash, shard_ranges, split_sizes, with_splits
+from datagen.spec import (
+    differences,
+    make_spec,
+    recipe_of,
+    settings_hash,
+    shard_numbers,
+    shard_ranges,
+    split_sizes,
+    with_splits,
+)
 
 MOVING = recipe_to_dict(load_recipe("moving"))
 RASTER = {"name": "raster", "version": 1}
@@ -79,3 +91,45 @@ def test_the_number_of_scenes_changes_the_identity_but_not_the_settings():
 def test_other_settings_are_named(changes, line: str):
     assert any(found.startswith(line) for found in differences(spec(), spec(**changes)))
     assert settings_hash(spec()) != settings_hash(spec(**changes))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("attempts", 200.0),
+        ("views", True),
+        ("fps", "12"),
+        ("resolution", (64, 64, 64)),
+        ("parts", ("moving", 3)),
+        ("rig.target", (0.0, 0.0, None)),
+        ("rig.distance", [1.0]),
+        ("appearance.style", "plain"),
+        ("motion.weights", {}),
+        ("sensor", None),
+    ],
+)
+def test_constants_of_another_type_are_no_recipe(monkeypatch: pytest.MonkeyPatch, name: str, value: object):
+    # Set behind the back of the type checks that only tests have.
+    recipe = load_recipe("moving")
+    owner = dataclasses.replace(recipe, rig=dataclasses.replace(recipe.rig), motion=dataclasses.replace(recipe.motion))
+    recipe = dataclasses.replace(owner, appearance=dataclasses.replace(owner.appearance))
+    *parents, leaf = name.split(".")
+    part = functools.reduce(getattr, parents, recipe)
+    object.__setattr__(part, leaf, value)
+    monkeypatch.setattr("datagen.spec.recipe_from_dict", lambda _values: recipe)
+    with pytest.raises(CorruptFile, match=rf"holds no recipe \({name} has another type\)"):
+        recipe_of(spec())
+
+
+def test_only_files_with_the_very_names_of_shards_are_shards(tmp_path):
+    for name in (
+        "train-00003.h5",
+        "train-00001.h5",
+        "train-123456.h5",
+        "train-000002.h5",
+        "train-7.h5",
+        "val-00000.h5",
+    ):
+        (tmp_path / name).touch()
+    assert shard_numbers(tmp_path, "train") == [1, 3, 123456]
+    assert shard_numbers(tmp_path / "nowhere", "train") == []

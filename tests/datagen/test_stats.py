@@ -7,6 +7,8 @@ import pytest
 from datagen import stats
 from datagen.errors import UsageError
 from datagen.scene import Scene, Trajectory
+from datagen.shard import pack
+from datagen.spec import read_spec
 from datagen.storage import Dataset
 from tests import staged
 
@@ -67,3 +69,31 @@ def test_scenes_that_are_not_there_are_the_user_s_error(tiny_dataset: Path):
         stats.inspect(tiny_dataset, "val", 2)
     with pytest.raises(UsageError, match="Unknown split"):
         stats.inspect(tiny_dataset, "validation", 0)
+
+
+def test_names_with_brackets_and_colours_that_are_none_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    record = staged.record(staged.scene(frames=2))
+    record["objects/category"] = np.array([b"[/box]", b"[red]", b"", b""])
+    record["objects/color"][0, 0] = [np.nan, np.inf, -1]
+    folder = staged.write_dataset(tmp_path / "[/staged]", [record])
+    stats.inspect(folder, "train", 0)
+    stats.run(folder)
+    printed = capsys.readouterr().out
+    assert {"[/box]", "[red]", "#00ff00"} <= set(printed.split())
+    assert "[/staged]" in printed
+
+
+def test_only_shards_of_the_dataset_are_measured(tmp_path: Path):
+    folder = staged.write_dataset(tmp_path / "staged", [staged.record(staged.scene(frames=2))])
+    before = stats.summary(folder)
+    (folder / "other.h5").write_bytes(bytes(10_000))
+    assert stats.summary(folder) == before
+
+
+def test_a_scene_without_a_field_of_the_table_is_one_clear_error(tmp_path: Path):
+    record = staged.record(staged.scene(frames=2))
+    folder = staged.write_dataset(tmp_path / "staged", [record])
+    del record["objects/mass"]
+    staged.write_shard(folder, read_spec(folder), "train", 0, [pack(record)])
+    with pytest.raises(UsageError, match="no field 'objects/mass'"):
+        stats.inspect(folder, "train", 0)

@@ -1,9 +1,12 @@
 import json
 import math
+import os
+import re
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.checkpoint import (
@@ -99,9 +102,10 @@ def test_weights_of_another_architecture_are_refused(run: Path):
 
 def test_another_version_is_refused(run: Path):
     facts = json.loads((run / CONFIG).read_text())
-    (run / CONFIG).write_text(json.dumps({**facts, "version": 99}))
-    with pytest.raises(UsageError, match="version 99, expected 1"):
-        load(run, ToyModel)
+    for version in (99, True, 1.0, "1", None):
+        (run / CONFIG).write_text(json.dumps({**facts, "version": version}))
+        with pytest.raises(UsageError, match=f"version {version!r}, expected 1"):
+            load(run, ToyModel)
 
 
 @pytest.mark.parametrize("name", [CONFIG, MODEL, TRAINING])
@@ -138,8 +142,93 @@ def test_a_model_in_the_place_of_a_training_is_told(run: Path):
 
 
 def test_a_configuration_of_another_kind_is_damaged(run: Path):
-    (run / CONFIG).write_text(json.dumps({"version": 1, "config": 3}))
-    with pytest.raises(CorruptFile, match="is damaged"):
+    for facts in ({"version": 1, "config": 3}, {"version": 1}, {"config": {}}, [], 3, None):
+        (run / CONFIG).write_text(json.dumps(facts))
+        with pytest.raises(CorruptFile, match="is damaged"):
+            load(run, ToyModel)
+
+
+def test_an_empty_configuration_is_no_configuration(run: Path):
+    facts = json.loads((run / CONFIG).read_text())
+    for config in ({}, {"model": {}, "loss": {}, "train": {}}):
+        (run / CONFIG).write_text(json.dumps({**facts, "config": config}))
+        with pytest.raises(UsageError, match=r"config\.json: The configuration lacks model\.slots and 99 other values"):
+            load(run, ToyModel)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "nested more than 64 deep"),
+        ('{"version": NaN}', "it holds NaN"),
+        ('{"version": 1, "version": 1', "is damaged"),
+        ("\xff", "is damaged"),
+        ("", "is damaged"),
+    ],
+)
+def test_configurations_that_are_no_json_are_damage(run: Path, text: str, message: str):
+    (run / CONFIG).write_bytes(text.encode("latin-1"))
+    with pytest.raises(CorruptFile, match=message):
+        load(run, ToyModel)
+
+
+def test_values_that_nobody_wrote_beside_the_configuration_are_damage(run: Path):
+    facts = json.loads((run / CONFIG).read_text())
+    (run / CONFIG).write_text(json.dumps({**facts, "more": 1}))
+    with pytest.raises(CorruptFile, match="expected architecture, config, version and nothing else"):
+        load(run, ToyModel)
+
+
+def test_sizes_that_no_machine_could_hold_are_refused_before_a_model_is_built(run: Path):
+    def build(config: object) -> ToyModel:
+        raise AssertionError("it was built")
+
+    facts = json.loads((run / CONFIG).read_text())
+    for part, name, value in (("model", "slots", 10**9), ("model", "voxels", 10**6)):
+        changed = {**facts["config"], part: {**facts["config"][part], name: value}}
+        (run / CONFIG).write_text(json.dumps({**facts, "config": changed}))
+        with pytest.raises(UsageError, match=f"config.json: {part}.{name} is {value}; expected at most"):
+            load(run, build)
+
+
+@pytest.mark.parametrize("place", [CONFIG, MODEL, TRAINING])
+def test_pipes_in_the_place_of_files_do_not_hang(run: Path, place: str):
+    (run / place).unlink()
+    os.mkfifo(run / place)
+    with pytest.raises(UsageError, match="is a pipe"):
+        load_training(run, CONFIGURATION) if place == TRAINING else load(run, ToyModel)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mean": None}, "mean is missing"),
+        ({"more": torch.zeros(1)}, "more is unknown"),
+        ({"mean": None, "meen": torch.zeros(3)}, "mean is missing, meen is unknown"),
+        ({"mean": torch.zeros(3, dtype=torch.float64)}, "mean is float64 of shape [3], expected float32 of shape [3]"),
+        ({"mean": torch.zeros(3, dtype=torch.float16)}, "mean is float16"),
+        ({"mean": torch.zeros(3, dtype=torch.int32)}, "mean is int32"),
+        ({"mean": torch.zeros(1, 3)}, "mean is float32 of shape [1, 3]"),
+        ({"mean": torch.zeros(())}, "mean is float32 of shape []"),
+    ],
+)
+def test_weights_of_other_names_types_or_shapes_are_refused(
+    run: Path, change: dict[str, torch.Tensor | None], message: str
+):
+    weights = {**ToyModel(CONFIGURATION).state_dict(), **change}
+    weights = {name: tensor for name, tensor in weights.items() if tensor is not None}
+    save_model(run, weights, CONFIGURATION, {})
+    with pytest.raises(
+        UsageError, match=rf"weights in .* do not fit the model of its configuration: {re.escape(message)}"
+    ):
+        load(run, ToyModel)
+
+
+@pytest.mark.parametrize("info", ["[]", "3", '{"step": NaN}', "{", "[" * 100_000])
+def test_facts_that_are_none_are_damage(run: Path, info: str):
+    weights = ToyModel(CONFIGURATION).state_dict()
+    save_file(weights, run / MODEL, metadata={"info": info})
+    with pytest.raises(CorruptFile, match=r"model\.safetensors is damaged"):
         load(run, ToyModel)
 
 
@@ -185,7 +274,7 @@ def test_weights_that_are_no_numbers_are_damage(run: Path):
     weights = ToyModel(CONFIGURATION).state_dict()
     weights["mean"][1] = torch.nan
     save_model(run, weights, CONFIGURATION, {})
-    with pytest.raises(CorruptFile, match=r"model\.safetensors holds numbers that are not finite, in mean"):
+    with pytest.raises(CorruptFile, match=r"model\.safetensors is damaged \(mean holds NaN or infinity\)"):
         load(run, ToyModel)
 
 

@@ -9,7 +9,7 @@ from statistics import mean
 import pytest
 import torch
 
-from benchmark.tracks import Track
+from benchmark.tracks import DataFolder, Track
 from datagen.errors import EXIT_USAGE, UsageError
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
@@ -93,10 +93,25 @@ def test_another_architecture_is_trained_by_the_same_command(
         (("--track", "moving", "--variant", "obpos"), "did you mean 'obpose'"),
         (("--track", "moving", "--profile", "tpu"), "are: cpu, gpu, paper"),
         (("--track", "moving", "--minutes", "1", "--steps", "2"), "contradict"),
-        (("--track", "moving", "--minutes", "0"), "--minutes 0.0: expected a positive number"),
+        (("--track", "moving", "--minutes", "0"), "--minutes 0.0: expected more than 0 and at most 5256000"),
+        (("--track", "moving", "--minutes", "-1"), "--minutes -1.0: expected more than 0"),
+        (("--track", "moving", "--minutes", "nan"), "--minutes nan: expected more than 0"),
+        (("--track", "moving", "--minutes", "inf"), "--minutes inf: expected more than 0"),
+        (("--track", "moving", "--minutes", "1e308"), "--minutes 1e+308: expected more than 0"),
+        (("--track", "moving", "--steps", "0"), "--steps 0: expected more than 0 and at most 1000000000"),
+        (("--track", "moving", "--steps", "1" + "0" * 30), "expected more than 0 and at most 1000000000"),
+        (("--track", "moving", "--workers", "0"), "--workers 0: expected more than 0 and at most 1024"),
+        (("--track", "moving", "--workers", "-1"), "--workers -1: expected more than 0"),
+        (("--track", "moving", "--threads", "0"), "--threads 0: expected more than 0"),
+        (("--track", "moving", "--set", "train.learning_rate=nan"), "--set train.learning_rate=nan: expected a number"),
+        (("--track", "moving", "--set", "loss.air=1e999"), "--set loss.air=1e999: expected a number"),
+        (("--track", ""), "--track is empty; expected a value"),
+        (("--data", ""), "--data is empty; expected a value"),
+        (("--track", "moving", "--out="), "--out is empty; expected a value"),
+        (("--track", "moving", "--variant", " "), "--variant is empty; expected a value"),
         (("--track", "moving", "--seed", "-1"), "expected 0 or more"),
         (("--track", "moving", "--seed", "1" + "0" * 30), "less than 2^63"),
-        (("--track", "moving", "--threads", "100000000000"), "expected at most 1024"),
+        (("--track", "moving", "--threads", "100000000000"), "expected more than 0 and at most 1024"),
         (("--track", "moving", "--set", "train.bach=2"), "did you mean 'train.batch'"),
         (("--data", "/nowhere"), "holds no dataset"),
     ],
@@ -108,6 +123,38 @@ def test_impossible_requests_end_in_one_line(
     errors = capsys.readouterr().err
     assert message in errors
     assert errors.count("\n") == 1
+
+
+def test_a_dataset_s_own_folder_is_no_place_for_a_run(
+    data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def prepare(*_arguments: object, **_options: object) -> Path:
+        raise AssertionError
+
+    monkeypatch.setattr(DataFolder, "prepare", prepare)
+    before = sorted(path.name for path in data.iterdir())
+    assert main(["--data", str(data), "--steps", "1", "--out", str(data), *SETTINGS]) == EXIT_USAGE
+    assert "holds a dataset; give another --out" in capsys.readouterr().err
+    assert sorted(path.name for path in data.iterdir()) == before
+
+
+def test_a_dataset_without_training_scenes_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    data = write_dataset(tmp_path / "spheres", scenes={"test": 1}, frames=2, size=(24, 16))
+    assert main(["--data", str(data), "--steps", "1", "--out", str(tmp_path / "run")]) == EXIT_USAGE
+    errors = capsys.readouterr().err
+    assert re.search(r"spheres has no training scenes; expected at least one\. .*--split train=", errors)
+    assert errors.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_dataset_without_validation_scenes_is_trained_on(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    data = write_dataset(tmp_path / "spheres", scenes={"train": 1}, frames=2, size=(24, 16))
+    assert main(["--data", str(data), "--steps", "1", "--out", str(tmp_path / "run"), *SETTINGS]) == 0
+    out, errors = capsys.readouterr()
+    assert "run: 1 step in 0.0 minutes." in out
+    assert "Training obpose on spheres, 1 step, into" in errors
 
 
 def test_a_run_of_another_configuration_is_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

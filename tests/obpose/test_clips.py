@@ -1,10 +1,12 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from obpose.clips import ArrayClips, ClipSource, observation_of, one_view, views_apart
 from obpose.data import SceneDataset
+from obpose.errors import UsageError
 from tests.fabricated import write_dataset
 from tests.obpose.toy import ToyClips
 from tests.sphere_clips import clip_and_truth
@@ -30,6 +32,17 @@ def test_a_dataset_and_its_arrays_are_the_same_source(tmp_path: Path):
     assert dataset.frames_of_clip == 4
     for name in ("rgb", "depth", "valid"):
         assert torch.equal(window[name], whole[name][2:])
+
+
+@pytest.mark.parametrize(("start", "frames"), [(-1, 2), (3, 2), (0, 0), (0, 5)])
+def test_windows_outside_a_clip_are_refused(start: int, frames: int):
+    with pytest.raises(UsageError, match=f"from frame {start} on is not inside a clip of 4 frames"):
+        ArrayClips([clip_and_truth()[0]]).window(0, start, frames)
+
+
+def test_no_clips_have_no_frames():
+    with pytest.raises(UsageError, match="There are no clips; expected at least one"):
+        assert ArrayClips([]).frames_of_clip
 
 
 def test_labels_stay_behind():

@@ -1,3 +1,4 @@
+import math
 import re
 
 import pytest
@@ -19,16 +20,31 @@ def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
     [
         ("model.slots=0", "model.slots is 0; expected 1 or more"),
         ("train.batch=-1", "train.batch is -1; expected 1 or more"),
-        ("train.batch=100000000", "train.batch is 100000000; expected at most 1000000"),
+        ("train.batch=100000000", "train.batch is 100000000; expected at most 4096"),
+        ("train.frames=1000000", "train.frames is 1000000; expected at most 4096"),
+        ("train.batch=820", "train.batch is 820; expected a number that gives at most 4096 images a step"),
         ("model.slots=255", "model.slots is 255; expected at most 254"),
         ("model.pose.grid_level=5", "model.pose.grid_level is 5; expected at most 4"),
         ("model.latent.frequencies=25", "model.latent.frequencies is 25; expected at most 24"),
-        ("model.voxels=65537", "model.voxels is 65537; expected at most 65536"),
+        ("model.voxels=129", "model.voxels is 129; expected at most 128"),
+        ("model.slots=1000000000", "model.slots is 1000000000; expected at most 254"),
+        ("model.latent.hidden=1000000", "model.latent.hidden is 1000000; expected at most 512"),
+        ("model.backbone.feature=513", "model.backbone.feature is 513; expected at most 512"),
+        ("model.backbone.colour=513", "model.backbone.colour is 513; expected at most 512"),
+        ("model.object_field.width=1025", "model.object_field.width is 1025; expected at most 1024"),
+        ("model.background_field.depth=17", "model.background_field.depth is 17; expected at most 16"),
+        ("model.backbone.widths=8,8,8,513", "model.backbone.widths is (8, 8, 8, 513); expected 1 to 6 numbers"),
+        ("model.backbone.widths=8,8,8,8,8,8,8", "expected 1 to 6 numbers of 4 to 512"),
+        ("model.backbone.blocks=0,1,1,17", "model.backbone.blocks is (0, 1, 1, 17); expected 4 numbers of 0 to 16"),
+        ("model.attention.looks=101", "model.attention.looks is 101; expected at most 100"),
+        ("model.latent.samples=1000001", "model.latent.samples is 1000001; expected at most 1000000"),
+        ("model.backbone.input_stride=1025", "model.backbone.input_stride is 1025; expected at most 1024"),
+        ("train.steps=1000000001", "train.steps is 1000000001; expected at most 1000000000"),
+        ("train.minutes=1e7", "train.minutes is 10000000.0; expected at most 5256000"),
+        ("model.spacing=1e10", "model.spacing is 10000000000.0; expected finite numbers between -1e+09 and 1e+09"),
         ("train.steps=-3", "train.steps is -3; expected 1 or more"),
         ("train.rays=-5", "train.rays is -5; expected 0 or more, and finite"),
         ("train.seed=-1", "train.seed is -1; expected 0 or more, and less than 2^63"),
-        ("train.minutes=Infinity", "train.minutes is inf; expected more than 0, and finite"),
-        ("train.learning_rate=NaN", "train.learning_rate is nan; expected a number"),
         ("train.object_rays=1", "train.object_rays is 1.0; expected 0 or more, and less than 1"),
         ("model.pose.box_size=0", "model.pose.box_size is 0.0; expected more than 0, and finite"),
         ("loss.colour_std=0", "loss.colour_std is 0.0; expected more than 0, and finite"),
@@ -42,17 +58,35 @@ def test_our_own_configurations_are_within_bounds(variant: str, profile: str):
         ("model.background=none", "model.pose.conditioning is full; expected world"),
         ("model.attention.kind=slots", "model.pose.conditioning is full; expected none or world"),
         ("model.attention.evaluation_rounds=-1", "model.attention.evaluation_rounds is -1; expected 0 or more"),
-        ("model.backbone.widths=[]", "model.backbone.widths is (); expected numbers of 4 or more"),
-        ("model.backbone.widths=[3,8,8,8]", "model.backbone.widths is (3, 8, 8, 8); expected numbers of 4 or more"),
+        ("model.backbone.widths=[]", "model.backbone.widths is (); expected 1 to 6 numbers of 4 to 512"),
+        (
+            "model.backbone.widths=[3,8,8,8]",
+            "model.backbone.widths is (3, 8, 8, 8); expected 1 to 6 numbers of 4 to 512",
+        ),
         ("model.backbone.blocks=1", "model.backbone.blocks is (1,); expected 4 numbers"),
-        ("model.workspace_center=[NaN,0,0]", "model.workspace_center is (nan, 0.0, 0.0); expected finite numbers"),
-        ("model.workspace_center=[0,Infinity,0]", "model.workspace_center is (0.0, inf, 0.0); expected finite numbers"),
         ("model.backbone.output_level=4", "model.backbone.output_level is 4; expected 0 to 3"),
     ],
 )
 def test_values_of_which_nothing_can_be_made_are_named(change: str, message: str):
     with pytest.raises(UsageError, match=re.escape(message)):
         check_bounds(make_config(**parse_changes([change])))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("train.minutes", math.inf),
+        ("train.learning_rate", math.nan),
+        ("model.floor", math.nan),
+        ("model.floor", -math.inf),
+        ("loss.unknown", math.inf),
+        ("model.workspace_center", (math.nan, 0.0, 0.0)),
+        ("model.workspace_center", (0.0, math.inf, 0.0)),
+    ],
+)
+def test_numbers_are_finite(name: str, value: object):
+    with pytest.raises(UsageError, match=rf"{name} is .*; expected finite numbers"):
+        check_bounds(make_config(**{name: value}))
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,11 @@
+import functools
+import re
 from typing import Any
 
 import pytest
 
-from obpose.config import Config
-from obpose.config_text import differences, from_plain, parse_changes, to_plain
+from obpose.config import ADDED_LATER, Config
+from obpose.config_text import differences, dotted_values, from_plain, parse_changes, to_plain
 from obpose.errors import UsageError
 from obpose.variants import PROFILES, VARIANTS, make_config
 
@@ -15,10 +17,68 @@ def test_every_configuration_survives_as_text(variant: str, profile: str):
     assert from_plain(to_plain(config)) == config
 
 
-def test_values_that_an_older_file_lacks_have_their_defaults():
+def test_values_that_were_added_later_have_their_defaults_where_they_are_missing():
     plain = to_plain(make_config(**{"train.batch": 9}))
-    del plain["model"]["pose"]
+    for name in ADDED_LATER:
+        *groups, last = name.split(".")
+        del functools.reduce(dict.__getitem__, groups, plain)[last]
     assert from_plain(plain) == make_config(**{"train.batch": 9})
+
+
+def test_values_that_were_added_later_are_values():
+    assert {name for name, _ in dotted_values(Config())} >= ADDED_LATER
+
+
+@pytest.mark.parametrize(
+    ("lost", "message"),
+    [
+        ([], "lacks model.slots and 99 other values"),
+        (["model"], "lacks model.slots and"),
+        (["train"], "lacks train.batch and"),
+        (["model", "pose"], "lacks model.pose.conditioning and"),
+        (["model", "pose", "box_size"], "lacks model.pose.box_size: the file is damaged"),
+        (["train", "seed"], "lacks train.seed: the file is damaged"),
+    ],
+)
+def test_other_values_may_not_be_missing(lost: list[str], message: str):
+    plain = to_plain(Config())
+    if lost:
+        del functools.reduce(dict.__getitem__, lost[:-1], plain)[lost[-1]]
+    else:
+        plain = {}
+    with pytest.raises(UsageError, match=re.escape(message)):
+        from_plain(plain)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("model.slots", True, "a whole number"),
+        ("model.slots", 4.0, "a whole number"),
+        ("model.slots", None, "a whole number"),
+        ("model.spacing", "0.01", "a number"),
+        ("model.spacing", True, "a number"),
+        ("model.spacing", [0.01], "a number"),
+        ("model.workspace_center", [0, 1], "2 values, expected 3"),
+        ("model.workspace_center", [0, 1, "2"], "a number"),
+        ("model.workspace_center", 3, "expected"),
+        ("model.backbone.widths", [8, 8.5], "a whole number"),
+        ("model.backbone.widths", {"0": 8}, "expected"),
+        ("model.pose", 3, "a group of values"),
+        ("model.pose", [], "a group of values"),
+        ("loss.attention", ["l2"], "one of mixture, l2"),
+        ("loss.attention", 10_000 * "l2\n", "one of mixture, l2"),
+    ],
+)
+def test_values_of_another_kind_are_refused_in_one_short_line(name: str, value: object, expected: str):
+    plain = to_plain(Config())
+    *groups, last = name.split(".")
+    functools.reduce(dict.__getitem__, groups, plain)[last] = value
+    with pytest.raises(UsageError, match=re.escape(expected)) as caught:
+        from_plain(plain)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
 
 
 def test_values_that_nobody_knows_are_refused():
@@ -67,6 +127,10 @@ def test_the_last_of_two_changes_counts():
         (f"loss.air=1{400 * '0'}", "a whole number of 1329 bits"),
         (f"loss.air={5000 * '1'}", "expected a number"),
         ("loss.air=thin", "expected a number"),
+        ("loss.air=NaN", "expected a number"),
+        ("loss.air=Infinity", "expected a number"),
+        ("loss.air=1e999", "expected a number"),
+        ("model.workspace_center=[NaN,0,0]", "expected"),
         ("model.pose.conditioning=near", "expected one of world, none, location, full"),
         ("train.steps=some", "expected a whole number or none"),
         ("model.workspace_center=1,2", "2 values, expected 3"),

@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from datagen import schema, storage
-from datagen.errors import UsageError
+from datagen.errors import CorruptFile, UsageError
 from obpose.data import SceneDataset
 from tests.fabricated import write_dataset
 
@@ -123,6 +124,16 @@ def test_loader_workers_give_what_one_process_gives(video: Path, start: str):
         ({"extra": ["segmentaton"]}, "did you mean 'segmentation'"),
         ({"extra": ["sensor_depth"]}, "Unknown field 'sensor_depth'"),
         ({"extra": ["objects/category"]}, "Unknown field 'objects/category'"),
+        ({"extra": "segmentation"}, r"is a text; expected a list of names, such as \['segmentation'\]"),
+        ({"extra": ["segmentation", "poses"]}, "Unknown field 'poses'"),
+        ({"frames": -1}, "choose 1 to 6"),
+        ({"frames": True}, "choose 1 to 6"),
+        ({"frames": 10**12}, "choose 1 to 6"),
+        ({"views": -1}, "choose among them"),
+        ({"views": 0}, "choose among them"),
+        ({"views": [-1]}, "choose among them"),
+        ({"views": [False]}, "choose among them"),
+        ({"seed": -1}, "seed=-1: expected a whole number of 0 or more"),
     ],
 )
 def test_impossible_requests_are_refused(video: Path, arguments: dict[str, object], message: str):
@@ -133,6 +144,33 @@ def test_impossible_requests_are_refused(video: Path, arguments: dict[str, objec
 def test_a_folder_without_a_dataset_is_refused(tmp_path: Path):
     with pytest.raises(UsageError, match="holds no dataset"):
         SceneDataset(tmp_path)
+
+
+@pytest.mark.parametrize(("start", "frames"), [(-1, 2), (5, 2), (0, 0), (0, 7), (6, 1), (2, -1)])
+def test_windows_outside_a_clip_are_refused(video: Path, start: int, frames: int):
+    with pytest.raises(UsageError, match=f"from frame {start} on is not inside a clip of 6 frames"):
+        SceneDataset(video).window(0, start, frames)
+
+
+@pytest.mark.parametrize("index", [-1, 4])
+def test_windows_of_no_scene_are_refused(video: Path, index: int):
+    with pytest.raises(IndexError, match=f"Scene {index} of a split with 4 scenes"):
+        SceneDataset(video).window(index, 0, 1)
+
+
+def test_a_negative_epoch_is_refused(video: Path):
+    with pytest.raises(UsageError, match="epoch=-1: expected a whole number of 0 or more"):
+        SceneDataset(video, window="random", frames=2).set_epoch(-1)
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_damage_keeps_its_kind_through_loader_workers(video: Path, tmp_path: Path, workers: int):
+    folder = tmp_path / "damaged"
+    shutil.copytree(video, folder)
+    (folder / "train-00000.h5").write_bytes(b"other")
+    loader = DataLoader(SceneDataset(folder), num_workers=workers, multiprocessing_context="spawn" if workers else None)
+    with pytest.raises(CorruptFile, match=r"train-00000\.h5"):
+        next(iter(loader))
 
 
 def test_an_item_beyond_the_end_is_refused(video: Path):

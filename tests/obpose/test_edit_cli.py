@@ -103,7 +103,10 @@ def test_objects_of_frames_outside_the_workspace_are_refused(frames: list[str], 
     flags = in_another_world(frames, tmp_path, axis=0, by=-0.8)
     assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_USAGE
     told = capsys.readouterr()
-    assert "of it outside the 1.01 m there: move the world's origin" in told.out
+    assert (
+        "of it outside the 1.01 m around (-0.12, 0.00, 0.07) that the model was trained on: move the world's origin"
+        in told.out
+    )
     assert "would be outside the workspace" in told.err
     assert told.err.count("\n") == 1
     assert not (tmp_path / "own").exists()
@@ -112,7 +115,7 @@ def test_objects_of_frames_outside_the_workspace_are_refused(frames: list[str], 
 def test_a_table_that_is_not_at_zero_is_pointed_out(frames: list[str], tmp_path: Path, capsys):
     flags = in_another_world(frames, tmp_path, axis=2, by=-0.4)
     assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
-    assert "the largest plane in view lies at z = -0.40 m: move the world's origin onto" in capsys.readouterr().out
+    assert "the table in view lies at z = -0.40 m: move the world's origin onto" in capsys.readouterr().out
 
 
 def test_a_scene_is_of_a_dataset_or_of_frames(tiny_dataset: Path, frames: list[str], tmp_path: Path, capsys):
@@ -385,6 +388,78 @@ def test_bad_input_is_one_line_and_nothing_is_written(
     assert {path: path.read_bytes() for path in inferred.iterdir()} == before
 
 
+FRAMES = ["--rgb", "nowhere", "--depth", "nowhere", "--intrinsics", "60,60,32,32"]
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["infer", "--checkpoint", MODEL], "either --data DIR, or --rgb, --depth and --intrinsics"),
+        (["infer", "--checkpoint", MODEL, *FRAMES[:4]], "--intrinsics is missing"),
+        (["infer", "--checkpoint", MODEL, *FRAMES[:4], "--intrinsics", "1"], "--intrinsics 1: expected fx,fy,cx,cy"),
+        (["infer", "--checkpoint", MODEL, *FRAMES], "--rgb nowhere does not exist"),
+        (["infer", "--checkpoint", MODEL, *FRAMES, "--every", "0"], "--every 0: expected 1"),
+        (["infer", "--checkpoint", MODEL, "--data", "nowhere"], "nowhere"),
+        (["infer", "--checkpoint", "nowhere", "--data", "d"], "--checkpoint nowhere: no such folder"),
+        (["infer", "--checkpoint", MODEL, "--data", "DATA", "--scene", "9"], "--scene 9: expected"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--objects", "-1"], "--objects -1: expected 0 to"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "found"], "--prior found needs --data"),
+        (["sample", "--checkpoint", MODEL, "--camera", "nowhere"], "nowhere holds no scene"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow"], "obpose-edit learn"),
+        (["render", "SCENE", "--frame", "10"], "--frame 10: expected 0 to 9"),
+        (["render", "SCENE", "--resolution", "9"], "expected WIDTHxHEIGHT"),
+        (["render", "nowhere"], "nowhere holds no scene"),
+        (["mesh", "SCENE", "--object", "9"], "no object 9"),
+        (["mesh", "SCENE", "--object", "FIRST", "--cells", "1"], "--cells 1: expected 2 to 256"),
+        (["remove", "SCENE", "--object", "9"], "no object 9"),
+        (["move", "SCENE", "--object", "FIRST"], "Give either --by or --to"),
+        (["move", "SCENE", "--object", "FIRST", "--by", "0.8,0,0"], "would be outside the workspace"),
+        (["rotate", "SCENE", "--object", "FIRST", "--degrees", "nan"], "--degrees nan: expected a finite number"),
+        (["swap", "SCENE", "--objects", "FIRST", "9"], "no object 9"),
+        (["add", "SCENE", "--object", "FIRST"], "give --by or --to"),
+        (["remove", "SCENE", "--object", "FIRST", "--resolution", "9"], "expected WIDTHxHEIGHT"),
+    ],
+)
+def test_wrong_arguments_are_named_before_the_output_that_is_there(
+    inferred: Path, tiny_dataset: Path, tmp_path: Path, capsys, command: list[str], message: str
+):
+    ending = {"render": "/picture.png", "mesh": "/object.glb"}.get(command[0], "")
+    (tmp_path / "full").mkdir()
+    for name in ("picture.png", "object.glb"):
+        (tmp_path / "full" / name).write_text("mine")
+    places = {"SCENE": inferred, "FIRST": load_scene(inferred).ids[0], "DATA": tiny_dataset}
+    for name, place in places.items():
+        command = [part.replace(name, str(place)) for part in command]
+    assert main([*command, "--out", f"{tmp_path / 'full'}{ending}"]) == EXIT_USAGE
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert "is there already" not in errors
+
+
+@pytest.mark.parametrize(
+    ("command", "slow"),
+    [
+        (["infer", "--checkpoint", MODEL, "--data", "DATA"], "infer_scene"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "found", "--data", "DATA"], "find_objects"),
+        (["mesh", "SCENE", "--object", "FIRST"], "object_mesh"),
+        (["render", "SCENE"], "Renderer"),
+        (["remove", "SCENE", "--object", "FIRST"], "Renderer"),
+    ],
+)
+def test_an_output_that_is_there_is_named_before_anything_slow(
+    inferred: Path, tiny_dataset: Path, tmp_path: Path, capsys, monkeypatch, command: list[str], slow: str
+):
+    monkeypatch.setattr(edit_cli, slow, lambda *_, **__: pytest.fail(f"{slow} was called"))
+    for name in ("picture.png", "object.glb"):
+        (tmp_path / name).write_text("mine")
+    places = {"SCENE": inferred, "FIRST": load_scene(inferred).ids[0], "DATA": tiny_dataset}
+    for name, place in places.items():
+        command = [part.replace(name, str(place)) for part in command]
+    out = tmp_path / {"render": "picture.png", "mesh": "object.glb"}.get(command[0], ".")
+    assert main([*command, "--out", str(out)]) == EXIT_USAGE
+    assert "is there already" in capsys.readouterr().err
+
+
 def test_a_scene_that_the_split_has_not_is_named(tiny_dataset: Path, tmp_path: Path, capsys):
     flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--split", "val", "--out", tmp_path / "new"]
     assert run("infer", *flags, "--scene", 2) == EXIT_USAGE
@@ -395,4 +470,4 @@ def test_a_damaged_scene_is_named(inferred: Path, tmp_path: Path, capsys):
     (tmp_path / "scene.json").write_bytes((inferred / "scene.json").read_bytes())
     (tmp_path / "scene.safetensors").write_bytes(b"something else")
     assert run("render", tmp_path, "--out", tmp_path / "a.png") != EXIT_OK
-    assert "is damaged; make it again" in capsys.readouterr().err
+    assert "scene.safetensors is damaged" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from obpose.errors import Busy, DatagenError, UsageError
-from obpose.files import claimed, new_file, new_folder, remove_abandoned, write_whole
+from obpose.files import check_free, claimed, new_file, new_folder, remove_abandoned, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path):
@@ -38,6 +38,18 @@ def test_a_file_is_no_folder(tmp_path: Path):
     with pytest.raises(UsageError, match="notes is a file"), claimed(tmp_path / "notes"):
         raise AssertionError
     assert (tmp_path / "notes").read_text() == "mine"
+
+
+def test_the_folder_of_a_dataset_takes_no_results(tmp_path: Path):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "dataset.json").write_text("{")
+    with pytest.raises(UsageError, match="set holds a dataset; give another --out"), claimed(tmp_path / "set"):
+        raise AssertionError
+    with pytest.raises(UsageError, match="set holds a dataset; give another --out"):
+        check_free(tmp_path / "set")
+    assert [path.name for path in (tmp_path / "set").iterdir()] == ["dataset.json"]
+    with claimed(tmp_path / "set" / "run"):
+        pass
 
 
 def test_what_killed_processes_left_is_removed(tmp_path: Path):

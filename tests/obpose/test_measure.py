@@ -70,10 +70,14 @@ def test_measures_are_changes_of_a_configuration():
     assert config.model.workspace_size == measures.workspace_size
 
 
-@pytest.mark.parametrize("source", [Wall(holes=1.0), Wall(clips=0)])
-def test_clips_that_show_nothing_are_refused(source: Wall):
+def test_clips_that_show_nothing_are_refused():
     with pytest.raises(UsageError, match="show nothing"):
-        measure_scene(source)
+        measure_scene(Wall(holes=1.0))
+
+
+def test_no_clips_are_not_said_to_show_nothing():
+    with pytest.raises(UsageError, match="There are no training clips; expected a training split"):
+        measure_scene(Wall(clips=0))
 
 
 def test_poses_that_are_no_numbers_are_refused():

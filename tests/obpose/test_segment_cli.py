@@ -103,6 +103,9 @@ def test_a_finer_one_is_told_which_pixels_to_take(scene: Path, tmp_path: Path):
     assert "--every 3 comes near" in str(facts_of(tmp_path / "fine")["resolution"])
     assert run(scene, tmp_path / "coarse", *command, "--every", 3, **changes) == EXIT_OK
     assert "was not trained" not in str(facts_of(tmp_path / "coarse")["resolution"])
+    for every in (2, 6):
+        assert run(scene, tmp_path / f"{every}", *command, "--every", every, **changes) == EXIT_OK
+        assert "--every 3 comes near" in str(facts_of(tmp_path / f"{every}")["resolution"])
 
 
 def test_depth_of_another_unit_is_suspected(scene: Path, tmp_path: Path):
@@ -117,7 +120,7 @@ def test_a_world_elsewhere_is_pointed_out(scene: Path, tmp_path: Path):
     pose[0, 3] += 5
     np.savetxt(tmp_path / "pose.txt", pose)
     assert run(scene, tmp_path / "out", "--camera-pose", tmp_path / "pose.txt") == EXIT_OK
-    assert "lies 5.00 m from" in str(facts_of(tmp_path / "out")["world"])
+    assert "the middle of the table in view lies at (5.0" in str(facts_of(tmp_path / "out")["world"])
 
 
 def test_weights_that_ship_go_by_their_name(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -140,6 +143,7 @@ def test_weights_that_ship_go_by_their_name(scene: Path, tmp_path: Path, monkeyp
         ({}, ("--depth-scale", "inf"), EXIT_USAGE, "--depth-scale is inf"),
         ({}, ("--depth-scale", 1), EXIT_USAGE, "median depth is"),
         ({}, ("--every", 100), EXIT_USAGE, "--every 100"),
+        ({}, ("--every", 0), EXIT_USAGE, "--every 0"),
         ({}, ("--camera-pose", "nowhere.txt"), EXIT_USAGE, "nowhere.txt does not exist"),
     ],
 )
@@ -164,9 +168,33 @@ def test_a_first_frame_without_depth_is_refused(scene: Path, tmp_path: Path, cap
     )
 
 
+def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path: Path):
+    def place(name: str, value: int) -> np.ndarray:
+        (tmp_path / name).mkdir()
+        for path in (scene / "depth").iterdir():
+            depth = np.array(Image.open(path))
+            depth[:3] = value
+            Image.fromarray(depth).save(tmp_path / name / path.name)
+        assert run(scene, tmp_path / f"{name}_out", depth=tmp_path / name) == EXIT_OK
+        return np.array(facts_of(tmp_path / f"{name}_out")["world_from_camera"])
+
+    without = place("without", 0)
+    np.testing.assert_array_equal(place("saturated", 65535), without)
+    np.testing.assert_allclose(place("wall", 6000), without, atol=0.02)
+
+
 def test_what_is_in_the_folder_already_is_left_alone(scene: Path, tmp_path: Path, capsys):
     (tmp_path / "objects.json").write_text("mine")
     assert run(scene, tmp_path) == EXIT_USAGE
     assert "is there already and not empty; give another --out" in capsys.readouterr().err
+    for flags, message in (
+        (("--every", 0), "--every 0"),
+        (("--intrinsics", "1,2,3"), "expected fx,fy,cx,cy"),
+        (("--camera-pose", "nowhere.txt"), "nowhere.txt does not exist"),
+        (("--rgb", "nowhere"), "--rgb nowhere does not exist"),
+        (("--checkpoint", "nowhere"), "--checkpoint nowhere: no such folder"),
+    ):
+        assert run(scene, tmp_path, *flags) == EXIT_USAGE
+        assert message in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["objects.json"]
     assert (tmp_path / "objects.json").read_text() == "mine"

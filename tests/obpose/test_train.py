@@ -109,9 +109,29 @@ def test_a_run_that_is_done_does_nothing_more(tmp_path: Path):
 
 
 def test_a_checkpoint_that_does_not_say_how_far_it_came_is_damaged(tmp_path: Path):
-    trained = run(tmp_path)
-    save_training(tmp_path, TrainingState(trained.model.state_dict(), {}, {"processes": 1, "step": 3}))
-    with pytest.raises(CorruptFile, match="does not say how far it came"):
+    weights, whole = run(tmp_path).model.state_dict(), {"processes": 1, "step": 3, "seconds": 1.0, "curve": []}
+    point = {"step": 1, "seconds": 0.5, "losses": {"total": 1.0}, "ari_fg": None}
+    for change in (
+        {"seconds": None},
+        {"step": True},
+        {"step": -1},
+        {"step": "3"},
+        {"processes": 0},
+        {"seconds": -1.0},
+        {"curve": None},
+        {"curve": [3]},
+        {"curve": [{"step": 1}]},
+        {"curve": [{**point, "more": 1}]},
+        {"curve": [{**point, "losses": {"total": "1"}}]},
+        {"curve": [{**point, "losses": {}}]},
+        {"curve": [{**point, "losses": [1]}]},
+        {"curve": [{**point, "ari_fg": "high"}]},
+    ):
+        save_training(tmp_path, TrainingState(weights, {}, {**whole, **change}))
+        with pytest.raises(CorruptFile, match="does not say how far it came"):
+            run(tmp_path)
+    save_training(tmp_path, TrainingState(weights, {}, {**whole, "curve": [point]}))
+    with pytest.raises(CorruptFile, match="lacks the state of the optimiser"):
         run(tmp_path)
 
 

@@ -78,7 +78,9 @@
     fill(find(".apart", panel()), gallery.pairs[`${Math.min(a, b)},${Math.max(a, b)}`], reason);
   };
 
-  const signed = (value) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(3)}`;
+  const signed = (value, digits) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
+  // What differs from 0 must not be printed as 0.
+  const digitsFor = (values) => [3, 4, 5].find((digits) => values.every((v) => !v || Number(v.toFixed(digits)))) || 6;
 
   const compare = () => {
     const [a, b] = [controls.a.value, controls.b.value];
@@ -88,8 +90,11 @@
     const [mean, low, high, wins, resolvable, scenes] = found;
     const [from, to] = sign > 0 ? [low, high] : [-high, -low];
     const share = sign > 0 ? wins : 1 - wins;
-    const better = from > 0 || to < 0 ? "" : " The interval holds 0.";
-    return `${models[a]} minus ${models[b]}, MSC-FG: ${signed(sign * mean)} [${signed(from)}, ${signed(to)}], paired ` +
+    const holdsZero = from <= 0 && to >= 0;
+    const digits = holdsZero ? 3 : digitsFor([mean, from, to]);
+    const better = holdsZero ? " The interval holds 0." : "";
+    const [shown, start, end] = [sign * mean, from, to].map((value) => signed(value, digits));
+    return `${models[a]} minus ${models[b]}, MSC-FG: ${shown} [${start}, ${end}], paired ` +
       `over ${scenes} scenes, of which it wins ${Math.round(100 * share)}%.${better} Differences under ` +
       `${resolvable.toFixed(3)} would hardly show on so many scenes.`;
   };

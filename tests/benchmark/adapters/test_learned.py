@@ -136,6 +136,12 @@ def test_a_model_that_learns_from_labels_gets_them_and_shows_no_masks_beside():
     assert model.segment(seen).extra == {}
 
 
+def test_a_dataset_without_training_scenes_is_named():
+    model = find_model("obpose-loc").build({"slots": 4, "steps": 2})
+    with pytest.raises(UsageError, match="no training scenes; expected some to learn from"):
+        model.fit([], clips(1), seed=0, budget=60.0)
+
+
 def test_the_seed_decides(model: LearnedSegmenter):
     mine = model._model.state_dict()
     others = [fitted({}, clips(2), seed=seed)._model.state_dict() for seed in (0, 1)]

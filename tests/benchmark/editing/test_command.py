@@ -34,10 +34,10 @@ def fitting(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         (("--task", "editing", "--model", "obpose"), "add --pretrained"),
         ((*MODEL[:4], "plane-dbscan", *MODEL[4:]), "'plane-dbscan' infers no scenes"),
-        ((*MODEL, "--scenes", 0), "--scenes 0: expected 1 or more"),
+        ((*MODEL, "--scenes", 0), "--scenes is 0; expected 1 to 1000000"),
         (("--model", "obpose", "--pretrained", "--scenes", 3), "--scenes is for --task editing"),
         (("--model", "obpose", "--pretrained", "--refine", 3), "--refine is for --task editing"),
-        ((*MODEL, "--refine", -1), "--refine -1: expected 0 or more"),
+        ((*MODEL, "--refine", -1), "--refine is -1; expected 0 to 100000"),
         (("--task", "editing", "--model", "supervised", "--pretrained"), "No weights of 'supervised'"),
         (("--task", "editing", "--predictions", "maps", "--track", "moving"), "label maps cannot be edited"),
         (("--task", "drawing", "--model", "obpose"), "drawing"),
@@ -72,7 +72,7 @@ def test_the_bar_counts_each_scene_once(fitting: Path, tmp_path: Path, monkeypat
 def test_refined_scenes_have_rows_of_their_own(fitting: Path, tmp_path: Path, capsys):
     assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path) == EXIT_OK
     assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path, "--refine", 3) == EXIT_OK
-    assert "scenes, obpose-pretrained-refined: 1 scenes" in capsys.readouterr().err
+    assert "scenes, obpose-pretrained-refined: 1 scene" in capsys.readouterr().err
     lines = {line["model"]: line for line in load_all(tmp_path) if line["answer"] == "edit"}
     assert set(lines) == {"obpose-pretrained", "obpose-pretrained-refined"}
     assert len({line["psnr_outside"] for line in lines.values()}) == 2
@@ -84,12 +84,12 @@ def test_a_run_leaves_lines_and_tables_and_goes_on(fitting: Path, tmp_path: Path
     out = tmp_path / "out"
     assert run_cli(*MODEL, "--data", fitting, "--out", out) == EXIT_OK
     shown = capsys.readouterr()
-    assert "scenes, obpose-pretrained: 1 scenes" in shown.err
+    assert "scenes, obpose-pretrained: 1 scene" in shown.err
     assert "no-edit" in shown.out
     before = {path.name: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert {"editing.csv", "editing.md"} < set(before)
     assert run_cli(*MODEL, "--data", fitting, "--out", out) == EXIT_OK
-    assert "obpose-pretrained: 1 scenes" not in capsys.readouterr().err
+    assert "obpose-pretrained: 1 scene" not in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (out / "leaderboard.csv").exists()
     given = ("--task", "editing", "--checkpoint", "obpose--moving--64x64", "--name", "mine")

@@ -4,9 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.editing.job import REFERENCES, EditJob
-from benchmark.editing.lines import load_lines, save_lines
+from benchmark.editing.job import EditJob
+from benchmark.editing.lines import line_without_edit, load_lines, save_lines
 from benchmark.editing.truth import EditedScene, read_edits
+from benchmark.names import REFERENCES
+from datagen.errors import UsageError
 from datagen.schema import EditKind
 from datagen.storage import Split
 from tests.benchmark.editing import oracle
@@ -14,6 +16,15 @@ from tests.benchmark.editing import oracle
 
 def some_job(edits: Path, out: Path, scenes: int = oracle.SCENES) -> EditJob:
     return EditJob("moving", REFERENCES, edits, None, 0, scenes, "0123456789", out)
+
+
+def test_lines_of_another_model_are_not_taken_for_its_own(edits: Path, tmp_path: Path):
+    """Names of tracks and models may hold what joins them in the name of the file."""
+    job = replace(some_job(edits, tmp_path), track="a--b", model="c")
+    save_lines(job.path, [line_without_edit("a", "b--c", 0)])
+    assert replace(job, track="a", model="b--c").missing() == [1]
+    with pytest.raises(UsageError, match="has lines of b--c on a, expected c on a--b"):
+        job.missing()
 
 
 def test_a_job_scores_every_scene_edit_and_answer(edits: Path, tmp_path: Path):

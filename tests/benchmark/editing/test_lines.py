@@ -58,8 +58,21 @@ def test_lines_of_too_few_or_too_many_columns_are_damage(tmp_path: Path):
     path = tmp_path / "one.csv"
     for row in ("moving,model,0,remove", ",".join("0" * (len(COLUMNS) + 1))):
         path.write_text(",".join(COLUMNS) + f"\n{row}\n")
-        with pytest.raises(CorruptFile, match=r"line 2 has not 15 columns\); delete it"):
+        with pytest.raises(CorruptFile, match=r"line 2 has \d+ cells; expected 15\); delete it"):
             load_lines(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("remove", "destroy"), (",no,", ",perhaps,"), ("0.500000", "inf"), ("0.500000", "x"), ("model,0,", "model,-1,")],
+)
+def test_values_that_no_job_writes_are_damage(edits: Path, tmp_path: Path, old: str, new: str):
+    path = tmp_path / "one.csv"
+    save_lines(path, some_lines(edits))
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(CorruptFile, match=r"one\.csv is damaged"):
+        load_lines(path)
 
 
 def test_a_scene_without_an_edit_has_a_line_that_tables_leave_out(tmp_path: Path):

@@ -40,7 +40,7 @@ def test_tables_are_in_the_order_of_the_edits(tmp_path: Path):
     assert float(rows[0]["ari_fg_mean"]) == pytest.approx(0.5)
     text = (tmp_path / "editing.md").read_text()
     assert text.count("| model, edit | 0.5 (0.5 to 0.5) |") == 3
-    assert "## moving: remove, 1 scenes" in text
+    assert "## moving: remove, 1 scene" in text
 
 
 def test_every_metric_has_a_heading():

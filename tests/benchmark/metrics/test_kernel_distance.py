@@ -26,6 +26,12 @@ def test_others_are_and_the_farther_the_more():
     assert 0.01 < near.squared < far.squared
 
 
+@pytest.mark.parametrize(("one", "other"), [(1, 5), (5, 1), (0, 5)])
+def test_samples_of_fewer_than_two_have_no_distance(one: int, other: int):
+    with pytest.raises(ValueError, match=f"have {one} and {other} members; expected two or more"):
+        distance(normal(0, one), normal(1, other))
+
+
 def test_units_make_no_difference():
     scale = np.array([1000.0, 1.0, 1e-3])
     one, other = normal(0), normal(1, mean=0.5)

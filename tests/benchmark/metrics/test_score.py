@@ -72,13 +72,17 @@ def test_overlaps_agree_with_their_definition(truth: np.ndarray, prediction: np.
             ious = np.array(background) / unions
             assert frames["miou_bg"][i] == pytest.approx(ious[0])
             assert frames["miou_bg_oracle"][i] == pytest.approx(ious.max())
+        else:
+            assert np.isnan([frames["miou_bg"][i], frames["miou_bg_oracle"][i]]).all()
 
 
 @given(truths, predictions, st.permutations(range(6)), st.integers(0, 5))
 def test_names_of_slots_do_not_matter(truth: np.ndarray, prediction: np.ndarray, names: list[int], slot: int):
     """But where two slots suit the background equally well, the oracle takes the first."""
     renamed, new_slot = np.array(names)[prediction], names[slot]
-    unique = np.array([n_best_for_background(t, p) == 1 for t, p in zip(truth, prediction, strict=True)])
+    unique = np.array(
+        [n_best_for_background(t, p) == 1 or not np.any(t == 0) for t, p in zip(truth, prediction, strict=True)]
+    )
     one, two = metrics_of(truth, prediction, slot), metrics_of(truth, renamed, new_slot)
     free = np.arange(len(METRICS)) != METRICS.index("msc_fg_oracle_bg")
     np.testing.assert_allclose(one[free], two[free], rtol=1e-12)
@@ -116,8 +120,8 @@ def test_the_oracle_leaves_out_the_slot_that_suits_the_background(truth: np.ndar
     found = frame_scores(truth, prediction)["msc_fg_oracle_bg"]
     for i, (t, p) in enumerate(zip(truth, prediction, strict=True)):
         slots = sorted(set(p.ravel().tolist()))
-        oracle = max(slots, key=lambda slot: overlap(t == 0, p == slot))
-        assert found[i] == pytest.approx(slow_covering(t, p, set(slots) - {oracle}), nan_ok=True)
+        oracle = {max(slots, key=lambda slot: overlap(t == 0, p == slot))} if np.any(t == 0) else set()
+        assert found[i] == pytest.approx(slow_covering(t, p, set(slots) - oracle), nan_ok=True)
 
 
 @given(truths, predictions)
@@ -174,9 +178,28 @@ def test_places_of_pixels_do_not_matter(truth: np.ndarray, prediction: np.ndarra
 @given(truths)
 def test_the_truth_itself_scores_one(truth: np.ndarray):
     values = metrics_of(truth, truth)
-    oracle = np.array([name in ("miou_bg_oracle", "msc_fg_oracle_bg") for name in METRICS])
-    without_background = ~np.any(truth == 0, axis=(1, 2))
-    assert np.all((values == 1) | np.isnan(values) | (oracle[:, None] & without_background))
+    assert np.all((values == 1) | np.isnan(values))
+
+
+def test_an_object_that_fills_a_frame_leaves_the_oracle_no_background():
+    """The first frame is half background; in the second one slot covers an object and another its rest."""
+    truth = np.ones((2, 2, 4), int)
+    truth[0, 0] = 0
+    prediction = truth.copy()
+    prediction[1, :, 0] = 2
+    frames = frame_scores(truth, prediction)
+    assert frames["miou_bg_oracle"][0] == 1
+    assert np.isnan(frames["miou_bg_oracle"][1])
+    np.testing.assert_array_equal(frames["msc_fg_oracle_bg"], [1, 0.75])
+    scores = score(truth, prediction)
+    assert (scores["miou_bg_oracle"], scores["msc_fg_oracle_bg"]) == (1, 0.875)
+    ignored = frame_scores(truth, prediction, ignore=np.ones(truth.shape, bool))
+    assert np.isnan([ignored[name] for name in METRICS]).all()
+
+
+def test_a_negative_background_slot_is_refused():
+    with pytest.raises(ValueError, match="background slot is -1; expected 0 or more"):
+        score(np.zeros((1, 2, 2), int), np.zeros((1, 2, 2), int), -1)
 
 
 @given(truths, predictions, hnp.arrays(bool, SHAPE), st.integers(0, 3), st.integers(0, 5))

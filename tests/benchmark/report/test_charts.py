@@ -1,6 +1,7 @@
 """Coordinates stay inside the drawing, in the order of the values."""
 
 import math
+import re
 
 import pytest
 
@@ -39,6 +40,30 @@ def test_costs_are_on_a_logarithmic_axis() -> None:
     gaps = [a.x - b.x for a, b in zip(chart.dots, chart.dots[1:], strict=False)]
     assert gaps == pytest.approx([gaps[0]] * 3, abs=0.2)
     assert [tick.text for tick in chart.x_ticks] == ["1 ms", "10 ms", "0.1 s", "1 s"]
+
+
+def test_numbers_have_no_exponents() -> None:
+    chart = history_chart("loss", "steps", [(0, [0.0, 13740.0, 200000.0], [1e7, 1234567.0, 0.00002])])
+    texts = [tick.text for tick in (*chart.x_ticks, *chart.y_ticks)]
+    texts += [words for curve in chart.curves for *_, words in curve.points]
+    assert "200000" in texts
+    assert any(text.endswith("at step 13740") for text in texts)
+    assert not [text for text in texts if re.search(r"\de[+-]?\d", text)]
+
+
+def test_costs_of_any_size_have_names() -> None:
+    chart = scatter([(i, "classical", 10.0**power, 0.5, "m: words") for i, power in enumerate((-8, 3))])
+    texts = [tick.text for tick in chart.x_ticks]
+    assert texts[:3] == ["0.01 µs", "0.1 µs", "1 µs"]
+    assert texts[-4:] == ["1 s", "10 s", "100 s", "1000 s"]
+
+
+def test_one_observation_is_singular() -> None:
+    chart = class_chart("t", "a", ["x", "y"], [1, 2], {0: [0.5, 0.5]})
+    assert [words.partition(" at ")[2] for *_, words in chart.curves[0].points] == [
+        "x, 1 observation",
+        "y, 2 observations",
+    ]
 
 
 def test_names_that_would_cover_one_another_are_held_back() -> None:

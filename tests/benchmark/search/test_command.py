@@ -47,7 +47,7 @@ def test_the_least_validation_loss_is_chosen_and_only_what_is_missing_is_made(da
     assert run_cli(*command) == EXIT_INCOMPLETE
     shown = capsys.readouterr()
     assert "This takes about" in shown.err
-    assert "data, searched, trial 1: 1 steps in 0.5 s, validation loss 3.0000" in shown.err
+    assert "data, searched, trial 1: 1 step in 0.5 s, validation loss 3.0000" in shown.err
     assert "data, searched, trial 3: FAILED, TypeError" in shown.err
     assert "searched: worse=-1.0 (trial 2 of 4, by validation loss)." in shown.out
     with (tmp_path / "search.csv").open(newline="") as file:
@@ -117,3 +117,10 @@ def test_bad_requests_get_one_line(data: Path, tmp_path: Path, capsys, arguments
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1
     assert message in errors
+
+
+def test_a_table_without_its_trials_is_not_overwritten(data: Path, tmp_path: Path, capsys):
+    (tmp_path / "search.csv").write_text("system,trial\n")
+    assert run_cli("--model", "searched", "--data", data, "--out", tmp_path, "--minutes", 1) == EXIT_USAGE
+    assert "holds the table of a search without its trials" in capsys.readouterr().err
+    assert (tmp_path / "search.csv").read_text() == "system,trial\n"

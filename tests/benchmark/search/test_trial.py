@@ -73,6 +73,32 @@ def test_what_explains_the_images_decides_and_not_what_shapes_the_masks():
     assert observation_loss(point) == 7.0
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"name": "', '"name": "../../../'),
+        ('"trial": 0', '"trial": "0"'),
+        ('"trial": 0', '"trial": -1'),
+        ('"steps": 0', '"steps": NaN'),
+        ('"reason": "lost"', '"reason": null'),
+        ('"reason": "lost"', '"other": "lost"'),
+        ('"changes": {}', '"changes": []'),
+        ('"validation_loss": null', '"validation_loss": Infinity'),
+        ('"validation_loss": null', '"validation_loss": "x"'),
+    ],
+)
+def test_a_damaged_outcome_is_named(data: Path, tmp_path: Path, monkeypatch, old: str, new: str):
+    """Its name becomes that of a file which --retry deletes."""
+    (trial, _), _ = trials(data, tmp_path, CURVE, monkeypatch)
+    assert isinstance(trial, Trial)
+    save_outcome(tmp_path, Outcome.of(trial, reason="lost"))
+    (path,) = (tmp_path / "trials").iterdir()
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(CorruptFile, match=rf"{path.name} is damaged"):
+        load_outcomes(tmp_path)
+
+
 def test_failed_outcomes_are_read_as_they_were_written(data: Path, tmp_path: Path, monkeypatch):
     (trial, _), _ = trials(data, tmp_path, CURVE, monkeypatch)
     assert isinstance(trial, Trial)

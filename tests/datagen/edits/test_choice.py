@@ -7,9 +7,11 @@ from datagen.config import Layout, Recipe
 from datagen.edits.choice import choose_edit
 from datagen.edits.stage import Stage, stage_of
 from datagen.sampling.poses import Stance
+from datagen.scene import Camera
 from datagen.schema import EditKind
 from datagen.shapes import build
 from datagen.simulate import visible_pixels
+from datagen.visible_range import near_object
 from tests import staged
 
 
@@ -63,3 +65,14 @@ def test_what_never_comes_near_the_table_is_not_moved():
     flying = stage(staged.scene([(staged.SPHERE, (0.28, 0.0, 0.2))]))
     assert choose("move", scene=flying).row is None
     assert choose("remove", scene=flying).row == 0
+
+
+def test_nothing_is_moved_to_where_a_camera_would_cut_it():
+    low = Camera((0.0, 0.0, 0.1), (0.3, 0.0, 0.05), float(np.radians(60)))
+    near = stage(dataclasses.replace(staged.scene(), cameras=(low,)))
+    wide = dataclasses.replace(
+        staged.RECIPE, layout=Layout(center=(0.1, 0.0), half_extent=(0.2, 0.2), tries=200), least_visible_pixels=0
+    )
+    edits = [choose("move", seed, wide, near) for seed in range(12)]
+    assert all(near_object(low, edit.stage.shapes, edit.stage.world_from_object, 128, 128) is None for edit in edits)
+    assert any(edit.row is not None for edit in edits)

@@ -47,6 +47,14 @@ def test_a_full_table_is_given_up():
         layouts.scatter(items(3), ["rest"] * 3, small, MOTION, np.random.default_rng(0))
 
 
+@pytest.mark.parametrize(("kinds", "fitting"), [(["rest"] * 3, 1), (["rest", "drop", "rest", "throw"], 3)])
+def test_a_full_table_says_how_many_objects_had_a_place(kinds: list, fitting: int):
+    small = dataclasses.replace(LAYOUT, half_extent=(0.02, 0.02))
+    with pytest.raises(Rejected, match="crowded") as rejected:
+        layouts.scatter(items(len(kinds)), kinds, small, MOTION, np.random.default_rng(0))
+    assert rejected.value.fitting == fitting
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_group_has_every_object_touch_an_earlier_one_or_lie_on_it(seed: int):
     half = dataclasses.replace(LAYOUT, stack_share=0.5)

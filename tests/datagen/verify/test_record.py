@@ -1,15 +1,18 @@
 """What each check catches in a staged scene whose other arrays are made to fit, and that it is silent without cause."""
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from datagen import geometry, records, schema, shapes
-from datagen.config import Physics
-from datagen.scene import ShapeSpec, scene_from_json
+from datagen.config import Physics, Sensor
+from datagen.scene import Camera, Scene, ShapeSpec, scene_from_json
 from datagen.schema import SceneRecord
+from datagen.sensor import sense
 from datagen.verify import verify_record
+from datagen.verify.case import make_case
 from tests import staged
 
 FAMILIES = [
@@ -291,7 +294,7 @@ def test_nonsense_becomes_a_finding(video: SceneRecord):
 
 
 def test_the_camera_of_the_checks_is_the_project_s(video: SceneRecord):
-    from datagen.verify.case import make_case, rigid_poses
+    from datagen.verify.case import rigid_poses
 
     case = make_case(video)
     points = geometry.unproject(
@@ -305,3 +308,102 @@ def test_the_camera_of_the_checks_is_the_project_s(video: SceneRecord):
     quaternions = np.random.default_rng(0).normal(size=(5, 2, 4)).astype(np.float32)
     positions = np.zeros((5, 2, 3), np.float32)
     np.testing.assert_allclose(rigid_poses(positions, quaternions), geometry.rigid(positions, quaternions), atol=1e-12)
+
+
+def wide(field_of_view: float, views: int = 1) -> Scene:
+    """The staged scene from half a metre, seen at an angle in degrees."""
+    world = staged.scene(views=views, frames=1)
+    cameras = [
+        dataclasses.replace(
+            camera,
+            position=tuple(np.round(0.55 * np.array(camera.position) + (0.13, 0.0, 0.0), 6).tolist()),
+            field_of_view=float(np.radians(field_of_view)),
+        )
+        for camera in world.cameras
+    ]
+    return dataclasses.replace(world, cameras=tuple(cameras))
+
+
+WIDE = [(angle, size) for angle in (1, 100, 120, 150, 165) for size in ((64, 64), (40, 9))]
+WIDE += [(angle, (9, 40)) for angle in (1, 100, 120)]  # wider ones would show the table from too near
+
+
+@pytest.mark.parametrize(("field_of_view", "size"), WIDE)
+def test_no_angle_of_view_gives_findings(field_of_view: float, size: tuple[int, int]):
+    record = staged.record(wide(field_of_view, views=2), resolution=size)
+    assert verify_record(record, staged.GROUPS) == []
+
+
+@pytest.mark.parametrize("field_of_view", [100, 120, 150])
+@pytest.mark.parametrize(
+    ("tamper", "expected"),
+    [(lift_depth, "table"), (lift_depth_of_one_object, "surface"), (turn(1), "surface"), (swap_labels, "surface")],
+)
+def test_wide_views_are_still_checked(field_of_view: float, tamper: Callable[[SceneRecord], None], expected: str):
+    record = staged.record(wide(field_of_view), resolution=(96, 96))
+    tamper(record)
+    assert expected in checks(record)
+
+
+@pytest.mark.parametrize("size", [(8, 8), (12, 9), (16, 16), (31, 8)])
+@pytest.mark.parametrize("views", [3, 24])
+def test_small_images_of_many_views_give_no_finding(size: tuple[int, int], views: int):
+    record = staged.record(staged.scene(views=views, frames=1), resolution=size)
+    assert verify_record(record, staged.GROUPS) == []
+
+
+@pytest.mark.parametrize(("size", "views"), [((16, 16), 3), ((24, 24), 3), ((24, 24), 24), ((24, 24), 40)])
+def test_views_that_disagree_are_found_in_small_images_and_among_many(size: tuple[int, int], views: int):
+    record = staged.record(staged.scene(views=views, frames=1), resolution=size)
+    record["camera/world_from_camera"][1, 2, 3] += 0.01
+    assert "views" in checks(record)
+
+
+def sensed(record: SceneRecord, sensor: Sensor) -> SceneRecord:
+    """With the depth of a sensor."""
+    rng, depths, masks = np.random.default_rng(0), [], []
+    for depth, rgb in zip(record["depth"][:, 0], record["rgb"][:, 0], strict=True):
+        noisy, valid = sense(schema.decode_depth(depth), rgb, record["camera/K"][0], sensor, rng)
+        depths.append(schema.encode_depth(noisy))
+        masks.append(valid.astype(np.uint8))
+    return {**copy(record), "sensor_depth": np.stack(depths)[:, None], "sensor_valid": np.stack(masks)[:, None]}
+
+
+def noise_findings(record: SceneRecord, sensor: Sensor) -> list[str]:
+    return [str(finding) for finding in verify_record(record, (*staged.GROUPS, "sensor"), sensor=sensor)]
+
+
+@pytest.mark.parametrize(
+    ("axial_noise", "quantisation"), [(0.0, 0.0), (0.0019, 0.001), (0.02, 0.0), (0.1, 0.001), (0.0, 0.1), (0.1, 0.1)]
+)
+def test_every_noise_that_a_recipe_can_have_is_verified(video: SceneRecord, axial_noise: float, quantisation: float):
+    for edges, grazing, dark in [(0.5, 75.0, 0.05), (1.0, 0.0, 1.0), (0.0, 90.0, 0.0)]:
+        sensor = Sensor(True, axial_noise, edges, grazing, dark, quantisation)
+        assert noise_findings(sensed(video, sensor), sensor) == []
+
+
+@pytest.mark.parametrize("axial_noise", [0.0019, 0.02])
+def test_sensor_depth_that_the_noise_does_not_explain_is_found(video: SceneRecord, axial_noise: float):
+    sensor = Sensor(enabled=True, axial_noise=axial_noise)
+    clean = sensed(video, sensor)
+    valid = clean["sensor_valid"].astype(bool)
+    biased, one = copy(clean), copy(clean)
+    biased["sensor_depth"][valid] = np.rint(clean["sensor_depth"][valid] * 1.02)
+    assert any("the median of sensor_depth" in text for text in noise_findings(biased, sensor))
+    one["sensor_depth"][tuple(np.argwhere(valid)[0])] *= 2
+    assert ["1 pixels are up to" in text for text in noise_findings(one, sensor)] == [True]
+    exact = {**clean, "sensor_depth": np.where(valid, clean["depth"], 0).astype(np.uint16)}
+    assert noise_findings(exact, sensor) == [], "less noise is no contradiction"
+
+
+def test_objects_at_the_side_of_a_wide_view_are_verified_and_still_checked():
+    ball = ShapeSpec("sphere", {"radius": 0.1})
+    camera = Camera((0.0, 0.0, 0.25), (1.0, 0.0, 0.25), float(np.radians(165)), 200 / 60)
+    world = staged.scene([(ball, (0.12, 0.6, 0.1)), (ball, (0.1, -0.5, 0.1))], frames=1)
+    record = staged.record(dataclasses.replace(world, cameras=(camera,)), resolution=(200, 60))
+    case = make_case(record)
+    sideways = np.sqrt(np.sum(case.rays[0][record["segmentation"][0, 0] > 0] ** 2, axis=-1))
+    assert np.max(sideways) > 5
+    assert verify_record(record, staged.GROUPS) == []
+    record["depth"] += (10 * (record["segmentation"] == 1)).astype(np.uint16)
+    assert "surface" in checks(record)

@@ -53,18 +53,26 @@ def test_a_flow_is_of_the_weights_that_found_its_objects(origin: Origin):
 
 def test_damaged_flows_are_refused(origin: Origin):
     path = save_flow(origin, some_flow(latent=31))
-    with pytest.raises(CorruptFile, match="is damaged, or of another version"):
+    with pytest.raises(CorruptFile, match=r"is damaged .code is float16"):
         load_flow(origin)
     save_flow(origin, some_flow())
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(CorruptFile, match="is damaged, or of another version"):
+    with pytest.raises(CorruptFile, match=r"is damaged .*make it again with obpose-edit learn"):
         load_flow(origin)
     save_flow(origin, some_flow())
     values = load_file(path)
-    values["norm.weight"][3] = torch.inf
-    save_file(values, path, metadata={"weights": origin.hash})
-    with pytest.raises(CorruptFile, match="is damaged; make it again"):
-        load_flow(origin)
+    infinite = values["norm.weight"].clone()
+    infinite[3] = torch.inf
+    for change, message in (
+        ({"norm.weight": infinite}, "norm.weight holds NaN or infinity"),
+        ({"norm.weight": values["norm.weight"].float()}, "norm.weight is float32"),
+        ({"norm.weight": None}, "norm.weight is missing"),
+        ({"more": torch.zeros(1)}, "more is unknown"),
+    ):
+        changed = {name: value for name, value in {**values, **change}.items() if value is not None}
+        save_file(changed, path, metadata={"weights": origin.hash})
+        with pytest.raises(CorruptFile, match=f"is damaged .{message}.*; make it again"):
+            load_flow(origin)
 
 
 def test_it_needs_the_prior_of_all_else(origin: Origin):

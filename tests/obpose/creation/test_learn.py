@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 
 import assets
 from datagen.generate import generate
@@ -97,7 +97,7 @@ def test_what_is_missing_is_looked_for_and_no_more(data: Path, found: Path, tmp_
     said: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         learned(of, data, say=lambda line: (said.append(line), stop_at("Learning from")(line))[0])
-    assert "Looking for objects in 1 clips" in said[0]
+    assert "Looking for objects in 1 clip of" in said[0]
     assert len(lost.read_bytes()) == len(before)
 
 
@@ -124,15 +124,53 @@ def test_what_was_begun_otherwise_or_is_damaged_is_refused(data: Path, found: Pa
         learned(of, data, say=stop_at("step 2"))
     with pytest.raises(UsageError, match="there and here differ: steps 6 and 7"):
         learned(of, data, Lesson(clips=4, steps=7, seed=0))
-    (of.folder / PARTIAL / "state.pt").write_bytes(b"other")
-    with pytest.raises(CorruptFile, match=r"state\.pt is damaged .*; delete it"):
+    (of.folder / PARTIAL / "state.safetensors").write_bytes(b"other")
+    with pytest.raises(CorruptFile, match=r"state\.safetensors is damaged .*; delete it"):
         learned(of, data)
-    (of.folder / PARTIAL / "clip-00001.safetensors").write_bytes(b"other")
-    with pytest.raises(CorruptFile, match=r"clip-00001\.safetensors is damaged; delete it"):
+    clip = of.folder / PARTIAL / "clip-00001.safetensors"
+    tensors = {name: value.clone() for name, value in load_file(clip).items()}
+    clip.write_bytes(b"other")
+    with pytest.raises(CorruptFile, match=r"clip-00001\.safetensors is damaged .*; delete it"):
         learned(of, data)
+    for change, message in (
+        ({"values": tensors["values"].float()}, "values is float32"),
+        ({"half": tensors["half"][1:].clone()}, "values is float16 of shape"),
+        ({"half": -tensors["half"]}, "half has values below 0"),
+        ({"half": torch.tensor(1.0)}, "values is float16 of shape"),
+        ({"what": tensors["what"][:, 1:].clone()}, "what is float32 of shape"),
+        ({"what": None}, "what is missing"),
+        ({"more": torch.zeros(1)}, "more is unknown"),
+        ({"values": tensors["values"] * torch.nan}, "values holds NaN"),
+    ):
+        changed = {name: value for name, value in {**tensors, **change}.items() if value is not None}
+        save_file(changed, clip)
+        with pytest.raises(CorruptFile, match=rf"clip-00001\.safetensors is damaged .*{message}.*; delete it"):
+            learned(of, data)
     for name in ("learning.json", "looking.json"):
-        (of.folder / PARTIAL / name).write_text("[")
-        with pytest.raises(CorruptFile, match=rf"{name} is damaged; delete .*flow\.partial to begin anew"):
+        for text in ("[", "[]", "3", "{}", '{"clips": NaN}', "[" * 100_000):
+            (of.folder / PARTIAL / name).write_text(text)
+            with pytest.raises(CorruptFile, match=rf"{name} is damaged; delete .*flow\.partial to begin anew"):
+                learned(of, data)
+
+
+def test_a_state_that_is_not_the_flow_s_is_damaged(data: Path, found: Path, tmp_path: Path):
+    of = copied(tmp_path / "model", found)
+    with pytest.raises(KeyboardInterrupt):
+        learned(of, data, say=stop_at("step 4"))
+    path = of.folder / PARTIAL / "state.safetensors"
+    tensors = {name: value.clone() for name, value in load_file(path).items()}
+    for change, step, message in (
+        ({"flow.code": None}, "4", "code is missing"),
+        ({"flow.code": torch.zeros(31)}, "4", "code is float32 of shape"),
+        ({"elsewhere.code": torch.zeros(1)}, "4", "elsewhere"),
+        ({"optimiser.leave.bias.step": None}, "4", "leave.bias.step is missing"),
+        ({name: None for name in tensors if name.startswith("optimiser.")}, "4", "it is of step 4 of 6"),
+        ({}, "7", "it is of step 7 of 6"),
+        ({}, "x", "invalid literal"),
+    ):
+        changed = {name: value for name, value in {**tensors, **change}.items() if value is not None}
+        save_file(changed, path, metadata={"step": step})
+        with pytest.raises(CorruptFile, match=rf"state\.safetensors is damaged .*{message}.*; delete it"):
             learned(of, data)
 
 
@@ -147,7 +185,7 @@ def test_more_clips_can_be_asked_for_as_long_as_nothing_is_learned(
 ):
     of = copied(tmp_path / "model", found)
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 1000)
-    with pytest.raises(UsageError, match="in 3 clips; expected 1000, give more --clips"):
+    with pytest.raises(UsageError, match=r"in 3 clips; expected 1000\. Give more --clips"):
         learned(of, data, Lesson(clips=3, steps=6, seed=0))
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 6)
     with pytest.raises(KeyboardInterrupt):
@@ -173,6 +211,6 @@ def test_a_loss_that_is_no_number_ends_it(data: Path, found: Path, tmp_path: Pat
 def test_it_takes_some_objects(data: Path, found: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(learn, "_LEAST_OBJECTS", 1000)
     with pytest.raises(
-        UsageError, match=r"examples of objects were found, .* in 4 clips; expected 1000, give more --clips"
+        UsageError, match=r"Examples of objects found: .* in 4 clips; expected 1000\. Give more --clips"
     ):
         learned(copied(tmp_path / "model", found), data)

@@ -1,3 +1,4 @@
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def test_a_fitted_prior_has_the_moments_of_what_was_inferred():
 
 
 def test_it_needs_two_clips():
-    with pytest.raises(UsageError, match="in 1 clips; expected at least 2"):
+    with pytest.raises(UsageError, match="in 1 clip; expected at least 2"):
         fit_prior(some_model(), [table_scene(batch=1, frames=1)], some_tables())
 
 
@@ -117,15 +118,36 @@ def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
         {"spots": torch.zeros(2, SPOT, SPOT - 1, 3)},
         {"spots": torch.full((2, SPOT, SPOT, 3), torch.nan)},
         {"spots": torch.zeros(())},
+        {"spots": torch.zeros(2, SPOT, SPOT, 3)},
+        {"spots": None},
+        {"lights": None},
+        {"low": None},
+        {"what.means": None},
+        {"more": torch.zeros(1)},
+        {"low": torch.zeros(3)},
+        {"low": prior.high + 1},
+        {"low": prior.low.double()},
+        {"what.weights": torch.full((1,), 0.5)},
+        {"what.weights": -torch.ones(1)},
+        {"what.weights": torch.zeros(0)},
+        {"what.factors": 1e30 * prior.what.factors},
+        {"background.means": torch.zeros(1, 3)},
     ):
         save_prior(origin, prior)
         path = tmp_path / "prior.safetensors"
-        save_file(load_file(path) | tables, path, metadata={"weights": "hash"})
+        changed = {name: value for name, value in {**load_file(path), **tables}.items() if value is not None}
+        save_file(changed, path, metadata={"weights": "hash"})
         with pytest.raises(CorruptFile, match="is damaged"):
             load_prior(origin)
     (tmp_path / "prior.safetensors").write_bytes(b"other")
     with pytest.raises(CorruptFile, match="is damaged"):
         load_prior(origin)
+
+
+def test_a_pipe_in_the_place_of_a_prior_does_not_hang(tmp_path: Path):
+    os.mkfifo(tmp_path / "prior.safetensors")
+    with pytest.raises(UsageError, match="make one with obpose-edit fit first"):
+        load_prior(some_origin(tmp_path))
 
 
 def test_priors_of_older_versions_know_no_tables(tmp_path: Path):

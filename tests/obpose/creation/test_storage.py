@@ -1,4 +1,5 @@
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,6 +54,26 @@ def test_no_scene_and_later_ones_are_told(tmp_path: Path):
         {"clip": 3},
         {"clip": {"dataset": "abc", "split": "test", "index": -1}},
         {"clip": {"dataset": "abc", "split": "test", "index": "0"}},
+        {"clip": {"dataset": "abc", "split": "test", "index": True}},
+        {"clip": {"dataset": "abc", "split": "elsewhere", "index": 0}},
+        {"clip": {"dataset": 3, "split": "test", "index": 0}},
+        {"clip": {"dataset": "abc", "split": "test"}},
+        {"clip": {"dataset": "abc", "split": "test", "index": 0, "more": 1}},
+        {"clip": None},
+        {"objects": [1, 2, True]},
+        {"objects": {"1": 1, "2": 2, "3": 3}},
+        {"objects": list(range(1, 1002))},
+        {"images": [[True, 3]]},
+        {"images": [[16, 12, 3]]},
+        {"images": [[16, 12], [16, 12]]},
+        {"model": 3},
+        {"checkpoint": ""},
+        {"checkpoint": " "},
+        {"checkpoint": None},
+        {"version": True},
+        {"version": 1.0},
+        {"version": "1"},
+        {"more": 1},
     ],
 )
 def test_facts_that_do_not_fit_are_damage(tmp_path: Path, change: dict[str, object]):
@@ -60,6 +81,25 @@ def test_facts_that_do_not_fit_are_damage(tmp_path: Path, change: dict[str, obje
     facts = json.loads((tmp_path / "scene.json").read_text())
     (tmp_path / "scene.json").write_text(json.dumps({**facts, **change}))
     with pytest.raises(CorruptFile, match="is damaged"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["version", "model", "checkpoint", "objects", "images"])
+def test_facts_that_are_missing_are_damage(tmp_path: Path, name: str):
+    save_scene(tmp_path, some_scene())
+    facts = json.loads((tmp_path / "scene.json").read_text())
+    del facts[name]
+    (tmp_path / "scene.json").write_text(json.dumps(facts))
+    with pytest.raises(CorruptFile, match=r"scene\.json is damaged .expected checkpoint, images, model"):
+        load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["scene.json", "scene.safetensors"])
+def test_pipes_in_the_place_of_files_do_not_hang(tmp_path: Path, name: str):
+    save_scene(tmp_path, some_scene())
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises((CorruptFile, UsageError), match=name):
         load_scene(tmp_path)
 
 
@@ -75,6 +115,7 @@ def test_other_files_are_damage(tmp_path: Path, name: str, content: bytes):
         load_scene(tmp_path)
 
 
+EMPTY = {"what": (3, 8), "center": (3, 3), "rotation": (3, 3, 3), "background": (8,)}
 CAMERAS = {"k": CAMERA.k[None], "world_from_camera": CAMERA.world_from_camera[None]}
 
 
@@ -109,11 +150,20 @@ CAMERAS = {"k": CAMERA.k[None], "world_from_camera": CAMERA.world_from_camera[No
         {"light": torch.tensor([0.6, 0.0, 0.8, -0.5])},
         {"light": torch.tensor([0.6, 0.0, 0.9, 0.5])},
         {"light": torch.tensor([0.0, 0.0, 0.0, 0.5])},
+        {"more": torch.zeros(1)},
+        {"center": None},
+        {"background": None},
+        {"background": torch.zeros(3, 8)},
+        {"background": torch.zeros(2, 8, dtype=torch.bfloat16)},
+        {"k": CAMERAS["k"][0]},
+        {"what": torch.zeros(2, 4, 8)},
+        {name: torch.zeros(0, *shape) for name, shape in EMPTY.items()},
     ],
 )
-def test_arrays_that_no_scene_has_are_damage(tmp_path: Path, change: dict[str, torch.Tensor]):
+def test_arrays_that_no_scene_has_are_damage(tmp_path: Path, change: dict[str, torch.Tensor | None]):
     save_scene(tmp_path, some_scene())
-    save_file(load_file(tmp_path / "scene.safetensors") | change, tmp_path / "scene.safetensors")
+    tensors = {name: value.clone() for name, value in load_file(tmp_path / "scene.safetensors").items()} | change
+    save_file({name: value for name, value in tensors.items() if value is not None}, tmp_path / "scene.safetensors")
     with pytest.raises(CorruptFile, match="is damaged"):
         load_scene(tmp_path)
 
@@ -170,6 +220,8 @@ def test_a_save_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_what_could_not_be_read_again_is_not_written(tmp_path: Path):
     scene = some_scene()
-    with pytest.raises(UsageError, match="numbers that are none, or beyond all sense; nothing was written"):
+    with pytest.raises(
+        UsageError, match="holds NaN, values above 1e\\+06, or more than 1000 objects; nothing was written"
+    ):
         save_scene(tmp_path / "new", replace(scene, what=torch.full_like(scene.what, torch.inf)))
     assert not (tmp_path / "new").exists()

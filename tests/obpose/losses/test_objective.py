@@ -98,3 +98,10 @@ def assert_weighted_sum(terms: dict[str, torch.Tensor], names: set[str]) -> None
     assert terms.keys() == names | {"total"}
     weighted = [WEIGHTS[WEIGHT_OF.get(name, name)] * terms[name] for name in names]
     torch.testing.assert_close(terms["total"].detach(), torch.stack(weighted).sum(), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("fraction", "expected"), [(0.0, 1.0), (0.5, 1.0), (0.5625, 10**0.5), (0.625, 10.0), (0.75, 100.0), (1.0, 100.0)]
+)
+def test_the_weight_of_the_air_grows_between_a_half_and_three_quarters_of_the_budget(fraction: float, expected: float):
+    assert growth(100.0, fraction) == pytest.approx(expected)

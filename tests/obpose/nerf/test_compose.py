@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -87,6 +89,24 @@ def test_the_air_term_is_the_density_below_saturation_and_goes_on_smoothly():
     slopes = air.diff() / total.diff()
     assert slopes.diff().max() <= 1e-9, "concave, without a step in its slope"
     assert (air - total.tanh()).max() < 0.05
+
+
+@pytest.mark.parametrize("saturation", [0.5, 1.0, SATURATION, 6.0])
+def test_beyond_saturation_the_air_term_goes_on_along_the_tangent(saturation: float):
+    """Slope sech^2(saturation), by finite differences and by autograd, up to the switch and everywhere beyond it."""
+    total = torch.tensor([saturation, 1.001 * saturation, 1.5 * saturation, 4 * saturation, 30.0], dtype=torch.float64)
+    logits = total.expm1().log()[None].requires_grad_()
+    air = air_density(logits, saturation=saturation)
+    slope = 1 / math.cosh(saturation) ** 2
+    torch.testing.assert_close(air, math.tanh(saturation) + slope * (total - saturation), atol=1e-12, rtol=0)
+    (gradient,) = torch.autograd.grad(air.sum(), logits)
+    softplus_slope = torch.sigmoid(logits.detach())
+    torch.testing.assert_close(gradient[:, 1:], slope * softplus_slope[:, 1:], atol=1e-12, rtol=1e-9)
+    step = 1e-6
+    around = torch.tensor([saturation - step, saturation, saturation + step], dtype=torch.float64)
+    left, right = (air_density(around.expm1().log()[None], saturation=saturation).diff() / step).tolist()
+    assert left == pytest.approx(slope, rel=1e-4)
+    assert right == pytest.approx(slope, rel=1e-4)
 
 
 def test_without_saturation_the_air_term_is_the_density_and_dense_fog_is_dead():

@@ -1,11 +1,14 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from obpose.clips import ArrayClips
+from obpose.config import override
 from obpose.measure import measure_scene
 from obpose.model import ObPose
-from obpose.recordings.frames import _given_note
+from obpose.recordings.frames import _given_note, _middle_of_table
 from obpose.recordings.world import GIVEN
 from obpose.types import Observation
 from obpose.variants import make_config
@@ -42,14 +45,32 @@ def test_nothing_is_said_of_the_world_of_the_training(model: ObPose):
     assert _given_note(seen(moved(x=0.05, z=0.01)), model) == GIVEN
 
 
+def test_a_wall_behind_the_table_is_not_taken_for_it(model: ObPose):
+    observation = seen(moved())
+    wall = torch.arange(24)[:, None] < 16
+    far = replace(observation, depth=observation.depth.masked_fill(wall, 6), valid=observation.valid | wall)
+    assert _given_note(far, model) == GIVEN
+
+
+@pytest.mark.parametrize(
+    ("center", "middle"),
+    [((-0.12, 0.0, 0.07), (0.0, 0.0, 0.0)), ((0.6, -2.0, 0.1), (0.35, -1.75, 0.0))],
+)
+def test_the_table_s_middle_is_the_origin_of_worlds_that_have_it_in_view(
+    model: ObPose, center: tuple[float, float, float], middle: tuple[float, float, float]
+):
+    config = override(model.config, {"model.workspace_center": center, "model.workspace_size": 1.0})
+    assert _middle_of_table(ObPose(config)) == pytest.approx(middle)
+
+
 @pytest.mark.parametrize(
     ("pose", "said"),
     [
-        (moved(x=5), "100 % of it outside the"),
-        (moved(x=5), "lies 5.00 m from"),
-        (moved(z=-0.1), "the largest plane in view lies at z = -0.10 m: move the world's origin onto the table"),
+        (moved(x=5), "100 % of it outside the 1.47 m around (-0.18, 0.00, 0.04) that the model was"),
+        (moved(x=5), "the middle of the table in view lies at (5.0"),
+        (moved(z=-0.1), "the table in view lies at z = -0.10 m: move the world's origin onto the table"),
         (moved(z=0.05), "lies at z = 0.05 m"),
-        (moved(degrees=30), "the largest plane in view is tilted by 30 degrees"),
+        (moved(degrees=30), "the table in view is tilted by 30 degrees"),
     ],
 )
 def test_what_is_wrong_with_another_world_is_said(model: ObPose, pose: np.ndarray, said: str):

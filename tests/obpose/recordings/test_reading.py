@@ -6,6 +6,7 @@ from PIL import Image
 
 from datagen.geometry import intrinsics, pixel_rays
 from obpose.errors import CorruptFile, UsageError
+from obpose.recordings import reading
 from obpose.recordings.reading import parse_intrinsics, read_recording
 
 K = intrinsics(1.0, 6, 4)
@@ -89,7 +90,7 @@ def cases(folder: Path) -> dict[str, tuple[list[Path], list[Path], str]]:
     rgb, depth = write_rgb(folder / "rgb.png"), write_depth(folder / "depth.png")
     (folder / "text.png").write_text("no image")
     (folder / "text.npy").write_text("no array")
-    (folder / "cut.png").write_bytes(write_rgb(folder / "big.png", size=(60, 40)).read_bytes()[:90])
+    (folder / "cut.png").write_bytes(write_rgb(folder / "whole.png").read_bytes()[:45])
     (folder / "empty").mkdir()
     np.save(folder / "cube.npy", np.ones((4, 6, 3)))
     large = (folder / "large.png", folder / "large_depth.png")
@@ -99,7 +100,7 @@ def cases(folder: Path) -> dict[str, tuple[list[Path], list[Path], str]]:
         "no files": ([], [depth], "--rgb names no files"),
         "not there": ([folder / "x.png"], [depth], "x.png does not exist"),
         "depth not there": ([rgb], [folder / "x.npy"], "x.npy does not exist"),
-        "no image": ([folder / "text.png"], [depth], "text.png is damaged or no image"),
+        "no image": ([folder / "text.png"], [depth], "text.png is damaged or no image; expected PNG, JPEG, TIFF"),
         "cut short": ([folder / "cut.png"], [depth], "cut.png is damaged or no image"),
         "no array": ([rgb], [folder / "text.npy"], "text.npy is damaged or no NPY"),
         "an empty folder": ([folder / "empty"], [depth], "empty: the folder holds no .png, .jpg, .jpeg"),
@@ -124,10 +125,46 @@ def test_what_is_wrong_is_said(tmp_path: Path):
             read_recording(rgb, depth, K, depth_scale=0.001)
 
 
-def test_a_format_that_is_not_known_is_said_without_what_python_calls_it(tmp_path: Path, pair: tuple[Path, Path]):
-    (tmp_path / "text.png").write_text("no image")
-    with pytest.raises(CorruptFile, match=r"text\.png is damaged or no image of a known format\.$"):
-        read_recording([tmp_path / "text.png"], [pair[1]], K, depth_scale=0.001)
+@pytest.mark.parametrize("value", [0.01, 60.0, 65.535, 3e38])
+def test_pixels_beyond_what_sensors_measure_have_no_return(tmp_path: Path, pair: tuple[Path, Path], value: float):
+    values = np.ones((4, 6), np.float32)
+    values[0, :3] = value
+    np.save(tmp_path / "d.npy", values)
+    found = read_recording([pair[0]], [tmp_path / "d.npy"], K, depth_scale=1.0)
+    assert found.depth[0, 0].tolist() == [0, 0, 0, 1, 1, 1]
+
+
+def test_depth_that_is_the_largest_value_everywhere_is_none(tmp_path: Path, pair: tuple[Path, Path]):
+    with pytest.raises(UsageError, match=r"No pixel has a depth: .* hold only zeros, or the largest value"):
+        read_recording([pair[0]], [write_depth(tmp_path / "d.png", 65535)], K, depth_scale=0.001)
+
+
+def test_frames_of_two_folders_must_have_the_same_numbers(tmp_path: Path):
+    for name in ("rgb", "depth"):
+        (tmp_path / name).mkdir()
+    for number in range(4):
+        write_rgb(tmp_path / "rgb" / f"{number}.png")
+        write_depth(tmp_path / "depth" / f"{number + (number > 1)}.png")
+    with pytest.raises(UsageError, match=r"2\.png and .*3\.png would be one frame, but their numbers differ"):
+        read_recording([tmp_path / "rgb"], [tmp_path / "depth"], K, depth_scale=0.001)
+    rgb, depth = (sorted((tmp_path / name).iterdir()) for name in ("rgb", "depth"))
+    assert len(read_recording(rgb, depth, K, depth_scale=0.001).depth) == 4
+
+
+def test_a_recording_that_is_too_large_is_refused_before_pixels_are_decoded(
+    tmp_path: Path, pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+):
+    def decode(*_: object) -> None:
+        pytest.fail("pixels were decoded")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(reading, "MOST_BYTES", 3 * 6 * 4 * 7 - 1)
+        patched.setattr(reading, "read_colour", decode)
+        patched.setattr(reading, "read_depth", decode)
+        with pytest.raises(UsageError, match=r"3 frames of 6x4 pixels need .* Give fewer frames at a time, or smaller"):
+            read_recording([pair[0]] * 3, [pair[1]] * 3, K, depth_scale=0.001)
+    monkeypatch.setattr(reading, "MOST_BYTES", 3 * 6 * 4 * 7)
+    assert len(read_recording([pair[0]] * 3, [pair[1]] * 3, K, depth_scale=0.001).depth) == 3
 
 
 def test_a_folder_that_is_not_there_is_said_before_files_are_counted(tmp_path: Path, pair: tuple[Path, Path]):

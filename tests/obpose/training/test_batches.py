@@ -5,6 +5,7 @@ import os
 import pytest
 import torch
 
+from obpose.errors import CorruptFile
 from obpose.training.batches import Sampling, Share, batches, readers_for
 from tests.obpose.toy import ToyClips
 
@@ -45,6 +46,23 @@ def test_a_batch_holds_its_windows_and_no_labels():
     assert set(batch) == {"rgb", "depth", "valid", "k", "world_from_camera"}
     expected = [source.window(window.clip, window.start, 2)["depth"] for window in SAMPLING.windows(6)]
     assert torch.equal(batch["depth"], torch.stack(expected))
+
+
+class DamagedClips(ToyClips):
+    """The third clip cannot be read."""
+
+    def window(self, index: int, start: int, frames: int) -> dict[str, torch.Tensor]:
+        if index == 2:
+            raise CorruptFile("train-00000.h5 is damaged")
+        return super().window(index, start, frames)
+
+
+@pytest.mark.parametrize("readers", [0, 1])
+def test_damage_is_one_line_wherever_it_was_read(readers: int):
+    with pytest.raises(CorruptFile) as caught:
+        for _ in itertools.islice(batches(DamagedClips(), SAMPLING, Share(), first_step=0, readers=readers), 3):
+            pass
+    assert str(caught.value) == "train-00000.h5 is damaged"
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
 import csv
+import os
 import sys
 from pathlib import Path
 
@@ -65,16 +66,41 @@ def test_without_tensorboard_the_remedy_is_told(tmp_path: Path, monkeypatch: pyt
         TensorBoardLog(tmp_path, steps=0)
 
 
-def test_a_table_of_somebody_else_is_not_overwritten(tmp_path: Path):
-    path = tmp_path / "log.csv"
-    path.write_text("name,grade\nAda,1\n")
-    with pytest.raises(UsageError, match="is no table of a training"):
-        CsvLog(path, steps=0)
-    assert path.read_text() == "name,grade\nAda,1\n"
-
-
 def test_rows_that_a_crash_damaged_are_dropped(tmp_path: Path):
     path = tmp_path / "log.csv"
     path.write_bytes(b"step,total\n1,0.5\n\0\0\0,\0\xff\n,\n2,3,4,5\n2,0.25\n")
     CsvLog(path, steps=2)
     assert [row["total"] for row in table(path)] == ["0.5", "0.25"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "name,grade\nAda,1\n",
+        "accuracy,step\n0.9,1\n",
+        '"' + 200_000 * "x" + '"\n1\n',
+        "\0step\n1\n",
+        "\n\n",
+        "step;total\n1;2\n",
+    ],
+)
+def test_a_table_of_somebody_else_is_not_overwritten(tmp_path: Path, text: str):
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=r"log\.csv is no table of a training"):
+        CsvLog(path, steps=9)
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize("row", ["9" * 5000 + ",1", "٣,1", "-1,1", "1.5,1", "x,1", "1,2,3"])
+def test_rows_that_are_damaged_are_dropped(tmp_path: Path, row: str):
+    path = tmp_path / "log.csv"
+    path.write_text(f"step,total\n1,0.5\n{row}\n2,0.25\n")
+    CsvLog(path, steps=9)
+    assert [row["total"] for row in table(path)] == ["0.5", "0.25"]
+
+
+def test_a_pipe_in_the_place_of_a_table_does_not_hang(tmp_path: Path):
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(UsageError, match="is a pipe"):
+        CsvLog(tmp_path / "log.csv", steps=9)

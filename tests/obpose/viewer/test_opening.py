@@ -33,7 +33,7 @@ def test_a_saved_scene_is_shown_with_or_without_its_clip(tiny_dataset: Path, tmp
         background=inferred.scene.background[:5],
     )
     save_scene(tmp_path / "half", half)
-    with pytest.raises(UsageError, match=r"has 10 frames and 1 views, .* has 5 and 1"):
+    with pytest.raises(UsageError, match=r"has 10 frames and 1 view, .* has 5 and 1"):
         open_path(tmp_path / "half", **PLAIN | {"data": tiny_dataset})
 
 

@@ -110,7 +110,7 @@ def test_what_was_inferred_is_fitted_to_its_frames_once_and_can_be_undone(
 
 def test_a_sampled_scene_replaces_all_and_has_no_input(page: Page):
     before = page.session.scene
-    page.actions.sample(2)
+    page.actions.sample("2")
     settled(page)
     assert page.session.scene.ids == (1, 2)
     assert page.session.scene.frames == 1
@@ -122,6 +122,57 @@ def test_a_sampled_scene_replaces_all_and_has_no_input(page: Page):
     assert page.session.scene is before
     assert node("/background").visible
     assert node(f"/objects/{before.ids[0]}/points") is not None
+
+
+@pytest.mark.parametrize("count", ["", "abc", "-1", "9", "1e9", "2.5", "nan", "9" * 5000, "٣", " 2"])
+def test_other_numbers_of_new_objects_are_refused(page: Page, count: str, monkeypatch: pytest.MonkeyPatch):
+    before, said = page.session.version, []
+    monkeypatch.setattr(page, "_tell", lambda title, text, colour=None: said.append(text))
+    page.actions.sample(count)
+    assert settled(page).session.version is before
+    assert len(said) == 1
+    assert said[0].endswith("expected a whole number from 0 to 8.")
+    assert len(said[0]) < 100
+
+
+def test_the_title_is_that_of_what_is_shown(page: Page, opened: Opened, monkeypatch: pytest.MonkeyPatch):
+    titles: list[str] = []
+    monkeypatch.setattr(page.server.gui, "set_panel_label", titles.append)
+    page.actions.sample("1")
+    settled(page)
+    page.actions.sample("1")
+    settled(page)
+    page.actions.undo()
+    page.actions.undo()
+    seeds = [f"sampled with seed {seed}" for seed in (0, 1)]
+    assert titles == [*seeds, seeds[0], opened.title]
+
+
+def test_it_says_what_it_is_doing_until_it_is_done(page: Page):
+    settled(page)
+    panel, go_on = page._panel, threading.Event()
+    assert not panel._running.visible
+    page.work.run(lambda: go_on.wait(60) and None)
+    page.actions.sample("1")
+    page.actions.save()
+    assert panel._running.visible
+    assert "Sampling a new scene ..." in panel._busy.content
+    assert all(button.disabled for button in (*panel._jobs, panel._fit))
+    go_on.set()
+    settled(page)
+    assert not panel._running.visible
+    assert not any(button.disabled for button in panel._jobs)
+    assert panel._fit.disabled  # another scene is shown
+    page.actions.undo()
+    assert not panel._fit.disabled
+
+
+def test_a_job_that_fails_ends_as_well(page: Page, tmp_path: Path):
+    settled(page)
+    (tmp_path / "saved").write_text("a file")
+    page.actions.save()
+    settled(page)
+    assert not page._panel._running.visible
 
 
 def test_what_is_saved_can_be_opened_again(page: Page, tmp_path: Path):

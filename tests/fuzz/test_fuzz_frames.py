@@ -1,0 +1,19 @@
+"""Frames of users: images, arrays and camera poses that are damaged, read by all commands."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.inputs import faults_among
+from tests.fuzz.running import endings_of
+
+INPUTS = 350
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_damaged_files_end_in_plain_messages(tmp_path: Path):
+    endings = endings_of(tmp_path, "frames", INPUTS)
+    assert len(endings) >= 0.98 * INPUTS
+    assert {ending.code for ending in endings} >= {0, 2, 3}
+    assert faults_among(endings) == ""

@@ -1,0 +1,82 @@
+"""Models, trainings that can go on, priors and scenes."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import assets
+from datagen.errors import UsageError
+from tests.fuzz.worlds.group import MODEL, MOVING, TINY, Group, Target, run
+
+
+def build_models(world: Path) -> None:
+    """A training that can go on, a model with its priors, a scene, and half of the learning of a flow."""
+    from obpose.training.record import Record  # late, as PyTorch takes seconds to import
+
+    run(f"obpose-datagen {MOVING} --split train=12,val=1,test=1 --out {world}/data")
+    log_step = Record.log_step
+
+    def stop_at_second(record: Record, step: int, *others: Any) -> None:
+        if step == 2:
+            raise UsageError("interrupted")
+        log_step(record, step, *others)
+
+    with mock.patch.object(Record, "log_step", stop_at_second), mock.patch("obpose.training.record.SAVE_SECONDS", 0):
+        run(CONTINUE.format(w=world), code=2)
+    run(f"obpose-train --data {world}/data --steps 1 --variant obsurf --out {world}/obsurf")
+    shutil.copytree(assets.CHECKPOINTS / "obpose-sharp--moving--64x64", world / "model")
+    shutil.copytree(assets.CHECKPOINTS / MODEL, world / "learning")
+    infer = f"obpose-edit infer --checkpoint {world}/model --refine 0 --resolution 8x8"
+    run(f"{infer} --data {world}/data --out {world}/scene")
+    with (
+        mock.patch("obpose.creation.learn.save_flow", side_effect=UsageError("interrupted")),
+        mock.patch("obpose.creation.learn.SAVE_STEPS", 1),
+        mock.patch("obpose.creation.examples.STEPS", 0),
+    ):
+        run(LEARN.format(w=world), code=2)
+
+
+LEARN = "obpose-edit learn --checkpoint {w}/learning --data {w}/data --clips 12 --steps 1 --workers 1"
+CONTINUE = f"obpose-train --data {{w}}/data --steps 2 --out {{w}}/run {TINY}"
+INFER_BY = "obpose-edit infer --checkpoint {w}/MODEL --data {w}/data --refine 0 --resolution 8x8 --out {o}"
+SAMPLE = "obpose-edit sample --checkpoint {w}/model --camera {w}/scene --objects 1 --resolution 8x8 --out {o}"
+SCORE_BY = "obpose-bench --checkpoint {w}/MODEL --name own --data {w}/data --workers 1 --out {o}"
+VIEW_BY = "obpose-view {w}/MODEL --data {w}/data"
+OF_SCENES = [
+    "obpose-edit render {w}/scene --resolution 8x8 --out {o}.png",
+    "obpose-edit mesh {w}/scene --object 1 --cells 8 --out {o}.ply",
+    "obpose-edit move {w}/scene --object 1 --by 0.01,0,0 --resolution 8x8 --out {o}",
+    "obpose-edit remove {w}/scene --object 1 --resolution 8x8 --out {o}",
+    "obpose-edit rotate {w}/scene --object 1 --degrees 10 --resolution 8x8 --out {o}",
+    "obpose-edit add {w}/scene --object 1 --by 0.02,0,0 --resolution 8x8 --out {o}",
+    f"{SAMPLE} --prior fitted",
+    "obpose-view {w}/scene",
+    "obpose-view {w}/scene --data {w}/data",
+]
+
+
+def _by(model: str, *commands: str) -> list[str]:
+    return [command.replace("MODEL", model) for command in commands]
+
+
+MODELS = Group(
+    build_models,
+    [
+        Target("run/config.json", [CONTINUE, CONTINUE, *_by("run", INFER_BY, SCORE_BY, VIEW_BY)], 10),
+        Target("run/model.safetensors", [*_by("run", INFER_BY, SCORE_BY, VIEW_BY)], 8),
+        Target("run/training.safetensors", [CONTINUE], 10),
+        Target("run/training.csv", [CONTINUE], 4),
+        Target("run/validation.csv", [CONTINUE], 4),
+        Target("obsurf/config.json", _by("obsurf", SCORE_BY), 4),
+        Target("obsurf/model.safetensors", _by("obsurf", SCORE_BY), 3),
+        Target("model/prior.safetensors", [f"{SAMPLE} --prior fitted", f"{SAMPLE} --prior flow"], 8),
+        Target("model/flow.safetensors", [f"{SAMPLE} --prior flow", SAMPLE], 6),
+        Target("scene/scene.json", OF_SCENES, 14),
+        Target("scene/scene.safetensors", OF_SCENES, 14),
+        Target("learning/flow.partial/clip-00000.safetensors", [LEARN], 5),
+        Target("learning/flow.partial/looking.json", [LEARN], 2),
+        Target("learning/flow.partial/learning.json", [LEARN], 2),
+        Target("learning/flow.partial/state.safetensors", [LEARN], 3),
+    ],
+)
