@@ -14,7 +14,7 @@ export CHECK_PYTHON
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo test test-slow check bench clean
+.PHONY: demo test test-slow check bench docs clean
 
 demo: .venv/.core
 	$(BIN)/obpose-datagen --video --scenes 100 --resolution 64x64 --out demo/moving
@@ -46,8 +46,12 @@ check: .venv/.dev
 bench: .venv/.dev
 	$(BIN)/python -m pytest tests/perf -o addopts= --benchmark-columns=median,min,max,rounds --benchmark-group-by=group -s
 
+docs: .venv/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "The site: $(CURDIR)/site/index.html"
+
 clean:
-	rm -rf .venv demo build dist *.egg-info
+	rm -rf .venv demo build dist site *.egg-info
 
 .venv/.core: pyproject.toml constraints.txt
 	@$(PYTHON) -c "$$CHECK_PYTHON"
@@ -60,4 +64,8 @@ clean:
 
 .venv/.dev: .venv/.core
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+.venv/.docs: .venv/.core
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	touch $@

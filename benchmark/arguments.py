@@ -24,7 +24,7 @@ class Run:
     """Names of tracks and groups, such as paper; moving if left out. Their datasets are made on first use."""
     task: Task = "segmentation"
     """`editing` scores removed, moved and copied objects of inferred scenes against the generator's, with --pretrained
-    or --checkpoint; docs/creating.md says how."""
+    or --checkpoint; docs/benchmark.md says how."""
     scenes: int | None = None
     """Test scenes whose edits are scored, from the first on; all if left out."""
     refine: int = 0
@@ -38,7 +38,7 @@ class Run:
     data: Path | None = None
     """Folder of a dataset, in the place of tracks."""
     predictions: tuple[Path, ...] = ()
-    """Folders of label maps to score in the place of models, one a seed; see docs/adding_a_model.md."""
+    """Folders of label maps to score in the place of models, one a seed; see docs/benchmark.md."""
     name: str | None = None
     """What the predictions, or the one --checkpoint, are called in the tables; the first folder's name if left out."""
     background_slot: int | None = None

@@ -163,12 +163,6 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
             f"least_visible_pixels is {recipe['least_visible_pixels']}, but a frame of visibility_resolution has only "
             f"{width * height} pixels"
         )
-    farthest = 2 * math.hypot(*layout["workspace_half_extent"])
-    if recipe["frames"] > 1 and recipe["motion"]["moving"] and recipe["motion"]["least_travel"] > farthest:
-        yield (
-            f"motion.least_travel is {recipe['motion']['least_travel']} m, but the workspace is only {farthest:.2f} m "
-            "from corner to corner"
-        )
     if not any(recipe["motion"]["weights"].values()):
         yield "motion.weights are all 0"
     if unknown := set(recipe["overrides"]) - {name for name, _ in constants(recipe)}:

@@ -119,7 +119,7 @@ def _trajectory(recipe: Recipe, scene: Scene, shapes: Sequence[Shape]) -> Trajec
 
 
 def _check_range(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], trajectory: Trajectory) -> None:
-    """All that the cameras show of their frame lies in the range of depths of renderers and format."""
+    """Reject a scene unless all that its cameras show lies in the range of depths of renderers and format."""
     size = recipe.visibility_resolution
     for camera in scene.cameras:
         if table_fault(camera, scene.table.size, *size):

@@ -1,7 +1,7 @@
 """Every constant of the model, the losses and the training, with where it comes from.
 
 `[paper]`: stated there; `[code]`: the authors' published code; `[ours]`: our addition or choice, see
-docs/paper_to_code.md. Variants and sizes, which change some of them, stand in `obpose/variants.py`.
+docs/paper.md. Variants and sizes, which change some of them, stand in `obpose/variants.py`.
 """
 
 import dataclasses

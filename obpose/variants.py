@@ -66,7 +66,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     },
 }
 """What each variant changes, by dotted name. `obpose-l2` has the paper's other attention loss. `obpose-sharp` is for
-pictures. `obpose-as-published` leaves out what we added to help learning (docs/paper_to_code.md says what stays); the
+pictures. `obpose-as-published` leaves out what we added to help learning (docs/paper.md says what stays); the
 floor is log 1e-8, as in the authors' code. `ic-sbp` and `slot-attention` are the paper's ablations, with our additions
 where they apply; `slot-attention-as-published` has two mistakes of the authors' code, but the additions too."""
 

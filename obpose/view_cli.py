@@ -83,7 +83,7 @@ def check(values: Arguments) -> None:
         UsageError: viser is missing, a number is impossible, or nobody can listen there.
     """
     if importlib.util.find_spec("viser") is None:
-        raise UsageError("The page needs viser, which is not installed: pip install viser.")
+        raise UsageError("The viewer needs viser and websockets; install them with: pip install viser websockets")
     if values.scene < 0:
         raise UsageError(f"--scene {values.scene}: expected 0 or more.")
     if not 0 < values.port < 65536:

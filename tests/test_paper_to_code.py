@@ -1,4 +1,4 @@
-"""docs/paper_to_code.md names only what there is: files, functions, methods, and values that are the defaults."""
+"""docs/paper.md names only what there is: files, functions, methods, and values that are the defaults."""
 
 import ast
 import re
@@ -17,7 +17,7 @@ CODE = re.compile(r"`([^`\n]+)`")
 PLACE = re.compile(r"[a-z0-9_/]+\.py(::[A-Za-z_][\w.]*)?")
 DEFAULT = re.compile(r"(model|loss|train)\.[a-z_.]+=.*")
 
-CODES = CODE.findall((ROOT / "docs" / "paper_to_code.md").read_text())
+CODES = CODE.findall((ROOT / "docs" / "paper.md").read_text())
 PLACES = sorted({code for code in CODES if PLACE.fullmatch(code)} - {"file.py::name", "tests/test_paper_to_code.py"})
 DEFAULTS = sorted({code for code in CODES if DEFAULT.fullmatch(code)})
 

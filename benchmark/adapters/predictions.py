@@ -1,4 +1,4 @@
-"""Label maps that were made elsewhere, in one of three layouts; docs/adding_a_model.md shows them.
+"""Label maps that were made elsewhere, in one of three layouts; docs/benchmark.md shows them.
 
 DIR/test/00017.npz ..................... `labels` [frame view height width], and `background_slot` if there is one
 DIR/test/00017/view0_frame003.png ...... eight bits, grey or palette: a pixel's number is its label

@@ -148,7 +148,7 @@ def check_sensor(case: Case) -> Iterator[Finding]:
 def _check_noise(
     exact: Float[np.ndarray, "pixel"], measured: Float[np.ndarray, "pixel"], sensor: Sensor
 ) -> Iterator[Finding]:
-    """Single pixels: noise of 8 standard deviations before inverse depth was rounded, and rounding of both depths."""
+    """Allow each pixel 8 standard deviations of noise before inverse depth was rounded, and rounding of both depths."""
     half, step = 0.51 * schema.DEPTH_SCALE, 0.5 * sensor.quantisation
     most = DEVIATIONS * sensor.axial_noise * exact**2 + half
     low = 1 / (1 / (measured - half) + step)
@@ -163,7 +163,7 @@ def _check_noise(
 def _check_bias(
     exact: Float[np.ndarray, "pixel"], measured: Float[np.ndarray, "pixel"], sensor: Sensor
 ) -> Iterator[Finding]:
-    """All pixels together: the median of a noise that is symmetric where nothing of it was cut off."""
+    """Check the median of all pixels whose noise was not cut off, since that noise is symmetric."""
     noise = sensor.axial_noise * exact
     whole = (DEVIATIONS * noise < 1) & (exact * (1 + DEVIATIONS * noise) < schema.MAX_DEPTH)
     count = np.count_nonzero(whole)

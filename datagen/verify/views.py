@@ -54,13 +54,13 @@ class Patches:
     """Of inverse depth anywhere on the patch, 1/m."""
 
     def chosen(self, rows: np.ndarray) -> "Patches":
-        """Some of them."""
+        """Select patches by a mask."""
         return Patches(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class Meeting:
-    """Where rays of another view meet a patch's plane: of the pixel that it falls on, and of the eight around that."""
+    """Rays of another view on a patch's plane: of the pixel that the patch falls on, and of the eight around that."""
 
     met: Bool[np.ndarray, "patch"]
     """Whether the ray in the middle meets the patch itself."""

@@ -1,4 +1,4 @@
-"""The models of docs/adding_a_model.md, as they stand there."""
+"""The model of docs/benchmark.md, as it is printed there."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from benchmark.results import load_runs, load_scenes, pooled
 from tests.fabricated import write_dataset
 
 ROOT = Path(__file__).parent.parent.parent
-PAGE = ROOT / "docs" / "adding_a_model.md"
+PAGE = ROOT / "docs" / "benchmark.md"
 
 
 def blocks(language: str) -> list[str]:

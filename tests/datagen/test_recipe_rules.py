@@ -110,7 +110,6 @@ def test_numbers_beyond_their_limits_are_refused_by_name(name: str):
             {"physics": {"step": 1e-5, "settle_seconds": 60.0}},
             "take 6,075,486 steps a scene, expected at most",
         ),
-        ({"motion": {"least_travel": 2.0}}, "motion.least_travel is 2.0 m, but the workspace is only 0.93 m"),
         ({"sensor": {"grazing_angle": 120.0}}, "sensor.grazing_angle is 120.0, expected 0 to 90 degrees"),
         ({"sensor": {"axial_noise": 0.5}}, "sensor.axial_noise is 0.5, expected 0 to 0.1 metres"),
         ({"sensor": {"quantisation": 1.0}}, "sensor.quantisation is 1.0, expected 0 to 0.1 metres"),

@@ -21,14 +21,14 @@ from obpose.config_text import dotted_values, to_plain
 from obpose.systems import find_system
 from obpose.variants import make_config
 
-RESULTS = ROOT / "docs" / "results.md"
+PAGES = (ROOT / "docs" / "results.md", *sorted((ROOT / "docs" / "results").glob("*.md")))
 
 
 def documented() -> list[str]:
-    """Commands that made the rows in docs/results."""
-    lines = RESULTS.read_text().replace("\\\n", " ").splitlines()
-    made = [line.strip() for line in lines if line.strip().startswith("obpose-bench --model") and "--out docs/" in line]
-    return [line for line in made if not any(part in line for part in ("$", "--pretrained", "--data"))]
+    """Commands that made the rows in docs/results, in folders of the same names in results."""
+    lines = [line.strip() for page in PAGES for line in page.read_text().replace("\\\n", " ").splitlines()]
+    made = [line for line in lines if line.startswith("obpose-bench --model") and "--out results" in line]
+    return [line for line in dict.fromkeys(made) if not any(part in line for part in ("$", "--pretrained", "--data"))]
 
 
 @pytest.mark.parametrize("command", documented())
@@ -37,7 +37,7 @@ def test_rows_that_were_published_are_found_by_the_commands_beside_them(command:
     changed makes rows invalid, and they have to be made anew."""
     monkeypatch.chdir(ROOT)
     values = tyro.cli(Run, args=shlex.split(command)[1:])
-    plan = make_plan(request_of(values), load_runs(values.out), values.out)
+    plan = make_plan(request_of(values), load_runs(Path("docs") / values.out), values.out)
     assert plan.keys
     assert not plan.jobs
 
