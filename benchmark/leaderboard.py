@@ -197,7 +197,7 @@ def _counts_things(name: str) -> bool:
 
 
 def _whole(values: np.ndarray) -> list[int]:
-    return values.astype(np.int64).tolist()
+    return [int(value) if math.isfinite(value) else 0 for value in values.tolist()]
 
 
 def _distinct(values: Iterable[str]) -> str:
