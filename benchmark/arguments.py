@@ -36,21 +36,21 @@ class Run:
     """Slots for objects, the background's comes on top: a model for each number, NAME-N-slots unless N is the track's
     largest object count, which it has if this is left out."""
     data: Path | None = None
-    """Folder of a dataset, in the place of tracks."""
+    """Folder of a dataset, in place of tracks."""
     predictions: tuple[Path, ...] = ()
     """Folders of label maps to score in the place of models, one a seed; see docs/benchmark.md."""
     name: str | None = None
-    """What the predictions, or the one --checkpoint, are called in the tables; the first folder's name if left out."""
+    """Name of the predictions, or of the one --checkpoint, in the tables; the first folder's name if left out."""
     background_slot: int | None = None
     """Background label of predictions that do not say; the most frequent label of each clip if left out."""
     seeds: int = 3
-    """How many runs, with seeds 0, 1, ..."""
+    """Number of runs; their seeds are 0, 1, ..."""
     fit_track: str | None = None
     """Fit, or tune, once on this track, for all tracks; each on itself if left out."""
     out: Path = DEFAULT_OUT
     """The run folder."""
     list: Switch = False
-    """Show models and tracks, and leave."""
+    """List models and tracks, then exit."""
     pretrained: Switch = False
     """Models that learn use weights that ship with the package, in the place of training."""
     checkpoint: tuple[Path, ...] = ()
@@ -60,11 +60,11 @@ class Run:
     """Seconds of one core that a model that learns may train for; if left out, those of the group paper, or what each
     declares."""
     steps: int | None = None
-    """Steps that it trains for, in the place of seconds."""
+    """Training steps of a model that learns, in place of seconds."""
     deterministic: Switch = False
-    """One thread, and budgets in steps: equal tables on every run, but for the columns measured_*."""
+    """Use one thread and budgets in steps: every run gives equal tables, except for the columns measured_*."""
     workers: int = 2
-    """Jobs side by side."""
+    """Number of jobs that run in parallel."""
     time_limit: float | None = None
     """Minutes after which a row has failed; if left out, an hour and twice the time that its model may train for."""
     memory_limit: float | None = None
@@ -72,7 +72,7 @@ class Run:
     overwrite: Switch = False
     """Replace rows of the same model, track and seed that were made with other settings or versions."""
     retry: Switch = False
-    """Run again what has failed before; predictions are tried again in any case."""
+    """Run failed jobs again; predictions are always tried again."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,9 @@ class Compare:
     one: Annotated[str, tyro.conf.Positional]
     """Name of a model."""
     other: Annotated[str, tyro.conf.Positional]
-    """Name of another."""
+    """Name of the other model."""
     run: Path = DEFAULT_OUT
-    """The run folder that both are in, such as docs/results."""
+    """Run folder with the results of both, such as docs/results."""
 
 
 @dataclass(frozen=True)
@@ -134,21 +134,21 @@ class Search:
     track: tuple[str, ...] = ()
     """Names of tracks and groups, moving if left out."""
     data: Path | None = None
-    """Folder of a dataset, in the place of tracks."""
+    """Folder of a dataset, in place of tracks."""
     minutes: float = 3.0
-    """Of one core, that each trial may learn for."""
+    """Training time of each trial, in minutes of one core."""
     steps: int | None = None
-    """Steps that it learns for, in the place of minutes."""
+    """Training steps of each trial, in place of minutes."""
     profile: Profile = "cpu"
     """Size of the tracks' images and of the networks."""
     out: Path = DEFAULT_SEARCH
-    """Where search.csv, outcomes and curves go."""
+    """Folder for search.csv, outcomes and learning curves."""
     workers: int = 2
-    """Trials side by side."""
+    """Number of trials that run in parallel."""
     memory_limit: float | None = None
     """MiB of memory at which a trial has failed; if left out, an equal part of nine tenths of the machine's."""
     retry: Switch = False
-    """Run again what has failed before."""
+    """Run failed trials again."""
 
 
 @dataclass(frozen=True)

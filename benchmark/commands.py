@@ -1,4 +1,4 @@
-"""What each command of `obpose-bench` does, and what it prints."""
+"""Commands of `obpose-bench`: their work and their output."""
 
 import math
 

@@ -22,7 +22,7 @@ from datagen.errors import UsageError
 from datagen.wording import counted
 
 COLUMNS = {"metric": 17, "A": 5, "B": 5, "A - B": 6, "95 % interval": 13, "wins": 5, "resolvable": 10, "p": 5}
-"""Of the printed table, and their widths: the same for all tracks."""
+"""Columns of the printed table and their widths, equal for all tracks."""
 
 LEGEND = (
     "A - B is paired by scene, after a mean over each model's seeds that have scores. wins: share of scenes in which A "
@@ -33,11 +33,11 @@ LEGEND = (
 
 @dataclass(frozen=True)
 class Comparison:
-    """How much more model A scores than model B in one metric on one track."""
+    """Difference of model A's score from model B's, in one metric on one track."""
 
     track: str
     fit_track: str
-    """What both were fitted on."""
+    """Track that both models were fitted on."""
     metric: str
     one: float
     two: float
@@ -46,11 +46,11 @@ class Comparison:
     p_corrected: float
     """Holm-corrected for the metrics and tracks of the comparison."""
     warnings: tuple[str, ...] = ()
-    """What must be known of the two models: which seeds failed, where, and what could not be told or compared."""
+    """Caveats about the two models: failed seeds, undetectable collapses and missing scores."""
 
     @property
     def is_significant(self) -> bool:
-        """Whether chance alone would rarely make such a difference (5 %, after correction)."""
+        """Whether the difference is significant (5 %, after correction)."""
         return self.p_corrected < statistics.SIGNIFICANCE
 
 
@@ -90,7 +90,7 @@ def compare(
 
 
 def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> Group:
-    """For the terminal, track by track, with warnings beneath; what is not significant is grey."""
+    """Format comparisons for the terminal: one table per track, warnings below. Insignificant lines are grey."""
     comparisons = list(comparisons)
     places = groupby(comparisons, key=lambda line: (line.track, line.fit_track))
     tables = [_track_table(*place, list(lines)) for place, lines in places]
@@ -134,7 +134,7 @@ def _cells(line: Comparison) -> list[str]:
 
 
 def _p_value(value: float) -> str:
-    """With as many decimals as it takes to see on which side of the significance level it lies."""
+    """Format a p-value with enough decimals to show on which side of the significance level it lies."""
     if math.isnan(value):
         return "–"
     level = statistics.SIGNIFICANCE
@@ -154,7 +154,7 @@ def _left_out(entry: Entry) -> str:
 
 
 def _failed_seeds(entry: Entry) -> str:
-    """Which of the runs failed, and why; empty where none did."""
+    """List the failed runs with their causes; empty if none failed."""
     causes = list(zip(entry.rows, entry.causes, strict=True))[: entry.n_runs]
     return ", ".join(f"seed {row.key.seed} of {row.key.model} failed ({cause})" for row, cause in causes if cause)
 

@@ -1,4 +1,4 @@
-"""What people see of work that takes long, on standard error: lines, and bars where it is a terminal."""
+"""Progress output on standard error: lines, and progress bars on a terminal."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,13 +15,13 @@ Item = TypeVar("Item")
 
 
 def status() -> Console:
-    """Where lines about the work go."""
+    """Console for status lines, on standard error."""
     return Console(stderr=True, soft_wrap=True, highlight=False)
 
 
 @contextmanager
 def progress_bar(console: Console, what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A progress bar, where the console is a terminal; gives what is to be called at each step."""
+    """Show a progress bar if the console is a terminal; yields a function to call after each step."""
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=total)
@@ -29,7 +29,7 @@ def progress_bar(console: Console, what: str, total: int) -> Iterator[Callable[[
 
 
 def watched(items: Sequence[Item], title: str) -> Iterator[Item]:
-    """Give the items of a sequence, and show a progress bar on standard error where it is a terminal."""
+    """Iterate over a sequence with a progress bar on standard error, if that is a terminal."""
     with progress_bar(status(), title, len(items)) as advance:
         for item in items:
             yield item
@@ -38,13 +38,13 @@ def watched(items: Sequence[Item], title: str) -> Iterator[Item]:
 
 @contextmanager
 def busy(title: str) -> Iterator[None]:
-    """Show on standard error, where it is a terminal, that work of unknown length is being done."""
+    """Show a spinner on standard error during work of unknown length, if that is a terminal."""
     with status().status(title):
         yield
 
 
 def prepare(splits: Mapping[Source, tuple[str, ...]], *, workers: int) -> None:
-    """Make what is missing of these splits, and say so.
+    """Generate the missing scenes of these splits, and report it.
 
     Raises:
         DatagenError: scenes could not be made.

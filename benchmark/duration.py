@@ -1,4 +1,4 @@
-"""How long a plan takes, and how long its jobs may take."""
+"""Estimated duration of a plan, and time limits of its jobs."""
 
 import heapq
 import math
@@ -10,23 +10,22 @@ from benchmark.plan import Plan
 from datagen.wording import counted
 
 SCENE_SECONDS = 0.1
-"""To make a scene of ten frames on one core; docs/performance.md has it measured."""
+"""Time to generate a scene of ten frames on one core; measured in docs/performance.md."""
 STARTING_SECONDS = 20.0
-"""To compile and import before the first scene is made and the first step is trained."""
+"""Time for imports and compilation before the first scene or the first training step."""
 ASIDE = 1.13
-"""Validation, scores for curves, checkpoints and pictures, which no budget counts, as a factor on the time of
-training."""
+"""Factor on training time for work outside the budget: validation, curve scores, checkpoints and pictures."""
 SCORING_SECONDS = 60.0
-"""To segment, store and score 300 scenes of ten frames."""
+"""Time to segment, store and score 300 scenes of ten frames."""
 GRACE_SECONDS = 3600.0
-"""That a job may take beside training."""
+"""Time that a job may take in addition to training."""
 SLOW = 2.0
-"""Other load may make a second of one core last so many seconds; also the most seconds that a step may take."""
+"""Largest slowdown by other load: wall time per second of one core. Also the largest time per step, in seconds."""
 
 
 @runtime_checkable
 class Training(Protocol):
-    """What trains, or does not: a job, or a trial of a search."""
+    """Work that may include training: a job, or a trial of a search."""
 
     @property
     def trains(self) -> bool:
@@ -35,18 +34,18 @@ class Training(Protocol):
 
     @property
     def seconds(self) -> float:
-        """That it may learn for; infinite where it counts steps."""
+        """Training budget in seconds; infinite if the budget is counted in steps."""
         ...
 
     @property
     def steps(self) -> int | None:
-        """In their place."""
+        """Training budget in steps; None if it is counted in seconds."""
         ...
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Seconds that a plan takes."""
+    """Estimated duration of a plan, in seconds."""
 
     data: float
     training: float
@@ -54,14 +53,14 @@ class Estimate:
 
     @property
     def total(self) -> float:
-        """All together."""
+        """Total duration."""
         return self.data + self.training + self.scoring
 
 
 def estimate(plan: Plan, workers: int) -> Estimate | None:
-    """How long a plan takes, if nothing of it was begun before; None where nobody knows.
+    """Estimate how long a plan takes from scratch; None if that is unknown.
 
-    That is where no model learns, since those that do not take seconds, or where budgets are counted in steps.
+    It is unknown if budgets are counted in steps, or if no model learns; models that do not learn take seconds.
     """
     learning = [job for job in plan.jobs if job.learns]
     if not learning or any(math.isinf(_training(job)) for job in learning):
@@ -73,7 +72,7 @@ def estimate(plan: Plan, workers: int) -> Estimate | None:
 
 
 def estimate_trainings(trainings: Iterable[Training], scenes: int, workers: int) -> Estimate | None:
-    """The same of trainings that nothing is scored after, with so many scenes to be made first."""
+    """Estimate the duration of trainings without scoring, after `scenes` scenes are generated."""
     seconds = [_training(training) for training in trainings]
     if not seconds or math.inf in seconds:
         return None
@@ -81,7 +80,7 @@ def estimate_trainings(trainings: Iterable[Training], scenes: int, workers: int)
 
 
 def in_words(found: Estimate) -> str:
-    """One line for people who wait."""
+    """Format an estimate as one line for the user."""
     parts = (("to make scenes", found.data), ("to train", found.training), ("to score", found.scoring))
     minutes = ", ".join(f"{math.ceil(seconds / 60)} {what}" for what, seconds in parts if seconds)
     return f"This takes about {counted(math.ceil(found.total / 60), 'minute')}, less where a run goes on: {minutes}."
@@ -104,7 +103,7 @@ def _training(job: Training) -> float:
 
 
 def _side_by_side(seconds: Iterable[float], workers: int) -> float:
-    """Until the last of these ends, if so many run at a time and in this order."""
+    """Time until the last job ends, if `workers` jobs run at a time and start in this order."""
     ends = [0.0] * workers
     for duration in seconds:
         heapq.heapreplace(ends, ends[0] + duration)

@@ -40,7 +40,7 @@ LIMITS = {
     "time-limit": Limit(0, 31 * 24 * 60, "minutes (31 days)", above_low=True),
     "memory-limit": Limit(0, 2**30, "MiB", above_low=True),
 }
-"""By the name of the flag."""
+"""Limits by the name of the flag."""
 
 
 def check_flag(flag: str, value: int | float | None) -> None:

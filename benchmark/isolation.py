@@ -1,4 +1,4 @@
-"""Running a job in a process of its own: whatever a model does there costs its own rows and nothing else."""
+"""Run a job in a process of its own, so that a failing model loses only its own results."""
 
 import json
 import os
@@ -21,40 +21,40 @@ from datagen.wording import counted
 
 LOGS = "logs"
 MEMORY_SHARE = 0.9
-"""Of the machine's memory, for all jobs together."""
+"""Share of the machine's memory that all jobs together may use."""
 _POLL_SECONDS = 0.05
 SAVING_SECONDS = 5.0
-"""Between asking a process to end and ending it."""
+"""Grace period between SIGTERM and SIGKILL, in which a model may save its state."""
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @runtime_checkable
 class Work(Protocol):
-    """What is done in a process of its own: rows (`benchmark.runner.Job`), or a trial (`benchmark.search.trial`)."""
+    """Work for a process of its own: results (`benchmark.runner.Job`), or a trial (`benchmark.search.trial`)."""
 
     @property
     def results(self) -> tuple[str, ...]:
-        """Names of what it writes."""
+        """Names of the results that it writes."""
         ...
 
     def run(self, announce: Callable[[str], None]) -> None:
-        """Do it; `announce` hears each of these names when that is written, and may hear "fitted" before."""
+        """Do the work; calls `announce` with each of `results` once it is written, and may announce "fitted" before."""
         ...
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a job may use."""
+    """Resources that a job may use."""
 
     seconds: float
-    """Until its next result is written, fitting included."""
+    """Time limit until the next result is written, fitting included."""
     memory_mib: float
-    """Resident memory of its process."""
+    """Limit of the process's resident memory."""
     threads: int = 1
 
 
 def limits(seconds: float, *, workers: int, memory_mib: float | None = None, threads: int | None = None) -> Limits:
-    """An equal part of the machine for each of the jobs that run side by side, where no other limit is given."""
+    """Limits of one of `workers` parallel jobs: an equal part of the machine, unless given otherwise."""
     return Limits(
         seconds=seconds,
         memory_mib=memory_mib or MEMORY_SHARE * machine_mib() / workers,
@@ -64,19 +64,19 @@ def limits(seconds: float, *, workers: int, memory_mib: float | None = None, thr
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job ended."""
+    """Ending of a job: its events, and the reason of a failure."""
 
     events: tuple[str, ...]
-    """As the job announced them."""
+    """Events that the job announced, in order."""
     reason: str
     """Why it did not finish; empty if it did."""
 
 
 def run_isolated(job: Work, limits: Limits, log: Path, stop: threading.Event, heard: Callable[[str], None]) -> Outcome:
-    """Run a job in its own process; `heard` gets its events at once, `stop` ends it. A failure leaves a log.
+    """Run a job in its own process. It calls `heard` with each event; setting `stop` ends it. A failure leaves a log.
 
     Raises:
-        Busy: another process does the same; nothing is wrong with the job.
+        Busy: another process already does this work; nothing is wrong with the job.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as errors:
@@ -136,7 +136,7 @@ def _read(stream: IO[bytes], lines: "queue.Queue[bytes | None]") -> None:
 
 
 def _trespass(process: subprocess.Popen[bytes], limits: Limits, deadline: float, stop: threading.Event) -> str:
-    """Which limit the process has passed; empty if none."""
+    """Name the limit that the process exceeds; empty if none."""
     if stop.is_set():
         return "interrupted"
     if time.monotonic() > deadline:
@@ -158,7 +158,7 @@ def _ending(code: int, done: bool) -> str:
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End the process and all that it started, after a moment in which a model may save how far it is."""
+    """End the process and its children, after a grace period in which a model may save its state."""
     if process.poll() is None:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
@@ -169,6 +169,6 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def _environment(threads: int) -> dict[str, str]:
-    """The same modules as here, and so many threads."""
+    """Environment of the process: the import paths of this one, and the given number of threads."""
     paths = os.pathsep.join(dict.fromkeys([str(ROOT), *filter(None, sys.path)]))
     return {**os.environ, "PYTHONPATH": paths, **dict.fromkeys(_THREADS, str(threads))}

@@ -186,7 +186,7 @@ def _sum(table: SceneTable | None, name: str) -> float:
 
 
 def _mean(values: np.ndarray) -> float | int:
-    """Of those that are defined; whole numbers as such."""
+    """Mean of the defined values; an int if it is whole."""
     defined = values[~np.isnan(values)]
     mean = float(defined.mean()) if len(defined) else math.nan
     return int(mean) if mean.is_integer() else mean

@@ -1,4 +1,4 @@
-"""What a run folder was made of: code, versions, datasets, models, and the hashes of its tables."""
+"""Manifest of a run folder: code, versions, datasets, models, and the hashes of its tables."""
 
 import hashlib
 import json
@@ -14,12 +14,12 @@ from benchmark.standings import Entry
 
 MANIFEST = "manifest.json"
 HASHED = tuple(name for name in FILES if name != "per_scene.csv")
-"""That one is made from `scenes/` and too large for git: a clone would lack what its manifest lists."""
+"""Files that the manifest lists. per_scene.csv is made from `scenes/` and too large for git, so clones lack it."""
 PACKAGES = ("obpose", "numpy", "scipy", "scikit-learn", "h5py", "torch")
 
 
 def write_manifest(folder: Path, entries: Sequence[Entry], hashed: Sequence[str] = HASHED) -> None:
-    """Write `manifest.json`, with the hashes of files that must be there."""
+    """Write `manifest.json`, with the hashes of the files in `hashed`, which must exist."""
     rows = [row for entry in entries for row in entry.rows]
     facts = {
         "python": platform.python_version(),
@@ -36,7 +36,7 @@ def write_manifest(folder: Path, entries: Sequence[Entry], hashed: Sequence[str]
 
 
 def _number(value: float) -> float | None:
-    """MSC-FG from which the collapse of a seed is told; null where no floor was scored and none can be."""
+    """MSC-FG of the best floor, which detects collapsed seeds; null if no floor was scored."""
     return None if math.isnan(value) else round(value, 6)
 
 

@@ -1,4 +1,4 @@
-"""What a person gets of a run folder: tables, manifest and report, and a short table on the screen."""
+"""Output of a run folder: tables, manifest and report, and a short table on the screen."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -25,11 +25,11 @@ from benchmark.wording import free_of_slots, rank_in_words, run_once, seeds_cove
 HEADLINE_OF_POSES = ("posed", "translation_median", "orientation_median", "box_iou")
 
 FILE_WIDTH = 160
-"""Characters a line where the output goes into a file or pipe."""
+"""Characters per line if the output goes to a file or pipe."""
 
 
 def write(folder: Path, data: Sequence[Path]) -> None:
-    """Write everything that is made from a run folder's rows, and print the means and where the files are."""
+    """Write all tables and reports of a run folder, and print the means and the paths of the files."""
     entries = leaderboard.write(folder, watched)
     if not is_packed(folder):
         write_manifest(folder, entries)

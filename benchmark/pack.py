@@ -90,7 +90,7 @@ def pack(runs: Sequence[Path], out: Path) -> int:
 
 
 class _Archive:
-    """The contents of a packed folder, and where the contents of its tree are stored."""
+    """Contents of a packed folder, and an index of all contents stored in the same tree."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder.resolve()
@@ -99,7 +99,7 @@ class _Archive:
         self.curves: dict[str, Curve] = {}
         self.results: dict[tuple[str, str, str, int], Result] = {}
         self.homes: dict[str, tuple[Path, str]] = {}
-        """By digest of a row, a table or a curve: the folder and the name under which it is stored."""
+        """Storage location (folder, name) of each row, table or curve, by its digest."""
         if is_packed(self.folder):
             self.rows = dict(stored_rows(self.folder))
             self.scenes, self.curves = dict(stored_scenes(self.folder)), dict(stored_curves(self.folder))
@@ -109,7 +109,7 @@ class _Archive:
             self._index(other)
 
     def _index(self, folder: Path) -> None:
-        """Note all that a packed folder stores itself."""
+        """Index everything that a packed folder stores itself."""
         lines = stored_rows(folder)
         rows = [row for row in load_runs(folder) if "in" not in lines[row.key.name]]
         digests = {found.digest: found.name for found in _results(folder, rows)}

@@ -41,7 +41,7 @@ Columns = dict[str, np.ndarray]
 Fields = dict[str, Any]
 """A line of `runs.jsonl.xz`."""
 Part = Literal["scenes", "curve"]
-"""What a row may share with another row."""
+"""Part of a row that may be shared with another row."""
 Stored = TypeVar("Stored", Columns, Curve)
 
 

@@ -1,4 +1,4 @@
-"""Which rows a request asks for, which of them are there, and the jobs that make the rest."""
+"""Plan a request: the rows it asks for, and the jobs that make the missing ones."""
 
 import dataclasses
 import itertools
@@ -23,54 +23,54 @@ class Weights:
     """A trained model from a folder."""
 
     model: str
-    """That it is one of."""
+    """Registry name of the model."""
     folder: Path
     name: str
-    """In tables, files and keys."""
+    """Name in tables, files and keys."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be compared."""
+    """Comparison to be made: models, datasets and options."""
 
     models: tuple[str, ...]
     sources: tuple[Source, ...]
     """Tracks or datasets to score on."""
     seeds: int = 3
     fit_source: Source | None = None
-    """Where models are fitted, or tuned, once for all; None: on each track itself."""
+    """Dataset on which all models are fitted, or tuned, once; None: on each track itself."""
     seconds: float | None = None
-    """Of one core, that models that learn may train for; None: what each declares."""
+    """Training budget of models that learn, in seconds of one core; None: the budget that each declares."""
     steps: int | None = None
-    """Training steps in the place of seconds."""
+    """Training budget in steps, in place of seconds."""
     pretrained: bool = False
-    """Whether models that learn use the weights that ship with the package; these have one seed."""
+    """Whether models that learn use the weights that ship with the package; these run with one seed."""
     weights: tuple[Weights, ...] = ()
-    """Trained models, which stand beside these; they have one seed too."""
+    """Trained models to score beside `models`; these run with one seed too."""
     slots: tuple[int, ...] = ()
-    """Slots that models may use, the background's included: a model for each number that is not the track's own."""
+    """Slot counts to compare, background included; each count other than the track's own makes a separate model."""
     profile: Profile = "cpu"
-    """Of the models that learn; the sources have their own."""
+    """Profile of the models that learn; the sources have their own."""
     predictions: tuple[PredictionFolder, ...] = ()
-    """Label maps in the place of models, one folder a seed; `models` then holds the one name that they go by."""
+    """Label maps to score in place of models, one folder per seed; `models` then holds their one name."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The rows of a request, and what is to be done for them."""
+    """Rows of a request, and the jobs that make the missing ones."""
 
     keys: tuple[RunKey, ...]
     jobs: tuple[Job, ...]
-    """Without the rows that are there, and with one seed for all where seeds make no difference."""
+    """Jobs for the missing rows; a model without randomness gets one job for all seeds."""
     splits: dict[Source, tuple[str, ...]]
-    """What the jobs read; their folders need not be there yet."""
+    """Splits that the jobs read; the datasets need not exist yet."""
 
 
 def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
-    """Compare a request with the rows that a run folder has.
+    """Plan the jobs for a request, given the rows that the run folder already has.
 
     Raises:
-        UsageError: there are no such weights as the request asks for.
+        UsageError: the request asks for weights that do not exist.
     """
     if request.predictions:
         return _predictions_plan(request, rows, out)
@@ -109,7 +109,7 @@ def _add(splits: dict[Source, tuple[str, ...]], source: Source, names: tuple[str
 
 
 def repeats(row: RunRow, keys: Iterable[RunKey]) -> list[RunRow]:
-    """The rows of other seeds that a row stands for, because seeds make no difference to its model."""
+    """Copy a row for the other seeds that it stands for, if seeds make no difference to its model."""
     if row.random:
         return []
     same = (key for key in keys if key != row.key and dataclasses.replace(key, seed=row.key.seed) == row.key)
@@ -117,9 +117,9 @@ def repeats(row: RunRow, keys: Iterable[RunKey]) -> list[RunRow]:
 
 
 def superseded(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> list[RunRow]:
-    """The rows that wanted ones replace: those in their places that were made with other settings.
+    """Find the rows to be replaced: those with the place of a wanted row but other settings.
 
-    Of label maps made elsewhere all seeds go, so that those of other maps do not stand among the new ones.
+    For label maps made elsewhere, all seeds are replaced, so that old and new maps never mix.
     """
     wanted = {key.place: key for key in keys}
     rows = list(rows)
@@ -133,10 +133,10 @@ def superseded(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> list[RunRow]:
 
 
 def check_places(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> None:
-    """Check that no wanted row has the place of one made with other settings.
+    """Check that no wanted row shares its place with a row of other settings.
 
     Raises:
-        UsageError: names the first, and says what differs.
+        UsageError: names the first such row and the settings that differ.
     """
     there = {row.key.place: row for row in rows}
     for key in keys:
@@ -156,7 +156,7 @@ def check_places(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> None:
 
 
 def _fits(request: Request) -> list[tuple[Source, tuple[Source, ...]]]:
-    """What is fitted on, and what is scored after each fit."""
+    """List each dataset to fit on, with the datasets that are scored after that fit."""
     if request.fit_source:
         return [(request.fit_source, request.sources)]
     return [(source, (source,)) for source in request.sources]
@@ -164,7 +164,7 @@ def _fits(request: Request) -> list[tuple[Source, tuple[Source, ...]]]:
 
 @dataclass(frozen=True)
 class _Way:
-    """A model and how it comes by its weights, or values: by fitting on a track, or from a checkpoint."""
+    """A model and the source of its weights or tuned values: a fit on a track, or a checkpoint."""
 
     model: str
     spec: ModelSpec
@@ -173,38 +173,38 @@ class _Way:
     seconds: float
     steps: int | None
     weights: Weights | None
-    """In the place of training."""
+    """Trained weights, used in place of training."""
     slots: int | None
-    """In the place of the track's."""
+    """Number of slots, in place of the track's."""
     profile: Profile
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """What it is fitted on."""
+        """Splits that the model is fitted on."""
         if self.weights:
             return ()
         return ("train", "val") if self.spec.kind == "learned" else ("val",)
 
     def own_slots(self, source: Source) -> int | None:
-        """The number of slots where it is not the one that the model has on a track anyway; else None."""
+        """Number of slots if it differs from the model's default on a track; otherwise None."""
         usual = {self.fit.slots} if self.spec.kind == "learned" else {self.fit.slots, source.slots}
         return None if usual == {self.slots} else self.slots
 
     def name(self, source: Source) -> str:
-        """In tables, files and keys."""
+        """Name of the model in tables, files and keys."""
         if self.weights:
             return self.weights.name
         slots = self.own_slots(source)
         return self.model + (SLOTS.format(slots - 1) if slots else "")
 
     def settings(self, source: Source) -> dict[str, object]:
-        """What was known before the run and changes its results."""
+        """Settings that are fixed before the run and change its results."""
         if self.weights:
             return {"checkpoint": content_hash(self.weights.folder)}
         settings: dict[str, object] = {"grid": [dict(value) for value in self.spec.grid]}
         if self.spec.kind == "learned":
             settings["budget"] = [self.seconds, "seconds"] if self.steps is None else [self.steps, "steps"]
-        # What is as ever is not named, so that rows that were made before there was a choice keep their keys.
+        # Omit default values, so that rows from before these options existed keep their keys.
         further = {
             "settings": self.spec.settings_in(self.profile),
             "changes": dict(self.spec.on_tracks.get(self.fit.name, {})),
@@ -214,7 +214,7 @@ class _Way:
         return settings | {name: value for name, value in further.items() if value}
 
     def target(self, source: Source, seed: int) -> Target:
-        """The rows of a seed on a track."""
+        """Build the target for a seed on a track."""
         name = self.name(source)
         key = RunKey(
             track=source.name,
@@ -230,7 +230,7 @@ class _Way:
         return Target(key, source.folder, self.slots or source.slots, extra)
 
     def job(self, seed: int, targets: tuple[Target, ...], out: Path) -> Job:
-        """The work of a seed."""
+        """Build the job of a seed."""
         return Job(
             model=self.model,
             seed=seed,
@@ -246,13 +246,13 @@ class _Way:
         )
 
     def _folder_name(self, seed: int) -> str:
-        """The same for all tracks that are scored, so that none of them needs training anew."""
+        """Name of the training folder, equal for all tracks that are scored, so that they share one training."""
         facts = [self.spec.version, self.settings(self.fit), self.fit.spec_hash]
         return f"{self.fit.name}--{self.name(self.fit)}--{seed}--{digest({'fit': facts})[:8]}"
 
 
 def _ways(request: Request) -> Iterator[tuple[_Way, tuple[Source, ...]]]:
-    """Every model in every way that is asked for, and what is scored after it."""
+    """Yield every requested variant of every model, with the datasets that are scored after its fit."""
     for model, (fit, sources) in itertools.product(request.models, _fits(request)):
         numbers = request.slots if find_model(model).takes_slots else ()
         shipped = _shipped(request, model, fit)
@@ -278,10 +278,10 @@ def _way(request: Request, model: str, fit: Source, weights: Weights | None, slo
 
 
 def trained(request: Request, fit: Source) -> list[Weights]:
-    """All weights of a request, of models that are or were trained on a track.
+    """List all trained weights that a request uses: shipped ones for this track, and given ones.
 
     Raises:
-        UsageError: some that are asked for do not ship with the package.
+        UsageError: requested weights do not ship with the package.
     """
     shipped = [_shipped(request, model, fit) for model in request.models]
     return [*filter(None, shipped), *request.weights]
@@ -294,6 +294,6 @@ def _shipped(request: Request, model: str, fit: Source) -> Weights | None:
 
 
 def _by_track(jobs: Iterable[Job], sources: Sequence[Source]) -> list[Job]:
-    """In the order of tracks, so that the first tables are complete early."""
+    """Sort jobs by track, so that the first tables are complete early."""
     order = {source.name: number for number, source in enumerate(sources)}
     return sorted(jobs, key=lambda job: order[job.targets[0].key.track])

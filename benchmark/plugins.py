@@ -1,6 +1,6 @@
 """Models of other packages: classes under the entry point group `obpose.models`.
 
-Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`), and may say more of itself in attributes:
+Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`). Optional attributes describe it further:
 
 - `version`: integer, 1 if left out; raise it when the model's results change, and they are made anew.
 - `description`: one line; the first line of the docstring if left out.
@@ -8,11 +8,11 @@ Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`), and may 
   default. If left out nothing is tuned.
 - `random`: False if seeds make no difference.
 - `uses_labels`: True if it must see `Clip.truth`; its rows are marked.
-- `priors`: what it is told beyond the images, out of `benchmark.model_spec.PRIORS`.
+- `priors`: its inputs beyond the images, out of `benchmark.model_spec.PRIORS`.
 - `kind`: one of `benchmark.model_spec.KINDS`; "learned" if left out.
 - `budget`: seconds that it trains for unless the command says otherwise; 600.0 if left out.
 - `extra`: names of further segmentations that its predictions hold; none if left out.
-- `views`: of the views of a frame, how many it is given and how many supervise it, such as ("one", "all").
+- `views`: how many views of a frame it is given and how many supervise it, such as ("one", "all").
 - `trials`: a tuple of dicts, changes that `obpose-bench search` gives to its argument `changes`; the first is empty.
 """
 
@@ -45,7 +45,7 @@ UNSAID: dict[str, Any] = {
     "views": (),
     "trials": ({},),
 }
-"""What holds of a class that does not say it."""
+"""Defaults for attributes that a class does not define."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Problem:
     """A plug-in that cannot be used."""
 
     name: str
-    """Of the model."""
+    """Name of the model."""
     reason: str
-    """What is wrong, in whose package, and what to do."""
+    """Description of the problem: its cause, the package, and the remedy."""
 
 
 def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Problem]]:
-    """Models of other packages by name, and what is wrong with the rest; names in `taken` are ours."""
+    """Load the models of other packages by name, and the problems of the rest; names in `taken` are ours."""
     entries = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value))
     times = Counter(entry.name.casefold() for entry in entries)
     models: dict[str, ModelSpec] = {}
@@ -79,10 +79,10 @@ def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Proble
 
 
 def spec_of(model: Any) -> ModelSpec:
-    """What a class says of itself, completed and checked.
+    """Build the specification of a class from its attributes and defaults, and check it.
 
     Raises:
-        UsageError: it is no model, or says something that cannot be.
+        UsageError: it is not a model, or an attribute is invalid.
     """
     for method in ("fit", "segment"):
         if not inspect.isclass(model) or not callable(getattr(model, method, None)):
@@ -123,7 +123,7 @@ def _check_name(name: str, taken: Collection[str], times: int) -> None:
 
 
 def _check_extra(name: str, extra: Collection[str], taken: Collection[str]) -> None:
-    """Check that rows of further segmentations, which are called MODEL-NAME, have names that nothing else has."""
+    """Check that the rows of further segmentations, called MODEL-NAME, have unique names."""
     for other in extra:
         check_row_name(f"{name}-{other}", "Give this entry of extra another name.")
         if find_twin(f"{name}-{other}", taken):

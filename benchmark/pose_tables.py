@@ -1,4 +1,4 @@
-"""The tables of poses, beneath those of segmentations: only of models that give poses, and of no influence on ranks."""
+"""Tables of poses, for the models that give poses; they have no influence on ranks."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from benchmark.wording import mean_and_std, seeds_covered
 
 @dataclass(frozen=True)
 class Column:
-    """How a score of poses is shown."""
+    """Display format of one pose score."""
 
     name: str
     title: str
@@ -42,21 +42,21 @@ NOTES = (
 
 
 HEADER = ("seeds", *(column.title for column in COLUMNS))
-"""Of what `pose_cells` gives."""
+"""Headings of the cells that `pose_cells` returns."""
 
 
 def posed(field: Iterable[Entry]) -> list[Entry]:
-    """Those models of a track that give poses, the best segmentation first."""
+    """Select the models of a track that give poses, the best segmentation first."""
     return [entry for entry in best_first(field) if entry.has_poses]
 
 
 def pose_cells(entry: Entry) -> list[str]:
-    """Seeds, and each score as mean and standard deviation over them."""
+    """Format the number of seeds, and each score as mean and standard deviation over seeds."""
     return [seeds_covered(entry), *(_cell(entry, column) for column in COLUMNS)]
 
 
 def markdown(field: Sequence[Entry]) -> list[str]:
-    """The table of one track, with its heading; nothing where no model gives poses."""
+    """Format the table of one track as Markdown, with its heading; empty if no model gives poses."""
     rows = _rows(field)
     if not rows:
         return []
@@ -65,7 +65,7 @@ def markdown(field: Sequence[Entry]) -> list[str]:
 
 
 def latex(field: Sequence[Entry], title: str) -> list[str]:
-    """Table of one track for LaTeX, with a caption that names the title; nothing where no model gives poses."""
+    """Format the table of one track as LaTeX, with the title in its caption; empty if no model gives poses."""
     rows = [" & ".join(escaping.latex(cell).replace("°", r"$^\circ$") for cell in cells) for cells in _rows(field)]
     if not rows:
         return []
@@ -89,7 +89,7 @@ def latex(field: Sequence[Entry], title: str) -> list[str]:
 
 
 def _rows(field: Iterable[Entry]) -> list[tuple[str, ...]]:
-    """Header and models, the best segmentation first; nothing where no model gives poses."""
+    """Header row and model rows, the best segmentation first; empty if no model gives poses."""
     rows = [(f"{entry.row.key.model} {entry.marks}".strip(), *pose_cells(entry)) for entry in posed(field)]
     return [("model", *HEADER), *rows] if rows else []
 

@@ -1,4 +1,4 @@
-"""From the flags of `obpose-bench` to what is to be compared."""
+"""Turn the flags of `obpose-bench` into a request."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from obpose.shipped import find_checkpoint
 from obpose.systems import system_of
 
 _OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
-"""Flags that mean nothing where label maps were made elsewhere."""
+"""Flags that do not apply to --predictions."""
 
 _NUMBERS = (
     "seeds",
@@ -31,10 +31,10 @@ _NUMBERS = (
 
 
 def request_of(values: arguments.Run) -> Request:
-    """The comparison that the flags describe.
+    """Build the request that the flags describe.
 
     Raises:
-        UsageError: they contradict each other, or name what does not exist.
+        UsageError: flags contradict each other, or name something that does not exist.
     """
     _check(values)
     names = values.track or (values.fit_track or DEFAULT,)
@@ -116,7 +116,7 @@ def _predictions_request(values: arguments.Run, sources: list[Source]) -> Reques
 
 
 def _weights(values: arguments.Run) -> tuple[Weights, ...]:
-    """Those of --checkpoint."""
+    """Load the weights that --checkpoint names."""
     if not values.checkpoint:
         return ()
     # PyTorch takes seconds to import.

@@ -1,4 +1,4 @@
-"""Scoring stored label maps again: no model runs."""
+"""Score stored label maps again, without running models."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +26,7 @@ def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, 
         CorruptFile: its label maps are damaged.
     """
     finished = [row for row in rows if row.status == "ok"]
-    # All are looked for before any table is written: a folder without some of them stays as it was.
+    # Find all before writing any table, so that an incomplete folder stays unchanged.
     found = [_find(folder, row, data) for row in finished]
     for row, (labels, dataset) in progress(list(zip(finished, found, strict=True)), "scoring rows"):
         score_labels(labels, Dataset(dataset).split(SPLIT), folder, row.key.name)
@@ -34,7 +34,7 @@ def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, 
 
 
 def _find(folder: Path, row: RunRow, data: Sequence[Path]) -> tuple[Path, Path]:
-    """Its label maps and its dataset."""
+    """Find the label maps and the dataset of a row."""
     labels = labels_path(folder, row)
     if not labels.exists():
         raise DatagenError(f"{labels} is missing; label maps stay on the machine that made them. Run there.")

@@ -35,13 +35,13 @@ from datagen.wording import counted
 
 RUNS, SCENES, LABELS, CURVES, TRAINING = "runs", "scenes", "labels", "curves", "training"
 COUNTS = ("objects", "one_object", "undefined", "identity_switches", "ignored")
-"""Columns of a scene's line behind its metrics: objects (mean over frames), frames with one object, frames in which a
+"""Columns after the metrics of a scene's line: objects (mean over frames), frames with one object, frames in which a
 metric is undefined, identity switches, ignored pixels."""
 
 SCORES = (*METRICS, *CLIP_METRICS)
 """Columns whose values lie between -1 and 1."""
 ROUNDING = 1e-6
-"""Largest excess of a stored score."""
+"""Tolerance of the range check, as stored scores are rounded."""
 
 SceneTable = dict[str, np.ndarray]
 """Column name to float64 array over scenes: `scene`, `n_frames`, `<metric>`, `<metric>_n`, and `COUNTS`."""
@@ -49,21 +49,21 @@ SceneTable = dict[str, np.ndarray]
 
 @dataclass(frozen=True, order=True)
 class RunKey:
-    """What a row is of; a row with an equal key is never computed twice."""
+    """Identity of a row; a row with an equal key is never computed twice."""
 
     track: str
     fit_track: str
-    """Equals `track` where the model was fitted, or tuned, on the track itself."""
+    """Track fitted, or tuned, on; equals `track` if that is the scored track itself."""
     model: str
     seed: int
     version: int
-    """Of the model."""
+    """Version of the model."""
     config_hash: str
     """SHA-256 of the settings that were known before the run: the declared grid, budgets, options."""
     fit_spec: str
-    """The `spec_hash` of the dataset that was fitted on."""
+    """`spec_hash` of the dataset that the model was fitted on."""
     track_spec: str
-    """The `spec_hash` of the dataset that was scored on."""
+    """`spec_hash` of the dataset that the model was scored on."""
 
     @property
     def name(self) -> str:
@@ -72,16 +72,16 @@ class RunKey:
 
     @property
     def place(self) -> tuple[str, str, str, int]:
-        """Where the row stands in tables: a run folder has one row a place."""
+        """Position of the row in tables; a run folder has one row per place."""
         return self.track, self.fit_track, self.model, self.seed
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Costs, which differ from run to run; tables name them `measured_*`. nan, null in files: was not measured."""
+    """Measured costs, which vary between runs; tables name them `measured_*`. nan (null in files) if not measured."""
 
     seconds_per_frame: float
-    """Wall time of `segment` a frame and view; reading and scoring left out."""
+    """Wall time of `segment` per frame and view, without reading and scoring."""
     fit_seconds: float
     """Wall time of fitting, tuning included."""
     peak_mib: float
@@ -95,7 +95,7 @@ class RunRow:
     key: RunKey
     status: Literal["ok", "failed"]
     reason: str
-    """Why it failed; empty where it did not."""
+    """Reason of the failure; empty if the run succeeded."""
     config: dict[str, Any]
     """The values the model ran with, tuned ones included."""
     tuned: bool
@@ -104,34 +104,34 @@ class RunRow:
     """Whether the model itself saw labels."""
     kind: Kind
     priors: tuple[str, ...]
-    """What the model was given beside the clips, such as the number of slots."""
+    """Inputs of the model beside the clips, such as the number of slots."""
     random: bool
-    """Whether seeds differ; if not, one run stands for all seeds."""
+    """Whether results depend on the seed; if not, one run stands for all seeds."""
     n_scenes: int
-    """Scenes that were scored; 0 where the run failed."""
+    """Number of scored scenes; 0 if the run failed."""
     parameters: int
-    """Learned numbers; 0 for models that learn nothing."""
+    """Number of learned parameters; 0 for models that learn nothing."""
     device: str
     commit: str
-    """Of the code that ran; recorded, not part of the key."""
+    """Commit of the code that ran; recorded, not part of the key."""
     measured: Measured
     pretrained: str = ""
-    """Name of the weights that were used in the place of training; empty where the run trained."""
+    """Name of the weights that were used in place of training; empty if the run trained."""
     views: str = ""
-    """How many views of a frame the model gets and how many supervise it, where it says so and there are several."""
+    """Views of a frame that the model gets and that supervise it; empty if undeclared or if there is only one view."""
     trials: int = 0
-    """How many values were compared by these scores, where that is known."""
+    """Number of values compared by validation scores, if known."""
     learning_curve: list[dict[str, float]] | None = field(default=None)
-    """What a model recorded while it trained, a dict for each of some steps; kept in `curves/`."""
+    """Learning curve recorded in training, one dict per recorded step; kept in `curves/`."""
 
 
 def digest(values: Mapping[str, Any]) -> str:
-    """SHA-256 of plain values; what JSON does not know counts as its text."""
+    """SHA-256 of plain values; values that JSON cannot represent are converted to text."""
     return hashlib.sha256(json.dumps(values, sort_keys=True, separators=(",", ":"), default=str).encode()).hexdigest()
 
 
 def save_row(folder: Path, row: RunRow) -> None:
-    """Write a row, and its learning curve before it; from then on it counts."""
+    """Write a row, after its learning curve; once written, the row counts as finished."""
     if row.learning_curve:
         save_curve(_curve_path(folder, row.key.name), row.learning_curve)
     text = json.dumps(plain_values(row), indent=1, default=str) + "\n"
@@ -139,7 +139,7 @@ def save_row(folder: Path, row: RunRow) -> None:
 
 
 def plain_values(row: RunRow) -> dict[str, Any]:
-    """Turn a row into values for JSON; its learning curve is left out, and nan, which JSON lacks, becomes None."""
+    """Convert a row to JSON values. The learning curve is left out; nan, which JSON lacks, becomes None."""
     values = dataclasses.asdict(row)
     del values["learning_curve"]
     values["measured"] = {name: cost if math.isfinite(cost) else None for name, cost in values["measured"].items()}
@@ -147,7 +147,7 @@ def plain_values(row: RunRow) -> dict[str, Any]:
 
 
 def storable(value: Any) -> Any:
-    """Replace what `load_row` would refuse in values of foreign models: other infinite numbers, and broken UTF-16."""
+    """Replace values that `load_row` would refuse: nan, infinite numbers and unpaired surrogates in text."""
     if isinstance(value, dict):
         return {name: storable(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -158,12 +158,12 @@ def storable(value: Any) -> Any:
 
 
 def row_path(folder: Path, key: RunKey) -> Path:
-    """Where a row is or will be."""
+    """Path of a row, whether or not the file exists."""
     return folder / RUNS / f"{key.name}.json"
 
 
 def load_runs(folder: Path) -> list[RunRow]:
-    """Load all rows of a run folder, ordinary or packed, ordered by their keys; none where there is no such folder yet.
+    """Load all rows of a run folder, ordinary or packed, ordered by their keys; none if the folder does not exist yet.
 
     Raises:
         UsageError: the folder has rows in both forms.
@@ -191,7 +191,7 @@ def _packed_row(folder: Path, values: dict[str, Any]) -> RunRow:
 
 
 def check_runs(folder: Path) -> list[RunRow]:
-    """As `load_runs`, where there must be some.
+    """Load all rows of a run folder, as `load_runs` does, and require at least one.
 
     Raises:
         UsageError: the folder holds no rows.
@@ -235,7 +235,7 @@ def build_checked(kind: type[Any], values: Mapping[str, Any]) -> Any:
     """Build a dataclass from values of a file.
 
     Raises:
-        TypeError: a field is missing or unknown, or a plain value is none of those that its field may have.
+        TypeError: a field is missing or unknown, or a plain value is not allowed for its field.
     """
     hints = get_type_hints(kind)
     required = [field.name for field in dataclasses.fields(kind) if _is_required(field)]
@@ -259,7 +259,7 @@ def _is_required(field: dataclasses.Field[Any]) -> bool:
 
 
 def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
-    """Forget rows, with their scores, label maps and learning curves; what a model keeps for itself stays."""
+    """Delete rows with their scores, label maps and learning curves; the models' own files in `training/` stay."""
     for row in rows:
         row_path(folder, row.key).unlink(missing_ok=True)
         (folder / SCENES / f"{row.key.name}.csv").unlink(missing_ok=True)
@@ -272,7 +272,7 @@ def _curve_path(folder: Path, name: str) -> Path:
 
 
 def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float | int]:
-    """One line of a scene table from the scene's scores, as `benchmark.metrics.clip_scores` gives them."""
+    """Build a scene table's line from the scene's scores, as `benchmark.metrics.clip_scores` returns them."""
     metrics = {name: values for name, values in scores.items() if name not in COUNTS}
     line: dict[str, float | int] = {"scene": scene, "n_frames": len(scores["objects"])}
     for name, values in metrics.items():
@@ -288,7 +288,7 @@ def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float 
 
 
 def save_scenes(folder: Path, name: str, lines: Sequence[Mapping[str, float | int]]) -> None:
-    """Write a scene table; floats are written such that they are read back exactly."""
+    """Write a scene table; floats keep full precision."""
     rows = [",".join(lines[0]), *(",".join(repr(value) for value in line.values()) for line in lines)]
     write_whole(folder / SCENES / f"{name}.csv", ("\n".join(rows) + "\n").encode())
 
@@ -319,7 +319,7 @@ def _packed_scenes(folder: Path, row: RunRow) -> SceneTable:
 
 
 def _checked(table: SceneTable, row: RunRow) -> SceneTable:
-    """Raises ValueError where a table has not the row's scenes, lacks a column, or has a value that is no score."""
+    """Check a scene table. Raises ValueError for a wrong number of scenes, a missing column or an invalid score."""
     scenes = max((len(values) for values in table.values()), default=0)
     if scenes != row.n_scenes or not scenes:
         raise ValueError(f"{counted(scenes, 'scene')} where the row has {row.n_scenes}")
@@ -348,7 +348,7 @@ def _check_values(table: SceneTable) -> None:
 
 
 def pooled(table: SceneTable, metric: str) -> float:
-    """A split's mean of a metric: over all frames in which it is defined, as the paper pools; nan where in none."""
+    """Mean of a metric over all frames of a split that define it, pooled as in the paper; nan if none does."""
     values, weights = table[metric], table[f"{metric}_n"]
     total = weights.sum()
     return float(np.sum(np.where(weights > 0, values, 0.0) * weights) / total) if total else float("nan")

@@ -29,19 +29,19 @@ SPLIT = "test"
 
 @dataclass(frozen=True)
 class Target:
-    """A row to be made, with those that come of the same work."""
+    """A row to be made, with further rows from the same predictions."""
 
     key: RunKey
     data: Path
     """Dataset to score on."""
     slots: int
-    """Slots that the model may use there."""
+    """Number of slots that the model may use on this dataset."""
     extra: Mapping[str, RunKey] = field(default_factory=dict)
     """Rows of the segmentations in `Prediction.extra`, by their names."""
 
     @property
     def keys(self) -> tuple[RunKey, ...]:
-        """Of all its rows."""
+        """Keys of all rows of the target."""
         return self.key, *self.extra.values()
 
 
@@ -57,32 +57,32 @@ class Job:
     out: Path
     """The run folder."""
     seconds: float = math.inf
-    """That the model may train for, half of them for tuning where there is something to tune."""
+    """Training budget in seconds; a tuned model spends half of it on tuning."""
     steps: int | None = None
-    """That it trains for, where budgets are counted in steps."""
+    """Training budget in steps, in place of seconds."""
     folder: Path | None = None
-    """For files of the model's own; see `benchmark.interface`."""
+    """Folder for the model's own files; see `benchmark.interface`."""
     checkpoint: Path | None = None
-    """Weights to be used in the place of training."""
+    """Trained weights, used in place of training."""
     profile: Profile = "cpu"
-    """Of a model that learns."""
+    """Size of the networks of a model that learns."""
 
     @property
     def learns(self) -> bool:
-        """Whether its model is one that learns, here or elsewhere."""
+        """Whether the model is one that learns, in this job or elsewhere."""
         return self.folder is not None or self.checkpoint is not None
 
     @property
     def pretrained(self) -> str:
-        """Name of these weights; empty where there are none."""
+        """Name of the trained weights; empty if there are none."""
         return self.checkpoint.name if self.checkpoint else ""
 
     predictions: PredictionFolder | None = None
-    """Label maps to score in the place of a model."""
+    """Label maps to score in place of a model."""
 
     @property
     def trains(self) -> bool:
-        """Whether its model learns here."""
+        """Whether the model is trained in this job."""
         return self.learns and not self.checkpoint
 
     @property
@@ -91,30 +91,30 @@ class Job:
         return tuple(target.key.name for target in self.targets)
 
     def run(self, announce: Callable[[str], None]) -> None:
-        """As `run_job`."""
+        """Make all rows of the job; see `run_job`."""
         run_job(self, announce)
 
 
 def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> None:
-    """Make all rows of a job; `announce` hears "fitted", and the name of every target's row when all are written.
+    """Make all rows of a job. Calls `announce` with "fitted", then with each target's row name once it is written.
 
     Raises:
         UsageError: the model, a dataset or a split does not exist, or a split is empty.
-        BadPrediction: the model returned something else than labels for every pixel.
+        BadPrediction: the model did not return a label for every pixel.
         CorruptFile: a dataset is damaged.
     """
     fitted = None if job.predictions else _fit(find_model(job.model), job)
     announce("fitted")
     for target in job.targets:
         rows = [_predictions_row(job, target)] if fitted is None else _model_rows(job, fitted, target)
-        # The target's own comes last: where it is there, all are.
+        # Write the target's own row last: its existence implies that of the others.
         for row in rows[::-1]:
             save_row(job.out, row)
         announce(target.key.name)
 
 
 def blank_row(key: RunKey, spec: ModelSpec | None, *, status: str, reason: str = "") -> RunRow:
-    """A row of what is known of a model before it runs; of label maps made elsewhere where there is no spec."""
+    """Build a row from the facts known before a model runs; without `spec`, a row of label maps made elsewhere."""
     nan = float("nan")
     return RunRow(
         key=key,
@@ -136,7 +136,7 @@ def blank_row(key: RunKey, spec: ModelSpec | None, *, status: str, reason: str =
 
 @dataclass(frozen=True)
 class _Fitted:
-    """What came of fitting."""
+    """Result of fitting a model."""
 
     spec: ModelSpec
     segmenter: Segmenter
@@ -146,7 +146,7 @@ class _Fitted:
 
     @property
     def learning_curve(self) -> Curve | None:
-        """What the model recorded while it learned, and what was seen of it then."""
+        """Learning curve that the model recorded, with the scores of `watch` added; None if it is empty."""
         curve = getattr(self.segmenter, "learning_curve", None)
         points = [{one_line(str(name)): float(value) for name, value in point.items()} for point in curve or ()]
         return (self.watch.added_to(points) if self.watch else points) or None
@@ -157,7 +157,7 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     if job.checkpoint:
         return _pretrained(spec, job)
     dataset = Dataset(job.fit_data)
-    # Only models that learn get training clips, so that the others do not wait for these to be made.
+    # Only models that learn get training clips, so that other models do not wait for their generation.
     train = _clips(dataset.split("train"), spec) if spec.kind == "learned" else []
     val, truths = _clips(dataset.split("val"), spec), TruthSequence(dataset.split("val"))
     tuned = len(spec.grid) > 1
@@ -179,7 +179,7 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
 def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
     segmenter = spec.build({"slots": job.fit_slots, "checkpoint": job.checkpoint})
     segmenter.fit([], [], seed=job.seed, budget=0.0)
-    # Their training may have changed what the model declares.
+    # The training of these weights may have changed the model's declared settings.
     spec = spec.configured(job.checkpoint) if spec.configured and job.checkpoint else spec
     return _Fitted(spec, segmenter, {}, float("nan"), None)
 
@@ -206,7 +206,7 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
 
 
 def _for_target(job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:
-    """The fitted model; models that learn nothing are built anew where a track has other slots."""
+    """Give the fitted model; a model that learns nothing is rebuilt if the track has another number of slots."""
     if fitted.spec.kind == "learned" or target.slots == job.fit_slots:
         return fitted.segmenter, fitted.options
     options = {**fitted.options, "slots": target.slots}
@@ -231,7 +231,7 @@ def _scenes(target: Target) -> Split:
 
 
 def _score(job: Job, target: Target, predict: Predict, scenes: Split, clips: ClipSequence) -> float:
-    """Write label maps and scene tables; returns the seconds that the model took for a frame and view."""
+    """Write label maps and scene tables; returns the model's seconds per frame and view."""
     labels = job.out / LABELS / f"{target.key.name}.h5"
     extra = {name: job.out / LABELS / f"{key.name}.h5" for name, key in target.extra.items()}
     seconds = segment_split(predict, clips, labels, target.data, extra)

@@ -1,4 +1,4 @@
-"""From a model's answers to the scene table: segment and store, then score what is stored."""
+"""Segment a split and store the label maps, then score them into scene tables."""
 
 import time
 from collections.abc import Callable, Collection, Mapping
@@ -20,7 +20,7 @@ from datagen.errors import DatagenError
 from datagen.storage import Split
 
 Predict = Callable[[int, Clip], Prediction]
-"""Gives the segmentation of a scene, by its number and its clip."""
+"""Function that segments a scene, given its number and its clip."""
 
 
 class BadPrediction(DatagenError):
@@ -34,13 +34,13 @@ def segment_split(
 
     Args:
         predict: Segments a clip.
-        clips: Of the split.
-        path: Where the label maps go.
+        clips: Clips of the split.
+        path: File for the label maps.
         data: Folder of the dataset.
-        extra: Where those in `Prediction.extra` go, by their names.
+        extra: Files for the segmentations in `Prediction.extra`, by name.
 
     Raises:
-        BadPrediction: something else than a label for every pixel came back.
+        BadPrediction: `predict` did not return a label for every pixel.
     """
     seconds, extra = 0.0, extra or {}
     with ExitStack() as stack:
@@ -58,10 +58,10 @@ def segment_split(
 
 
 def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
-    """Score stored label maps, and poses where the file has some, and write the scene table.
+    """Score stored label maps, and poses if the file has some, and write the scene table.
 
-    Returns the number of frames, views counted apart. Pixels without depth are left out: nothing can be known of them
-    from geometry.
+    Returns the number of frames; each view counts as a frame. Pixels without depth are ignored, as geometry gives no
+    information about them.
 
     Raises:
         CorruptFile: the label maps do not fit the scenes.
@@ -81,10 +81,10 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
 
 
 def check_prediction(prediction: Prediction, clip: Clip, where: str, extra: Collection[str] = ()) -> None:
-    """Check that a model gave a label for every pixel, and so in each of the `extra` segmentations.
+    """Check that a model gave a label for every pixel, also in each of the `extra` segmentations.
 
     Raises:
-        BadPrediction: says what it gave instead.
+        BadPrediction: the prediction is invalid; the message describes it.
     """
     if not isinstance(prediction, Prediction):
         raise BadPrediction(f"In {where} the model gave a {type(prediction).__name__}; expected a Prediction.")

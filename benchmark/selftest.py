@@ -16,11 +16,11 @@ from benchmark.metrics import score
 Case = Mapping[str, Any]
 
 SUFFIXES = ("_frame_mean", "_batch_mean")
-"""Of metrics in the cases that are means over frames; ours always are."""
+"""Suffixes of metric names in the cases that mean an average over frames; our metrics always average."""
 
 
 WITHOUT_EMPTY_FRAMES = {"v_bg_only_frame": 1.0, "batch_with_empty_image": 1.0}
-"""Foreground means of the cases whose policy leaves frames without objects out; references count those as 0 or 1."""
+"""Expected foreground means of cases that leave out frames without objects; references score such frames 0 or 1."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Check:
 
 
 def run() -> list[str]:
-    """One line for each metric of each golden case that is not as it should be; an empty list is success."""
+    """Check all golden cases; returns one line per deviating metric, so an empty list is success."""
     return [str(check) for case in golden()["cases"] for check in checks(case) if not check.passed]
 
 
@@ -56,7 +56,7 @@ def golden() -> Mapping[str, Any]:
 
 
 def checks(case: Case) -> Iterator[Check]:
-    """Every metric that the case gives and `score` knows."""
+    """Check every metric that both the case and `score` give."""
     truth, prediction = label_maps(case)
     ignore = truth < 0
     scores = score(truth, prediction, ignore=ignore if ignore.any() else None)

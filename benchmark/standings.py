@@ -1,4 +1,4 @@
-"""How models stand on each track: the rows of a run folder brought together over seeds, judged and ranked.
+"""Standings of models on each track: group a run folder's rows over seeds, detect failures, and rank.
 
 Two models are compared only where they were scored on the same dataset and fitted the same way: each on the track
 itself, or all on one other track. Floors, oracles and models that saw labels are shown and never ranked.
@@ -27,9 +27,9 @@ ALL_METRICS = (*METRICS, *CLIP_METRICS)
 RANKED_METRICS = ("ari_fg", "msc_fg")
 """Models are ordered by the mean of their ranks in these."""
 ORACLE_METRICS = ("miou_bg_oracle", "msc_fg_oracle_bg")
-"""Those that choose the background slot by the truth: marked `USES_LABELS`, and nothing is ranked by them."""
+"""Metrics that choose the background slot by ground truth: marked `USES_LABELS`, and not used for ranking."""
 SWITCHES = "identity_switches"
-"""Summarised as the metrics are, in switches a scene; fewer are better."""
+"""Identity switches per scene, summarised like a metric; fewer are better."""
 
 USES_LABELS, TUNED, PRETRAINED = "†", "‡", "§"
 """Marks of models that see labels, of those whose values were chosen by scores on the validation split, and of those
@@ -40,15 +40,15 @@ BOOTSTRAP_SEED = 0
 Item = TypeVar("Item")
 
 Scores = tuple[Float64[np.ndarray, "seed scene"], Float64[np.ndarray, "seed scene"]]
-"""Of one metric: each scene's mean, and the number of values behind it."""
+"""Scores of one metric: each scene's mean, and the number of values behind it."""
 
 
 @runtime_checkable
 class Progress(Protocol):
-    """Gives the items of a sequence, and shows how many are done."""
+    """Function that iterates over a sequence and shows how many items are done."""
 
     def __call__(self, items: Sequence[Item], title: str, /) -> Iterable[Item]:
-        """Give the items; `title` says what is done with them."""
+        """Iterate over the items; `title` describes the work."""
         ...
 
 
@@ -59,21 +59,21 @@ class Entry:
     rows: tuple[RunRow, ...]
     """Ordered by seed; they differ in the seed only, and in their contents where they are label maps made elsewhere."""
     causes: tuple[str, ...]
-    """Why each seed failed; empty where it did not."""
+    """Reason why each seed failed; empty if it did not."""
     tables: tuple[SceneTable | None, ...]
-    """Each seed's scores scene by scene; None where the run gave none."""
+    """Each seed's scores scene by scene; None if the run gave none."""
     best_floor: float = np.nan
-    """Largest MSC-FG of a floor on the same dataset; nan where none was scored, so that no collapse can be told."""
+    """Largest MSC-FG of a floor on the same dataset; nan if none was scored, so that collapse cannot be detected."""
     mean_rank: float = np.nan
     """Mean of the ranks in `RANKED_METRICS`; nan where the model is not ranked."""
     rank: float | None = None
-    """Place by mean rank, equal ones sharing the mean of their places; None where the model is not ranked."""
+    """Place by mean rank; ties share the mean of their places; None if the model is not ranked."""
     groups: tuple[str, ...] = ("",) * len(RANKED_METRICS)
-    """For each of `RANKED_METRICS` the letters of its groups: models that share one cannot be told apart."""
+    """Group letters for each of `RANKED_METRICS`; models that share a letter do not differ significantly."""
 
     @property
     def row(self) -> RunRow:
-        """The first seed's, for what is the same in all."""
+        """Row of the first seed, for fields that are equal in all seeds."""
         return self.rows[0]
 
     @property
@@ -90,49 +90,49 @@ class Entry:
 
     @property
     def views(self) -> str:
-        """How many views of a frame the model is given and how many supervise it; empty where it does not say."""
+        """Views of a frame that the model is given and that supervise it; empty if it does not declare them."""
         return next((row.views for row in self.rows if row.views), "")
 
     @property
     def has_poses(self) -> bool:
-        """Whether its runs gave poses, as far as they gave anything."""
+        """Whether all runs that gave scores gave poses."""
         tables = [table for table in self.tables if table is not None]
         return bool(tables) and all(POSE_METRICS[0] in table for table in tables)
 
     @property
     def is_ranked(self) -> bool:
-        """Whether the model may stand in a ranking: it knows no labels, and not every seed failed."""
+        """Whether the model may be ranked: it uses no labels, is no floor or oracle, and not every seed failed."""
         knows = self.row.kind in ("floor", "oracle") or self.row.uses_labels
         return not knows and self.n_failed < len(self.rows)
 
     @property
     def n_runs(self) -> int:
-        """How many of the seeds were run; where they make no difference, the first stands for all."""
+        """Number of seeds that were run; 1 if seeds make no difference."""
         return len(self.rows) if self.row.random else 1
 
     @property
     def n_scored(self) -> int:
-        """Of these runs, those that gave scores: what means are over."""
+        """Number of runs that gave scores; means are over these."""
         return min(sum(row.status == "ok" for row in self.rows), self.n_runs)
 
     @property
     def n_failed(self) -> int:
-        """Seeds that failed, by the rule or for want of scores."""
+        """Number of seeds that failed, by the failure rule or for lack of scores."""
         return sum(map(bool, self.causes))
 
     @property
     def n_scenes(self) -> int:
-        """Scenes that were scored, by each seed."""
+        """Number of scenes that each seed was scored on."""
         return max(row.n_scenes for row in self.rows)
 
     @property
     def n_skipped(self) -> int:
-        """Scenes that count in no ranked metric, because no frame shows an object."""
+        """Number of scenes without an object in any frame; they count in no ranked metric."""
         counted = [self.scores(name)[1].any(axis=0) for name in RANKED_METRICS]
         return self.n_scenes - int(np.any(counted, axis=0).sum())
 
     def scores(self, metric: str, *, without_failed: bool = False) -> Scores:
-        """A metric of all seeds that have scores, or of those that did not fail."""
+        """Scores of a metric for all seeds that have some, optionally without failed seeds."""
         tables = [
             table
             for table, cause in zip(self.tables, self.causes, strict=True)
@@ -165,7 +165,7 @@ class Entry:
         return mean, np.nan if np.isnan(sample_deviation) else deviation
 
     def best_known(self, metric: str) -> float:
-        """The mean over seeds: what entries are compared by."""
+        """Mean of a metric over seeds, by which entries are compared."""
         return statistics.spread(self.seed_means(metric))[0]
 
 
@@ -211,7 +211,7 @@ def standings(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> li
 
 
 def judged(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> list[Entry]:
-    """Bring rows together over seeds, and say which seeds failed."""
+    """Group rows over seeds, and determine which seeds failed."""
     pairs = sorted(zip(rows, tables, strict=True), key=lambda pair: (_group(pair[0]), pair[0].key.seed))
     entries = [_entry(list(members)) for _, members in groupby(pairs, key=lambda pair: _group(pair[0]))]
     floors = _best_floors(entries)
@@ -231,7 +231,7 @@ def compare_entries(one: Entry, two: Entry, metric: str) -> Difference:
 
 
 def best_first(entries: Iterable[Entry]) -> list[Entry]:
-    """Ordered by mean rank where there is one, then by MSC-FG, then by name."""
+    """Sort entries by mean rank if there is one, then by MSC-FG, then by name."""
 
     def order(entry: Entry) -> tuple[float, float, tuple[str, str, str]]:
         rank, score = np.nan_to_num([entry.mean_rank, -entry.best_known("msc_fg")], nan=np.inf)
@@ -241,7 +241,7 @@ def best_first(entries: Iterable[Entry]) -> list[Entry]:
 
 
 def in_order_of_rank(blocks: Mapping[str, Sequence[Entry]]) -> list[str]:
-    """Order blocks of entries by their best rank, so that the best model stands on top; unranked ones stay last."""
+    """Sort blocks of entries by their best rank; unranked blocks come last."""
 
     def best_rank(block: str) -> float:
         return min((entry.rank for entry in blocks[block] if entry.rank is not None), default=np.inf)
@@ -250,13 +250,13 @@ def in_order_of_rank(blocks: Mapping[str, Sequence[Entry]]) -> list[str]:
 
 
 def best_without_training(field: Iterable[Entry]) -> Entry | None:
-    """What those that learn are to be held against: the best ranked row of those that may be compared."""
+    """Find the best ranked model without training, the baseline for models that learn."""
     classical = [entry for entry in field if entry.is_ranked and entry.row.kind == "classical"]
     return best_first(classical)[0] if classical else None
 
 
 def fields(entries: Iterable[Entry]) -> list[list[Entry]]:
-    """Entries that may be compared: the same dataset, fitted on it or all on the same other one."""
+    """Group comparable entries: scored on one dataset, and all fitted on it or all on one other track."""
 
     def field(entry: Entry) -> tuple[str, str, str]:
         key = entry.row.key
@@ -267,12 +267,12 @@ def fields(entries: Iterable[Entry]) -> list[list[Entry]]:
 
 @cache
 def resamples(n_seeds: int, n_scenes: int) -> Resamples:
-    """The same for every model and metric, so that all intervals rest on the same scenes."""
+    """Bootstrap resamples, shared by all models and metrics, so that all intervals rest on equal draws of scenes."""
     return statistics.draw(n_seeds, n_scenes, np.random.default_rng(BOOTSTRAP_SEED))
 
 
 def _group(row: RunRow) -> tuple[str | int, ...]:
-    """What the seeds of one entry share; of label maps made elsewhere the hash is of contents, which differ."""
+    """Key shared by the seeds of one entry. Label maps made elsewhere ignore `config_hash`, which differs by seed."""
     key = row.key
     settings = "" if row.kind == "predictions" else key.config_hash
     return key.track, key.fit_track, key.model, key.track_spec, key.fit_spec, key.version, settings
@@ -290,7 +290,7 @@ def _pooled(table: SceneTable | None, metric: str) -> float:
 
 
 def _weights(table: SceneTable, metric: str) -> Float64[np.ndarray, "scene"]:
-    """The number of values behind each scene's mean; switches are counted once a scene, and not in stills."""
+    """Number of values behind each scene's mean; identity switches count once per scene, and not in stills."""
     return (table["ari_video_n"] > 0).astype(np.float64) if metric == SWITCHES else table[f"{metric}_n"]
 
 
@@ -334,7 +334,7 @@ def _cause(row: RunRow, scores: Mapping[str, float], best_floor: float, expected
 
 
 def _ranked(field: Sequence[Entry]) -> list[Entry]:
-    """The same entries, those that may be ranked with their ranks and groups."""
+    """Rank the entries of a field: adds ranks and groups to those that may be ranked."""
     ranked = [entry for entry in field if entry.is_ranked]
     values = {name: np.array([entry.best_known(name) for entry in ranked]) for name in RANKED_METRICS}
     mean_ranks = statistics.mean_ranks(*(values[name] for name in RANKED_METRICS))
@@ -362,7 +362,7 @@ def _letter(index: int) -> str:
 
 
 def _different(entries: Sequence[Entry], metric: str) -> Bool[np.ndarray, "model model"]:
-    """Which pairs differ significantly, corrected for the number of pairs."""
+    """Matrix of the pairs that differ significantly, corrected for the number of pairs."""
     pairs = list(combinations(range(len(entries)), 2))
     p_values = np.array([compare_entries(entries[i], entries[j], metric).p_value for i, j in pairs])
     different = np.zeros((len(entries), len(entries)), bool)

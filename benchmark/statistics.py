@@ -1,4 +1,4 @@
-"""How sure a score is: means, intervals, paired differences, groups that cannot be told apart.
+"""Uncertainty of scores: means, intervals, paired differences, and groups without significant differences.
 
 Scores are arrays (seed, scene) of per-scene means over frames, with the number of frames behind each as weights. A
 split's score pools its frames: sum(score * weight) / sum(weight); a model's score is the mean of that over its seeds.
@@ -25,7 +25,7 @@ CONFIDENCE = 0.95
 SIGNIFICANCE = 0.05
 
 RESOLVABLE = 1.96 + 0.84
-"""In standard errors: a true difference this large is found significant at 5 % in 80 % of all samples of scenes."""
+"""Resolvable difference in standard errors: significant at 5 % in 80 % of all samples of scenes."""
 
 TIE = 1.5e-6
 """Largest difference of equal scores: packed results have six decimals, and means over seeds have rounding errors."""
@@ -59,14 +59,14 @@ class Summary:
 
 @dataclass(frozen=True)
 class Difference:
-    """How much more the first of two models scores than the second, paired by scene."""
+    """Score difference of two models, the first minus the second, paired by scene."""
 
     mean: float
     low: float
     high: float
     """Ends of the 95 % bootstrap interval."""
     p_value: float
-    """Two-sided; how often a difference this large comes up where there is none."""
+    """Two-sided p-value of the difference."""
     win_rate: float
     """Share of scenes in which the first scores more; equal scores are half a win."""
     resolvable: float
@@ -76,7 +76,7 @@ class Difference:
 
 
 NO_DIFFERENCE = Difference(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, 0)
-"""Of models that no scene can compare."""
+"""Placeholder for models that have no scene in common."""
 
 
 def pooled_means(scores: Scores, weights: Scores) -> Float64[np.ndarray, "seed"]:
@@ -158,7 +158,7 @@ def mean_over_seeds(
 
 
 def holm(p_values: Float[np.ndarray, "test"]) -> Float64[np.ndarray, "test"]:
-    """p-values corrected for being several (Holm, 1979); those that are nan were no tests and stay nan."""
+    """Correct p-values for multiple tests (Holm, 1979); nan values are not counted as tests and stay nan."""
     corrected = np.full(len(p_values), np.nan)
     tests = np.flatnonzero(~np.isnan(p_values))
     order = tests[np.argsort(p_values[tests], kind="stable")]
@@ -168,7 +168,7 @@ def holm(p_values: Float[np.ndarray, "test"]) -> Float64[np.ndarray, "test"]:
 
 
 def tied_groups(different: Bool[np.ndarray, "model model"]) -> list[tuple[int, ...]]:
-    """The largest groups of models no two of which are significantly different; a model may be in several.
+    """Largest groups of models without a significant difference between any two; a model may be in several.
 
     Groups come in the order of their members' indices: with models sorted by score, the first group is the best's.
     The compact letter display by insertion and absorption (Piepho, 2004).
@@ -183,7 +183,7 @@ def tied_groups(different: Bool[np.ndarray, "model model"]) -> list[tuple[int, .
 
 
 def ranks(scores: Float[np.ndarray, "model"]) -> Float64[np.ndarray, "model"]:
-    """1 for the highest score; equal scores share the mean of their ranks, undefined ones the last."""
+    """Ranks of scores, 1 for the highest; equal scores share the mean of their ranks, undefined ones are last."""
     values = np.where(np.isnan(scores), -np.inf, scores)
     above = (values[None] > values[:, None]).sum(axis=1)
     equal = (values[None] == values[:, None]).sum(axis=1)
@@ -191,7 +191,7 @@ def ranks(scores: Float[np.ndarray, "model"]) -> Float64[np.ndarray, "model"]:
 
 
 def mean_ranks(ari_fg: Float[np.ndarray, "model"], msc_fg: Float[np.ndarray, "model"]) -> Float64[np.ndarray, "model"]:
-    """What models are ordered by: ARI-FG alone is blind to segments that leak into the background."""
+    """Mean of the ranks in ARI-FG and MSC-FG. ARI-FG alone is blind to segments that leak into the background."""
     return (ranks(ari_fg) + ranks(msc_fg)) / 2
 
 

@@ -79,7 +79,7 @@ class Line:
     label: str
     rank: str
     seeds: str
-    """That the means are over."""
+    """Number of seeds that the means are over."""
     cells: tuple[str, ...]
     """One for each of `SHOWN`."""
     groups: tuple[str, ...]
@@ -88,7 +88,7 @@ class Line:
     paper: str
     """The paper's figures; empty where it has none."""
     views: str = ""
-    """How many views of a frame the model is given and how many supervise it; empty where it does not say."""
+    """Views of a frame that the model is given and that supervise it; empty if it does not declare them."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Tracks: datasets of fixed recipe, sizes and seed that models are compared on, made when they are first needed.
+"""Tracks: benchmark datasets of fixed recipe, sizes and seed, generated on first use.
 
 path = find_track("moving").prepare(("val", "test"))    # makes what is missing in the cache folder
 """
@@ -20,23 +20,23 @@ from datagen.storage import Dataset
 from datagen.wording import counted
 
 CACHE = "OBPOSE_CACHE"
-"""Environment variable that names the cache folder; without it, it is `~/.cache/obpose`."""
+"""Environment variable that names the cache folder; the default is `~/.cache/obpose`."""
 SIZES = {"train": 2000, "val": 100, "test": 300}
 """Scenes of each split."""
 SEED = 0
 DEFAULT = "moving"
-"""The track that is meant where none is named."""
+"""Track that is used if none is named."""
 Profile = Literal["cpu", "gpu"]
 """Size of images and of the networks that learn from them: for a CPU core, or for a GPU."""
 PROFILES: tuple[Profile, ...] = get_args(Profile)
 SQUARE: dict[Profile, tuple[int, int]] = {"cpu": (64, 64), "gpu": (128, 128)}
 WIDE: dict[Profile, tuple[int, int]] = {"cpu": (80, 60), "gpu": (128, 96)}
-"""Width and height of the images; wide for recipes that are wide themselves."""
+"""Width and height of the images; used for recipes whose images are not square."""
 GROUPS = {"paper": ("moving", "static", "clevr3d", "multishape")}
-"""Names that stand for several tracks; `paper` are those that the paper has tables of."""
+"""Names that stand for several tracks; `paper` holds the tracks for which the paper has tables."""
 
 Progress = Callable[[int], AbstractContextManager[Callable[[], None]]]
-"""Starts showing the progress of so many scenes; gives what is to be called after each."""
+"""Function that shows progress over a number of scenes; its context gives a function to call after each scene."""
 
 
 def no_progress(total: int) -> AbstractContextManager[Callable[[], None]]:
@@ -46,13 +46,13 @@ def no_progress(total: int) -> AbstractContextManager[Callable[[], None]]:
 
 @dataclass(frozen=True)
 class Track:
-    """One dataset to be compared on: a recipe at fixed sizes."""
+    """Benchmark dataset: a recipe at fixed sizes."""
 
     name: str
-    """Of the track and of its recipe."""
+    """Name of the track and of its recipe."""
     profile: Profile = "cpu"
     edits: tuple[EditKind, ...] = ()
-    """Counterfactual edits beside its scenes; with some it has another dataset, of the same scenes."""
+    """Counterfactual edits to include. A track with edits has a separate dataset with equal scenes."""
 
     @property
     def resolution(self) -> tuple[int, int]:
@@ -62,7 +62,7 @@ class Track:
 
     @property
     def description(self) -> str:
-        """What its recipe is for."""
+        """Description of the track, from its recipe."""
         return load_recipe(self.name).description
 
     @property
@@ -73,12 +73,12 @@ class Track:
 
     @cached_property
     def spec_hash(self) -> str:
-        """Identity of its dataset, which need not be there."""
+        """Identity of the dataset, which need not exist."""
         return self._spec()["spec_hash"]
 
     @property
     def folder(self) -> Path:
-        """Where its dataset is or will be; another version of the recipe has another folder."""
+        """Folder of the dataset, whether or not it exists; each version of the recipe has its own."""
         width, height = self.resolution
         return cache_folder() / "tracks" / f"{self.name}-{width}x{height}-{self.spec_hash[:8]}"
 
@@ -92,17 +92,17 @@ class Track:
         return SIZES[split], recipe.frames, recipe.views, height, width
 
     def missing(self, splits: Iterable[str]) -> int:
-        """How many scenes of these splits are still to be made."""
+        """Number of scenes of these splits still to be generated."""
         if not (self.folder / "dataset.json").exists():
             return sum(SIZES[name] for name in splits)
         dataset = Dataset(self.folder)
         return sum(len(dataset.split(name).missing()) for name in splits)
 
     def prepare(self, splits: Iterable[str], *, workers: int = 1, progress: Progress = no_progress) -> Path:
-        """Make the scenes of these splits that are missing, and give the folder.
+        """Generate the missing scenes of these splits, and return the folder.
 
         Raises:
-            DatagenError: they could not be made; a further try goes on.
+            DatagenError: scenes could not be generated; another call resumes.
         """
         names = tuple(splits)
         if self.missing(names):
@@ -123,7 +123,7 @@ class Track:
 
 @dataclass(frozen=True)
 class DataFolder:
-    """A dataset that somebody made, in the place of a track."""
+    """Dataset given by the user, in place of a track."""
 
     folder: Path
 
@@ -146,7 +146,7 @@ class DataFolder:
 
     @cached_property
     def spec_hash(self) -> str:
-        """Its identity."""
+        """Identity of the dataset."""
         return Dataset(self.folder).spec["spec_hash"]
 
     def size(self, split: str) -> int:
@@ -158,12 +158,12 @@ class DataFolder:
         return labels_shape(Dataset(self.folder).split(split))
 
     def missing(self, splits: Iterable[str]) -> int:
-        """How many scenes of these splits have not been made."""
+        """Number of scenes of these splits that are missing."""
         dataset = Dataset(self.folder)
         return sum(len(dataset.split(name).missing()) for name in splits)
 
     def prepare(self, splits: Iterable[str], *, workers: int = 1, progress: Progress = no_progress) -> Path:
-        """Give the folder.
+        """Check that these splits are complete, and return the folder.
 
         Raises:
             DatagenError: scenes are missing.
@@ -178,11 +178,11 @@ class DataFolder:
 
 
 Source = Track | DataFolder
-"""Something to fit on or to score on."""
+"""Dataset to fit or score on."""
 
 
 def find_data_folder(folder: Path) -> DataFolder:
-    """Give the dataset of images in a folder.
+    """Load the dataset of images in a folder.
 
     Raises:
         UsageError: the folder holds no dataset or none with images, or has a name that cannot be part of file names.
@@ -196,10 +196,10 @@ def find_data_folder(folder: Path) -> DataFolder:
 
 
 def find_track(name: str, profile: Profile = "cpu") -> Track:
-    """The track of that name.
+    """Find the track of that name.
 
     Raises:
-        UsageError: there is none; suggests the nearest name.
+        UsageError: there is none; the message suggests the nearest name.
     """
     names = recipe_names()
     if name in names:
@@ -210,7 +210,7 @@ def find_track(name: str, profile: Profile = "cpu") -> Track:
 
 
 def find_tracks(names: Iterable[str], profile: Profile = "cpu") -> list[Track]:
-    """The tracks of these names, each once, in which groups are replaced by their members.
+    """Find the tracks of these names, without duplicates; groups are replaced by their members.
 
     Raises:
         UsageError: as `find_track`.
@@ -220,12 +220,12 @@ def find_tracks(names: Iterable[str], profile: Profile = "cpu") -> list[Track]:
 
 
 def all_tracks(profile: Profile = "cpu") -> list[Track]:
-    """Every track: one for each recipe."""
+    """List all tracks, one for each recipe."""
     return [Track(name, profile) for name in recipe_names()]
 
 
 def find_dataset(track: str, spec_hash: str, folders: Iterable[Path]) -> Path | None:
-    """Where the dataset of that identity is: in one of the folders, or among the tracks that were made; or None."""
+    """Find the dataset of that identity in one of the folders or among the tracks already made; None if absent."""
     made = [Track(track, profile).folder for profile in PROFILES] if track in recipe_names() else []
     for folder in (*folders, *made):
         if (folder / "dataset.json").exists() and Dataset(folder).spec["spec_hash"] == spec_hash:
@@ -234,7 +234,7 @@ def find_dataset(track: str, spec_hash: str, folders: Iterable[Path]) -> Path | 
 
 
 def cache_folder() -> Path:
-    """Where tracks are kept."""
+    """Folder in which tracks are cached."""
     return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()
 
 

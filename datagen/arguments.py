@@ -35,12 +35,12 @@ class Constants(Recipe):
 
 @dataclass(frozen=True)
 class Generate:
-    """Generate a dataset, complete an interrupted one, or extend one: the same command again goes on."""
+    """Generate a dataset, complete an interrupted one, or extend one; repeat the same command to continue."""
 
     scenes: int | None = None
     """Number of scenes, 1 to 1,000,000, split 80/10/10 into train, val and test."""
     split: str | None = None
-    """Instead of --scenes, the scenes of each split, up to 1,000,000 each: train=2000,val=100,test=300."""
+    """Scenes of each split, instead of --scenes, up to 1,000,000 each: train=2000,val=100,test=300."""
     video: _Flag = False
     """Clips of moving objects (recipe `moving`) instead of stills (recipe `static`)."""
     recipe: str | None = None
@@ -50,25 +50,25 @@ class Generate:
     resolution: str | None = None
     """Width x height in pixels, such as 64x64, from 8x8 to 4096x4096; default the recipe's."""
     seed: int = 0
-    """From 0 to 2^63 - 1; scene i of a split depends on the recipe, the seed, the split and i alone."""
+    """Random seed, 0 to 2^63 - 1; scene i of a split depends on the recipe, the seed, the split and i alone."""
     workers: int | None = None
-    """Processes, at most 64 or four times the number of cores, whichever is more; default one a core."""
+    """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
     renderer: Literal["raster", "pyrender"] | None = None
     """`raster`, the default, needs no GL library; `pyrender` uses EGL."""
     simulate_only: _Flag = False
     """Store scenes and trajectories without images, to be rendered later with `render`."""
     edits: str | None = None
-    """Counterfactual edits that are rendered beside each scene: some of remove,move,add."""
+    """Counterfactual edits to render for each scene: one or more of remove,move,add, separated by commas."""
     shard: str | None = None
-    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs, up to 100,000, can share the work."""
+    """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False
-    """Give up a dataset of other settings in the same folder."""
+    """Replace a dataset of other settings in the same folder."""
     constants: Annotated[Constants, _OVERRIDES] = Constants()
 
 
 @dataclass(frozen=True)
 class Render:
-    """Make images of the scenes of another dataset; needs no physics engine."""
+    """Render images of the scenes of another dataset; needs no physics engine."""
 
     source: Annotated[Path, tyro.conf.arg(name="from")]
     """The dataset whose scenes are rendered."""
@@ -81,23 +81,23 @@ class Render:
     views: int = 1
     """Cameras, 1 to 360; more than one are spread evenly around the world's z axis."""
     edits: str | None = None
-    """Counterfactual edits that are rendered beside each scene: some of remove,move,add."""
+    """Counterfactual edits to render for each scene: one or more of remove,move,add, separated by commas."""
     workers: int | None = None
-    """Processes, at most 64 or four times the number of cores, whichever is more; default one a core."""
+    """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
     shard: str | None = None
-    """i/n: make only this part of the shards, i from 0 to n-1, so that n jobs, up to 100,000, can share the work."""
+    """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False
-    """Give up a dataset of other settings in the same folder."""
+    """Replace a dataset of other settings in the same folder."""
     rig: Rig = field(default_factory=Rig)
 
 
 @dataclass(frozen=True)
 class Verify:
-    """Prove that a dataset's labels, depths, poses and images agree."""
+    """Verify that a dataset's labels, depths, poses and images agree."""
 
     folder: _FOLDER
     workers: int | None = None
-    """Processes, at most 64 or four times the number of cores, whichever is more; default one a core."""
+    """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Regenerate:
-    """Make one scene anew and compare all its arrays with the stored ones."""
+    """Generate one scene again and compare all its arrays with the stored ones."""
 
     folder: _FOLDER
     split: Literal["train", "val", "test"] = "train"

@@ -1,4 +1,4 @@
-"""What objects there are: category names, each with its family and the way its members are drawn."""
+"""Catalog of object categories, each with its family and the function that draws its members."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ class Category:
     family: str
     """Key of `datagen.shapes.FAMILIES`."""
     sample: Sampler
-    """Draws a member's parameters, given the bounds of its longest side in metres."""
+    """Function that draws a member's parameters, given the bounds of its longest side in metres."""
     group: Literal["tabletop", "furniture", "named"] = "tabletop"
-    """Furniture stands with +z up; what is `named` appears only where a recipe names it."""
+    """Group of the category. Furniture stands with +z up; `named` categories appear only if a recipe names them."""
 
 
 CATEGORIES: dict[str, Category] = {

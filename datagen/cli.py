@@ -44,7 +44,7 @@ Make images of it:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and give its exit code."""
+    """Run one command and return its exit code."""
     kept = "Interrupted; finished shards are kept, the same command again goes on."
     return run_program(PROGRAM, lambda: _run(given_arguments(arguments)), interrupted=kept)
 
@@ -62,7 +62,7 @@ def _no_default(_arguments: list[str]) -> dict[str, Any]:
 
 
 def _default_generate(arguments: list[str]) -> dict[str, Any]:
-    """Flags of constants default to the recipe's values, so the recipe has to be known before they are read."""
+    """Find the recipe before parsing the other flags, because its values are the defaults of the constants' flags."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--recipe")
     parser.add_argument("--video", action="store_true")
@@ -73,7 +73,7 @@ def _default_generate(arguments: list[str]) -> dict[str, Any]:
 
 
 def _description(recipe: Recipe) -> str:
-    """What stands above the flags; the help printer keeps empty lines only."""
+    """Text shown above the flags in --help. The help printer drops single line breaks, so use empty lines."""
     return "\n\n".join(
         [
             "Synthetic RGB-D scenes of objects on a table, with exact labels.",

@@ -1,6 +1,6 @@
 """Recipes: every constant that decides what a dataset holds, as frozen dataclasses loaded from `assets/recipes/*.toml`.
 
-A recipe file names only what differs from the defaults below. `moving` is the default for everything.
+A recipe file lists only the values that differ from the defaults below, which are those of the recipe `moving`.
 """
 
 import dataclasses
@@ -15,12 +15,12 @@ from datagen.errors import UsageError, unknown_name
 from datagen.recipe_rules import constants, problems
 
 OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
-"""What the parts of a recipe do not take over from it."""
+"""Fields of a recipe that its parts do not inherit."""
 
 
 @dataclass(frozen=True)
 class Objects:
-    """Which objects there are."""
+    """Number, categories, sizes and physical properties of the objects."""
 
     minimum: int = 2
     """Fewest objects in a scene."""
@@ -29,29 +29,29 @@ class Objects:
     categories: tuple[str, ...] = ()
     """Names from the catalog that objects are drawn from; empty means all tabletop categories."""
     size: tuple[float, float] = (0.03, 0.16)
-    """Shortest and longest allowed longest side, metres."""
+    """Range of an object's longest side, metres."""
     sizes: tuple[float, ...] = ()
-    """Where not empty, every longest side is one of these, metres; `size` is then not used."""
+    """Allowed values of an object's longest side, metres; if not empty, they replace `size`."""
     size_skew: float = 0.7
-    """Power of a uniform draw between the sizes: 1 is even, below 1 favours large objects."""
+    """Exponent of the uniform draw between the sizes: 1 is uniform, below 1 favours large objects."""
     shape_pool: int = 0
-    """Where positive: train and val draw shapes 0 to N-1 of each category, test draws shapes N to 2N-1; 0: no pool."""
+    """Size N of each category's shape pool: train and val draw shapes 0 to N-1, test draws N to 2N-1; 0: no pool."""
     density: tuple[float, float] = (300.0, 1500.0)
-    """Kilograms per cubic metre, drawn evenly on a logarithmic scale."""
+    """Range of the density, kg/m^3, drawn evenly on a logarithmic scale."""
     friction: tuple[float, float] = (0.4, 0.9)
-    """Coulomb coefficient; that of a contact is the product of both bodies'."""
+    """Range of the Coulomb friction coefficient; a contact uses the product of both bodies' coefficients."""
     restitution: tuple[float, float] = (0.1, 0.7)
-    """Bounciness; that of a contact is the product of both bodies'."""
+    """Range of the coefficient of restitution; a contact uses the product of both bodies' coefficients."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where objects start."""
+    """Initial placement of the objects."""
 
     placement: Literal["scattered", "touching", "stacked"] = "scattered"
-    """`scattered`: apart; `touching`: some in contact that move as one; `stacked`: towers, and drops onto others."""
+    """`scattered`: apart; `touching`: a group in contact moving as one; `stacked`: towers, and drops onto others."""
     stack_share: float = 0.4
-    """Chance that an object of a group or tower lies on top of another instead of beside it."""
+    """Probability that an object of a group or tower lies on top of another instead of beside it."""
     center: tuple[float, float] = (-0.03, 0.0)
     """Middle of the region where objects start, metres on the table."""
     half_extent: tuple[float, float] = (0.18, 0.2)
@@ -59,9 +59,9 @@ class Layout:
     gap: float = 0.008
     """Least distance between scattered objects, metres."""
     upright_share: float = 0.6
-    """Chance that an object that starts on the table stands on its base and not on any face that would carry it."""
+    """Probability that an object on the table starts on its base; otherwise it starts on any face that carries it."""
     tries: int = 60
-    """Places tried for one object before the scene's sample is given up."""
+    """Places tried for one object before the sampled scene is rejected."""
     workspace_half_extent: tuple[float, float] = (0.33, 0.33)
     """Half sides of the region around `center` that no object may leave, metres."""
     table_size: float = 2.0
@@ -70,96 +70,96 @@ class Layout:
 
 @dataclass(frozen=True)
 class MotionWeights:
-    """How often each motion is drawn, relative to the others."""
+    """Relative frequency of each motion."""
 
     rest: float = 1.0
-    """Lies still until something hits it."""
+    """Weight of objects that lie still until something hits them."""
     drop: float = 1.2
-    """Falls from rest, tumbling where it lands."""
+    """Weight of objects that fall from rest and tumble when they land."""
     slide: float = 1.5
-    """Starts on the table with a velocity."""
+    """Weight of objects that start on the table with a velocity."""
     roll: float = 4.0
-    """Rolls without slipping; drawn for round shapes only."""
+    """Weight of objects that roll without slipping; drawn for round shapes only."""
     push: float = 1.0
-    """Starts at rest; a horizontal force drives it for a while."""
+    """Weight of objects that start at rest and are driven by a horizontal force for a while."""
     throw: float = 0.6
-    """Flies in an arc."""
+    """Weight of objects that fly in an arc."""
 
 
 @dataclass(frozen=True)
 class MotionConfig:
-    """What objects do."""
+    """Motion of the objects."""
 
     moving: bool = True
     """Whether objects move in the clip; if not, they rest from the first frame on."""
     weights: MotionWeights = MotionWeights()
     speed: tuple[float, float] = (0.4, 1.1)
-    """Initial speed of what slides, rolls or is thrown, and what a push reaches without friction, m/s."""
+    """Range of the initial speed for slide, roll and throw, and of the frictionless final speed of a push, m/s."""
     drop_height: tuple[float, float] = (0.03, 0.15)
-    """Free height under what drops or is thrown, metres."""
+    """Range of the free height under dropped or thrown objects, metres."""
     spin: float = 6.0
-    """Largest angular speed of what drops or is thrown, rad/s."""
+    """Largest angular speed of dropped or thrown objects, rad/s."""
     push_start: tuple[float, float] = (0.0, 0.25)
-    """Seconds after frame 0."""
+    """Range of the start of a push, seconds after frame 0."""
     push_duration: tuple[float, float] = (0.1, 0.3)
-    """Seconds."""
+    """Range of the duration of a push, seconds."""
     aim_share: float = 0.6
-    """Chance that what slides, rolls, flies or is pushed is aimed at another object."""
+    """Probability that a sliding, rolling, thrown or pushed object is aimed at another object."""
     least_travel: float = 0.03
-    """At least one object of a clip travels this far between its first and last frame, metres."""
+    """Least distance that at least one object of a clip travels between its first and last frame, metres."""
     contact_gap: float = 0.005
-    """Where the placement is `touching`: the gap below which two objects count as touching, metres."""
+    """Gap below which two objects count as touching, metres; used if the placement is `touching`."""
     contact_share: float = 0.8
-    """Where the placement is `touching`: share of the frames in which at least one pair touches."""
+    """Share of frames in which one and the same pair of objects must touch; used if the placement is `touching`."""
     rest_speed: float = 0.01
-    """Where nothing moves: the fastest any surface point may be when the picture is taken, m/s."""
+    """Largest speed of any surface point when the picture is taken, m/s; used if `moving` is false."""
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """How objects and table look."""
+    """Appearance of objects and table."""
 
     style: Literal["varied", "same-colour", "two-colour", "textured"] = "varied"
-    """`varied`: all of it; the others are what the recipes of these names need."""
+    """Style of the scenes: `varied` mixes all looks; the others serve the recipes of the same names."""
     one_hue_share: float = 0.0
     """Share of scenes in which all objects share one narrow hue."""
     hue_width: float = 0.03
-    """Width of that hue as a share of the colour circle."""
+    """Width of that hue range as a share of the colour circle."""
     metal_share: float = 0.2
     """Share of objects made of metal."""
     pattern_share: float = 0.4
-    """Share of objects with two colours where the style is `varied`."""
+    """Share of objects with two colours if the style is `varied`."""
     table_textures: bool = True
     """Whether tables may have a pattern."""
     table_color: str = ""
-    """Where not empty: the colour of every table, such as `#808080`."""
+    """Colour of every table, such as `#808080`; empty means a random one."""
     palette: tuple[str, ...] = ()
-    """Where not empty: the colours that objects may have, such as `#ad2323`."""
+    """Allowed colours of objects, such as `#ad2323`; empty means random ones."""
     finishes: tuple[Literal["rubber", "plastic", "ceramic"], ...] = ("rubber", "plastic", "ceramic")
-    """What objects are made of that are not of metal."""
+    """Materials of the objects that are not metal."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Cameras."""
+    """Cameras of a scene."""
 
     distance: float = 1.03
-    """From the camera to the point it looks at, metres; nothing may come nearer to the camera than 5 cm."""
+    """Distance from the camera to the point it looks at, metres; nothing may come nearer to the camera than 5 cm."""
     elevation: float = 55.0
-    """Degrees that the camera looks down; it must stand above the table's top."""
+    """Angle by which the camera looks down, degrees; the camera must stand above the table's top."""
     field_of_view: float = 40.0
-    """Horizontal, degrees, of a frame with the aspect of `visibility_resolution`; other images show more than that."""
+    """Horizontal angle of a frame with the aspect of `visibility_resolution`, degrees; other aspects show more."""
     target: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """The point that the first camera looks at, metres; other views are this one, turned about the world's z axis."""
+    """Point the first camera looks at, metres; other views are the first one, turned about the world's z axis."""
     azimuth: float = 0.0
-    """Degrees about the world's z axis of the first camera as seen from its target; 0 looks along -x."""
+    """Angle of the first camera about the world's z axis, seen from its target, degrees; at 0 it looks along -x."""
     jitter: float = 0.0
     """Standard deviation of each camera's position along each axis, metres."""
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """Light."""
+    """Lights of a scene."""
 
     shadows: bool = True
     """Whether the key light casts shadows."""
@@ -172,7 +172,7 @@ class Lighting:
     fill: tuple[float, float] = (0.1, 0.25)
     """Range of the fill light's irradiance; it casts no shadow."""
     ambient: tuple[float, float] = (0.2, 0.3)
-    """Range of the light from everywhere."""
+    """Range of the ambient light, which comes from everywhere."""
 
 
 @dataclass(frozen=True)
@@ -182,21 +182,21 @@ class Physics:
     step: float = 1 / 480
     """Longest time step, seconds; at 1/240 flat objects that slide dip 5 mm into the table, at 1/480 1 mm."""
     gravity: float = 9.81
-    """m/s^2."""
+    """Gravitational acceleration, m/s^2."""
     table_friction: float = 0.5
-    """Coulomb coefficient of the table; that of a contact is the product of both bodies'."""
+    """Coulomb coefficient of the table; a contact uses the product of both bodies' coefficients."""
     table_restitution: float = 0.7
     """Bounciness of the table."""
     rolling_friction: float = 0.0005
-    """Metres; the torque against rolling is this times the normal force times the sum of both Coulomb coefficients."""
+    """Metres; torque against rolling = this x normal force x sum of both Coulomb coefficients."""
     spinning_friction: float = 0.001
-    """Metres; the same against spinning about the contact's normal."""
+    """Metres; torque against spinning about the contact normal = this x normal force x sum of both coefficients."""
     deepest_overlap: float = 0.001
-    """Two bodies may overlap by so much at the start, metres."""
+    """Deepest allowed overlap of two bodies at the start, metres."""
     deepest_in_motion: float = 0.002
-    """Two bodies, or one and the table, may overlap by so much in any later frame, metres."""
+    """Deepest allowed overlap of two bodies, or of a body and the table, in any later frame, metres."""
     settle_seconds: float = 0.0
-    """Simulated before frame 0 so that what is stacked or dropped comes to rest."""
+    """Seconds simulated before frame 0, so that stacked or dropped objects come to rest."""
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,9 @@ class Sensor:
     edge_dropout: float = 0.5
     """Share of pixels beside a depth edge that return nothing."""
     grazing_angle: float = 75.0
-    """Degrees between ray and surface normal from which on returns fade, 0 to 90."""
+    """Angle between ray and surface normal above which returns become less likely, degrees, 0 to 90."""
     dark_reflectance: float = 0.05
-    """Linear reflectance below which returns fade."""
+    """Linear reflectance below which returns become less likely."""
     quantisation: float = 0.001
     """Depth step at 1 m, metres; grows with the square of depth."""
 
@@ -224,7 +224,7 @@ class Recipe:
     name: str = "moving"
     """Name of the recipe."""
     description: str = ""
-    """What it is for."""
+    """Purpose of the recipe."""
     frames: int = 10
     """Frames in a clip, 1 to 10,000; the limits of all constants are in docs/dataset.md."""
     fps: float = 12.0
@@ -234,9 +234,9 @@ class Recipe:
     resolution: tuple[int, int] = (128, 128)
     """Width and height in pixels."""
     least_visible_pixels: int = 20
-    """Every object shows at least this many pixels in every view of frame 0."""
+    """Fewest pixels that every object must show in every view of frame 0."""
     visibility_resolution: tuple[int, int] = (128, 128)
-    """Width and height at which these pixels are counted, whatever the resolution of the dataset is.
+    """Width and height at which `least_visible_pixels` are counted, whatever the resolution of the dataset.
 
     Cameras are aimed at a frame of this aspect, and every image shows all of that frame.
     """
@@ -245,7 +245,7 @@ class Recipe:
     parts: tuple[str, ...] = ()
     """Recipes that scenes are drawn from in turn: scene i from part i mod their number."""
     overrides: tuple[str, ...] = ()
-    """Dotted names of constants that parts take over even if they are the defaults, `rig.distance` being one."""
+    """Dotted names, such as `rig.distance`, of constants that parts inherit even if they equal the defaults."""
     objects: Objects = Objects()
     layout: Layout = Layout()
     motion: MotionConfig = MotionConfig()
@@ -267,7 +267,7 @@ class Recipe:
     def for_scene(self, index: int) -> "Recipe":
         """The recipe that scene `index` of a split follows: itself, or one of its parts.
 
-        What differs from the defaults in this recipe, and what its `overrides` name, holds for its parts too.
+        Constants of this recipe that differ from the defaults, or that its `overrides` name, apply to its parts too.
         """
         return _part(self, self.parts[index % len(self.parts)]) if self.parts else self
 
@@ -280,7 +280,7 @@ def _part(whole: Recipe, name: str) -> Recipe:
 
 
 def _difference(values: dict[str, Any], defaults: dict[str, Any], kept: set[str], prefix: str = "") -> dict[str, Any]:
-    """What differs from the defaults or is named in `kept`, nested in the same way."""
+    """Nested dict of the values that differ from the defaults or whose dotted name is in `kept`."""
     changed = {}
     for key, value in values.items():
         if isinstance(value, dict):
@@ -296,7 +296,7 @@ def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 
 def constant_names(recipe: Recipe) -> list[str]:
-    """Dotted names of all constants that parts may take over."""
+    """Dotted names of all constants that parts may inherit."""
     return [name for name, _ in constants(recipe_to_dict(recipe)) if name not in OF_THE_WHOLE]
 
 
@@ -307,10 +307,10 @@ def recipe_names() -> list[str]:
 
 @functools.cache
 def load_recipe(name: str) -> Recipe:
-    """The recipe of that name.
+    """Load the recipe of a given name.
 
     Raises:
-        UsageError: there is none; suggests the nearest names.
+        UsageError: there is no such recipe; suggests the nearest names.
     """
     if name not in recipe_names():
         raise unknown_name("recipe", name, recipe_names())
@@ -319,16 +319,16 @@ def load_recipe(name: str) -> Recipe:
 
 
 def recipe_from_dict(data: dict[str, Any]) -> Recipe:
-    """A recipe from nested plain values; what is not named keeps its default.
+    """Build a recipe from nested plain values; missing keys keep their defaults.
 
     Raises:
-        UsageError: a key is not one of a recipe's.
+        UsageError: a key is not a field of a recipe.
     """
     return _from_dict(Recipe, data, "recipe")
 
 
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
-    """Plain values that `recipe_from_dict` turns into an equal recipe, and JSON into equal text."""
+    """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe."""
     return dataclasses.asdict(recipe)
 
 

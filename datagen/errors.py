@@ -1,4 +1,4 @@
-"""What can go wrong in a way the user can mend, the exit code that says so, and how every command ends with it."""
+"""Errors that the user can fix, their exit codes, and how every command reports them."""
 
 import difflib
 import os
@@ -43,7 +43,7 @@ class CorruptFile(DatagenError):
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
-    """The error about a name that is none of those known; it suggests the nearest one."""
+    """Error about an unknown name; it suggests the nearest known one."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]!r}? There" if near else "there"

@@ -77,14 +77,14 @@ def filling(
 
 @dataclass(eq=False)
 class _Begun:
-    """What this process has made anew, and removes if it fails before the first shard."""
+    """Folders and spec that this process has created; it removes them if it fails before the first shard."""
 
     settings: str
-    """Settings hash of its dataset."""
+    """Settings hash of the dataset."""
     folders: list[Path] = field(default_factory=list)
-    """From the outermost one to the dataset's own."""
+    """Created folders, from the outermost one to the dataset's own."""
     spec: bool = False
-    """Whether it has begun to write the spec of a new dataset."""
+    """Whether the process has begun to write the spec of a new dataset."""
 
 
 def _occupy(

@@ -26,29 +26,29 @@ from datagen.storage import Dataset
 
 @dataclass(frozen=True)
 class Run:
-    """How a dataset is made; nothing of this changes what is in it."""
+    """Options of a run that do not change the content of the dataset."""
 
     workers: int = 1
-    """Processes."""
+    """Number of processes."""
     share: tuple[int, int] = (0, 1)
-    """(i, n): make only the shards whose number modulo n is i."""
+    """Share (i, n) of the work: make only the shards whose number modulo n is i."""
     splits: tuple[str, ...] = SPLITS
-    """Make only shards of these splits; the others can follow in another run."""
+    """Splits whose shards are made; the others can follow in another run."""
     overwrite: bool = False
-    """Give up a dataset of other settings in the same folder."""
+    """Whether to replace a dataset of other settings in the same folder."""
     progress: Progress = no_progress
-    """Shows how far it is."""
+    """Shows the progress."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a run did."""
+    """Result of a run."""
 
     spec: Spec
-    """Of the dataset as it is now."""
+    """Spec of the dataset after the run."""
     scenes_made: int
     complete: bool
-    """Whether every scene of the spec is there."""
+    """Whether every scene of the spec exists."""
     seconds: float
 
 

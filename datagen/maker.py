@@ -25,7 +25,7 @@ from datagen.storage import Dataset, Split
 from datagen.visible_range import check_range
 
 MOST_MEMORY = 4 * 2**30
-"""Bytes that a scene may take while it is made; every worker makes one."""
+"""Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
 
 _SENSOR_STREAM = 1
 _RIG_STREAM = 2
@@ -34,18 +34,18 @@ _EDIT_STREAMS: dict[EditKind, int] = {"remove": 3, "move": 4, "add": 5}
 
 @dataclass(frozen=True)
 class Source:
-    """A dataset whose scenes are rendered anew."""
+    """Dataset whose scenes are rendered again."""
 
     folder: Path
     settings: str
-    """Its settings hash."""
+    """Settings hash of the dataset."""
     run: str = field(default_factory=lambda: uuid.uuid4().hex)
-    """Differs from run to run, so that each opens the files anew."""
+    """Random identifier of the run, so that each run reopens the files."""
 
 
 @dataclass(frozen=True)
 class SceneMaker:
-    """Makes the scenes of a dataset, ready to be stored, in whatever process it is called."""
+    """Make the scenes of a dataset, ready to be stored; can be called in any process."""
 
     spec: Spec
     source: Source | None = None

@@ -1,4 +1,4 @@
-"""What the command line's words mean: sizes, splits, shares of the work, and which recipe is asked for."""
+"""Parse command-line values: image sizes, splits, shares of the work, and the choice of recipe."""
 
 import dataclasses
 import re
@@ -11,24 +11,24 @@ from datagen.schema import EDITS, SPLITS, EditKind
 from datagen.spec import MOST_SCENES, split_sizes
 
 LEAST_SIDE, MOST_SIDE = 8, 4096
-"""Of an image, pixels."""
+"""Smallest and largest side of an image, pixels."""
 
 MOST_SEED = 2**63 - 1
 
 MOST_SHARES = 100_000
-"""Jobs that can share the shards of a dataset."""
+"""Largest number of jobs that can share the shards of a dataset."""
 
 MOST_WORKERS = 64
-"""Processes that any machine may be asked for; machines with many cores allow more."""
+"""Number of processes allowed on any machine; machines with many cores allow more, see `WORKERS_PER_CORE`."""
 
 WORKERS_PER_CORE = 4
 
 _MOST_DIGITS = 30
-"""Of a number on the command line."""
+"""Number of digits from which on a number on the command line counts as beyond all limits."""
 
 
 def parse_resolution(text: str) -> tuple[int, int]:
-    """Width and height of `128x96`.
+    """Parse a resolution such as `128x96` into width and height.
 
     Raises:
         UsageError: it is not of that form, or too small or large.
@@ -45,12 +45,12 @@ def parse_resolution(text: str) -> tuple[int, int]:
 
 
 def _number(digits: str) -> int:
-    """A whole number, or one that is beyond all limits: Python does not read numbers of thousands of digits."""
+    """Parse a whole number; too many digits give a number beyond all limits, as Python rejects thousands of digits."""
     return int(digits) if len(digits) < _MOST_DIGITS else 10**_MOST_DIGITS
 
 
 def parse_splits(scenes: int | None, split: str | None) -> dict[str, int]:
-    """Scenes of each split, of either `--scenes 1000` or `--split train=2000,val=100,test=300`.
+    """Number of scenes of each split, from either `--scenes 1000` or `--split train=2000,val=100,test=300`.
 
     Raises:
         UsageError: neither or both are given, they are not of that form, or they are too many.
@@ -85,12 +85,12 @@ def check_seed(seed: int) -> None:
 
 
 def _short(number: int) -> str:
-    """A number for a message; one of very many digits by their count."""
+    """Format a number for a message; very long ones are described by their number of digits."""
     return str(number) if abs(number) < 10**_MOST_DIGITS else f"of more than {_MOST_DIGITS} digits"
 
 
 def parse_edits(text: str | None) -> tuple[EditKind, ...]:
-    """The edits of `remove,move,add` or some of them; none if None.
+    """Parse a list of edits such as `remove,add`; None gives no edits.
 
     Raises:
         UsageError: there is no such edit.
@@ -102,7 +102,7 @@ def parse_edits(text: str | None) -> tuple[EditKind, ...]:
 
 
 def parse_share(text: str | None) -> tuple[int, int]:
-    """(i, n) of `i/n`, i counted from 0.
+    """Parse `i/n` into (i, n), i counted from 0; None gives (0, 1).
 
     Raises:
         UsageError: it is not of that form.
@@ -119,7 +119,7 @@ def parse_share(text: str | None) -> tuple[int, int]:
 
 
 def parse_workers(workers: int | None) -> int:
-    """Number of processes: as many as this process may use cores, if None.
+    """Number of processes; None gives the number of cores that this process may use.
 
     Raises:
         UsageError: it is not positive, or far more than this machine has cores for.
@@ -135,10 +135,10 @@ def parse_workers(workers: int | None) -> int:
 
 
 def choose_recipe(name: str | None, *, video: bool) -> Recipe:
-    """The recipe of that name; without a name `moving` for videos and `static` for stills.
+    """Load the recipe of a given name; without a name, `moving` for videos and `static` for stills.
 
     Raises:
-        UsageError: there is no such recipe, or it makes stills where videos are asked for.
+        UsageError: there is no such recipe, or it makes stills although videos are requested.
     """
     recipe = load_recipe(name if name is not None else "moving" if video else "static")
     if video and not recipe.video:
@@ -147,7 +147,7 @@ def choose_recipe(name: str | None, *, video: bool) -> Recipe:
 
 
 def with_overrides(recipe: Recipe, arguments: Sequence[str]) -> Recipe:
-    """The recipe; where it has parts, with a note of the constants that the command line names, for these to follow."""
+    """Set `overrides` of a recipe with parts to the constants on the command line, so that its parts inherit them."""
     if not recipe.parts:
         return recipe
     flags = {argument.partition("=")[0].lstrip("-").replace("-", "_") for argument in arguments}
@@ -156,6 +156,6 @@ def with_overrides(recipe: Recipe, arguments: Sequence[str]) -> Recipe:
 
 
 def default_folder(recipe: str, resolution: tuple[int, int] | None, seed: int) -> Path:
-    """Where a dataset goes if nobody says so: `data/RECIPE-WxH-seedS`."""
+    """Default folder of a dataset: `data/RECIPE-WxH-seedS`."""
     size = "{}x{}".format(*resolution) if resolution else "simulation"
     return Path("data") / f"{recipe}-{size}-seed{seed}"

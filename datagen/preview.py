@@ -13,16 +13,16 @@ from datagen.spec import groups_of
 from datagen.storage import Dataset, Split
 
 LEAST_TILE = 160
-"""Pixels that an image is wide at least; smaller ones are enlarged by a whole number."""
+"""Least width of an image in the preview, pixels; smaller ones are enlarged by a whole factor."""
 
 WIDEST = 2000
-"""Pixels after which the sheet starts a new line of scenes."""
+"""Width at which the sheet starts a new line of scenes, pixels."""
 
 SHOWN = 4
-"""Scenes that are drawn if nobody says which."""
+"""Number of scenes drawn by default."""
 
 LONGEST = 655_350
-"""Milliseconds that a GIF may show one image; Pillow makes one of frames that are equal."""
+"""Longest duration of one GIF image, milliseconds; Pillow merges equal frames into one image."""
 
 SHEET_ENDINGS = (".png", ".jpg", ".jpeg")
 ANIMATION_ENDINGS = (".gif", ".mp4")
@@ -34,7 +34,7 @@ PAPER, INK = (255, 255, 255), (40, 40, 40)
 DEPTH_COLORS = np.array(
     [(250, 240, 190), (250, 180, 110), (230, 100, 90), (160, 50, 110), (80, 20, 110), (20, 10, 50)], np.float64
 )
-"""From near to far; what returns no depth is black."""
+"""Colours of depth from near to far; pixels without depth are black."""
 
 Rgb = UInt8[np.ndarray, "_ _ 3"]
 Labels = Integer[np.ndarray, "_ _"]
@@ -48,7 +48,7 @@ def run(
     out: str | Path | None = None,
     video: str | Path | None = None,
 ) -> list[Path]:
-    """Draw scenes of a dataset and give the paths of the pictures.
+    """Draw scenes of a dataset and return the paths of the pictures.
 
     Args:
         folder: The dataset.
@@ -75,19 +75,19 @@ def run(
 
 
 def contact_sheet(records: dict[str, SceneRecord]) -> Rgb:
-    """All scenes: first, middle and last frame or all views across; colour, depth, ids and sensor depth down."""
+    """One picture of all scenes: columns are views of the first, middle and last frame; rows are as in `_rows`."""
     return _flow([_with_heading(_scene_block(record), name) for name, record in records.items()])
 
 
 def animation_frames(records: dict[str, SceneRecord]) -> Iterator[Rgb]:
-    """One picture a frame: every scene's colour, depth and ids, its first view."""
+    """One picture per frame: colour, depth and ids of the first view of every scene."""
     for frame in range(min(record["rgb"].shape[0] for record in records.values())):
         rows = {name: [row(record, frame, 0) for row in _rows(record).values()] for name, record in records.items()}
         yield _flow([_with_heading(_beside([_enlarged(tile) for tile in tiles]), name) for name, tiles in rows.items()])
 
 
 def save_animation(path: Path, frames: list[Rgb], fps: float) -> None:
-    """Write an MP4 where the name says so, else an endless GIF.
+    """Write an MP4 if the name ends in .mp4, otherwise a GIF that loops forever.
 
     Raises:
         UsageError: there is no codec for MP4.
@@ -110,12 +110,12 @@ def colored_depth(depth: Labels, near: float, far: float) -> Rgb:
 
 
 def colored_labels(labels: Labels) -> Rgb:
-    """Ids as colours that differ; 0 is dark grey."""
+    """Ids as distinct colours; 0 is dark grey."""
     return label_colors(int(np.max(labels)) + 1)[labels]
 
 
 def label_colors(count: int) -> UInt8[np.ndarray, "label 3"]:
-    """Colours of ids 0 to count - 1: hues a golden angle apart, so that any few of them differ."""
+    """Colours of ids 0 to count - 1; hues a golden angle apart keep nearby ids distinct."""
     hues = (np.arange(count)[:, None] * 0.618034 + np.array([0, 1 / 3, 2 / 3])) % 1
     colors = 60 + 195 * np.clip(np.abs(6 * hues - 3) - 1, 0, 1)
     colors[:1] = 45
@@ -152,7 +152,7 @@ def _ready(path: Path) -> Path:
 
 
 def _rows(record: SceneRecord) -> dict[str, Callable[[SceneRecord, int, int], Rgb]]:
-    """What is drawn of an image, from top to bottom."""
+    """Rows of the preview by name, top to bottom; each function draws its row from (record, frame, view)."""
     seen = record["depth"][record["depth"] > 0]
     near, far = (float(np.min(seen)), float(np.max(seen))) if len(seen) else (0.0, 1.0)
     rows: dict[str, Callable[[SceneRecord, int, int], Rgb]] = {
@@ -188,7 +188,7 @@ def _with_heading(picture: Rgb, text: str) -> Rgb:
 
 
 def _label(text: str, length: int) -> Rgb:
-    """A text that reads upwards, in the middle of a column of that length."""
+    """Text that reads upwards, centred in a column `length` pixels high."""
     return np.rot90(_text(text, length, centered=True))
 
 
@@ -214,7 +214,7 @@ def _stacked(pictures: Sequence[Rgb]) -> Rgb:
 
 
 def _flow(blocks: list[Rgb]) -> Rgb:
-    """Blocks of one size in lines, with a margin."""
+    """Arrange blocks of one size in lines, with a margin around each."""
     per_line = max(1, WIDEST // (blocks[0].shape[1] + 2 * GAP))
     lines = [blocks[start : start + per_line] for start in range(0, len(blocks), per_line)]
     wide = [_beside([np.pad(b, ((0, GAP), (GAP, GAP), (0, 0)), constant_values=255) for b in line]) for line in lines]

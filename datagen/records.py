@@ -1,4 +1,4 @@
-"""From what was simulated and rendered to the arrays of the format, and back."""
+"""Convert simulated and rendered scenes to the arrays of the format, and back."""
 
 import dataclasses
 import json
@@ -33,12 +33,12 @@ def simulation_record(
     """All fields that need no renderer.
 
     Args:
-        scene: What is there before time starts.
+        scene: Objects, table, cameras and lights before time starts.
         shapes: The built shape of each body.
-        trajectory: Where everything is in every frame.
+        trajectory: Poses of all objects in every frame.
         rows: Length of the object axis; rows that are not in use are padding.
         attempts: Samples that were drawn until one met the recipe's rules.
-        rejections: How many of them failed for which reason.
+        rejections: Number of rejected samples by reason.
     """
     return {
         **_surroundings(scene),
@@ -53,7 +53,7 @@ def simulation_record(
 
 
 def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
-    """The scene and trajectory that a record was made of.
+    """Recover the scene and trajectory from which a record was made.
 
     Raises:
         ValueError, KeyError or TypeError: its description is not that of a scene, or does not fit its poses.
@@ -73,7 +73,7 @@ def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
 
 
 def with_scene(record: SceneRecord, scene: Scene) -> SceneRecord:
-    """The simulation fields of `record` with another description: other cameras or lights of the same objects."""
+    """Copy of `record` whose cameras, lights and description are those of `scene`, which has the same objects."""
     return {**record, **_surroundings(scene)}
 
 
@@ -121,12 +121,12 @@ def pixel_record(
     sensor: Sensor,
     rng: np.random.Generator,
 ) -> SceneRecord:
-    """All fields that come with images; those of the sensor only where it is enabled.
+    """All fields that come with images; sensor fields only if the sensor is enabled.
 
     Args:
-        scene: What is there before time starts.
+        scene: Objects, table, cameras and lights before time starts.
         shapes: The built shape of each body.
-        trajectory: Where everything is in every frame.
+        trajectory: Poses of all objects in every frame.
         renderer: Makes the images.
         resolution: Their width and height.
         rows: Length of the object axis.
@@ -163,18 +163,18 @@ def render_clip(
     renderer: Renderer,
     resolution: tuple[int, int],
 ) -> list[list[Image]]:
-    """Images by frame and view, of a width and height."""
+    """Render images of a given (width, height), indexed [frame][view]."""
     renderer.load(scene, shapes)
     return [[renderer.render(pose, camera, *resolution) for camera in scene.cameras] for pose in world_from_object]
 
 
 def stack_images(images: list[list[Image]], name: str) -> np.ndarray:
-    """One of the arrays of images by frame and view."""
+    """Stack one attribute of images indexed [frame][view] into an array."""
     return np.array([[getattr(image, name) for image in views] for views in images])
 
 
 def stored_depth(depth: np.ndarray) -> np.ndarray:
-    """Metres as the format holds them.
+    """Convert depth in metres to the format's units.
 
     Raises:
         UsageError: a depth is farther than the format can hold.
@@ -209,7 +209,7 @@ def _boxes_2d(segmentation: UInt8[np.ndarray, "frame view height width"], object
 
 
 def _extent(used: np.ndarray) -> np.ndarray:
-    """First used position and the one after the last, along the last axis; zeros where none is used."""
+    """First used position and the one after the last, along the last axis; zeros if none is used."""
     first, last = np.argmax(used, axis=-1), used.shape[-1] - np.argmax(used[..., ::-1], axis=-1)
     return np.stack([first, last], axis=-1) * np.any(used, axis=-1, keepdims=True)
 

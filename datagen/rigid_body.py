@@ -77,6 +77,6 @@ def multiply(a: Float[np.ndarray, "4"], b: Float[np.ndarray, "4"]) -> Float[np.n
 
 
 def xyzw(quaternion_wxyz: Float[np.ndarray, "4"]) -> list[float]:
-    """The same quaternion in PyBullet's order."""
+    """Convert a quaternion from (w, x, y, z) to PyBullet's order (x, y, z, w)."""
     w, x, y, z = quaternion_wxyz.tolist()
     return [x, y, z, w]

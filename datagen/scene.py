@@ -1,7 +1,7 @@
-"""What a scene is: plain frozen values, free of any engine, that survive a round trip through JSON.
+"""Scenes as plain frozen values that depend on no engine and survive a round trip through JSON.
 
-A `Scene` says what is there before time starts; a `Trajectory` says where everything is in every frame. The two
-together are all that a renderer needs.
+A `Scene` describes everything before time starts. A `Trajectory` holds the poses of all objects in every frame.
+Together they are all that a renderer needs.
 """
 
 import dataclasses
@@ -20,9 +20,9 @@ _MOST = 1e6
 _MOST_FORCE = 1e13
 """Largest force in newton: recipes allow objects of 10 m and 30,000 kg/m^3 that reach 100 m/s in a millisecond."""
 _MOST_PARAMETER = 10
-"""Largest number in the parameters of a shape: metres, or how many parts it has; recipes allow no larger objects."""
+"""Largest number in the parameters of a shape, be it metres or a number of parts; recipes allow no larger objects."""
 _MOST_PARAMETERS = 1000
-"""Largest number of values of a shape's parameter."""
+"""Largest number of values in one parameter of a shape."""
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -32,24 +32,24 @@ Motion = Literal["rest", "drop", "slide", "roll", "push", "throw"]
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface looks. Colours are sRGB in 0..1."""
+    """Appearance of a surface. Colours are sRGB in 0..1."""
 
     name: str
-    """What it is meant to be, such as `rubber` or `metal`."""
+    """Name of the material, such as `rubber` or `metal`."""
     color: Vector
     """The first colour."""
     color2: Vector = (0.0, 0.0, 0.0)
-    """The second colour, where the pattern has two."""
+    """The second colour, used by patterns with two colours."""
     pattern: Pattern = "plain"
-    """How the two colours are laid out, as a solid texture in the object frame."""
+    """Arrangement of the two colours, a solid texture in the object frame."""
     period: float = 0.02
-    """Metres after which the pattern repeats."""
+    """Period of the pattern, metres."""
     axis: Vector = (0.0, 0.0, 1.0)
     """Unit vector in the object frame: normal of the two-tone plane, direction across the stripes."""
     roughness: float = 0.5
-    """0 is a mirror, 1 is chalk."""
+    """Roughness from 0 (mirror) to 1 (chalk)."""
     metalness: float = 0.0
-    """0 for dielectrics, 1 for metals."""
+    """Metalness: 0 for dielectrics, 1 for metals."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ class Push:
     """A constant force on an object's centre of mass for a while."""
 
     start: float
-    """Seconds after frame 0."""
+    """Start of the push, seconds after frame 0."""
     duration: float
-    """Seconds."""
+    """Duration of the push, seconds."""
     force: Vector
-    """Newton, world frame."""
+    """Force vector, newton, world frame."""
 
 
 @dataclass(frozen=True)
@@ -80,29 +80,29 @@ class Body:
     shape: ShapeSpec
     material: Material
     density: float
-    """Kilograms per cubic metre of solid."""
+    """Density of the solid, kg/m^3."""
     friction: float
     restitution: float
     motion: Motion
-    """What the sampler meant the object to do."""
+    """Motion that the sampler intended for the object."""
     position: Vector
-    """Of the centre of mass, the origin of the object frame."""
+    """Position of the centre of mass, which is the origin of the object frame."""
     quaternion_wxyz: Quaternion
     linear_velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     push: Push | None = None
     touches: int | None = None
-    """Row of an earlier object that physics brings this one into contact with before time starts."""
+    """Row of an earlier object; the physics engine brings this one into contact with it before time starts."""
     shape_id: int | None = None
-    """Number of the shape in its category's pool, where the recipe draws from a pool."""
+    """Number of the shape in its category's pool; None if the recipe has no pool."""
 
 
 @dataclass(frozen=True)
 class Camera:
     """An ideal camera; its image size is chosen when rendering.
 
-    It is aimed at a frame, `field_of_view` wide and `aspect` times as wide as high. An image of that aspect shows this
-    frame exactly, a wider one also what lies beside it, a higher one what lies above and below.
+    The camera is aimed at a frame with horizontal angle `field_of_view` and ratio `aspect` of width to height. An image
+    of that aspect shows exactly this frame. A wider image also shows the sides, a higher one the areas above and below.
     """
 
     position: Vector
@@ -133,7 +133,7 @@ class Light:
     radiance: Vector
     """Linear RGB irradiance on a surface that faces the light, 1 being white."""
     angular_radius: float
-    """Radians; the softness of its shadows."""
+    """Angular radius of the light's disc, radians; larger ones give softer shadows."""
     casts_shadow: bool = True
 
 
@@ -142,43 +142,43 @@ class Table:
     """A square slab whose top is the plane z = 0, centred on the world's origin."""
 
     size: float
-    """Side length in metres; beyond it there is nothing, and rays return no depth."""
+    """Side length, metres; rays that miss the table and all objects return no depth."""
     material: Material
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that is there when time starts."""
+    """Everything in the scene when time starts."""
 
     bodies: tuple[Body, ...]
     table: Table
     cameras: tuple[Camera, ...]
     lights: tuple[Light, ...]
-    """The first one casts the shadow."""
+    """Lights of the scene; the first one casts the shadow."""
     ambient: Vector
     """Linear RGB of the light that comes from everywhere."""
     backdrop: Vector
-    """sRGB of what lies beyond the table."""
+    """sRGB colour of the background beyond the table."""
     frames: int
     fps: float
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where the objects of a scene are in every frame. Rows of objects follow `Scene.bodies`; world frame."""
+    """Poses, velocities and contacts of a scene's objects in every frame, world frame; rows follow `Scene.bodies`."""
 
     position: Float[np.ndarray, "frame object 3"]
-    """Of the centre of mass, metres, float32: renderers and labels use these very values."""
+    """Position of the centre of mass, metres, float32; renderers and labels use exactly these values."""
     quaternion_wxyz: Float[np.ndarray, "frame object 4"]
     linear_velocity: Float[np.ndarray, "frame object 3"]
     angular_velocity: Float[np.ndarray, "frame object 3"]
     contact_gap: Float[np.ndarray, "frame object+1 object+1"]
-    """Distance in metres of the convex hulls that physics uses, negative where they overlap, inf beyond 2 cm.
+    """Distance between the convex hulls that physics uses, metres; negative if they overlap, inf beyond 2 cm.
 
-    Within 3 mm of the distance of the true surfaces, exact for primitives; row and column 0 are the table.
+    The distance of the true surfaces differs by at most 3 mm; for primitives it is equal. Row and column 0: the table.
     """
     contact_impulse: Float[np.ndarray, "frame object+1 object+1"]
-    """Normal impulse exchanged since the frame before, newton seconds."""
+    """Normal impulse exchanged since the previous frame, newton seconds."""
 
     @property
     def world_from_object(self) -> Float[np.ndarray, "frame object 4 4"]:
@@ -187,12 +187,12 @@ class Trajectory:
 
 
 def scene_to_json(scene: Scene) -> str:
-    """Canonical text of a scene: equal scenes give equal text, and reading it back gives an equal scene."""
+    """Serialise a scene to canonical JSON: equal scenes give equal text, and reading it back gives an equal scene."""
     return json.dumps(dataclasses.asdict(scene), separators=(",", ":"), allow_nan=False)
 
 
 def scene_from_json(text: str) -> Scene:
-    """Read what `scene_to_json` wrote.
+    """Parse text written by `scene_to_json`.
 
     Raises:
         ValueError, KeyError or TypeError: the text is not the description of a scene.

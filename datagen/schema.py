@@ -1,4 +1,4 @@
-"""THE format: one table of the fields that a scene has; writer, reader, checker and documentation follow from it.
+"""The dataset format: one table of fields from which writer, reader, validator and docs are derived.
 
 A `SceneRecord` is a dict from field names to arrays of one scene. Shards stack records along a first axis `scene`.
 """
@@ -11,10 +11,10 @@ from typing import Literal, get_args
 import numpy as np
 
 FORMAT_VERSION = 1
-"""Rises when a reader written for the version before would misread the files."""
+"""Version of the file format, raised when readers of the previous version would misread the files."""
 
 DATA_VERSION = 1
-"""Rises when an existing array of any scene changes; new optional fields do not raise it."""
+"""Version of the data, raised when an existing array of any scene changes; new optional fields do not raise it."""
 
 DEPTH_SCALE = 1e-4
 """Metres per unit of stored depth."""
@@ -29,11 +29,14 @@ SPLITS = ("train", "val", "test")
 EditKind = Literal["remove", "move", "add"]
 
 EDITS: tuple[EditKind, ...] = get_args(EditKind)
-"""Counterfactual edits that a dataset may hold beside its scenes, each a group of fields."""
+"""Counterfactual edits that a dataset may store for each scene; each is a group of fields."""
 
 LEAST_EFFECT = 24
-"""Difference of a pixel's summed channels, of 765, from which on it counts as changed by an edit. Removals also brighten
-the ambient light around an object, by no more than 16, and change the rims of other shadows in their maps."""
+"""Least difference of a pixel's summed channels (at most 765) that counts as an effect of an edit.
+
+Removals also brighten the ambient light around an object, by at most 16, and slightly change the rims of other shadows,
+because the shadow maps change.
+"""
 
 SceneRecord = dict[str, np.ndarray]
 
@@ -43,18 +46,18 @@ class Field:
     """One array of the format."""
 
     name: str
-    """Its path in the file."""
+    """Path of the array in the file."""
     dtype: str
-    """NumPy's name; `S` stands for ASCII text of any fixed length."""
+    """NumPy name of the dtype; `S` stands for ASCII text of any fixed length."""
     axes: tuple[str, ...]
-    """Of one scene; axis `object` is padded to the recipe's maximum, `object+1` has the table in front."""
+    """Axes of one scene's array; `object` is padded to the recipe's maximum, `object+1` has the table first."""
     unit: str
     frame: str
-    """Frame of reference, `-` where it has none."""
+    """Frame of reference, `-` if there is none."""
     description: str
     group: str = "simulation"
-    """`simulation`: always there; `pixels`: there once rendered; `sensor`: there where the recipe has a depth sensor;
-    `remove`, `move`, `add`: there where the dataset was made with this edit."""
+    """Group that decides when the array exists. `simulation`: always; `pixels`: after rendering; `sensor`: with a
+    recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with this edit."""
 
 
 def _field(name: str, dtype: str, axes: str, unit: str, frame: str, description: str, group: str) -> Field:
@@ -219,7 +222,7 @@ def array_hash(name: str, array: np.ndarray) -> str:
 
 
 def encode_depth(depth: np.ndarray) -> np.ndarray:
-    """Metres to stored units.
+    """Convert metres to stored units.
 
     Raises:
         ValueError: a depth does not fit the format (negative, beyond `MAX_DEPTH`, or not finite).
@@ -233,11 +236,11 @@ def encode_depth(depth: np.ndarray) -> np.ndarray:
 
 
 def decode_depth(stored: np.ndarray) -> np.ndarray:
-    """Stored units to metres, float32."""
+    """Convert stored units to metres, float32."""
     return (stored * np.float64(DEPTH_SCALE)).astype(np.float32)
 
 
 def effect_mask(effects: np.ndarray, name: int) -> np.ndarray:
-    """Of `edits/remove/effects`, the pixels that the object of this id has an effect on."""
+    """Mask of the pixels that the object with id `name` affects, from `edits/remove/effects`."""
     byte, bit = divmod(name - 1, 8)
     return (effects[..., byte] >> bit & 1).astype(bool)

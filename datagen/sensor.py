@@ -1,4 +1,4 @@
-"""What a noisy depth camera makes of an exact depth image.
+"""Simulate a noisy depth camera from an exact depth image.
 
 The model, in order; every constant is a field of `config.Sensor`:
 
@@ -23,7 +23,7 @@ from datagen.geometry import pixel_rays
 from datagen.schema import MAX_DEPTH
 
 EDGE_JUMP = 0.01
-"""Metres that depth must jump to make an edge, if a pixel's footprint is not larger."""
+"""Least jump of depth at an edge, metres, unless a pixel's footprint is larger."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of linear red, green and blue (ITU-R BT.709)."""
@@ -38,7 +38,7 @@ def sense(
     config: Sensor,
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "height width"], Bool[np.ndarray, "height width"]]:
-    """Sensor depth in metres (0 where nothing returns) and where there is one, of an exact planar depth in metres."""
+    """Simulate sensor depth (metres, 0 if nothing returns) and its validity mask from exact planar depth (metres)."""
     # Both draws cover the whole image whatever it shows, so that one pixel never shifts another's noise.
     noise = rng.standard_normal(depth.shape)
     luck = rng.random(depth.shape)
@@ -51,7 +51,7 @@ def sense(
 def hole_probability(
     depth: Depth, rgb: UInt8[np.ndarray, "height width 3"], k: Float[np.ndarray, "3 3"], config: Sensor
 ) -> Depth:
-    """Chance of each pixel to return nothing, of its depth edges, its grazing angle and its darkness together."""
+    """Probability of each pixel to return nothing, from depth edges, grazing angle and darkness together."""
     edge = config.edge_dropout * depth_edges(depth, k)
     span = max(90.0 - config.grazing_angle, 1e-9)
     grazing = np.clip((incidence(depth, k) - config.grazing_angle) / span, 0, 1)
@@ -60,7 +60,7 @@ def hole_probability(
 
 
 def depth_edges(depth: Depth, k: Float[np.ndarray, "3 3"]) -> Bool[np.ndarray, "height width"]:
-    """Where depth jumps to a neighbour, up, down, left or right.
+    """Mask of the pixels whose depth jumps to a neighbour above, below, left or right.
 
     Inverse depth of a plane is linear in the image, so its second difference vanishes on planes however slanted.
     """
@@ -74,7 +74,7 @@ def depth_edges(depth: Depth, k: Float[np.ndarray, "3 3"]) -> Bool[np.ndarray, "
 
 
 def incidence(depth: Depth, k: Float[np.ndarray, "3 3"]) -> Depth:
-    """Degrees between each pixel's ray and the surface normal that the depth image shows; 0 where nothing returns."""
+    """Angle between each pixel's ray and the surface normal in the depth image, degrees; 0 for pixels without depth."""
     rays = pixel_rays(k, depth.shape[1], depth.shape[0])
     points = rays * depth[..., None]
     normals = np.cross(_tangent(points, depth, axis=1), _tangent(points, depth, axis=0))
@@ -84,14 +84,14 @@ def incidence(depth: Depth, k: Float[np.ndarray, "3 3"]) -> Depth:
 
 
 def luminance(rgb: UInt8[np.ndarray, "height width 3"]) -> Depth:
-    """Linear luminance in 0..1 of an sRGB image: what we take for reflectance, so that shadows count as dark too."""
+    """Linear luminance of an sRGB image, 0..1; used as reflectance, so that shadows count as dark too."""
     return _LINEAR[rgb] @ LUMINANCE
 
 
 def _tangent(
     points: Float[np.ndarray, "height width 3"], depth: Depth, axis: int
 ) -> Float[np.ndarray, "height width 3"]:
-    """Step to the next or from the last pixel, whichever stays nearer in depth: the one on the same surface."""
+    """Difference to the next or from the previous pixel: to the one nearer in depth, which is on the same surface."""
     forward = np.diff(points, axis=axis)
     first, last = np.take(forward, [0], axis), np.take(forward, [-1], axis)
     ahead, behind = np.concatenate([forward, last], axis), np.concatenate([first, forward], axis)

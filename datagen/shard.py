@@ -48,19 +48,19 @@ CONVENTIONS = (
 )
 
 _HINTS = {"pixels": " Render it first.", **{kind: f" Make them with --edits {kind}." for kind in EDITS}}
-"""What to do where a field of a group is not there."""
+"""Advice for a missing field, by the field's group."""
 
 _ADVICE = "Delete it and run the command that made it again."
-"""What to do where a shard is damaged."""
+"""Advice for a damaged shard."""
 _HASH_LENGTH = 64
-"""Letters of a SHA-256."""
+"""Length of a SHA-256 in hexadecimal digits."""
 _MOST_LETTERS = 2**20
-"""Longest text."""
+"""Greatest length of a stored text, letters."""
 _TEXT = bytes([0, *range(32, 127)])
-"""Bytes of text and of its padding."""
+"""Bytes allowed in stored text and its padding."""
 _PIXEL_AXES = ("frame", "view", "height", "width")
 _GZIP_LEVEL = 4
-"""Frames take 12 % less than at level 1, are read as fast, and cost 0.1 ms more to write."""
+"""Compression level: frames take 12 % less than at level 1, read as fast, and take 0.1 ms longer to write."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class PackedScene:
 
 
 def is_pixel_field(name: str) -> bool:
-    """Whether the field holds images and is stored one frame a chunk."""
+    """Whether the field holds images, which are stored with one chunk per frame and view."""
     return name in FIELDS and FIELDS[name].axes[:4] == _PIXEL_AXES
 
 
@@ -107,17 +107,17 @@ def _compress(array: np.ndarray) -> Frames:
 
 
 def _deflate(frame: np.ndarray) -> bytes:
-    """What HDF5's filters shuffle and gzip make of a chunk."""
+    """Compress a chunk as HDF5's shuffle and gzip filters do."""
     shuffled = frame.view(np.uint8).reshape(-1, frame.itemsize).T if frame.itemsize > 1 else frame
     return zlib.compress(shuffled.tobytes(), _GZIP_LEVEL)
 
 
 def shard_image(scenes: Sequence[PackedScene], attributes: Mapping[str, Any]) -> bytes:
-    """The bytes of a shard that holds these scenes; equal input gives equal bytes.
+    """Bytes of a shard file that holds the given scenes; equal input gives equal bytes.
 
     Args:
         scenes: Consecutive scenes of a split with equal fields.
-        attributes: Facts about the shard that go to the file's root.
+        attributes: Attributes of the file's root group that describe the shard.
     """
     with h5py.File("shard.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
         constant = {"format_version": FORMAT_VERSION, "generator": GENERATOR, "depth_scale": DEPTH_SCALE}

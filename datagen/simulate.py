@@ -1,4 +1,4 @@
-"""(recipe, seed, split, index) -> Simulated: draw scenes until one keeps all rules of its recipe."""
+"""Draw and simulate scenes until one obeys all rules of its recipe."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -21,20 +21,22 @@ from datagen.shapes.shape import Shape
 from datagen.visible_range import near_object, table_fault
 
 _DENSEST = 0.6
-"""Share of a region that discs dropped at random places can fill before there is no place left."""
+"""Share of a region that discs at random places can fill before no free place is left."""
 
 _LAYERS = 4
-"""Where objects may lie on each other: how many times over they may cover the region."""
+"""Number of times that stacked objects may cover the region; used if the placement is `stacked`."""
 
 _LEAST_TRIED = 20
-"""Scenes that are drawn before a recipe may count as hopeless."""
+"""Number of scenes drawn before a recipe may count as hopeless."""
 
 _DEVIATIONS = 2.5
-"""Standard deviations by which the objects that fit must fall short of `objects.minimum` for that: no more than one
-draw in 160 would fit by chance."""
+"""Standard deviations by which the number of fitting objects must fall short of `objects.minimum` in hopeless recipes.
+
+At this distance, at most one draw in 160 would fit by chance.
+"""
 
 _CAUTION = 3.0
-"""Standard errors by which the number of these standard deviations is lowered, since it is measured on few draws."""
+"""Standard errors subtracted from the measured number of deviations, because it is estimated from few draws."""
 
 _REMEDIES = {
     "crowded": "no free place: lower --objects.maximum or enlarge --layout.half-extent",
@@ -54,15 +56,15 @@ _REMEDIES = {
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A scene that keeps its recipe's rules, and what became of it."""
+    """A scene that obeys its recipe's rules, with its simulated trajectory."""
 
     scene: Scene
     shapes: tuple[Shape, ...]
     trajectory: Trajectory
     attempts: int
-    """Scenes drawn, this one included."""
+    """Number of scenes drawn, including this one."""
     rejections: dict[str, int]
-    """How many of them broke which rule."""
+    """Number of rejected scenes by the rule that they broke."""
 
 
 def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulated:

@@ -1,16 +1,16 @@
-"""What a dataset is: the content of its `dataset.json`, decided before anything is made.
+"""Spec of a dataset: the content of its `dataset.json`, fixed before any scene is made.
 
 The spec is a plain dict:
     format_version, data_version, generator
-    recipe .......... every constant of the recipe; its `resolution` is the one that sampling judges visibility by
+    recipe .......... every constant of the recipe; its `resolution` is only the default of the one below
     seed
-    resolution ...... width and height of the images, null where there are none
-    renderer ........ name and version, null where there are no images
+    resolution ...... width and height of the images, null if there are none
+    renderer ........ name and version, null if there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
-    edits ........... counterfactual edits, in the order of `schema.EDITS`; not there where there are none
+    edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
     scenes_per_shard
     splits .......... number of scenes of each split
-    spec_hash ....... SHA-256 of all this: the dataset's identity
+    spec_hash ....... SHA-256 of all the above: the dataset's identity
 """
 
 import functools
@@ -59,7 +59,7 @@ def make_spec(
     rig: Mapping[str, Any] | None = None,
     edits: Collection[EditKind] = (),
 ) -> Spec:
-    """The spec of a dataset; `recipe` and `rig` as plain values."""
+    """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
     scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL)
     spec = {
@@ -87,19 +87,19 @@ def _pixels(recipe: Mapping[str, Any], rig: Mapping[str, Any] | None, resolution
 
 
 def with_splits(spec: Spec, splits: Mapping[str, int]) -> Spec:
-    """The same settings with other numbers of scenes."""
+    """Copy of a spec with other numbers of scenes."""
     changed = {key: value for key, value in spec.items() if key != "spec_hash"}
     changed["splits"] = {name: int(splits.get(name, 0)) for name in SPLITS}
     return {**changed, "spec_hash": _digest(changed)}
 
 
 def spec_text(spec: Spec) -> str:
-    """What stands in `dataset.json`."""
+    """Text of `dataset.json` for a spec."""
     return json.dumps(spec, indent=2, allow_nan=False) + "\n"
 
 
 def settings_hash(spec: Spec) -> str:
-    """SHA-256 of what decides a scene: all but the numbers of scenes."""
+    """SHA-256 of all settings that determine a scene, which excludes the numbers of scenes."""
     return _digest({key: value for key, value in spec.items() if key not in ("splits", "spec_hash")})
 
 
@@ -109,9 +109,9 @@ def _digest(values: Mapping[str, Any]) -> str:
 
 
 def split_sizes(scenes: int) -> dict[str, int]:
-    """N scenes as 80/10/10; of every ten, the second is a test and the third a validation scene, the others train.
+    """Split N scenes 80/10/10: of every ten, the second goes to test, the third to val, the others to train.
 
-    Every size only grows with N, so that a dataset can be extended: 1 -> 1/0/0, 2 -> 1/0/1, 3 -> 1/1/1, 10 -> 8/1/1.
+    No size shrinks as N grows, so that a dataset can be extended: 1 -> 1/0/0, 2 -> 1/0/1, 3 -> 1/1/1, 10 -> 8/1/1.
     """
     test, val = (scenes + 8) // 10, (scenes + 7) // 10
     return {"train": scenes - val - test, "val": val, "test": test}
@@ -123,7 +123,7 @@ def shard_name(split: str, number: int) -> str:
 
 
 def shard_numbers(folder: Path, split: str) -> list[int]:
-    """Numbers of the shards of a split that are in a folder, in their order; none if it is no folder."""
+    """Sorted numbers of the shards of a split in a folder; empty if the folder does not exist."""
     names = os.listdir(folder) if folder.is_dir() else []
     matches = (re.fullmatch(rf"{split}-(\d{{5,18}})\.h5", name) for name in names)
     numbers = sorted({int(match[1]) for match in matches if match})
@@ -178,19 +178,19 @@ def edits_of(spec: Spec) -> tuple[EditKind, ...]:
 
 
 def views_of(spec: Spec) -> int:
-    """Number of cameras of a dataset of this spec: of the rig that it was rendered with, or else of its recipe."""
+    """Number of cameras of a dataset: that of the rig used for rendering, otherwise that of its recipe."""
     return (spec["rig"] or spec["recipe"])["views"]
 
 
 def lengths_of(spec: Spec) -> dict[str, int]:
-    """Lengths of those axes of `schema.FIELDS` that a spec decides."""
+    """Lengths of the axes of `schema.FIELDS` that a spec determines."""
     width, height = spec["resolution"] or (0, 0)
     images = {"width": width, "height": height} if spec["resolution"] else {}
     return {"frame": spec["recipe"]["frames"], "view": views_of(spec), **images}
 
 
 def groups_of(spec: Spec) -> tuple[str, ...]:
-    """Groups of fields that a dataset of this spec has."""
+    """Groups of fields in a dataset of this spec."""
     if not spec["renderer"]:
         return ("simulation",)
     sensor = ("sensor",) if spec["recipe"]["sensor"]["enabled"] else ()
@@ -202,7 +202,7 @@ def recipe_of(spec: Spec) -> Recipe:
 
     Raises:
         UsageError: a constant is unknown to this program, or has an impossible value.
-        CorruptFile: a constant is of another kind than it should be.
+        CorruptFile: a constant has the wrong type.
     """
     try:
         recipe = recipe_from_dict(spec["recipe"])
@@ -216,7 +216,7 @@ def recipe_of(spec: Spec) -> Recipe:
 
 
 def _mistyped(values: Any, prefix: str = "") -> Iterator[str]:
-    """Names of the constants that are of another type than a recipe's."""
+    """Names of the constants whose type is wrong."""
     for name, hint in _hints(type(values)).items():
         value = getattr(values, name)
         if is_dataclass(value) and isinstance(value, hint):
@@ -239,7 +239,7 @@ def _is_of(value: Any, hint: Any) -> bool:
 
 
 def rendered_recipe_of(spec: Spec) -> Recipe:
-    """The recipe of a spec with the cameras that its images are made with; raises as `recipe_of`."""
+    """Recipe of a spec, with the cameras used for its images; raises the same errors as `recipe_of`."""
     return recipe_of({**spec, "recipe": {**spec["recipe"], **(spec["rig"] or {})}})
 
 
@@ -289,11 +289,11 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
 }
-"""What reading a dataset relies on, key by key."""
+"""Check of each key of a spec that readers rely on."""
 
 
 def differences(old: Spec, new: Spec) -> list[str]:
-    """The settings in which two specs differ, as `key: old -> new`; numbers of scenes do not count."""
+    """Settings in which two specs differ, as `key: old -> new`; ignores the numbers of scenes."""
     ignored = ("splits", "spec_hash")
     return _differences(
         {k: v for k, v in old.items() if k not in ignored}, {k: v for k, v in new.items() if k not in ignored}, ""

@@ -1,4 +1,4 @@
-"""What is in a dataset, in figures."""
+"""Statistics of a dataset."""
 
 import itertools
 from collections import Counter
@@ -16,15 +16,15 @@ from datagen.schema import SceneRecord, decode_depth
 from datagen.storage import Dataset
 
 MOVES = 0.005
-"""An object moves in a clip if its centre gets this far from where it was in frame 0, metres."""
+"""Distance from its place in frame 0 above which an object counts as moving in a clip, metres."""
 
 TOUCHES = 0.005
-"""Two objects touch where the gap between them is smaller, metres."""
+"""Gap below which two objects count as touching, metres."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 DEPTH_SCENES = 50
-"""Scenes whose depth is read, spread over each split."""
+"""Approximate number of scenes per split whose depth is read, spread evenly."""
 
 Summary = dict[str, Any]
 
@@ -54,7 +54,7 @@ _VISIBILITY = "visibility/visible_fraction"
 
 
 def summary(folder: str | Path) -> Summary:
-    """Figures of a dataset as plain values; shares are 0 to 1, lengths metres.
+    """Statistics of a dataset as plain values; shares are 0 to 1, lengths in metres.
 
     Raises:
         DatagenError: the folder holds no complete dataset.
@@ -193,7 +193,7 @@ def _share(flags: Iterable[bool]) -> float:
 
 
 def _moves(record: SceneRecord) -> list[bool]:
-    """Of each object, whether it moves in the clip."""
+    """Whether each object moves in the clip."""
     away = record["poses/position"] - record["poses/position"][:1]
     farthest = np.sqrt(np.max(np.sum(away.astype(np.float64) ** 2, axis=-1), axis=0))
     return (farthest > MOVES)[: int(record["objects/count"])].tolist()
@@ -207,7 +207,7 @@ def _collides(record: SceneRecord) -> bool:
 
 
 def _touches(record: SceneRecord) -> list[bool]:
-    """Of each frame, whether any two objects touch."""
+    """Whether any two objects touch, for each frame."""
     count = int(record["objects/count"])
     gap = record["contacts/gap"][:, 1 : count + 1, 1 : count + 1] + np.diag([np.inf] * count)
     return np.any(gap < TOUCHES, axis=(1, 2)).tolist()

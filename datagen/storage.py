@@ -121,7 +121,7 @@ class Split(Sequence[SceneRecord]):
         return {name: shard.read(row, name) for name in shard.fields}
 
     def read(self, index: SupportsIndex, fields: Iterable[str], frames: slice | None = None) -> SceneRecord:
-        """Some fields of one scene; `frames` applies to the fields that have a frame axis.
+        """Read some fields of one scene; `frames` slices the fields that have a frame axis.
 
         Raises:
             IndexError: there is no such scene.
@@ -134,7 +134,7 @@ class Split(Sequence[SceneRecord]):
 
     @property
     def settings_hash(self) -> str:
-        """Which scenes it has, however many of them there are yet: equal ones have equal scenes at equal indices."""
+        """SHA-256 of the settings; equal hashes mean equal scenes at equal indices, whatever the number of scenes."""
         return settings_hash(self.spec)
 
     def hash(self, index: SupportsIndex) -> str:
@@ -143,7 +143,7 @@ class Split(Sequence[SceneRecord]):
         return shard.hashes()[row]
 
     def rejections(self, index: SupportsIndex) -> Counter[str]:
-        """How many samples of one scene were rejected for which reason."""
+        """Number of rejected samples of one scene by reason."""
         shard, row = self._locate(index)
         return shard.rejections(row)
 
@@ -152,7 +152,7 @@ class Split(Sequence[SceneRecord]):
         return self._locate(index)[0].fields
 
     def packed(self, index: SupportsIndex) -> PackedScene:
-        """One scene as it is stored."""
+        """One scene in its stored, compressed form."""
         shard, row = self._locate(index)
         return shard.packed(row)
 
@@ -170,7 +170,7 @@ class Split(Sequence[SceneRecord]):
         return missing
 
     def path(self, number: int) -> Path:
-        """Where shard `number` is."""
+        """Path of shard `number`."""
         return self.folder / shard_name(self.name, number)
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
-"""Models and unfinished trainings on disk, as safetensors and JSON.
+"""Storage of models and unfinished trainings, as safetensors and JSON.
 
 A folder holds `model.safetensors` and `config.json`, from which `load` builds the model, and `training.safetensors`:
-everything that a training needs to go on, weights included, in one file, so that it is always of one step.
+everything needed to resume training, weights included. It is a single file, so that its contents are of one step.
 """
 
 import json
@@ -24,9 +24,9 @@ from obpose.trainable import Configuration, Trainable
 
 MODEL, CONFIG, TRAINING = "model.safetensors", "config.json", "training.safetensors"
 TABLES = STEPS, VALIDATIONS = "training.csv", "validation.csv"
-"""Curves of a training, beside its files."""
+"""Tables with the curves of a training, in the same folder."""
 VERSION = 1
-"""Of the files; raised when older ones can no longer be read."""
+"""Version of the file format; raised when older files can no longer be read."""
 
 _MEND = {
     MODEL: f"where {TRAINING} beside it is intact, the obpose-train command that began it writes it anew; else give a "
@@ -34,14 +34,14 @@ _MEND = {
     TRAINING: f"the training cannot go on, begin anew in another folder with --out. {MODEL} beside it is a file of its "
     "own and can be used still.",
 }
-"""What to do where one is damaged."""
+"""Advice for the user when a file is damaged."""
 _AGAIN = f"Give the {CONFIG} of the same run, or train again into another folder."
 
 Build = Callable[[Any], Trainable]
-"""Makes a model with fresh weights."""
+"""Function that builds a model with fresh weights from a configuration."""
 
 Info = dict[str, Any]
-"""How a model came to be: steps, seconds and whatever else; what JSON can say."""
+"""Facts about the training, such as steps and seconds, as JSON values."""
 
 _MOST_CONFIG_BYTES = 2**20
 _MOST_TABLE_BYTES = 2**30
@@ -53,22 +53,22 @@ class TrainingState:
 
     weights: State
     optimizer: State
-    """By `name of the parameter.name of the value`."""
+    """Optimiser state by key `parameter.value`."""
     info: Info
 
 
 def save_model(folder: Path, weights: State, config: Configuration, info: Info) -> None:
-    """Write what `load` reads; the configuration last, so that where it is, all is."""
+    """Write a model for `load`. The configuration is written last: if it exists, the model is complete."""
     _write_tensors(folder / MODEL, weights, info)
     facts = {"version": VERSION, "architecture": architecture_of(config).name, "config": to_plain(config)}
     write_whole(folder / CONFIG, (json.dumps(facts, indent=1) + "\n").encode())
 
 
 def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configuration, Info]:
-    """Load the model of a folder, on the CPU and in evaluation mode; `build` makes another than its configuration says.
+    """Load the model of a folder, on the CPU and in evaluation mode; `build` replaces the default constructor.
 
     Raises:
-        UsageError: there is none, it is of another version or architecture, or its weights do not fit.
+        UsageError: there is no model, its version or architecture is unknown, or its weights do not fit.
         CorruptFile: a file is damaged, or holds NaN or infinity.
     """
     config = read_config(folder)
@@ -81,10 +81,10 @@ def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configura
 
 
 def load_obpose(folder: Path) -> ObPose:
-    """The same where poses and fields are asked for, which other architectures do not have.
+    """Load an ObPose model; other architectures have no poses and fields.
 
     Raises:
-        UsageError: as `load`, or the model is none of ObPose's.
+        UsageError: as in `load`, or the model is not a variant of ObPose.
         CorruptFile: a file is damaged.
     """
     model = load(folder)[0]
@@ -94,14 +94,14 @@ def load_obpose(folder: Path) -> ObPose:
 
 
 def read_config(folder: Path) -> Configuration:
-    """The configuration of a folder's model.
+    """Read and check the configuration of a folder's model.
 
     Raises:
-        UsageError: there is none, it is of another version, or no model can be made of its values.
+        UsageError: there is none, its version is unknown, or its values are out of bounds.
         CorruptFile: the file is damaged.
     """
     config = _stored_config(folder)
-    # A training that counts steps may have no end in time, as the benchmark's have; for the model that is nothing.
+    # A budget in steps may come with infinite minutes, as in the benchmark; the model does not depend on it.
     timeless: Any = replace(config, train=replace(config.train, minutes=1.0))  # pyright: ignore[reportArgumentType]
     try:
         architecture_of(config).check(timeless)
@@ -114,7 +114,7 @@ def put_weights(model: Trainable, weights: State, place: str) -> None:
     """Load weights into a model.
 
     Raises:
-        UsageError: their names, types or shapes are not those of the model.
+        UsageError: names, types or shapes differ from those of the model.
     """
     _check_fit(forms_of(weights), forms_of(model.state_dict()), place)
     model.load_state_dict(weights)
@@ -129,17 +129,17 @@ def _check_fit(found: Forms, expected: Forms, place: str) -> None:
 
 
 def save_training(folder: Path, state: TrainingState) -> None:
-    """Write what `load_training` reads."""
+    """Write the state of a training for `load_training`."""
     weights = {f"model.{name}": tensor for name, tensor in state.weights.items()}
     optimizer = {f"optimizer.{name}": tensor for name, tensor in state.optimizer.items()}
     _write_tensors(folder / TRAINING, weights | optimizer, state.info)
 
 
 def load_training(folder: Path, config: Configuration) -> TrainingState | None:
-    """The unfinished or finished training of a folder; None if nothing was begun there.
+    """Load the unfinished or finished training of a folder; None if no training was started there.
 
     Raises:
-        UsageError: it is one of another configuration (says what differs), or the files there are somebody else's.
+        UsageError: its configuration differs (the message lists how), or the folder holds files of another run.
         CorruptFile: a file is damaged.
     """
     if not (folder / CONFIG).exists():
@@ -161,11 +161,11 @@ def load_training(folder: Path, config: Configuration) -> TrainingState | None:
 
 
 def _stored_config(folder: Path) -> Configuration:
-    """As `read_config`, whatever the values are."""
+    """Read the configuration like `read_config`, without checking the bounds of its values."""
     path = folder / CONFIG
     if not path.exists():
         raise UsageError(f"{folder} holds no model: there is no {CONFIG}. obpose-train makes one.")
-    # A training that counts steps may have an infinite budget in time.
+    # A budget in steps may come with infinite minutes.
     facts = read_json(path, most_bytes=_MOST_CONFIG_BYTES, infinite=True)
     known = {"version", "architecture", "config"}
     if not isinstance(facts, dict) or not {"version", "config"} <= facts.keys() <= known:
@@ -175,7 +175,7 @@ def _stored_config(folder: Path) -> Configuration:
         raise UsageError(f"{path} is of version {version!r:.40}, expected {VERSION}; train again, or use that version.")
     if not isinstance(plain, dict):
         raise CorruptFile(f"{path} is damaged; expected a group of values as config. {_AGAIN}")
-    # Files that do not say it are older than the second architecture.
+    # Files without an architecture are older than the second architecture.
     name = facts.get("architecture", OBPOSE.name)
     if not isinstance(name, str) or name not in ARCHITECTURES:
         raise UsageError(f"{path} is of architecture {name!r:.40}; this version has {', '.join(ARCHITECTURES)}.")
@@ -186,7 +186,8 @@ def _stored_config(folder: Path) -> Configuration:
 
 
 def _check_free(folder: Path) -> None:
-    """That no work is lost where a training begins; a kill during the very first save leaves files of step 0."""
+    """Check that a new training overwrites no earlier work. Files of step 0 may be left by a kill during the first
+    save."""
     for name in (TRAINING, MODEL):
         if (folder / name).exists() and _read_tensors(folder / name)[1].get("step") != 0:
             raise UsageError(

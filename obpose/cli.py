@@ -108,7 +108,7 @@ def _data(values: Train) -> Track | DataFolder:
 
 
 def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
-    """The dataset's folder, once all that is needed is in it; of several processes, the first makes it."""
+    """Prepare the dataset and give its folder. The first process makes it, the others wait until it is complete."""
     splits = [split for split in ("train", "val") if data.size(split)]
     while _process() > 0 and data.missing(splits):
         time.sleep(1.0)
@@ -116,7 +116,7 @@ def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
 
 
 def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:
-    """What the flags say, as changes of a configuration. Slots do not count the background here."""
+    """Configuration changes that follow from the flags; `model.slots` excludes the background."""
     own = system.on_tracks.get(values.track or "", {})
     budget = {} if values.minutes is None else {"train.minutes": values.minutes}
     return {**own, "model.slots": data.slots - 1, "train.seed": values.seed, "train.steps": values.steps, **budget}

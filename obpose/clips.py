@@ -1,4 +1,4 @@
-"""Sources of clips for training, and clips as batches."""
+"""Sources of clips for training, and batches of clips."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -22,7 +22,7 @@ _ALL = slice(None)
 
 @runtime_checkable
 class ClipSource(Protocol):
-    """Clips of equal size, of which windows can be read. `obpose.data.SceneDataset` of whole clips is one."""
+    """Clips of equal size that are read in windows. `obpose.data.SceneDataset` of whole clips is one."""
 
     @property
     def frames_of_clip(self) -> int:
@@ -30,14 +30,14 @@ class ClipSource(Protocol):
         ...
 
     def __len__(self) -> int:
-        """How many clips there are."""
+        """Number of clips."""
         ...
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Some frames of a clip: the fields of `obpose.types.Observation` without the batch axis.
+        """Read `frames` consecutive frames of a clip: fields of `obpose.types.Observation` without the batch axis.
 
-        A source may add `segmentation` (Int64 "frame view height width", 0 = background). For validation it is used to
-        score segmentations and for nothing else; in training it reaches those models alone that say that they see it.
+        A source may add `segmentation` (Int64 "frame view height width", 0 = background). Validation uses it only to
+        score segmentations. In training it is passed only to models whose observation type has this field.
         """
         ...
 
@@ -48,7 +48,7 @@ class ArrayClip(Protocol):
 
     @property
     def rgb(self) -> UInt8[np.ndarray, "frame view height width 3"]:
-        """In sRGB."""
+        """Colour images in sRGB, 0 to 255."""
         ...
 
     @property
@@ -68,13 +68,13 @@ class ArrayClip(Protocol):
 
     @property
     def world_from_camera(self) -> Float[np.ndarray, "view 4 4"]:
-        """Poses of the cameras, metres."""
+        """Camera poses, translation in metres."""
         ...
 
 
 @runtime_checkable
 class LabelledArrayClip(ArrayClip, Protocol):
-    """One that has labels, or None in their place."""
+    """A clip as arrays with ground-truth labels, or None instead of labels."""
 
     @property
     def truth(self) -> UInt8[np.ndarray, "frame view height width"] | None:
@@ -86,7 +86,7 @@ def check_window(start: int, frames: int, clip_frames: int) -> None:
     """Check that a window lies inside a clip.
 
     Raises:
-        UsageError: it does not.
+        UsageError: the window exceeds the clip or is empty.
     """
     if start < 0 or frames < 1 or start + frames > clip_frames:
         raise UsageError(
@@ -96,14 +96,14 @@ def check_window(start: int, frames: int, clip_frames: int) -> None:
 
 
 class ArrayClips:
-    """A sequence of clips as arrays, read when they are needed."""
+    """A source over a sequence of `ArrayClip`, read on demand."""
 
     def __init__(self, clips: Sequence[ArrayClip]):
         self._clips = clips
 
     @property
     def frames_of_clip(self) -> int:
-        """Frames of the first clip, and so of all.
+        """Frames of the first clip; all clips have as many.
 
         Raises:
             UsageError: there are no clips.
@@ -116,7 +116,7 @@ class ArrayClips:
         return len(self._clips)
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Some frames of a clip.
+        """Read `frames` consecutive frames of a clip as tensors; colours become 0 to 1.
 
         Raises:
             UsageError: the clip has no such frames.
@@ -133,14 +133,14 @@ class ArrayClips:
 
 
 class LabelledArrayClips(ArrayClips):
-    """The same with their labels, for models that learn from them."""
+    """A source that adds ground-truth labels, for models trained with supervision."""
 
     def __init__(self, clips: Sequence[LabelledArrayClip]):
         super().__init__(clips)
         self._labelled = clips
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Some frames of a clip, with `segmentation`.
+        """Read `frames` consecutive frames of a clip, with `segmentation`.
 
         Raises:
             UsageError: the clip has no labels, or no such frames.
@@ -153,10 +153,10 @@ class LabelledArrayClips(ArrayClips):
 
 
 def stack(windows: Sequence[Mapping[str, Tensor]], sees: type[Observation] = Observation) -> dict[str, Tensor]:
-    """Windows of equal size as one batch; what a model must not see is left behind.
+    """Stack windows of equal size into a batch, with only the fields of the observation type `sees`.
 
     Raises:
-        UsageError: the model sees labels, and there are none.
+        UsageError: a field is missing, such as the labels of a supervised model.
     """
     names = [field.name for field in fields(sees)]
     if missing := [name for name in names if any(name not in window for window in windows)]:
@@ -165,12 +165,12 @@ def stack(windows: Sequence[Mapping[str, Tensor]], sees: type[Observation] = Obs
 
 
 def observation_of(windows: Sequence[Mapping[str, Tensor]], sees: type[Observed] = Observation) -> Observed:
-    """Windows of equal size as a model sees them."""
+    """Stack windows of equal size into an observation of type `sees`."""
     return sees(**stack(windows, sees))
 
 
 def one_view(observation: Observed, generator: torch.Generator | None) -> Observed:
-    """Each clip with one of its views, drawn at random."""
+    """Keep one random view of each clip."""
     clips, device = torch.arange(len(observation.depth)), observation.depth.device
     view = torch.randint(observation.depth.shape[2], clips.shape, generator=generator, device=device)
     chosen = {}
@@ -181,7 +181,7 @@ def one_view(observation: Observed, generator: torch.Generator | None) -> Observ
 
 
 def views_apart(observation: Observed) -> Observed:
-    """Every view as a scene of its own."""
+    """Turn every view into a separate clip of one view."""
     images, cameras = "batch frame view ... -> (batch view) frame 1 ...", "batch view ... -> (batch view) 1 ..."
     names = [field.name for field in fields(observation)]
     return replace(
@@ -191,7 +191,7 @@ def views_apart(observation: Observed) -> Observed:
 
 
 def clip_part(observation: Observed, *, frames: slice | Int[Tensor, " some"] = _ALL, views: slice = _ALL) -> Observed:
-    """Some frames and views, as if there were no others."""
+    """Select frames and views of an observation."""
     names = [field.name for field in fields(observation)]
     values = {name: getattr(observation, name) for name in names}
     return replace(

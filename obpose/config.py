@@ -1,7 +1,7 @@
-"""Every constant of the model, the losses and the training, with where it comes from.
+"""All constants of the model, the losses and the training, with their sources.
 
-`[paper]`: stated there; `[code]`: the authors' published code; `[ours]`: our addition or choice, see
-docs/paper.md. Variants and sizes, which change some of them, stand in `obpose/variants.py`.
+`[paper]`: stated in the paper; `[code]`: the authors' published code; `[ours]`: our addition or choice, see
+docs/paper.md. Variants and sizes that change some of them are in `obpose/variants.py`.
 """
 
 import dataclasses
@@ -19,9 +19,9 @@ class BackboneConfig:
     input_stride: int = 1
     """Take every n-th pixel of the image in both directions. [ours]"""
     widths: tuple[int, ...] = (16, 32, 64, 64)
-    """Channels a level; each level has half the resolution of the one before. [code]"""
+    """Channels of each level; each level has half the resolution of the previous one. [code]"""
     blocks: tuple[int, ...] = (0, 1, 1, 1)
-    """Residual blocks a level, beside the one that goes down to it. [code: 1, 2, 2, 2]"""
+    """Residual blocks of each level, not counting the downsampling block. [code: 1, 2, 2, 2]"""
     radius: float = 2.0
     """Radius of a KPConv neighbourhood in units of the distance between neighbouring points of the level.
     [ours, that of a 3x3 window; code: 0.025 m where points are some 6 mm apart, then both doubled]"""
@@ -29,50 +29,53 @@ class BackboneConfig:
     """Level of the grid of embeddings; level l has every 2^l-th point. [paper: 1, of images twice as fine as in the
     profile `cpu`: either way 64x64 points]"""
     embedding: int = 16
-    """D. [code]"""
+    """D: channels of the point embeddings. [code]"""
     colour: int = 8
-    """D_c. [code]"""
+    """D_c: channels of the colour embeddings, which the attention clusters. [code]"""
     feature: int = 16
-    """D_f. [code]"""
+    """D_f: channels of the features, which the encoders use. [code]"""
     scene_means: Literal["given", "none"] = "given"
-    """Whether means of all levels and the mean colour stand beside the KPConv in the code of an image. [ours; code:
-    none]"""
+    """Whether the code of an image also contains means of all levels and the mean colour, beside the KPConv. [ours;
+    code: none]"""
 
 
 @dataclass(frozen=True)
 class AttentionConfig:
-    """From embeddings to masks; all but the first is of the IC-SBP."""
+    """Attention, which turns embeddings into masks; all values but `kind` are for the IC-SBP."""
 
     kind: Literal["icsbp", "slots"] = "icsbp"
-    """Masks of the IC-SBP, or of slot attention, whose slots take the place of the object encoder. [paper: both]"""
+    """Source of the masks: the IC-SBP, or slot attention, whose slots replace the object encoder. [paper: both]"""
     kernel: Literal["gaussian", "laplacian", "epanechnikov"] = "gaussian"
-    """psi. [code: gaussian]"""
+    """psi: kernel of the distance between a seed and an embedding. [code: gaussian]"""
     semi_convolution: float = 8.0
     """World position in metres, times this, is added to the first three channels of the colour embedding; 0 for none.
-    What matters most for learning in few steps. [ours; Novotny et al. 2018]"""
+    The most important setting for learning in few steps. [ours; Novotny et al. 2018]"""
     semi_colour: float = 0.3
     """Standardised colour, times this, is added to the next three channels; 0 for none. [ours]"""
     seeds: Literal["stochastic", "greedy"] = "stochastic"
-    """In training: seed at the argmax of u * scope with u uniform (GENESIS-V2), or of the scope. [code: stochastic]"""
+    """In training: seed at the argmax of u * scope with u uniform in 0..1 (GENESIS-V2), or of the scope. [code:
+    stochastic]"""
     evaluation_seeds: Literal["greedy", "densest"] = "densest"
-    """At evaluation: seed at the largest scope, or where the scope around is largest. [ours]"""
+    """At evaluation: seed at the largest scope, or at the point whose neighbourhood has the largest summed scope.
+    [ours]"""
     evaluation_division: Literal["sticks", "shares"] = "shares"
-    """At evaluation: what several slots reach goes to the first of them first, or to the nearest. In training sticks
-    are broken always. [ours; paper: sticks]"""
+    """At evaluation: points within reach of several slots go mostly to the first slot (`sticks`, stick breaking) or to
+    the nearest one (`shares`). Training always uses `sticks`. [ours; paper: sticks]"""
     looks: int = 3
-    """So often a seed moves to the mean embedding under its mask, in each frame; 0: it stays where it was chosen.
-    [ours; paper: 0]"""
+    """Mean-shift steps per seed and frame. Each moves the seed to the mean embedding under its mask; 0 keeps the seed
+    where it was chosen. [ours; paper: 0]"""
     mask_power: float = 3.0
-    """Means over points, which are where seeds go and where objects are, weigh each by its mask to this power. [ours;
+    """Exponent of the masks where they weight points in a mean, as for the seeds and the object locations. [ours;
     code: 1]"""
     evaluation_rounds: int = 1
-    """At evaluation masks are so often replaced by the posterior of which component a point is of, given the fields
-    that were read under them; poses and latents are then read anew. [ours; paper: 0]"""
+    """Refinement rounds at evaluation. Each replaces the masks by the posterior over components at each point, given
+    the decoded fields, then infers poses and latents again. [ours; paper: 0]"""
     idle_in_training: Literal["never", "bernoulli"] = "never"
-    """Whether a slot is left out when a draw of the remaining scope finds no point. [code: bernoulli]"""
+    """In training: whether a slot is idle if a Bernoulli draw from the remaining scope selects no point. [code:
+    bernoulli]"""
     idle_points: int = 2
-    """At evaluation a slot is idle unless so many points of the first frame have a remaining scope over `idle_scope`; 0
-    for no idle slots. [ours]"""
+    """At evaluation: a slot is idle if fewer points than this in the first frame have a remaining scope over
+    `idle_scope`; 0 for no idle slots. [ours]"""
     idle_scope: float = 0.7
 
 
@@ -81,15 +84,15 @@ class SlotAttentionConfig:
     """Slot attention (Locatello et al. 2020), as in the paper's ablation."""
 
     iterations: int = 3
-    """In each frame. [code]"""
+    """Iterations in each frame. [code]"""
     width: int = 32
-    """Of a slot. [code]"""
+    """Channels of a slot. [code]"""
     distribution: Literal["learned", "untrained"] = "learned"
-    """Mean and deviation from which slots are drawn: parameters, or numbers of which nothing is learned or saved, and
-    others at evaluation than in training. [Locatello et al.: learned; code: untrained, by mistake]"""
+    """Mean and deviation from which slots are drawn: `learned` parameters, or `untrained` random numbers that are not
+    saved and differ between training and evaluation. [Locatello et al.: learned; code: untrained, by mistake]"""
     position_frequencies: int = 1
-    """Sines and cosines of 2^i pi p, for i below this, that tokens hear of beside the position p, which is -1..1 in the
-    workspace. [ours; code: 0]"""
+    """Number of frequencies: tokens get sin and cos of 2^i pi p, for i below this, beside the position p, which is
+    -1..1 in the workspace. [ours; code: 0]"""
 
 
 @dataclass(frozen=True)
@@ -97,29 +100,29 @@ class PoseConfig:
     """Boxes of the objects and the `where` module."""
 
     conditioning: Literal["world", "none", "location", "full"] = "full"
-    """Objects are encoded in the workspace's frame, at their location, or at location and orientation, and are nowhere
-    else; `world`: as `none`, but their fields fill the whole world, like the background's. [paper; its baselines:
-    world]"""
+    """Frame in which objects are encoded: the workspace's (`none`), at their `location`, or at location and orientation
+    (`full`). Fields end at the box. `world`: as `none`, but fields fill the whole world, like the background's.
+    [paper; its baselines: world]"""
     points: Literal["own", "all"] = "own"
-    """An object encoder sees the points of the box at which no other slot's mask is larger, or all. [ours; code:
-    all]"""
+    """Input of an object encoder: the points of the box at which no other slot's mask is larger, or all of its points.
+    [ours; code: all]"""
     box_size: float = 0.2
-    """s, metres. [code: 0.4]"""
+    """s: edge of a box, metres. [code: 0.4]"""
     max_translation: float = 0.05
-    """T_max, metres. [code: 0.1]"""
+    """T_max: largest predicted translation of a box, metres. [code: 0.1]"""
     min_points: int = 1
-    """With fewer points of the embedding grid whose argmax is the slot, its location is kept from the frame before.
-    [ours; code: 10 of 64x64]"""
+    """A slot keeps its location from the previous frame if it has the largest mask at fewer points of the embedding
+    grid than this. [ours; code: 10 of 64x64]"""
     min_pixels: int = 10
-    """With fewer pixels whose argmax is the slot, its orientation is that of the frame before or the identity.
-    [code: 10 points]"""
+    """A slot keeps its orientation from the previous frame, initially the identity, if it has the largest mask at fewer
+    pixels than this. [code: 10 points]"""
     grid_level: int = 1
-    """HEALPix level of the rotation grid before refinement; of its 576 (1) or 4608 (2) rotations are used the 24 or 204
-    that a box's symmetry does not turn into each other. [code: 3, all 36,864]"""
+    """HEALPix level of the rotation grid before refinement. Of its 576 (1) or 4608 (2) rotations, the 24 or 204 that
+    are distinct under the symmetry of a box are used. [code: 3, all 36,864]"""
     refinements: int = 8
-    """Rounds of local refinement; the last one turns boxes by at most 0.6 degrees. [ours]"""
+    """Rounds of local refinement; the last one rotates boxes by at most 0.6 degrees. [ours]"""
     tolerance: float = 0.01
-    """beta: boxes up to 1 + beta times the smallest are candidates. [code]"""
+    """beta: boxes of up to 1 + beta times the smallest volume are candidates. [code]"""
 
 
 @dataclass(frozen=True)
@@ -137,41 +140,41 @@ class LatentConfig:
     encoder: int = 64
     """Width of the object encoders. [code]"""
     samples: int = 160
-    """Points of the box given to an object encoder. [ours; code: all]"""
+    """Number of points of the box given to an object encoder. [ours; code: all]"""
     summary: Literal["points", "mean"] = "points"
-    """An object's code: of an encoder of its points, or the mean of features and positions under its mask. [paper:
-    points; code of its IC-SBP ablation: mean]"""
+    """Source of an object's code: an encoder of its points, or the mean of features and positions under its mask.
+    [paper: points; code of its IC-SBP ablation: mean]"""
     radius: float = 0.5
-    """Of a neighbourhood in the object encoder; half the box's edge is 1. [ours; code: 0.025, in which each point is
-    alone]"""
+    """Radius of a neighbourhood in the object encoder, in units of half the box's edge. [ours; code: 0.025, where
+    neighbourhoods hold a single point]"""
     frequencies: int = 3
-    """Sines and cosines of 2^i pi p, for i below this, that the object encoder gets beside the position p. [ours; code:
-    0]"""
+    """Number of frequencies: the object encoder gets sin and cos of 2^i pi p, for i below this, beside the position p.
+    [ours; code: 0]"""
     colours: Literal["given", "none"] = "given"
-    """Whether the observed colours stand beside zeta_f. [ours; code: none]"""
+    """Whether the object encoder gets the observed colours beside the features zeta_f. [ours; code: none]"""
     means: Literal["given", "none"] = "given"
-    """Whether the mean of the features under the mask, for slot attention of positions too, ends an object's code as it
-    is. [ours; code: none]"""
+    """Whether the mean of the features under the mask is appended to an object's code; with slot attention, the mean
+    position too. [ours; code: none]"""
     posterior_std: float = 0.01
-    """Standard deviation typical of a fresh posterior. [ours; code: 0.7]"""
+    """Typical standard deviation of the posterior before training. [ours; code: 0.7]"""
     posterior_input: Literal["state and code", "state"] = "state and code"
-    """What a posterior is read from: the recurrent cell's state, and the frame's code beside it. [ours; code: state]"""
+    """Input of the posterior: the recurrent cell's state, with or without the code of the frame. [ours; code: state]"""
 
 
 @dataclass(frozen=True)
 class FieldConfig:
-    """One NeRF."""
+    """A NeRF, of the objects or of the background."""
 
     width: int = 64
-    """[code: 128]"""
+    """Channels of the hidden layers. [code: 128]"""
     depth: int = 4
-    """Hidden layers; the latent and the position enter again after the middle one. [code: 8]"""
+    """Number of hidden layers; latent and position enter again after the middle one. [code: 8]"""
     position_frequencies: int = 6
-    """sin and cos of 2^i pi p for i below this. [code: 10]"""
+    """Number of frequencies: positions p are encoded by sin and cos of 2^i pi p for i below this. [code: 10]"""
     direction_frequencies: int = 2
-    """The same for view directions. [code: 4]"""
+    """Number of frequencies of view directions. [code: 4]"""
     density: Literal["raw", "squashed"] = "raw"
-    """The density logit: what the network gives, or 10 times its sigmoid, with which no point can be empty. [paper:
+    """Density logit: the output of the network, or 10 times its sigmoid, with which no point can be empty. [paper:
     raw; code of its slot attention for video: squashed]"""
 
 
@@ -180,13 +183,13 @@ class ModelConfig:
     """The architecture."""
 
     slots: int = 4
-    """K, without the background. [code]"""
+    """K: number of slots, without the background. [code]"""
     background: Literal["component", "none"] = "component"
-    """A component with a field of its own; or none: then K + 1 slots are equal, and the IC-SBP's last one takes the
-    remaining scope. [paper; GENESIS-V2: none]"""
+    """Model of the background: a `component` with its own field; or `none`, where K + 1 slots are alike and the last
+    slot of the IC-SBP takes the remaining scope. [paper; GENESIS-V2: none]"""
     weights: Weights = "orthogonal"
-    """Fresh weights from the encoders' codes to the fields: orthogonal, by which inputs stay as far apart as they are,
-    or PyTorch's own. [ours; code: uniform]"""
+    """Initial weights between the encoders' codes and the fields: `orthogonal`, which preserves distances between
+    inputs, or PyTorch's default (`uniform`). [ours; code: uniform]"""
     backbone: BackboneConfig = field(default_factory=BackboneConfig)
     attention: AttentionConfig = field(default_factory=AttentionConfig)
     slot_attention: SlotAttentionConfig = field(default_factory=SlotAttentionConfig)
@@ -200,105 +203,109 @@ class ModelConfig:
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training."""
     workspace_size: float = 1.0
-    """Edge of the cube around it that holds the observed points, metres; measured before training."""
+    """Edge of the cube around `workspace_center` that holds the observed points, metres; measured before training."""
     background_size: float = 2.0
-    """Edge of the cube around it that holds the cameras as well, metres; measured before training. The background's
-    positional encoding repeats itself outside."""
+    """Edge of the cube around `workspace_center` that also holds the cameras, metres; measured before training. Outside
+    of it the background's positional encoding repeats."""
     voxels: int = 12
     """S: voxels along each edge of a box. [code: 24]"""
     voxel_threshold: float = 0.5
-    """sigma_T. [code]"""
+    """sigma_T: occupancy above which a voxel belongs to the object. [code]"""
     floor: float | None = -0.002
-    """Voxels below this height above the world's z = 0 are not the object's, metres; None for no floor. [code]"""
+    """Height in metres above the world's z = 0 below which voxels do not belong to an object; None for no floor.
+    [code]"""
     table: float | None = 0.001
-    """Objects have no density below this height above the world's z = 0, metres; None for no such limit. Without it
-    objects explain their shadows. [ours]"""
+    """Height in metres above the world's z = 0 below which objects have no density; None for no limit. Without a limit
+    objects include their shadows. [ours]"""
 
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Terms and their weights. Terms are means over rays, points or frames, where the paper has sums."""
+    """Weights and constants of the loss terms. Terms are means over rays, points or frames; the paper has sums."""
 
     sigma_max: float = 10.0
     """Density of an opaque point. [code]"""
     colour_std: float = 0.1
-    """sigma_std. [code]"""
+    """sigma_std: standard deviation of a component's colour. [code]"""
     colour_likelihood: Literal["channel", "joint"] = "channel"
-    """A mixture in each colour channel, or one over the three together. [code: channel]"""
+    """Colour likelihood: one mixture in each colour channel, or one over all three. [code: channel]"""
     attention: Literal["mixture", "l2"] = "mixture"
-    """[paper: both; code: mixture]"""
+    """Attention loss: the mixture likelihood or a squared distance. [paper: both; code: mixture]"""
     attention_floor: float = -18.0
-    """Log of the likelihood of an outlier in the mixture attention loss. [ours]"""
+    """Log-likelihood of an outlier in the mixture attention loss. [ours]"""
     unknown: float = 0.0
-    """Log of the likelihood, in each colour channel, of what is not background, in the warm-up. [ours]"""
+    """Log-likelihood per colour channel of foreground points during the warm-up, when there are no objects yet.
+    [ours]"""
     colour: float = 1.0
     surface: float = 1.0
     air: float = 1.0
     air_growth: float = 1.0
-    """What the weight of the air is multiplied with in the last quarter of the budget, growing from its middle on:
-    fields get sharper surfaces, once they have found their objects. [ours]"""
+    """Factor on `air` in the last quarter of the budget; it grows from 1 in the quarter before. Surfaces get sharper
+    once the objects are found. [ours]"""
     mask: float = 1.0
     """Weight of the attention loss; 5 suits `l2`."""
     scope: float = 0.25
-    """[paper: 1, with sums over the embedding grid, which has a quarter of the image's points]"""
+    """Weight of the scope loss. [paper: 1, with sums over the embedding grid, which has a quarter of the image's
+    points]"""
     translation: float = 1.0
-    """[paper: 1, with sums over rays, beside which it is thousands of times lighter than here]"""
+    """Weight of the translation loss. [paper: 1, with sums over rays, where its relative weight is thousands of times
+    smaller than here]"""
     kl: float = 1 / 4096
-    """Of z_what and z_bg. [paper: 1, with sums over rays]"""
+    """Weight of the KL divergence of z_what and z_bg. [paper: 1, with sums over rays]"""
     kl_where: float = 1e-3 / 4096
-    """[code: 1e-3 of the other]"""
+    """Weight of the KL divergence of z_where. [code: 1e-3 times `kl`]"""
     jitter: float = 0.01
-    """Colour and density are fitted up to this far behind the surface, metres of planar depth. [code]"""
+    """Distance behind the surface up to which colour and density are fitted, metres of planar depth. [code]"""
     air_saturation: float | None = 3.0
-    """Summed softplus beyond which density in the air goes on as a straight line, which has a gradient; None: it stays
-    a tanh. [ours; paper: none]"""
+    """Summed softplus beyond which the density in the air continues as a straight line, to keep a gradient; None: tanh
+    everywhere. [ours; paper: none]"""
     near_share: float = 0.98
-    """Half of the air points lie before this share of the depth, half behind. [code]"""
+    """Share of the depth that splits the air points: half of them lie before it, half behind. [code]"""
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How it is trained."""
+    """Settings of the training."""
 
     batch: int = 1
-    """Clips a step; as many more as they are shorter than `frames`, so that a step sees as many images."""
+    """Clips in a step. If clips are shorter than `frames`, a step has proportionally more of them."""
     frames: int = 5
-    """Frames of a training window; whole clips where they are shorter. [code]"""
+    """Frames of a training window; shorter clips are used whole. [code]"""
     rays: int = 256
-    """Pixels a frame at which the fields are evaluated, over all views; 0 for all. [ours]"""
+    """Pixels per frame at which the fields are evaluated, over all views; 0 for all. [ours]"""
     object_rays: float = 0.5
-    """Share of the rays drawn where objects are expected, less than 1; weights make up for it. The pre-scope says
-    where, and without one the largest component: where it is not. [ours]"""
+    """Share of the rays drawn where objects are expected, less than 1; weights correct for it. Objects are expected by
+    the pre-scope, or without one outside of the largest component. [ours]"""
     learning_rate: float = 1e-3
-    """[paper: 4e-4]"""
+    """Initial learning rate of Adam. [paper: 4e-4]"""
     decay: Literal["cosine", "halving", "none"] = "cosine"
-    """`cosine`: to zero at the end of the budget; `halving`: smoothly to a half, again and again. [paper: none]"""
+    """Learning rate schedule. `cosine`: to zero at the end of the budget; `halving`: exponential. [paper: none]"""
     half_life: float = 0.1
-    """Share of the budget in which `halving` halves. [ObSuRF's code: 100,000 of at most a million steps]"""
+    """Share of the budget in which `halving` halves the rate. [ObSuRF's code: 100,000 of at most a million steps]"""
     clip: float = 1.0
     """Largest norm of the gradient; 0 for no clipping. [ours]"""
     skip: float = 0.0
-    """After the first tenth of the budget, steps whose gradient has a larger norm than this, before clipping, change
-    nothing; 0 for none. A run whose gradients stay larger stands still. [ObSuRF's code: 200, from a hundredth of its
-    million steps on, and weights of before where many are skipped in a row]"""
+    """Gradient norm before clipping above which a step is skipped, after the first tenth of the budget; 0 to skip none.
+    If gradients stay larger, the weights no longer change. [ObSuRF's code: 200, from a hundredth of its million steps
+    on; it restores earlier weights if many are skipped in a row]"""
     warmup: int = 150
-    """Steps that train the background and the pre-scope alone, first. [ours]"""
+    """Initial steps that train only the background and the pre-scope. [ours]"""
     minutes: float = 23.0
-    """Budget in minutes: of CPU time of the process on a CPU, of time of day on a GPU; only training steps count."""
+    """Budget in minutes: CPU time of the process on a CPU, wall time on a GPU; only training steps count."""
     steps: int | None = None
-    """Budget in steps, in the place of minutes."""
+    """Budget in steps, instead of minutes."""
     views: Views = "one"
-    """The views of a frame are one point cloud; or the model sees one of them, drawn at random, and rays of all of them
-    supervise it; or they are scenes of their own. Only the first segments them together. [ours, as in ObSuRF, so that
-    all systems see the same; code: apart]"""
+    """Use of several views of a frame. `together`: they form one point cloud; `one`: the model sees a random view, and
+    rays of all views supervise it; `apart`: each is a separate scene. Only `together` segments them jointly. [ours, as
+    in ObSuRF, so that all systems have the same input; code: apart]"""
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
-    """Of the arithmetic in training; segmentations are always computed with 32 bits. [ours]"""
+    """Precision of the arithmetic in training; segmentations are always computed with 32 bits. [ours]"""
     seed: int = 0
 
 
 @dataclass(frozen=True)
 class Config:
-    """Everything that a run depends on, beside its data."""
+    """All settings of a run, except for its data."""
 
     model: ModelConfig = field(default_factory=ModelConfig)
     loss: LossConfig = field(default_factory=LossConfig)
@@ -307,22 +314,22 @@ class Config:
 
 @dataclass(frozen=True)
 class SupervisedConfig(Config):
-    """The same for `obpose.supervised`, for which many values have no meaning: those of latents, fields and losses."""
+    """Configuration of `obpose.supervised`, which ignores the values of latents, fields and losses."""
 
 
 ADDED_LATER = frozenset({"loss.air_growth", "model.backbone.scene_means"})
-"""Values that the configurations of weights that ship do not all state; where they are missing the default is meant.
+"""Values that may be missing in configurations of older shipped weights; a missing value means the default.
 
-Whoever adds a value to a configuration adds its name here, if weights from before are to be read still. Any other value
-that is missing in a file means that the file is damaged.
+When you add a value to a configuration, add its name here if older weights should remain readable. A file that lacks
+any other value is damaged.
 """
 
 
 def override(config: Any, changes: dict[str, Any]) -> Any:
-    """A configuration with some values replaced, named with dots.
+    """Give a configuration with some values replaced, by dotted name.
 
     Raises:
-        KeyError: no such name.
+        KeyError: a name is unknown.
     """
     for name, value in changes.items():
         config = _replace(config, name.split("."), value)

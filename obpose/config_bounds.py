@@ -1,4 +1,4 @@
-"""Bounds of the values of a configuration, checked before a model is built: types alone allow sizes of terabytes."""
+"""Bounds of configuration values, checked before a model is built: types alone allow sizes of terabytes."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -10,38 +10,38 @@ from obpose.config_text import dotted_values
 from obpose.errors import UsageError
 
 Rule = tuple[str, Callable[[Any], bool], str]
-"""Dotted names, apart by spaces, what must hold of their values, and that in words. `None` is always let through."""
+"""A bound: dotted names separated by spaces, the test of their values, and its wording. `None` always passes."""
 
 
 def counts(names: str) -> Rule:
-    """One at least."""
+    """Rule: 1 or more."""
     return names, lambda value: value >= 1, "1 or more"
 
 
 def positive(names: str) -> Rule:
-    """Above 0."""
+    """Rule: more than 0, and finite."""
     return names, lambda value: 0 < value < math.inf, "more than 0, and finite"
 
 
 def not_negative(names: str) -> Rule:
-    """0 or above."""
+    """Rule: 0 or more, and finite."""
     return names, lambda value: 0 <= value < math.inf, "0 or more, and finite"
 
 
 def between_0_and_1(names: str) -> Rule:
-    """Neither of the two."""
+    """Rule: between 0 and 1, both excluded."""
     return names, lambda value: 0 < value < 1, "between 0 and 1"
 
 
 def at_most(names: str, limit: int) -> Rule:
-    """No more than a machine could hold, or than anybody would wait for."""
+    """Rule: at most `limit`, set by memory or by a reasonable duration."""
     return names, lambda value: value <= limit, f"at most {limit}"
 
 
 MOST_STEPS, MOST_MINUTES = 10**9, 5_256_000
-"""Of a training; so many minutes are ten years."""
+"""Largest budgets of a training, in steps and in minutes (ten years)."""
 MOST_IMAGES = 4096
-"""Images of a step: of more the activations fill any machine."""
+"""Largest number of images in a step; activations of more do not fit into memory."""
 
 TRAINING: tuple[Rule, ...] = (
     counts("train.batch train.frames train.steps"),
@@ -49,14 +49,14 @@ TRAINING: tuple[Rule, ...] = (
     at_most("train.rays", 1_000_000),
     at_most("train.steps", MOST_STEPS),
     at_most("train.minutes", MOST_MINUTES),
-    # Label images have 8 bits: the background, and so many objects.
+    # Label images have 8 bits: the background, and at most 254 objects.
     at_most("model.slots", 254),
     positive("train.learning_rate train.minutes train.half_life"),
     not_negative("train.rays train.clip train.skip train.warmup"),
     ("train.seed", lambda value: 0 <= value < 2**63, "0 or more, and less than 2^63"),
     ("train.object_rays", lambda value: 0 <= value < 1, "0 or more, and less than 1"),
 )
-"""Of every architecture."""
+"""Rules for the training of every architecture."""
 
 _COUNTS = """model.slots model.voxels model.backbone.input_stride model.backbone.embedding model.backbone.feature
 model.latent.where model.latent.what model.latent.background model.latent.hidden model.latent.encoder
@@ -85,15 +85,15 @@ _FIELD_DEPTHS = "model.object_field.depth model.background_field.depth"
 _ROUNDS = """model.attention.looks model.attention.evaluation_rounds model.pose.refinements
 model.slot_attention.iterations"""
 MOST_WIDTH, MOST_FIELD_WIDTH, MOST_DEPTH, MOST_LEVELS = 512, 1024, 16, 6
-"""With all values at their largest a model has 0.8 GB of weights; those of the paper have some megabytes."""
+"""Largest sizes. A model with all of them has 0.8 GB of weights; the paper's models have a few megabytes."""
 MOST_ROUNDS = 100
 
 
 def check_bounds(config: Config) -> None:
-    """Let a configuration pass only if a model can be made of it and trained.
+    """Check that a configuration can be built and trained.
 
     Raises:
-        UsageError: names the first value that is out of bounds, and what is expected.
+        UsageError: a value is out of bounds; the message names the first one and what is expected.
     """
     check_values(
         config,

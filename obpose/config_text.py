@@ -1,4 +1,4 @@
-"""Configurations as text: JSON beside a checkpoint, `name=value` on the command line, what two of them differ in."""
+"""Configurations as text: JSON beside a checkpoint, `name=value` on the command line, and lists of differences."""
 
 import dataclasses
 import difflib
@@ -13,20 +13,20 @@ from obpose.config import ADDED_LATER, Config
 from obpose.errors import UsageError
 
 Plain = dict[str, Any]
-"""What JSON can say."""
+"""A configuration as nested dicts of JSON values."""
 _NAMED, _LONGEST = 3, 80
-"""Unknown values that a message names, and characters that it shows of a value."""
+"""Largest number of unknown values that a message names, and of characters that it shows of a value."""
 
 
 def to_plain(config: Any) -> Plain:
-    """As nested dicts."""
+    """Convert a configuration to nested dicts of JSON values."""
     return json.loads(json.dumps(dataclasses.asdict(config)))
 
 
 def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
     """Rebuild a configuration of this kind: the inverse of `to_plain`.
 
-    Values of `obpose.config.ADDED_LATER` may be missing, in files from before, and then have their defaults.
+    Values of `obpose.config.ADDED_LATER` may be missing in older files; they get their defaults.
 
     Raises:
         UsageError: another value is missing, a name is unknown, or a value is of the wrong kind.
@@ -44,7 +44,7 @@ def _has(plain: Mapping[str, Any], name: str) -> bool:
 
 
 def parse_changes(texts: Iterable[str], kind: type = Config) -> dict[str, Any]:
-    """`model.pose.box_size=0.3` as a change of a kind of configuration. Tuples are written 16,32 or [16,32].
+    """Parse texts such as `model.pose.box_size=0.3` into changes of a configuration. Tuples: 16,32 or [16,32].
 
     Raises:
         UsageError: an unknown name, or a value of the wrong kind.
@@ -65,7 +65,7 @@ def parse_changes(texts: Iterable[str], kind: type = Config) -> dict[str, Any]:
 
 
 def differences(one: Any, other: Any) -> list[str]:
-    """One line for each value that differs, such as `train.batch: 2, 4`, or for the kinds where these do."""
+    """List the values that differ, such as `train.batch: 2, 4`; or the kinds of configuration, if these differ."""
     if type(one) is not type(other):
         return [f"the kind of model: {type(one).__name__}, {type(other).__name__}"]
     first, second = dict(dotted_values(one)), dict(dotted_values(other))
@@ -73,7 +73,7 @@ def differences(one: Any, other: Any) -> list[str]:
 
 
 def dotted_values(config: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value that is no configuration itself, with its dotted name."""
+    """Iterate over all values that are not configurations themselves, with their dotted names."""
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
@@ -91,10 +91,10 @@ def _build(kind: type, plain: Mapping[str, Any], place: str) -> Any:
 
 
 def _conform(value: Any, kind: Any, name: str) -> Any:
-    """The value as `kind`, where it is one.
+    """Convert a value to the type `kind`.
 
     Raises:
-        UsageError: it is not.
+        UsageError: the value is not of this type.
     """
     if dataclasses.is_dataclass(kind) and isinstance(kind, type) and isinstance(value, Mapping):
         return _build(kind, value, f"{name}.")
@@ -122,19 +122,19 @@ def _conform_items(values: list[Any] | tuple[Any, ...], kinds: tuple[Any, ...], 
 
 
 def _read(text: str, kind: Any) -> Any:
-    """The value that a text stands for: JSON, a list without brackets, `none`, or the text itself."""
+    """Parse a text: JSON, a list without brackets, `none`, or else the text itself."""
     if get_origin(kind) is tuple and not text.startswith("["):
         text = f"[{text}]"
     if text.lower() in ("none", "null") and type(None) in get_args(kind):
         return None
     try:
         return parse_json(text)
-    except ValueError:  # Not only of bad JSON: NaN, infinity and numbers of thousands of digits are refused as well.
+    except ValueError:  # bad JSON, but also NaN, infinity and numbers of thousands of digits
         return text
 
 
 def _brief(value: Any) -> str:
-    """A value on one short line, whatever a file says."""
+    """Format a value on one short line, whatever its type and length."""
     text = " ".join(str(value).split())
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 
@@ -151,7 +151,7 @@ def _say(kind: Any) -> str:
 
 
 def _kinds(kind: type, place: str) -> Iterator[tuple[str, Any]]:
-    """Dotted names of all values that are not configurations themselves, and their annotations."""
+    """Iterate over the dotted names of all values that are not configurations themselves, with their annotations."""
     for name, inner in get_type_hints(kind).items():
         if dataclasses.is_dataclass(inner) and isinstance(inner, type):
             yield from _kinds(inner, f"{place}{name}.")

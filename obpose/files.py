@@ -64,7 +64,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def _reason(error: OSError | DatagenError) -> str:
-    """Why the system did not write, also where `write_whole` says so of a file that nobody knows; else it is raised."""
+    """Give the system's reason for a failed write, also if `write_whole` wrapped it; raise any other error."""
     cause = error if isinstance(error, OSError) else error.__cause__
     if not isinstance(cause, OSError):
         raise error
@@ -72,7 +72,7 @@ def _reason(error: OSError | DatagenError) -> str:
 
 
 def _unfinished(path: Path) -> Path:
-    """Where this thread makes it, after what killed processes left of it was deleted."""
+    """Temporary path at which this thread writes `path`; deletes leftovers of killed processes."""
     partial = path.with_name(f".{path.stem}.{os.getpid()}-{threading.get_ident()}.unfinished{path.suffix}")
     for left in path.parent.glob(f".{glob.escape(path.stem)}.*-*.unfinished{glob.escape(path.suffix)}"):
         process = left.name.removeprefix(f".{path.stem}.").partition("-")[0]
@@ -84,15 +84,15 @@ def _unfinished(path: Path) -> Path:
 
 
 def check_free(folder: Path) -> None:
-    """Check that nothing is where a folder is to be, or one that is empty.
+    """Check that a folder does not exist or is empty.
 
     Raises:
-        UsageError: something is.
+        UsageError: it is not empty, is the current folder, holds a dataset, or is no folder.
     """
     try:
         resolved = folder.resolve()
     except (OSError, RuntimeError):
-        # Python tells of a circle of links in one way or the other.
+        # Circular links raise either error, depending on the Python version.
         raise UsageError(f"{folder} is a link that leads to itself; give another --out.") from None
     if resolved == Path.cwd():
         raise UsageError(f"{folder} is the current folder; give a new one with --out, nothing was changed.")

@@ -15,33 +15,33 @@ from obpose.geometry import unproject
 from obpose.types import Observation
 
 CLIPS = 32
-"""Clips that are looked at, evenly spread over the source; the first frame of each."""
+"""Number of clips whose first frame is measured, evenly spread over the source."""
 TAIL = 0.01
 """Share of the points that may lie outside the workspace, at either end of each axis."""
 MARGIN = 1.05
-"""The workspace is larger than what holds the other points by this factor."""
+"""Factor by which the workspace is larger than the cube around the other points."""
 
 
 @dataclass(frozen=True)
 class SceneMeasures:
-    """Measures of the observed surfaces, without any label."""
+    """Statistics of the observed surfaces; they need no labels."""
 
     spacing: float
     """Median distance in metres between the surface points of neighbouring pixels."""
     workspace_center: tuple[float, float, float]
-    """Middle of the cube that holds the points, world frame, metres."""
+    """Centre of the cube that holds nearly all points, world frame, metres."""
     workspace_size: float
     """Edge of that cube, metres."""
     background_size: float
-    """Edge of the cube around the same middle that holds all points and the cameras, metres."""
+    """Edge of the cube with the same centre that holds all points and the cameras, metres."""
 
     def changes(self) -> dict[str, Any]:
-        """As changes of a configuration, for `obpose.variants.make_config`."""
+        """Give the statistics as configuration changes for `obpose.variants.make_config`."""
         return {f"model.{name}": value for name, value in vars(self).items()}
 
 
 def measure_scene(source: ClipSource) -> SceneMeasures:
-    """Measure the first frames of some clips of a source.
+    """Measure the first frames of up to `CLIPS` clips of a source.
 
     Raises:
         UsageError: there are no clips, no pixel has a depth, or the points are not finite.
@@ -78,7 +78,7 @@ def _first_frames(source: ClipSource) -> Iterator[Observation]:
 
 
 def neighbour_distances(image: Observation) -> Float[Tensor, " pair"]:
-    """Distances between horizontal and between vertical neighbours that both have a depth."""
+    """Distances in metres between horizontally or vertically neighbouring pixels that both have a depth."""
     points = rearrange(unproject(image), "b f v height width c -> (b f v) height width c")
     valid = rearrange(image.valid, "b f v height width -> (b f v) height width")
     across = (points[:, :, 1:] - points[:, :, :-1]).norm(dim=-1)[valid[:, :, 1:] & valid[:, :, :-1]]
@@ -87,6 +87,6 @@ def neighbour_distances(image: Observation) -> Float[Tensor, " pair"]:
 
 
 def _quantile(points: Float[Tensor, "point 3"], share: float) -> Float[Tensor, "3"]:
-    """`torch.quantile` refuses more than 16 million values."""
+    """Quantile along each axis by sorting, because `torch.quantile` refuses more than 16 million values."""
     place = round(share * (len(points) - 1))
     return points.sort(dim=0).values[place]

@@ -1,6 +1,6 @@
 """Weights that ship with the package, in `assets/checkpoints/MODEL--TRACK--WIDTHxHEIGHT/`.
 
-They are as `obpose.checkpoint` saves them; the command that made them stands in a README beside each.
+They have the format of `obpose.checkpoint`; a README beside each gives the command that made it.
 """
 
 import hashlib
@@ -11,31 +11,31 @@ from datagen.safe_io import read_bytes
 from obpose.errors import UsageError
 
 MOST_BYTES = 4 * 2**30
-"""Largest file of weights."""
+"""Largest size of a file of weights, bytes."""
 
 
 def shipped_name(model: str, track: str, resolution: tuple[int, int]) -> str:
-    """Folder of the weights of a model that was trained on a track at a width and height."""
+    """Folder name of the weights of a model trained on a track at a resolution, width and height in pixels."""
     width, height = resolution
     return f"{model}--{track}--{width}x{height}"
 
 
 def shipped_names() -> list[str]:
-    """What there is."""
+    """List the names of all weights that ship with the package."""
     return sorted(path.name for path in assets.CHECKPOINTS.glob("*--*--*x*") if path.is_dir())
 
 
 def list_shipped() -> str:
-    """What there is, as a sentence."""
+    """List the names of all shipped weights in a sentence, for messages."""
     names = shipped_names()
     return f"There are: {', '.join(names)}." if names else "There are none at all."
 
 
 def find_shipped(model: str, track: str, resolution: tuple[int, int]) -> Path:
-    """Folder of such weights.
+    """Find the folder of shipped weights by model, track and resolution.
 
     Raises:
-        UsageError: there are none; says which there are.
+        UsageError: there are none; the message lists the available names.
     """
     name = shipped_name(model, track, resolution)
     if name in shipped_names():
@@ -48,10 +48,10 @@ def find_shipped(model: str, track: str, resolution: tuple[int, int]) -> Path:
 
 
 def shipped_to_create(track: str) -> str:
-    """Name of the weights to make pictures with on a track: of `obpose-sharp`, or of `obpose` where there are none.
+    """Name of the weights for pictures of a track: those of `obpose-sharp`, otherwise of `obpose`.
 
     Raises:
-        UsageError: there are neither.
+        UsageError: neither exists.
     """
     for model in ("obpose-sharp", "obpose"):
         for name in shipped_names():
@@ -63,10 +63,10 @@ def shipped_to_create(track: str) -> str:
 
 
 def find_checkpoint(checkpoint: Path) -> Path:
-    """The folder of a model: the one that is named, or the weights that ship under this name.
+    """Find the folder of a model, given as a path or as the name of shipped weights.
 
     Raises:
-        UsageError: there is neither; says what there is.
+        UsageError: neither exists; the message lists the available names.
     """
     if not checkpoint.exists() and str(checkpoint) in shipped_names():
         return assets.CHECKPOINTS / checkpoint
@@ -79,10 +79,10 @@ def find_checkpoint(checkpoint: Path) -> Path:
 
 
 def content_hash(folder: Path) -> str:
-    """SHA-256 of names and contents of the files in a folder that hold the model's weights and its configuration.
+    """SHA-256 of the names and contents of a model's weights and configuration.
 
     Raises:
-        UsageError: one of them is no regular file.
+        UsageError: one of the files is no regular file.
         CorruptFile: one of them is too large.
     """
     found = hashlib.sha256()

@@ -2,9 +2,9 @@
 
     trained = train(SceneDataset(folder), SceneDataset(folder, "val"), config, folder=Path("runs/one"))
 
-Which clips a step sees and all its noise follow from the seed and the number of the step, so that a run that was
-stopped goes on exactly as if it had not been. With a budget in minutes the learning rate follows the time that steps
-took, which is never the same twice; with one in steps the weights are equal to the last bit.
+The clips and the noise of a step depend only on the seed and the number of the step, so that a stopped run resumes
+exactly. With a budget in minutes the learning rate depends on measured time, which varies between runs. With a budget
+in steps the weights are reproducible to the last bit.
 """
 
 import math
@@ -41,48 +41,48 @@ __all__ = ["CurvePoint", "Status", "Trained", "train"]
 
 @dataclass(frozen=True)
 class Status:
-    """How far a training is."""
+    """Progress of a training."""
 
     step: int
-    """Steps that are done."""
+    """Number of finished steps."""
     seconds: float
-    """Of the budget's clock: CPU time of this process in training steps, on a GPU time of day."""
+    """Time spent in training steps, as counted by the budget: CPU time of this process, on a GPU wall time."""
     fraction: float
-    """Of the budget that is used."""
+    """Share of the budget that is used, 0 to 1."""
     losses: dict[str, float]
-    """Of the last step."""
+    """Losses of the last step, by name."""
     validation: CurvePoint | None
-    """The latest one."""
+    """Result of the latest validation."""
 
 
 Report = Callable[[Status], None]
-"""Is told after each step."""
+"""Callback that gets the status after each step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """What came out."""
+    """Result of a training."""
 
     model: Trainable
-    """On the CPU, in evaluation mode."""
+    """The trained model, on the CPU and in evaluation mode."""
     config: Configuration
     steps: int
     seconds: float
-    """Of the budget's clock."""
+    """Time spent in training steps, as counted by the budget."""
     curve: tuple[CurvePoint, ...]
-    """For people to look at."""
+    """Validation results, for inspection only."""
 
 
 def say_nothing(status: Status) -> None:
-    """Report to nobody."""
+    """Ignore the status."""
 
 
 Look = Callable[[Trainable, int, float], None]
-"""Is shown the model at each validation, in evaluation mode, with the steps and the seconds that are done."""
+"""Callback at each validation; it gets the model in evaluation mode, the finished steps and the seconds."""
 
 
 def look_away(model: Trainable, step: int, seconds: float) -> None:
-    """See nothing."""
+    """Ignore the model."""
 
 
 def train(
@@ -101,19 +101,19 @@ def train(
 
     Args:
         source: Clips to learn from.
-        val_source: Clips to measure losses on, and ARI-FG where they carry labels; shown and logged, nothing else.
+        val_source: Clips for validation losses, and for ARI-FG if they have labels; only shown and logged.
         config: Everything that the result depends on, with the measures of the scene (`obpose.measure.measure_scene`).
-        folder: Where checkpoints, curves and pictures go, and where an interrupted run goes on from; None for nowhere.
-        report: Is told how it goes after each step.
-        look: Is shown the model at each validation; what it does there counts for nothing, in the budget neither.
+        folder: Folder for checkpoints, curves and pictures, from which a stopped run resumes; None to save nothing.
+        report: Callback that gets the status after each step.
+        look: Callback that gets the model at each validation; it affects neither the result nor the budget.
         device: `auto` (a GPU if there is one), `cpu` or `cuda`.
-        tensorboard: Whether the folder gets curves for TensorBoard, too.
-        build: Makes the model; if left out, the one that the configuration is of.
+        tensorboard: Whether to also write curves for TensorBoard.
+        build: Builds the model; by default the architecture that the configuration belongs to.
 
     Raises:
         UsageError: there are no clips, or the folder holds a run of another configuration or is in use.
-        Diverged: losses or gradients are not finite any more.
-        Interrupted: SIGTERM or SIGINT came, and the state has been saved.
+        Diverged: losses or gradients are not finite.
+        Interrupted: SIGTERM or SIGINT was received; the state is saved.
     """
     if not len(source):
         raise UsageError("There are no clips to train on; expected a training split with at least one scene.")
@@ -155,7 +155,7 @@ def _train(
 
 @dataclass
 class _Progress:
-    """What changes from step to step beside the weights."""
+    """State of the loop that changes with each step, apart from weights and optimiser."""
 
     step: int = 0
     seconds: float = 0.0
@@ -168,7 +168,7 @@ class _Progress:
 
 @dataclass(eq=False)
 class _Run:
-    """The loop."""
+    """The training loop."""
 
     fabric: Fabric
     learner: Learner
@@ -177,12 +177,12 @@ class _Run:
     config: Configuration
     progress: _Progress
     record: Record | None
-    """Of the first process."""
+    """Files of the run; only in the first process."""
     report: Report
     look: Look
 
     def go_on(self, request: StopRequest) -> None:
-        """Make the steps that are left."""
+        """Run the remaining steps."""
         progress, settings = self.progress, self.config.train
         budget, watch = Budget.of(settings), Stopwatch(self.fabric.device, progress.seconds)
         fraction = budget.fraction(progress.step, progress.seconds)
@@ -225,11 +225,11 @@ class _Run:
         )
 
     def _agree(self, value: float) -> float:
-        """The mean over all processes, so that they do the same."""
+        """Mean of a value over all processes, so that all take the same decisions."""
         return mean_over_processes(self.fabric, torch.tensor([value], dtype=torch.float64)).item()
 
     def _validate(self, fraction: float) -> None:
-        """In the first process; the others wait for it in their next step."""
+        """Validate in the first process; the others wait for it in their next step."""
         if not self.fabric.is_global_zero:
             return
         progress, model, device = self.progress, self.learner.model, self.fabric.device
@@ -289,10 +289,10 @@ def _resume(learner: Learner, folder: Path, config: Configuration, processes: in
 
 
 def _how_far(info: dict[str, Any]) -> tuple[int, _Progress]:
-    """Number of processes, and the progress of the training that they made.
+    """Read the number of processes and the progress from a checkpoint's info.
 
     Raises:
-        AttributeError, KeyError, TypeError, ValueError: it does not say, or something impossible.
+        AttributeError, KeyError, TypeError, ValueError: values are missing or impossible.
     """
     processes, step, seconds = info["processes"], info["step"], info["seconds"]
     if type(processes) is not int or type(step) is not int or type(seconds) not in (int, float):

@@ -1,4 +1,4 @@
-"""Variants and sizes of the one model: what each changes in the configuration, by dotted name."""
+"""Variants and sizes of the model, as changes of the configuration by dotted name."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -65,13 +65,18 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "model.background_field.density": "squashed",
     },
 }
-"""What each variant changes, by dotted name. `obpose-l2` has the paper's other attention loss. `obpose-sharp` is for
-pictures. `obpose-as-published` leaves out what we added to help learning (docs/paper.md says what stays); the
-floor is log 1e-8, as in the authors' code. `ic-sbp` and `slot-attention` are the paper's ablations, with our additions
-where they apply; `slot-attention-as-published` has two mistakes of the authors' code, but the additions too."""
+"""Configuration changes of each variant, by dotted name.
+
+- `obpose-l2` has the paper's other attention loss.
+- `obpose-sharp` is for pictures.
+- `obpose-as-published` omits our additions that help learning; docs/paper.md lists those that stay. Its floor is
+  log 1e-8, as in the authors' code.
+- `ic-sbp` and `slot-attention` are the paper's ablations, with our additions where they apply.
+- `slot-attention-as-published` reproduces two mistakes of the authors' code, but keeps our additions.
+"""
 
 SEARCHED: dict[str, dict[str, Any]] = {"ic-sbp": {"train.learning_rate": 3e-3}}
-"""What variants change besides in the profile `cpu`, for which the declared search chose it (docs/results.md)."""
+"""Further changes in the profile `cpu`, chosen for it by the declared search (docs/results.md)."""
 
 PROFILES: dict[str, dict[str, Any]] = {
     "cpu": {},
@@ -94,11 +99,11 @@ PROFILES: dict[str, dict[str, Any]] = {
         "train.rays": 0,
     },
 }
-"""Sizes: minutes on a CPU core, 20 minutes on a large GPU, the authors'."""
+"""Configuration changes of each size: minutes on a CPU core, 20 minutes on a large GPU, and the authors' size."""
 
 
 def make_config(variant: str = "obpose", profile: str = "cpu", **changes: Any) -> Config:
-    """The configuration of a variant in a profile; `changes` by dotted name come last.
+    """Make the configuration of a variant in a profile; `changes` by dotted name are applied last.
 
     Raises:
         KeyError: an unknown variant, profile or name.
@@ -108,5 +113,5 @@ def make_config(variant: str = "obpose", profile: str = "cpu", **changes: Any) -
 
 
 def searched_in(profile: str, searched: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What a search chose, in the profile that it was made in: larger networks have settings of their own."""
+    """Give the values that a search chose, but only in the profile `cpu` it was run in; larger networks need others."""
     return searched if profile == "cpu" else {}

@@ -29,23 +29,23 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True)
 class Arguments:
-    """Serve a page on which a scene is looked at, edited, sampled and saved."""
+    """Serve a page to view, edit, sample and save scenes."""
 
     path: Annotated[Path, tyro.conf.Positional]
     """Folder of a dataset with images, of a scene, or of a trained model (or the name of weights that ship)."""
     checkpoint: str | None = None
-    """Of a dataset: folder of the model that infers the scene, or the name of weights that ship; if left out, those
-    that ship for its recipe. Of a scene: where its model is, if it was moved."""
+    """For a dataset: folder of the model that infers the scene, or the name of weights that ship; if left out, those
+    that ship for its recipe. For a scene: folder of its model, if it was moved."""
     data: Path | None = None
-    """Of a model: folder of the dataset to infer a scene from. Of a scene: of the dataset that it is of, to be seen
-    beside it."""
+    """For a model: folder of the dataset to infer a scene from. For a scene: folder of the dataset that it was inferred
+    from, to show the clip beside it."""
     split: Literal["train", "val", "test"] = "test"
     scene: int = 0
-    """Which of the split's scenes."""
+    """Index of the scene in the split, from 0."""
     out: Path = Path("scenes")
-    """Folder in which saved scenes get new folders of their own."""
+    """Folder for saved scenes; each gets a new folder inside."""
     host: str = "127.0.0.1"
-    """Address to listen at; with another than this, others on the network can open the page, edit and save."""
+    """Address to listen at; with any other than the default, others on the network can open the page, edit and save."""
     port: int = 8080
 
 
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(values: Arguments) -> int:
-    """Open, serve, and wait."""
+    """Open the path, serve the page, and wait for Ctrl-C."""
     check(values)
     page = serve(values)
     print(f"{PROGRAM}: http://{_bracketed(values.host)}:{values.port} shows {page.title}; Ctrl-C ends it.", flush=True)
@@ -77,10 +77,10 @@ def run(values: Arguments) -> int:
 
 
 def check(values: Arguments) -> None:
-    """Refuse what cannot work, before anything slow.
+    """Check the arguments before any slow work.
 
     Raises:
-        UsageError: viser is missing, a number is impossible, or nobody can listen there.
+        UsageError: viser is missing, a number is out of range, or the address cannot be used.
     """
     if importlib.util.find_spec("viser") is None:
         raise UsageError("The viewer needs viser and websockets; install them with: pip install viser websockets")
@@ -100,10 +100,10 @@ def check(values: Arguments) -> None:
 
 
 def serve(values: Arguments) -> "Page":
-    """The page of what the arguments name, and a server that shows it.
+    """Open the path of the arguments and start a server with its page.
 
     Raises:
-        UsageError: as `obpose.viewer.opening.open_path`, or the port was taken meanwhile.
+        UsageError: as in `obpose.viewer.opening.open_path`, or the port was taken meanwhile.
     """
     # Late, because PyTorch takes seconds to import.
     with interruptible_imports(PROGRAM):
@@ -112,7 +112,7 @@ def serve(values: Arguments) -> "Page":
         from obpose.viewer.serving import open_server
 
     check_request(values.path, checkpoint=values.checkpoint, data=values.data)
-    # Later, because a folder that is there must not hide what is missing.
+    # After `check_request`, so that its errors come first.
     if values.out.exists() and not values.out.is_dir():
         raise UsageError(f"--out {values.out} is a file; expected a folder, or a place for a new one.")
     opened = open_path(

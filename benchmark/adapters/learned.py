@@ -33,9 +33,9 @@ class LearnedSegmenter:
     device: str = "cpu"
     learning_curve: list[dict[str, float]] | None = None
     fit_seconds: float = float("nan")
-    """Of the budget's clock, before the run was interrupted included."""
+    """Training time on the budget's clock, in seconds; includes the time before an interruption."""
     fitted_settings: Mapping[str, Any] | None = None
-    """Those of the training that made its weights, budget and scene included, as `settings_of` states them."""
+    """Settings of the training that made the weights, budget and scene included, in the format of `settings_of`."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class LearnedSegmenter:
         self._system, self._folder, self._checkpoint = find_system(system), folder, checkpoint
 
     def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
-        """Train, or go on with the training in the folder, for so many seconds of one core."""
+        """Train for `budget` seconds of one core, or resume the training in the folder."""
         torch.set_num_threads(1)
         if self._checkpoint:
             model, config, _ = load(self._checkpoint)
@@ -65,9 +65,9 @@ class LearnedSegmenter:
         self.parameters = sum(parameter.numel() for parameter in self._model.parameters())
 
     def segment(self, clip: Clip) -> Prediction:
-        """Slots count from 0, which is the background where the model has one. `att` are the attention masks.
+        """Segment a clip. Slot 0 is the background if the model has one; `att` holds the attention masks.
 
-        Poses are given where objects have some and each view is segmented by itself.
+        Poses are included if the model gives objects poses and segments each view separately.
         """
         return self._segment(self._model, clip)
 
@@ -112,11 +112,11 @@ class LearnedSegmenter:
 
 
 def device_of(model: Trainable) -> torch.device:
-    """Where its weights are."""
+    """Device that holds the model's weights."""
     return next(model.parameters()).device
 
 
 def _point(point: CurvePoint) -> dict[str, float]:
-    """Losses on validation clips; the names say that they are losses, for `benchmark.failed_seeds`."""
+    """Validation losses of a curve point. Every name contains "loss", which `benchmark.failed_seeds` looks for."""
     losses = {"loss" if name == "total" else f"{name} loss": value for name, value in point.losses.items()}
     return {"step": float(point.step), "seconds": point.seconds, **losses}

@@ -47,7 +47,7 @@ class PredictionFolder:
 
     folder: Path
     background_slot: int | None = None
-    """Of clips whose files do not say."""
+    """Background label of clips whose files do not name one."""
 
     def check(self, shape: Shape) -> None:
         """Check that the folder has label maps of exactly the scenes, frames and views of a split.

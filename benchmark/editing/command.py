@@ -85,14 +85,14 @@ def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJ
 
 
 def _facts(source: Source, checkpoint: Path | None, refinements: int) -> list[object]:
-    """What scores depend on."""
+    """List the facts that determine the scores, for the job's digest."""
     if checkpoint is None:
         return [VERSION, source.spec_hash, None]
     return [VERSION, source.spec_hash, content_hash(checkpoint), *([refinements] if refinements else [])]
 
 
 def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
-    """Let go of lines in the places of wanted ones that are of other weights or another dataset."""
+    """Delete old lines that would share a place with new ones but are of other weights or another dataset."""
     for job in jobs:
         place = glob.escape(f"{job.track}--{job.model}--") + "????????.csv"
         for other in (path for path in (job.out / FOLDER).glob(place) if path != job.path):
@@ -105,7 +105,7 @@ def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
 
 
 def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
-    """Do the jobs side by side; why some of them failed."""
+    """Run the jobs in parallel; returns the reasons of failures."""
     console, reasons = status(), []
     with progress_bar(console, "scenes", sum(len(job.missing()) for job in jobs)) as advance:
 

@@ -15,44 +15,44 @@ from datagen.errors import UsageError
 from datagen.storage import Dataset
 
 VERSION = 1
-"""Rises when the scores of equal pictures change."""
+"""Version of the scores; raise it when the scores of equal pictures change."""
 
 Scored = Iterator[tuple[Pair, Answer]]
 
 
 @dataclass(frozen=True)
 class EditJob:
-    """What is to be scored."""
+    """Edits of one model on one track, to be scored."""
 
     track: str
     model: str
-    """As tables call it."""
+    """Name of the model in the tables."""
     data: Path
     """Dataset with edits."""
     checkpoint: Path | None
-    """Of the model; None for the references."""
+    """Weights of the model; None for the references."""
     refinements: int
-    """Steps in which its scenes are fitted to their frames."""
+    """Number of steps that fit inferred scenes to their frames."""
     scenes: int
-    """How many test scenes, from the first on."""
+    """Number of test scenes, from the first on."""
     digest: str
-    """Of weights, dataset, refinements and version."""
+    """Hash of weights, dataset, refinements and version."""
     out: Path
     """The run folder."""
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """Name of the job's file, without suffix."""
         return f"{self.track}--{self.model}--{self.digest[:8]}"
 
     @property
     def results(self) -> tuple[str, ...]:
-        """It has one."""
+        """Names of the job's results; there is one."""
         return (self.name,)
 
     @property
     def path(self) -> Path:
-        """Of its lines."""
+        """Path of the job's lines."""
         return path_of(self.out, self.name)
 
     def missing(self) -> list[int]:
@@ -72,7 +72,7 @@ class EditJob:
         return [scene for scene in range(self.scenes) if scene not in done]
 
     def run(self, announce: Callable[[str], None]) -> None:
-        """Score what is missing; `announce` hears of every scene, and the job's name at the end.
+        """Score the missing scenes; calls `announce` after every scene, and with the job's name at the end.
 
         Raises:
             DatagenError: the dataset or the weights are damaged.

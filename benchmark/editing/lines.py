@@ -18,15 +18,15 @@ from datagen.errors import CorruptFile
 from datagen.schema import EDITS
 
 FOLDER = "editing"
-"""In the run folder."""
+"""Subfolder of the run folder for these files."""
 
 COLUMNS = ("track", "model", "scene", "edit", "answer", "object", "iou", "found", *METRICS)
-"""Of a line. `object`: its id in the truth; `iou` of the label that was taken for it; `found`: whether that was enough,
-empty for answers that need not find it."""
+"""Columns of a line. `object`: id in the ground truth; `iou`: IoU of the label matched to the object; `found`: whether
+that IoU is large enough, empty for answers that need no match."""
 
 
 def line_of(track: str, model: str, scene: int, pair: Pair, answer: Answer) -> Line:
-    """One line."""
+    """Build the line of one scored answer."""
     found = answer.match
     return {
         "track": track,
@@ -42,12 +42,12 @@ def line_of(track: str, model: str, scene: int, pair: Pair, answer: Answer) -> L
 
 
 def line_without_edit(track: str, model: str, scene: int) -> Line:
-    """The line of a scene that has nothing to edit."""
+    """Build the line of a scene that has nothing to edit."""
     return {**dict.fromkeys(COLUMNS, ""), "track": track, "model": model, "scene": scene}
 
 
 def path_of(folder: Path, name: str) -> Path:
-    """Where the lines of a job are or will be."""
+    """Path of a job's lines, whether or not the file exists."""
     return folder / FOLDER / f"{name}.csv"
 
 
@@ -58,7 +58,7 @@ def save_lines(path: Path, lines: Sequence[Line]) -> None:
 
 
 def load_lines(path: Path) -> list[Line]:
-    """The lines of a job; none where it has not begun.
+    """Load the lines of a job; none if it has not begun.
 
     Raises:
         CorruptFile: the file is damaged.
@@ -75,13 +75,13 @@ def load_lines(path: Path) -> list[Line]:
 
 
 def load_all(folder: Path) -> list[Line]:
-    """The lines of all jobs of a run folder that are of an edit."""
+    """Load the lines of all jobs of a run folder, without those of scenes that have nothing to edit."""
     paths = sorted((folder / FOLDER).glob("*.csv"))
     return [line for path in paths for line in load_lines(path) if line["edit"]]
 
 
 def _typed(row: dict[str, str]) -> Line:
-    """Parse the cells of one line; raises ValueError where one is not what `line_of` writes."""
+    """Parse the cells of one line; raises ValueError if `line_of` would not write such a cell."""
     if row["edit"] not in ("", *EDITS) or row["found"] not in ("", "no", "yes"):
         raise ValueError(f"a line has edit {row['edit']!r:.40} and found {row['found']!r:.40}")
     numbers = {name: float(row[name]) if row[name] else math.nan for name in METRICS}

@@ -1,4 +1,4 @@
-"""What the lines of a run folder say together: means with intervals, as CSV, as Markdown and on the screen."""
+"""Summary tables of a run folder's edits: means with intervals, as CSV, as Markdown and on the screen."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -55,12 +55,12 @@ class Entry:
     answer: str
     scenes: int
     not_found: int | None
-    """Scenes; None where nothing had to be found."""
+    """Number of scenes in which the object was not found; None if nothing had to be found."""
     metrics: dict[str, Summary]
 
 
 def write(folder: Path) -> list[Entry]:
-    """Write the tables of a run folder, and give what stands in them."""
+    """Write the tables of a run folder, and return their rows."""
     entries = summaries(load_all(folder))
     texts = (to_csv([_csv_line(entry) for entry in entries]), markdown(entries))
     for name, text in zip(FILES, texts, strict=True):
@@ -100,7 +100,7 @@ def _entry(lines: list[Line]) -> Entry:
 
 
 def markdown(entries: Sequence[Entry]) -> str:
-    """One table for each track and edit, and what the columns mean."""
+    """Format one table for each track and edit, and explain the columns."""
     parts = ["# Edits against the truth\n"]
     for (track, edit), members in groupby(entries, key=lambda entry: (entry.track, entry.edit)):
         rows = list(members)
@@ -111,7 +111,7 @@ def markdown(entries: Sequence[Entry]) -> str:
 
 
 def _markdown_table(entries: Sequence[Entry]) -> str:
-    """With a column of the scenes where rows are of different numbers of them."""
+    """Format one table; it has a column of scene counts if these differ between rows."""
     differ = len({entry.scenes for entry in entries}) > 1
     head = ["", *(["scenes"] if differ else []), *SHOWN.values(), "not found"]
     rows = [head, ["---"] * len(head)]
@@ -122,7 +122,7 @@ def _markdown_table(entries: Sequence[Entry]) -> str:
 
 
 def screen_table(entries: Sequence[Entry]) -> Table:
-    """Means only, for the terminal."""
+    """Format the means for the terminal."""
     table = Table("track", "edit", "picture", *SHOWN.values(), "not found", box=None)
     for entry in entries:
         means = (_number(name, entry.metrics[name].mean) for name in METRICS)

@@ -1,4 +1,4 @@
-"""Whether two samples come from one distribution: the maximum mean discrepancy (Gretton et al., JMLR 2012)."""
+"""Two-sample test: the maximum mean discrepancy (Gretton et al., JMLR 2012)."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from scipy.spatial.distance import cdist
 
 @dataclass(frozen=True)
 class KernelDistance:
-    """Of two samples."""
+    """Kernel distance of two samples, with its significance."""
 
     squared: float
-    """MMD^2 of the kernel's features without bias: around 0, and below it half of the time, for equal distributions."""
+    """Unbiased estimate of MMD^2. For equal distributions it scatters around 0 and may be negative."""
     p_value: float
     """Share of random divisions of all groups into two samples that are as far apart; at least 1 / (1 + divisions)."""
 

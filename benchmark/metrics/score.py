@@ -28,10 +28,10 @@ METRICS = (
     "msc_fg_oracle_bg",
     "miou_fg_hungarian",
 )
-"""Of single frames, in the order in which tables show them; larger is better, 1 is best for all."""
+"""Metrics of single frames, in the order of the tables; larger is better, and 1 is best for all."""
 
 CLIP_METRICS = ("ari_video", "ari_fg_video", "msc_fg_video")
-"""Of whole clips, with all frames of a view as one image in space and time."""
+"""Metrics of whole clips, with all frames of a view as one image in space and time."""
 
 FrameScores = dict[str, np.ndarray]
 """One value a frame: metrics by name (float64, nan where undefined), and the counts `objects` and `ignored`."""

@@ -1,4 +1,4 @@
-"""What a report says about one track beyond its scores: it needs the label maps and the dataset."""
+"""Analysis of one track beyond its scores, from the label maps and the dataset."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,25 +22,25 @@ Maps = tuple[UInt8[np.ndarray, "frame view height width"], int]
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """One track under one way of fitting, looked at object by object. Models go by their number in the report."""
+    """Object-by-object analysis of one track and one fitting track. Models are numbered as in the report."""
 
     scenes: Split
     objects: Objects
     rows: dict[int, RunRow]
-    """The run of each model that pictures are drawn of: its first seed that has label maps."""
+    """Run of each model that pictures show: its first seed that has label maps."""
     scores: dict[int, Float64[np.ndarray, "scene"]]
-    """MSC-FG of these runs by scene, nan where there is no object."""
+    """MSC-FG of the runs in `rows` by scene; nan in scenes without objects."""
     outcomes: dict[int, Outcome]
-    """Of these runs."""
+    """Per-object outcomes of the runs in `rows`."""
     means: dict[int, Outcome]
-    """Of all seeds of each model together."""
+    """Per-object outcomes of each model, averaged over all its seeds."""
 
 
 def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, Sequence[RunRow]]) -> Analysis:
-    """Look at every label map of every model; `seeds` are a model's finished runs.
+    """Analyse all label maps of every model; `seeds` holds each model's finished runs.
 
     Raises:
-        UsageError: no run has label maps, or there is nothing to see.
+        UsageError: no run has label maps, or no scene shows an object.
         CorruptFile: label maps are damaged, or of other scenes.
     """
     with_maps = {model: [row for row in rows if labels_path(folder, row).exists()] for model, rows in seeds.items()}
@@ -67,13 +67,13 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
 
 
 def scene_scores(folder: Path, row: RunRow) -> Float64[np.ndarray, "scene"]:
-    """MSC-FG of every scene; nan where there is no object."""
+    """MSC-FG of every scene; nan in scenes without objects."""
     table = load_scenes(folder, row)
     return np.where(table["msc_fg_n"] > 0, table["msc_fg"], np.nan)
 
 
 def outcome(truths: Sequence[Truth], predictions: Iterable[Maps]) -> Outcome:
-    """How one run dealt with all objects of a split."""
+    """Outcome of one run for all objects of a split."""
     parts = [
         outcome_of_scene(scene_tables(*truth, labels, slot), slot)
         for truth, (labels, slot) in zip(truths, predictions, strict=True)
@@ -84,7 +84,7 @@ def outcome(truths: Sequence[Truth], predictions: Iterable[Maps]) -> Outcome:
 def choose_cards(
     analysis: Analysis, *, worst: int, pairs: int, paired: Iterable[int]
 ) -> tuple[dict[int, list[Card]], dict[tuple[int, int], list[Card]]]:
-    """The worst scenes of every model, and the largest disagreements between any two of the `paired` ones."""
+    """Choose the worst scenes of every model, and the largest disagreements between any two `paired` models."""
     objects, outcomes = analysis.objects, analysis.outcomes
     bad = {
         model: [
@@ -104,12 +104,12 @@ def choose_cards(
 
 
 def choose_clips(analysis: Analysis, count: int) -> list[int]:
-    """Scenes whose clips are shown with all models."""
+    """Choose the scenes whose clips are shown for all models."""
     return typical_scenes(list(analysis.scores.values()), count)
 
 
 def read_maps(folder: Path, row: RunRow, wanted: set[int]) -> dict[int, Maps]:
-    """Label maps of some scenes of a run."""
+    """Read the label maps of the wanted scenes of a run."""
     found: dict[int, Maps] = {}
     for scene, maps in enumerate(read_labels(labels_path(folder, row))):
         if scene in wanted:

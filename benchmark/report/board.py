@@ -1,4 +1,4 @@
-"""The leaderboard of one track as the report shows it: numbers become words and bars here, and nowhere else."""
+"""Leaderboard of one track for the report. All formatting of its numbers as text and bars is in this module."""
 
 import math
 from collections import Counter
@@ -30,7 +30,7 @@ BLOCKS = {
 """Kinds of models in the order in which they are shown."""
 
 LABELLED = "With labels"
-"""Heading of models that are neither floors nor oracles and yet saw labels."""
+"""Heading of models that saw labels but are neither floors nor oracles."""
 
 NAMES = {
     "ari": "ARI",
@@ -68,7 +68,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One model."""
+    """One model's row of the leaderboard."""
 
     model: int
     marks: str
@@ -82,7 +82,7 @@ class Row:
     failure: str
     views: str
     repeated: bool = False
-    """Whether it stands among models that learn for comparison, and has its own place elsewhere."""
+    """Whether the row is a copy, shown among models that learn for comparison."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Block:
 
 
 def blocks(entries: Iterable[Entry], numbers: Mapping[str, int]) -> list[Block]:
-    """The leaderboard; `numbers` are those of the models in the report."""
+    """Build the blocks of the leaderboard; `numbers` are the models' numbers in the report."""
     entries = list(entries)
     titles = [*list(BLOCKS.values())[:3], LABELLED, *list(BLOCKS.values())[3:]]
     members = {title: [entry for entry in entries if block_title(entry) == title] for title in titles}
@@ -106,22 +106,22 @@ def blocks(entries: Iterable[Entry], numbers: Mapping[str, int]) -> list[Block]:
 
 
 def _rows(title: str, members: Sequence[Entry], free: Entry | None, numbers: Mapping[str, int]) -> Iterator[Row]:
-    """Rows of a block, with the best one without training, `free`, among those that learn."""
+    """Yield the rows of a block; `free`, the best model without training, is added to those that learn."""
     repeated = [free] if free and title == BLOCKS["learned"] else []
     for entry in best_first([*members, *repeated]):
         yield replace(_row(entry, numbers), repeated=entry in repeated)
 
 
 def block_title(entry: Entry) -> str:
-    """Where a model stands."""
+    """Title of the block that a model belongs to."""
     labelled = entry.row.uses_labels and entry.row.kind not in ("floor", "oracle")
     return LABELLED if labelled else BLOCKS[entry.row.kind]
 
 
 def details(entries: Iterable[Entry], numbers: Mapping[str, int]) -> tuple[list[str], list[dict[str, Any]]]:
-    """Names of all metrics that are defined somewhere, and a row of them for each model, best first.
+    """List the metrics that any model defines, and each model's scores in them, best model first.
 
-    Models of which only some seeds failed have a second row without these.
+    A model of which only some seeds failed has a second row without these seeds.
     """
     ordered = best_first(entry for entry in entries if entry.n_scenes)
     shown = [name for name in (*METRICS, *CLIP_METRICS) if any(_defined(entry, name) for entry in ordered)]
@@ -134,7 +134,7 @@ def details(entries: Iterable[Entry], numbers: Mapping[str, int]) -> tuple[list[
 
 
 def failures(entries: Iterable[Entry]) -> list[dict[str, str]]:
-    """Which runs failed, and why."""
+    """List the failed runs with their causes."""
     return [
         {"name": f"{row.key.model}, seed {row.key.seed}", "reason": cause}
         for entry in best_first(entries)
@@ -144,17 +144,17 @@ def failures(entries: Iterable[Entry]) -> list[dict[str, str]]:
 
 
 def marks(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    """The marks that occur, and what they mean."""
+    """List the marks that occur, with their meanings."""
     return [(mark, meaning) for mark, meaning in MARKS.items() if any(mark in entry.marks for entry in entries)]
 
 
 def number(value: float) -> str:
-    """A score with three decimals; a dash where it is undefined."""
+    """Format a score with three decimals; a dash if it is undefined."""
     return f"{value:z.3f}".replace("-", "−") if math.isfinite(value) else "–"
 
 
 def duration(seconds: float) -> str:
-    """A time in the unit that suits it."""
+    """Format a time in s, ms or µs, whichever suits it."""
     for size, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")):
         if seconds >= size:
             return f"{plain_number(seconds / size, 3)} {unit}"
@@ -162,7 +162,7 @@ def duration(seconds: float) -> str:
 
 
 def cell(summary: Summary, letters: str = "") -> Cell:
-    """A score with its interval; bars begin at 0."""
+    """Build the cell of a score with its interval; bars begin at 0."""
     known = math.isfinite(summary.mean)
     sure = math.isfinite(summary.low) and math.isfinite(summary.high)
     between = f"[{number(summary.low)}, {number(summary.high)}]" if sure else ""
@@ -188,7 +188,7 @@ def _row(entry: Entry, numbers: Mapping[str, int]) -> Row:
 
 
 def seconds_per_frame(entry: Entry) -> float:
-    """Mean over the seeds that finished; nan where none did."""
+    """Mean inference time over the finished seeds; nan if none finished."""
     times = [row.measured.seconds_per_frame for row in entry.rows if row.status == "ok"]
     return sum(times) / len(times) if times else math.nan
 

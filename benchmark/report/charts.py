@@ -32,12 +32,12 @@ class Curve:
     model: int
     path: str
     points: tuple[tuple[float, float, str], ...]
-    """x, y, and what stands there in words."""
+    """Points as x, y and a description."""
 
 
 @dataclass(frozen=True)
 class Bar:
-    """How many observations a class has, as a bar from the bottom."""
+    """Bar for the number of observations in a class."""
 
     x: float
     width: float
@@ -120,7 +120,10 @@ def history_chart(title: str, axis: str, lines: Sequence[tuple[int, Values, Valu
 
 
 def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int = 560, height: int = 300) -> Scatter:
-    """Model, kind, cost, quality from 0 to 1 and words, with the cost on a logarithmic axis; best models first."""
+    """Scatter plot of quality (0 to 1) over cost (logarithmic axis).
+
+    Each point is (model, kind, cost, quality, words), best models first.
+    """
     costs = [cost for _, _, cost, _, _ in points]
     low, high = math.floor(math.log10(min(costs))), math.ceil(math.log10(max(costs)))
     high = max(high, low + 1)
@@ -139,7 +142,7 @@ def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int 
 def _labels(
     centers: Sequence[tuple[float, float]], names: Sequence[str], width: int
 ) -> list[tuple[float, float, str, bool]]:
-    """Where names stand (x, y, anchor) and whether there is room: beside, over or under a dot, whatever fits first."""
+    """Place each name beside, over or under its dot, whichever fits first: x, y, anchor, and whether there is room."""
     taken = [(x - 7, y - 7, x + 7, y + 7) for x, y in centers]
     labels = []
     for (x, y), name in zip(centers, names, strict=True):
@@ -167,13 +170,13 @@ def _overlap(a: Box, b: Box) -> bool:
 
 
 def unit_y(value: float, height: int = HEIGHT) -> float:
-    """Place of a score from 0 to 1; scores below 0 stand at 0."""
+    """Vertical position of a score from 0 to 1; scores below 0 are drawn at 0."""
     inside = min(max(value, 0.0), 1.0) if math.isfinite(value) else math.nan
     return round(height - BOTTOM - (height - TOP - BOTTOM) * inside, 1)
 
 
 def unit_ticks(height: int = HEIGHT) -> tuple[Tick, ...]:
-    """Marks of scores from 0 to 1."""
+    """Axis ticks for scores from 0 to 1."""
     return tuple(Tick(unit_y(value, height), text) for value, text in ((0.0, "0"), (0.5, "0.5"), (1.0, "1")))
 
 

@@ -1,4 +1,4 @@
-"""Models that are compared with one another, one track and one way of fitting, and what the report says of them."""
+"""Comparable models, of one track and one fitting track, and their part of the report."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -26,37 +26,37 @@ from datagen.wording import counted
 
 OWN = "the track itself"
 Find = Callable[[str, str], Path | None]
-"""From a track and its hash to the folder of that dataset, or None where it is not at hand."""
+"""Function that maps a track and its hash to the dataset's folder, or None if it is not on this machine."""
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """One track and one way of fitting."""
+    """Comparable results: one track, and one track fitted on."""
 
     track: str
-    """Its name, and which dataset it is if there are several of that name."""
+    """Name of the track, with a part of the dataset's hash if several datasets share the name."""
     fit: str
     """The track fitted on, or `OWN`."""
     entries: tuple[Entry, ...]
-    """Best first."""
+    """Entries, best first."""
     analysis: Analysis | None
     missing: str
-    """Why there is no analysis."""
+    """Reason why there is no analysis; empty if there is one."""
 
 
 class Truths:
-    """Datasets of a report; each is looked at once, however many fields need it."""
+    """Datasets of a report; each is read once and cached."""
 
     def __init__(self, find: Find):
         self._find = find
         self._known: dict[str, tuple[Split, Objects]] = {}
 
     def of(self, track: str, spec_hash: str) -> tuple[Split, Objects]:
-        """The scored split of a track and its objects.
+        """Load the scored split of a track and its objects.
 
         Raises:
-            UsageError: it is not at hand.
-            DatagenError: it cannot be read.
+            UsageError: the dataset is not on this machine.
+            DatagenError: the dataset cannot be read.
         """
         folder = self._find(track, spec_hash)
         if folder is None:
@@ -68,7 +68,7 @@ class Truths:
 
 
 def make_field(folder: Path, entries: Sequence[Entry], numbers: Mapping[str, int], truths: Truths, title: str) -> Field:
-    """Bring together what there is; where label maps or the dataset are missing, `missing` says which."""
+    """Build a field; if label maps or the dataset are missing, `missing` names them."""
     key = entries[0].row.key
     fit = OWN if key.fit_track == key.track else key.fit_track
     ordered = tuple(best_first(entries))
@@ -82,7 +82,7 @@ def make_field(folder: Path, entries: Sequence[Entry], numbers: Mapping[str, int
 
 
 def facts(field: Field, numbers: Mapping[str, int]) -> dict[str, Any]:
-    """What the template shows of a field, without pictures."""
+    """Template values of a field, without pictures."""
     entries = field.entries
     there = [numbers[entry.row.key.model] for entry in entries]
     metrics, details = board.details(entries, numbers)
@@ -119,7 +119,7 @@ def _notes(entries: Sequence[Entry]) -> tuple[str, ...]:
 
 
 def comparisons(field: Field, numbers: Mapping[str, int]) -> dict[str, list[float]]:
-    """Paired differences in MSC-FG of any two models: mean, interval, win rate, what can be resolved, scenes."""
+    """Paired differences in MSC-FG of any two models: mean, interval, win rate, resolvable difference, scenes."""
     scored = [entry for entry in field.entries if entry.n_scenes]
     found = {
         f"{numbers[a.row.key.model]},{numbers[b.row.key.model]}": compare_entries(a, b, "msc_fg")

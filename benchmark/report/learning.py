@@ -20,7 +20,7 @@ from benchmark.watch import SCORES
 
 FILE = "learning.svg"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#7f7f00", "#8c564b", "#6a3d9a")
-"""Told apart by most eyes (after Okabe and Ito); they begin again after the last."""
+"""Colours that most people can distinguish (after Okabe and Ito); they repeat after the last."""
 PANEL_WIDTH, PANEL_HEIGHT = 260, 170
 LEFT, TOP, GAP, BELOW = 44, 26, 26, 40
 LEGEND_LINE, LEGEND_COLUMN = 18, 210
@@ -36,11 +36,11 @@ class Panel:
     title: str
     metric: str
     lines: dict[str, list[Line]]
-    """Of each system, one a seed."""
+    """Lines of each system, one per seed."""
 
 
 def write(folder: Path, entries: Iterable[Entry]) -> Path | None:
-    """Draw what was recorded, and give the file; None where nothing was, and then there is no file."""
+    """Draw the recorded curves, and return the file's path; if there are none, delete the file and return None."""
     columns = [column for field in fields(entries) if (column := panels(field))]
     if not columns:
         (folder / FILE).unlink(missing_ok=True)
@@ -50,7 +50,7 @@ def write(folder: Path, entries: Iterable[Entry]) -> Path | None:
 
 
 def panels(field: Sequence[Entry]) -> list[Panel]:
-    """Every metric that some system has a curve of, on one track."""
+    """Panels of one track: one for each metric that some system has a curve of."""
     track, fit_track, _ = field[0].place
     title = track if fit_track == track else f"{track}, fitted on {fit_track}"
     found = [Panel(title, name, _lines(field, name)) for name in SCORES]
@@ -58,7 +58,7 @@ def panels(field: Sequence[Entry]) -> list[Panel]:
 
 
 def mean_line(lines: Sequence[Line]) -> Line:
-    """Mean over seeds at the first one's times, as far as all of them go; seeds are looked at after other steps."""
+    """Mean over seeds, interpolated at the first seed's times, within the range that all seeds cover."""
     begin, end = max(minutes[0] for minutes, _ in lines), min(minutes[-1] for minutes, _ in lines)
     times = lines[0][0]
     shared = np.unique(np.clip(times, begin, max(begin, end)))
@@ -66,7 +66,7 @@ def mean_line(lines: Sequence[Line]) -> Line:
 
 
 def drawing(columns: Sequence[Sequence[Panel]]) -> str:
-    """All panels as SVG: a column a track, a row a metric."""
+    """Draw all panels as SVG: one column per track, one row per metric."""
     names = list(dict.fromkeys(name for column in columns for panel in column for name in panel.lines))
     colours = {name: COLOURS[place % len(COLOURS)] for place, name in enumerate(sorted(names))}
     width = len(columns) * (LEFT + PANEL_WIDTH) + GAP

@@ -53,14 +53,14 @@ def write(folder: Path, entries: Sequence[Entry], find: Find) -> Path:
 
 
 def model_names(entries: Sequence[Entry]) -> list[str]:
-    """All models, kind by kind, by name."""
+    """List all models, sorted by kind, then by name."""
     kinds = list(board.BLOCKS)
     keys = {(kinds.index(entry.row.kind), entry.row.key.model) for entry in entries}
     return list(dict.fromkeys(name for _, name in sorted(keys)))
 
 
 def _track_titles(entries: Sequence[Entry]) -> dict[tuple[str, str], str]:
-    """What each dataset is called: its track, and a part of its hash where several datasets go by that name."""
+    """Title of each dataset: its track, with a part of its hash if several datasets share the name."""
     datasets = {_dataset(entry) for entry in entries}
     names = [track for track, _ in datasets]
     return {(track, spec): track if names.count(track) == 1 else f"{track} {spec[:8]}" for track, spec in datasets}
@@ -106,7 +106,7 @@ def _with_pictures(common: Mapping[str, Any], folder: Path, found: Sequence[Fiel
 
 
 def _overviews(found: Sequence[Field], numbers: Mapping[str, int]) -> list[dict[str, Any]]:
-    """For each way of fitting, MSC-FG of all models on all tracks."""
+    """MSC-FG of all models on all tracks, for each track fitted on."""
     ordered = sorted(found, key=lambda field: (field.fit != OWN, field.fit, field.track))
     return [_overview(fit, list(members), numbers) for fit, members in groupby(ordered, key=lambda field: field.fit)]
 

@@ -1,4 +1,4 @@
-"""`obpose-bench search`: makes the trials that are missing, writes the table, and says what was chosen."""
+"""`obpose-bench search`: run the missing trials, write the table, and print the choice."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -22,11 +22,11 @@ from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
 from datagen.wording import counted
 
 SPLITS = ("train", "val")
-"""What a search reads: no scene that anything is scored on."""
+"""Splits that a search reads; the test split is never used."""
 
 
 def search(values: Search) -> int:
-    """Make the trials that are missing, then the table."""
+    """Run the missing trials, then write and print the table; returns the exit code."""
     _check(values)
     sources: list[Source] = [find_data_folder(values.data)] if values.data else _tracks(values)
     trials = make_trials(

@@ -1,4 +1,4 @@
-"""What a search says in the end: `search.csv`, and a table and the choice on the screen."""
+"""Results of a search: `search.csv`, and a table and the choice on the screen."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,13 +19,13 @@ SEARCH = "search.csv"
 
 
 def write(folder: Path, outcomes: Sequence[Outcome]) -> Path:
-    """Write the table of all trials, and give its path."""
+    """Write the table of all trials, and return its path."""
     write_whole(folder / SEARCH, to_csv(lines(outcomes)).encode())
     return folder / SEARCH
 
 
 def lines(outcomes: Sequence[Outcome]) -> list[Line]:
-    """One line a trial and track."""
+    """Build one line per trial and track."""
     chosen = choices(outcomes)
     return [
         {
@@ -44,7 +44,7 @@ def lines(outcomes: Sequence[Outcome]) -> list[Line]:
 
 
 def shown(outcomes: Sequence[Outcome]) -> Group:
-    """For the terminal: losses by track, and the choice of every system in words."""
+    """Format the losses by track and the choice of every system, for the terminal."""
     chosen = choices(outcomes)
     tracks = list(dict.fromkeys(outcome.track for outcome in outcomes))
     table = Table("system", "trial", "changes", *(escape(one_line(track)) for track in tracks), "", box=None)
@@ -57,7 +57,7 @@ def shown(outcomes: Sequence[Outcome]) -> Group:
 
 
 def in_words(changes: Mapping[str, object]) -> str:
-    """Such as `train.learning_rate=0.003`."""
+    """Format changed settings, such as `train.learning_rate=0.003`."""
     return ", ".join(f"{name}={value}" for name, value in changes.items()) or "its defaults"
 
 

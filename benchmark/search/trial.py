@@ -1,6 +1,6 @@
 """One trial: a system with some of its settings changed, trained once on a track, and its losses on validation clips.
 
-What decides is how well the model explains images that it did not learn from; no clip of a trial carries a label.
+Trials are compared by how well the model explains held-out images; no clip of a trial carries a label.
 """
 
 import json
@@ -24,58 +24,58 @@ from datagen.storage import Dataset
 
 TRIALS = "trials"
 SEED = 0
-"""Of every trial."""
+"""Training seed of every trial."""
 OBSERVATION = ("colour loss", "surface loss", "air loss")
-"""Terms of the observation loss in learning curves, which are what decides."""
+"""Terms of the observation loss in learning curves; trials are compared by their sum."""
 TOTAL = "loss"
-"""Decides where a system has none of them."""
+"""Term that trials are compared by if a system has none of `OBSERVATION`."""
 _MEASURED = ("seconds", "validation_loss")
-"""Numbers that are nan where a trial failed, and null in files."""
+"""Fields that are nan if a trial failed; null in files."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What is to be trained."""
+    """One training of a search: a model, its changed settings and a track."""
 
     model: str
     number: int
-    """Of its declared trials; 0 changes nothing."""
+    """Index among the model's declared trials; 0 changes nothing."""
     changes: Options
     base: Options
-    """What is changed, where the model's settings are others by now."""
+    """Settings that the changes are applied to, if they differ from the model's defaults."""
     track: str
     data: Path
     slots: int
     seconds: float
-    """That it may learn for; infinite where it counts steps."""
+    """Training budget in seconds; infinite if the budget is counted in steps."""
     steps: int | None
     profile: Profile
     digest: str
-    """Of everything that its outcome depends on."""
+    """Hash of everything that the outcome depends on."""
     out: Path
 
     trains = True
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """Name of the trial's files, without suffix."""
         return f"{self.track}--{self.model}--trial{self.number}--{self.digest[:8]}"
 
     @property
     def results(self) -> tuple[str, ...]:
-        """It has one."""
+        """Names of the trial's results; there is one."""
         return (self.name,)
 
     @property
     def options(self) -> dict[str, Any]:
-        """What its model is made of."""
+        """Constructor arguments of the trial's model."""
         steps = {} if self.steps is None else {"steps": self.steps}
         profile = {} if self.profile == "cpu" else {"profile": self.profile}
         folder = self.out / TRAINING / self.name
         return {"slots": self.slots, "folder": folder, "changes": {**self.base, **self.changes}, **steps, **profile}
 
     def run(self, announce: Callable[[str], None]) -> None:
-        """Train, or go on, and write the outcome.
+        """Train, or resume training, and write the outcome.
 
         Raises:
             DatagenError: the dataset is damaged, or the training gave no losses on validation clips.
@@ -97,38 +97,38 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial."""
+    """Result of a trial."""
 
     name: str
-    """Of the trial, settings included."""
+    """Name of the trial; its hash covers the settings."""
     model: str
     trial: int
     changes: dict[str, Any]
     track: str
     steps: int
-    """That were made; 0 where nobody knows."""
+    """Training steps made; 0 if unknown."""
     seconds: float
-    """Of the budget's clock."""
+    """Training time on the budget's clock."""
     validation_loss: float
-    """At the end; nan where it failed."""
+    """Validation loss at the end; nan if the trial failed."""
     reason: str = ""
-    """Why it failed; empty where it did not."""
+    """Reason of the failure; empty if the trial succeeded."""
 
     @classmethod
     def of(cls, trial: Trial, **facts: Any) -> "Outcome":
-        """Of that trial; where no more is said, one that failed."""
+        """Build the outcome of a trial from the given facts; without facts, that of a failed trial."""
         unknown = {"steps": 0, "seconds": math.nan, "validation_loss": math.nan}
         there = {"name": trial.name, "model": trial.model, "trial": trial.number, "track": trial.track}
         return cls(**{**there, "changes": dict(trial.changes), **unknown, **facts})
 
     @property
     def place(self) -> tuple[str, int, str]:
-        """Where it stands in the table, which has one outcome a place."""
+        """Position in the table, which has one outcome per place."""
         return self.model, self.trial, self.track
 
 
 def observation_loss(point: Mapping[str, float]) -> float:
-    """Colour, surface and air, or the total where a system has none of these.
+    """Sum of the colour, surface and air losses, or the total loss if a system has none of these.
 
     >>> observation_loss({"loss": 9.0, "colour loss": 1.0, "air loss": 0.5, "mask loss": 4.0})
     1.5
@@ -140,14 +140,14 @@ def observation_loss(point: Mapping[str, float]) -> float:
 
 
 def save_outcome(folder: Path, outcome: Outcome) -> None:
-    """Write an outcome; from then on it counts."""
+    """Write an outcome; once written, the trial counts as finished."""
     # JSON has no nan.
     values = {name: None if value != value else storable(value) for name, value in asdict(outcome).items()}
     write_whole(folder / TRIALS / f"{outcome.name}.json", (json.dumps(values, indent=1, default=str) + "\n").encode())
 
 
 def load_outcomes(folder: Path) -> Sequence[Outcome]:
-    """All outcomes of a folder, by system, track and trial; none where there is no such folder yet.
+    """Load all outcomes of a folder, sorted by system, track and trial; none if the folder does not exist yet.
 
     Raises:
         CorruptFile: one is damaged.

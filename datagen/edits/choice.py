@@ -1,4 +1,4 @@
-"""rng -> Edit: which object is edited, and where it goes."""
+"""Choose at random which object of a scene is edited, and where it goes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,32 +14,33 @@ from datagen.simulate import visible_pixels
 from datagen.visible_range import near_object
 
 GROUNDED = 0.01
-"""An object whose lowest point comes this near to the table in some frame is one that stands on it, metres."""
+"""Height of the lowest point, over all frames, up to which an object counts as standing on the table, metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """What is done to a scene; nothing where no object could be edited."""
+    """One edit of a scene; it changes nothing if no object could be edited."""
 
     row: int | None
-    """Of the object; None: of none."""
+    """Row of the edited object; None if no object could be edited."""
     transform: Float[np.ndarray, "4 4"]
-    """Of the world, metres: from where the object is to where it, or its copy, comes."""
+    """World transform, metres, from the old place of the object to that of it or its copy; identity for removals."""
     stage: Stage
-    """What comes of it."""
+    """Stage after the edit."""
 
 
 def choose_edit(kind: EditKind, recipe: Recipe, stage: Stage, rng: np.random.Generator) -> Edit:
-    """An edit of an object that is drawn evenly from those that can be edited.
+    """Draw an edit of one object, uniformly from the objects that can be edited.
 
-    All can be removed that show enough pixels. What is moved stays as it is turned, a copy is turned about the
-    vertical. Both come to a place in the region where the recipe's objects start, with the recipe's gap to all others
-    and to where the object was, in all frames; the rules about pixels and the workspace hold for the new scene too.
+    Every object that shows enough pixels can be removed. A moved object keeps its orientation; a copy is turned about
+    the vertical. Both are placed in the region where the recipe's objects start. In all frames, they keep the recipe's
+    gap to all other objects and to the old place. The new scene obeys the recipe's rules about visible pixels and the
+    workspace.
 
     Args:
         kind: `remove`, `move` or `add`.
-        recipe: Of the scene.
-        stage: The scene.
+        recipe: Recipe of the scene.
+        stage: The scene to edit.
         rng: Draws objects and places.
     """
     seen = _least_visible(recipe, stage) >= recipe.least_visible_pixels if stage.ids else np.zeros(0, bool)
@@ -67,13 +68,13 @@ def _placed(kind: EditKind, recipe: Recipe, stage: Stage, row: int, rng: np.rand
 
 
 def _comes_near(recipe: Recipe, stage: Stage) -> bool:
-    """Whether a camera sees an object, within its frame, from nearer than renderers show it."""
+    """Whether an object in some camera's frame comes nearer to the camera than renderers can show."""
     poses, size = stage.world_from_object, recipe.visibility_resolution
     return any(near_object(camera, stage.shapes, poses, *size) for camera in stage.scene.cameras)
 
 
 class _Surroundings:
-    """Where an object could go: every object as an upright cylinder around its centre of mass, in every frame."""
+    """Free space around an object; each object is an upright cylinder around its centre of mass in each frame."""
 
     def __init__(self, recipe: Recipe, stage: Stage, row: int):
         frames, objects = stage.world_from_object.shape[:2]
@@ -100,7 +101,7 @@ class _Surroundings:
         return transform
 
     def is_free(self, transform: Float[np.ndarray, "4 4"]) -> bool:
-        """Whether the object keeps its distance from all objects, itself as it was included, in the workspace."""
+        """Whether the moved object stays in the workspace and clear of all objects and of its own old place."""
         layout = self._layout
         centers = self._own @ transform[:2, :2].T + transform[:2, 3]
         distance = np.sqrt(np.sum((centers[:, None] - self._centers) ** 2, axis=-1))
@@ -109,5 +110,5 @@ class _Surroundings:
 
 
 def _least_visible(recipe: Recipe, stage: Stage) -> Int[np.ndarray, "object"]:
-    """Pixels that each object shows in frame 0 in its worst view, as the recipe's rules count them."""
+    """Fewest pixels that each object shows in any view of frame 0, at the recipe's `visibility_resolution`."""
     return visible_pixels(recipe, stage.scene, stage.shapes, stage.world_from_object[0])

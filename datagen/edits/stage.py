@@ -14,17 +14,17 @@ from datagen.shapes.shape import Shape
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """All that a renderer needs to know; rows of bodies, shapes and poses follow each other."""
+    """Everything that a renderer needs; bodies, shapes and poses have the same order."""
 
     scene: Scene
     shapes: tuple[Shape, ...]
     world_from_object: Float[np.ndarray, "frame object 4 4"]
-    """Metres."""
+    """Poses of the objects, metres."""
     ids: tuple[int, ...]
-    """What each row is called in segmentations; 0 is the table's."""
+    """Id of each row in segmentations; 0 is the table."""
 
     def named(self, segmentation: UInt8[np.ndarray, "*image"]) -> UInt8[np.ndarray, "*image"]:
-        """A renderer's rows, counted from 1, as ids."""
+        """Convert a renderer's rows, counted from 1, to ids."""
         return np.array([0, *self.ids], np.uint8)[segmentation]
 
 
@@ -34,7 +34,7 @@ def stage_of(scene: Scene, shapes: tuple[Shape, ...], trajectory: Trajectory) ->
 
 
 def without(stage: Stage, row: int) -> Stage:
-    """As if the object had never been there; the others keep their ids."""
+    """Remove an object from the scene; the others keep their ids."""
     rest = [other for other in range(len(stage.ids)) if other != row]
     return Stage(
         replace(stage.scene, bodies=tuple(stage.scene.bodies[other] for other in rest)),
@@ -45,7 +45,7 @@ def without(stage: Stage, row: int) -> Stage:
 
 
 def displaced(stage: Stage, row: int, transform: Float[np.ndarray, "4 4"]) -> Stage:
-    """With the object's whole way carried along by a rigid transform of the world."""
+    """Move an object's whole trajectory by a rigid transform of the world."""
     poses = stage.world_from_object.copy()
     poses[:, row] = transform @ poses[:, row]
     return replace(stage, world_from_object=poses)

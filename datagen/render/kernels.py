@@ -21,7 +21,7 @@ SUB = 3
 """Samples per pixel along each axis."""
 
 TILE = 8
-"""Texels along each side of the tiles that keep the least depth of a light-space map."""
+"""Side length, in texels, of the tiles that store the least depth of a light-space map."""
 
 TABLE = -1
 NOTHING = -2
@@ -45,7 +45,7 @@ def _vogel_disc(count: int) -> np.ndarray:
 
 FINE_DISC, COARSE_DISC = _vogel_disc(32), _vogel_disc(16)
 COARSE = 4.0
-"""Radius of a shadow's penumbra in texels up to which fewer samples will do."""
+"""Largest penumbra radius, in texels, for which fewer samples suffice."""
 
 
 def _srgb_table() -> np.ndarray:
@@ -60,7 +60,7 @@ kernel = njit(cache=True, error_model="numpy")
 
 
 class Mesh(NamedTuple):
-    """All objects of a scene in the object frame, one after the other."""
+    """Concatenated meshes of all objects of a scene, each in its object frame."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -71,10 +71,10 @@ class Mesh(NamedTuple):
 
 
 class LightMap(NamedTuple):
-    """What a light sees; see `light_vertices` and `rasterise_light`."""
+    """Depth map seen from a light; see `light_vertices` and `rasterise_light`."""
 
     texels: np.ndarray
-    """Least d of faces towards the light, least d of faces away from it, and the object that the first belongs to."""
+    """Per texel: least d of faces towards the light, least d of faces away from it, and object of the former."""
     tiles: np.ndarray
     """Least d of faces towards the light in blocks of texels."""
     frame: np.ndarray
@@ -97,21 +97,21 @@ class Row(NamedTuple):
     """Scratch memory for the samples of one image row that are shaded."""
 
     kind: np.ndarray
-    """Triangle, or TABLE, or NOTHING."""
+    """Index of the triangle, or TABLE, or NOTHING."""
     owner: np.ndarray
-    """Object, or TABLE, or NOTHING."""
+    """Index of the object, or TABLE, or NOTHING."""
     pixel: np.ndarray
     share: np.ndarray
-    """Of the pixel's area."""
+    """Share of the pixel's area that the sample stands for."""
     at: np.ndarray
-    """Sample coordinates, and depth where it is the table's."""
+    """Coordinates on the grid of samples (`SUB` per pixel), and depth if the sample shows the table."""
     point: np.ndarray
     normal: np.ndarray
     look: np.ndarray
     second: np.ndarray
     """Share of the second colour."""
     light: np.ndarray
-    """Share of the first light that arrives; shares of ambient light from above and below that do not."""
+    """Share of the first light that arrives; shares of the ambient light from above and from below that are blocked."""
     blur: np.ndarray
     color: np.ndarray
     total: np.ndarray
@@ -327,7 +327,7 @@ def _behind_table(view, sx, sy, inverse):
 
 @kernel
 def light_vertices(world, axes, size, margin, light, frame):
-    """World points into a light space whose map of `size` texels holds them all with `margin` metres around.
+    """Transform world points to a light space whose map of `size` texels holds them all with a margin in metres.
 
     Writes `frame` = (u of texel 0, v of texel 0, texels per metre, least d).
     """
@@ -659,7 +659,7 @@ def _single(triangle, x, y, face):
 
 @kernel
 def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
-    """Samples of image row `y` that have to be shaded: one a pixel, or one for each surface that meets in it."""
+    """Collect the samples of image row `y` to shade: one per pixel, or one per surface if several meet there."""
     faces, owners, normals = mesh.faces, mesh.owners, mesh.face_normals
     kind, share, pixel, at = row.kind, row.share, row.pixel, row.at
     count = 0
@@ -706,7 +706,7 @@ def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
 
 @kernel
 def _locate(view, mesh, q, poses, materials, s, row, count):
-    """Position, normal, texture and ambient light of each collected sample."""
+    """Compute position, normal, texture and ambient light of each collected sample."""
     faces, owners, v, w = mesh.faces, mesh.owners, mesh.vertices, mesh.normals
     kind, owner, at, point, normal, look = row.kind, row.owner, row.at, row.point, row.normal, row.look
     occlusion, occlusion_frame, light, blur = s.occlusion, s.occlusion_frame, row.light, row.blur

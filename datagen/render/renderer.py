@@ -1,4 +1,4 @@
-"""What a renderer is, and what it gives back."""
+"""Interface of the renderers, and the images they return."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from datagen.scene import Camera, Scene
 from datagen.shapes.shape import Shape
 
 NEAREST = 0.05
-"""Planar depth up to which renderers cut surfaces away, metres; scenes keep all that their cameras see beyond it."""
+"""Planar depth up to which renderers clip surfaces, metres; scenes keep everything in view beyond it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,25 +19,25 @@ class Image:
     """One rendered view."""
 
     rgb: UInt8[np.ndarray, "height width 3"]
-    """sRGB, anti-aliased."""
+    """Colour image, sRGB, anti-aliased."""
     depth: Float32[np.ndarray, "height width"]
-    """Planar z in metres at the pixel's centre, 0 where nothing is hit."""
+    """Planar z at the pixel's centre, metres; 0 if the ray hits nothing."""
     segmentation: UInt8[np.ndarray, "height width"]
     """Object id (row in the scene's bodies plus one) at the pixel's centre, 0 for table and backdrop."""
     amodal_pixels: Int[np.ndarray, "object"]
-    """Pixels whose centre each object would cover if it were alone."""
+    """Number of pixels whose centre each object would cover without the other objects."""
 
 
 @runtime_checkable
 class Renderer(Protocol):
-    """Turns scenes into images. One scene is loaded at a time; poses and cameras may change between calls."""
+    """Renderer of scenes. One scene is loaded at a time; poses and cameras may change between calls."""
 
     name: str
     version: int
-    """Rises when its pictures change; part of a dataset's identity."""
+    """Version number, raised when the rendered images change; part of a dataset's identity."""
 
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
-        """Take over a scene's materials, lights and shapes, row by row as in `scene.bodies`."""
+        """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         ...
 
     def render(

@@ -16,7 +16,7 @@ _POOL_KEY = 20261120
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """An object to be placed."""
+    """An object before it is placed."""
 
     category: str
     spec: ShapeSpec
@@ -28,13 +28,13 @@ class Item:
 
 
 def sample_items(objects: Objects, split: str, rng: np.random.Generator) -> list[Item]:
-    """As many objects as the recipe wants."""
+    """Draw the objects of a scene; their number is between the recipe's minimum and maximum."""
     count = int(rng.integers(objects.minimum, objects.maximum + 1))
     return [sample_item(objects, split, rng) for _ in range(count)]
 
 
 def sample_item(objects: Objects, split: str, rng: np.random.Generator) -> Item:
-    """One object; where the recipe has a pool of shapes, the test split draws from a part of its own."""
+    """Draw one object; if the recipe has a pool of shapes, the test split draws from its own part of the pool."""
     category = str(rng.choice(objects.categories or catalog.TABLETOP))
     shape_id = None
     if objects.shape_pool:

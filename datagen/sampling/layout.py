@@ -1,4 +1,4 @@
-"""Where objects start: apart from each other, in contact, or on top of each other."""
+"""Initial placement of objects: apart from each other, in contact, or on top of each other."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from datagen.scene import Motion
 AIRBORNE = ("drop", "throw")
 
 _CLEARANCE = 2e-4
-"""Metres left between surfaces that shall touch, so that nothing starts by being pushed apart."""
+"""Initial gap between touching surfaces, metres, so that the simulation does not start by pushing them apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,27 +28,27 @@ class Spot:
     motion: Motion
     stance: Stance
     position: Float[np.ndarray, "3"]
-    """Of the centre of mass, metres."""
+    """Position of the centre of mass, metres."""
     in_group: bool = False
-    """Whether it belongs to the objects that touch and move as one."""
+    """Whether the object belongs to the group that touches and moves as one."""
     touches: int | None = None
-    """Row of the earlier object that this one is brought into contact with."""
+    """Row of the earlier object with which this one is brought into contact."""
 
     @property
     def low(self) -> float:
-        """Height of its lowest point."""
+        """Height of the object's lowest point, metres."""
         return self.position[2] + self.stance.bottom
 
     @property
     def high(self) -> float:
-        """Height of its highest point."""
+        """Height of the object's highest point, metres."""
         return self.position[2] + self.stance.top
 
 
 def scatter(
     items: Sequence[Item], motions: Sequence[Motion], layout: Layout, motion: MotionConfig, rng: np.random.Generator
 ) -> list[Spot]:
-    """Every object at a place of its own; what is in the air may hang over what is not.
+    """Place every object apart from the others; airborne objects may hang above those on the table.
 
     Raises:
         Rejected: no free place was found for one of them.
@@ -66,7 +66,7 @@ def scatter(
 def place(
     item: Item, kind: Motion, others: Sequence[Spot], layout: Layout, motion: MotionConfig, rng: np.random.Generator
 ) -> Spot:
-    """One object on the table or above it, at least `layout.gap` away from the others.
+    """Place one object on or above the table, at least `layout.gap` away from the others.
 
     Raises:
         Rejected: no free place was found.
@@ -80,7 +80,7 @@ def place(
 def try_to_place(
     item: Item, kind: Motion, others: Sequence[Spot], layout: Layout, motion: MotionConfig, rng: np.random.Generator
 ) -> Spot | None:
-    """As `place`, but None where no free place was found; in the air there always is one."""
+    """Place one object like `place`, or return None if no free place was found; airborne objects always find one."""
     stance = sample_stance(item, kind, layout, rng)
     height = rng.uniform(*motion.drop_height) if kind in AIRBORNE else _CLEARANCE
     centers, reaches = _discs(others)
@@ -113,7 +113,7 @@ def _overlaps_from_above(
 
 
 def sample_stance(item: Item, kind: Motion, layout: Layout, rng: np.random.Generator) -> Stance:
-    """An orientation that suits the motion, turned about the vertical by any angle."""
+    """Draw an orientation that suits the motion, turned about the vertical by a random angle."""
     yaw = rng.uniform(0, 2 * np.pi)
     if kind in AIRBORNE:
         return poses.tumbled(item.shape, rng)
@@ -126,12 +126,12 @@ def sample_stance(item: Item, kind: Motion, layout: Layout, rng: np.random.Gener
 
 
 def flattest(item: Item) -> Stance | None:
-    """The steady orientation with the lowest centre of mass, if there is a steady one."""
+    """Steady orientation with the lowest centre of mass; None if no orientation is steady."""
     return max(poses.steady_stances(item.shape), key=lambda stance: stance.bottom, default=None)
 
 
 def cluster(items: Sequence[Item], kind: Motion, layout: Layout, rng: np.random.Generator) -> list[Spot]:
-    """A group that moves as one: each further object lies on top of another one or is brought to touch it.
+    """Place a group that moves as one: each further object lies on top of another one or touches its side.
 
     Raises:
         Rejected: one of them cannot lie steadily.
@@ -157,7 +157,7 @@ def _first(item: Item, kind: Motion, stance: Stance, layout: Layout, rng: np.ran
 def _beside(
     item: Item, kind: Motion, stance: Stance, spots: Sequence[Spot], layout: Layout, rng: np.random.Generator
 ) -> Spot:
-    """All but touching another object that stands on the table, clear of the rest.
+    """Place an object almost touching another one that stands on the table, clear of the rest.
 
     Raises:
         Rejected: no free place was found.
@@ -177,7 +177,7 @@ def _beside(
 
 
 def on_top(item: Item, kind: Motion, stance: Stance, spots: Sequence[Spot], rng: np.random.Generator) -> Spot | None:
-    """On the roof of another object that carries it steadily, or None where there is no such roof."""
+    """Place an object on another one whose top carries it steadily; None if there is no such object."""
     for row in rng.permutation(len(spots)):
         roof = spots[row].stance.roof
         low, high = np.min(roof, axis=0), np.max(roof, axis=0)

@@ -1,4 +1,4 @@
-"""What objects do: which motion each is meant for, and the velocities and pushes that bring it about."""
+"""Draw each object's intended motion, and the velocities and pushes that cause it."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ class Start:
 
 
 def sample_motion(item: Item, motion: MotionConfig, rng: np.random.Generator) -> Motion:
-    """A motion by the recipe's weights; only what is round rolls, the rest then slides if there is nothing else."""
+    """Draw a motion by the recipe's weights. Only round objects roll; others slide if no other motion has weight."""
     weights = dataclasses.asdict(motion.weights)
     if not poses.can_roll(item.shape):
         weights["roll"] = 0.0
@@ -39,7 +39,7 @@ def sample_motion(item: Item, motion: MotionConfig, rng: np.random.Generator) ->
 def sample_starts(
     spots: Sequence[Spot], layout: Layout, motion: MotionConfig, physics: Physics, rng: np.random.Generator
 ) -> list[Start]:
-    """Velocities and pushes; the objects of a group share theirs."""
+    """Draw velocities and pushes; the objects of a group share theirs."""
     if not motion.moving:
         return [Start() for _ in spots]
     grouped = [row for row, spot in enumerate(spots) if spot.in_group]

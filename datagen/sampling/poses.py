@@ -1,4 +1,4 @@
-"""How an object can stand, lie, roll or tumble: orientations of a shape, and what it rests on in each of them."""
+"""Orientations in which an object can stand, lie, roll or tumble, and its supporting points in each of them."""
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -10,13 +10,13 @@ from datagen.geometry import rotation_from_quaternion
 from datagen.shapes.shape import Shape
 
 _SUPPORT_DEPTH = 3e-4
-"""Points this near to the lowest one carry the object, metres."""
+"""Height above the lowest point up to which points carry the object, metres."""
 
 _ANGLES = 2 * np.pi * np.arange(24) / 24
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
 STEADY = 0.004
-"""An object stands steadily where its centre of mass is this far inside of what carries it, metres."""
+"""Least distance of a steady object's centre of mass from the edge of its base, seen from above, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Stance:
 
     shape: Shape
     rotation: Float[np.ndarray, "3 3"]
-    """From the object frame to the world's axes."""
+    """Rotation from the object frame to the world's axes."""
 
     @cached_property
     def points(self) -> Float[np.ndarray, "corner 3"]:
@@ -59,21 +59,21 @@ class Stance:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the shape stays as it is when set down."""
+        """Whether the shape keeps this orientation when set down."""
         return depth_inside(self.base, np.zeros(2)) > STEADY
 
     def turned(self, yaw: float) -> "Stance":
-        """The same, turned about the vertical by `yaw` radians."""
+        """Copy of this stance, turned about the vertical by `yaw` radians."""
         return Stance(self.shape, about_vertical(yaw) @ self.rotation)
 
 
 def depth_inside(outline: Float[np.ndarray, "corner 2"], point: Float[np.ndarray, "2"]) -> float:
-    """How far inside the convex hull of some corners a point lies (metres), negative outside."""
+    """Distance of a point from the edge of the convex hull of some corners, metres; negative outside."""
     return float(np.min(np.max((outline - point) @ _DIRECTIONS, axis=0)))
 
 
 def extent(stance: Stance, direction: Float[np.ndarray, "2"]) -> float:
-    """How far a shape reaches from its centre of mass along a horizontal unit vector, metres."""
+    """Largest extent of a shape from its centre of mass along a horizontal unit vector, metres."""
     return float(np.max(stance.points[:, :2] @ direction))
 
 
@@ -84,7 +84,7 @@ def upright(shape: Shape) -> Stance:
 
 @lru_cache(maxsize=64)
 def steady_stances(shape: Shape) -> list[Stance]:
-    """All orientations with an axis of the object frame or of the smallest box down in which the shape stays put."""
+    """All steady orientations in which an axis of the object frame or of the smallest box points down."""
     axes = np.eye(3)
     if not np.allclose(np.abs(shape.minimum_box.rotation).max(axis=0), 1):
         axes = np.concatenate([axes, shape.minimum_box.rotation.T])

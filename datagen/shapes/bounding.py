@@ -32,26 +32,26 @@ class Outline:
 
     @staticmethod
     def of_points(points: Float[np.ndarray, "point 3"]) -> "Outline":
-        """Of a polyhedron with these corners."""
+        """Outline of a polyhedron with the given corners."""
         return Outline(points, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0))
 
     @staticmethod
     def of_ellipsoid(half_axes: Numbers) -> "Outline":
-        """Of an ellipsoid around the origin."""
+        """Outline of an ellipsoid around the origin."""
         return Outline(np.zeros((0, 3)), np.zeros((1, 3)), np.diag(half_axes)[None], np.zeros(1))
 
     @staticmethod
     def of_circles(
         radii: Float[np.ndarray, "round"], heights: Float[np.ndarray, "round"], rounding: float = 0.0
     ) -> "Outline":
-        """Of circles around the z axis at the given z, grown by balls of radius `rounding`."""
+        """Outline of circles around the z axis at the given z, grown by balls of radius `rounding`."""
         centers = np.stack([np.zeros_like(heights), np.zeros_like(heights), heights], axis=1)
         matrices = radii[:, None, None] * np.diag([1.0, 1.0, 0.0])
         return Outline(np.zeros((0, 3)), centers, matrices, np.full(len(radii), rounding))
 
     @staticmethod
     def union(outlines: Sequence["Outline"]) -> "Outline":
-        """Of all of them together."""
+        """Outline of several solids together."""
         return Outline(
             np.concatenate([outline.points for outline in outlines]),
             np.concatenate([outline.centers for outline in outlines]),
@@ -60,7 +60,7 @@ class Outline:
         )
 
     def placed(self, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> "Outline":
-        """After `outer = rotation @ local + translation`."""
+        """Outline after the motion `outer = rotation @ local + translation`."""
         return Outline(
             self.points @ rotation.T + translation,
             self.centers @ rotation.T + translation,

@@ -172,14 +172,14 @@ def sample_snowman(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def _bar_in_ball(bar: float, ball: float, depth: float) -> Mass:
-    """What a bar along z that starts at z = depth has in common with a ball around the origin."""
+    """Mass of the intersection of a bar along z, starting at z = depth, and a ball around the origin."""
     rim = np.sqrt(ball**2 - bar**2)
     inside = masses.of_revolution(np.array([[0, depth], [bar, depth], [bar, rim], [0, rim]]))
     return masses.total([inside, masses.of_ball_slice(ball, rim, ball)])
 
 
 def _lens(low: float, high: float, distance: float) -> Mass:
-    """What a ball around the origin and one at z = distance have in common."""
+    """Mass of the intersection of a ball around the origin and one at z = distance."""
     plane = 0.5 * (distance + (low**2 - high**2) / distance)
     upper = masses.of_ball_slice(high, -high, plane - distance)
     return masses.total([masses.of_ball_slice(low, plane, low), upper.placed(np.eye(3), np.array([0, 0, distance]))])

@@ -142,7 +142,7 @@ def sample_desk(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_cabinet(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """From sideboards to wardrobes."""
+    """Draw a cabinet, from sideboards to wardrobes."""
     width, height = rng.uniform(0.6, 1.3), rng.uniform(0.7, 1.6)
     lengths = {
         "width": width,
@@ -169,7 +169,7 @@ def sample_shelf(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_lamp(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """From table lamps to floor lamps."""
+    """Draw a lamp, from table lamps to floor lamps."""
     low = rng.uniform(0.14, 0.25)
     lengths = {
         "foot_radius": rng.uniform(0.12, 0.2),

@@ -16,23 +16,23 @@ class Mass:
     """Mass properties of a solid of density 1."""
 
     volume: float
-    """Cubic metres."""
+    """Volume, cubic metres."""
     center: Float[np.ndarray, "3"]
     """Centre of mass, metres."""
     inertia: Float[np.ndarray, "3 3"]
-    """About the centre of mass (m^5)."""
+    """Inertia about the centre of mass at density 1, m^5."""
 
     def placed(self, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> "Mass":
-        """Of the solid after `outer = rotation @ local + translation`."""
+        """Mass of the solid after the motion `outer = rotation @ local + translation`."""
         return Mass(self.volume, rotation @ self.center + translation, rotation @ self.inertia @ rotation.T)
 
     def negative(self) -> "Mass":
-        """Of a solid that is taken away, such as what two overlapping parts have in common."""
+        """Mass of the solid when it is subtracted, such as the intersection of two overlapping parts."""
         return Mass(-self.volume, self.center, -self.inertia)
 
 
 def total(masses: Sequence[Mass]) -> Mass:
-    """Of all the masses together (parallel axis theorem)."""
+    """Sum of masses (parallel axis theorem)."""
     volume = sum(mass.volume for mass in masses)
     center = np.sum([mass.volume * mass.center for mass in masses], axis=0) / volume
     inertia = np.sum([mass.inertia + mass.volume * _steiner(mass.center - center) for mass in masses], axis=0)
@@ -40,21 +40,21 @@ def total(masses: Sequence[Mass]) -> Mass:
 
 
 def of_box(size: Numbers) -> Mass:
-    """Of a box around the origin with the given full side lengths."""
+    """Mass of a box around the origin with the given full side lengths."""
     volume = float(np.prod(size))
     squares = np.square(size)
     return Mass(volume, np.zeros(3), np.diag(volume / 12 * (squares.sum() - squares)))
 
 
 def of_ellipsoid(half_axes: Numbers) -> Mass:
-    """Of an ellipsoid around the origin."""
+    """Mass of an ellipsoid around the origin."""
     volume = 4 / 3 * np.pi * float(np.prod(half_axes))
     squares = np.square(half_axes)
     return Mass(volume, np.zeros(3), np.diag(volume / 5 * (squares.sum() - squares)))
 
 
 def of_torus(ring_radius: float, tube_radius: float) -> Mass:
-    """Of a torus around the z axis."""
+    """Mass of a torus around the z axis."""
     volume = 2 * np.pi**2 * ring_radius * tube_radius**2
     axial = volume * (ring_radius**2 + 0.75 * tube_radius**2)
     across = volume * (0.5 * ring_radius**2 + 0.625 * tube_radius**2)
@@ -62,7 +62,7 @@ def of_torus(ring_radius: float, tube_radius: float) -> Mass:
 
 
 def of_revolution(profile: Float[np.ndarray, "corner 2"]) -> Mass:
-    """Of the solid that a counter-clockwise polygon (r, z) sweeps about the z axis.
+    """Mass of the solid that a counter-clockwise polygon (r, z) sweeps about the z axis.
 
     Each edge stands for the frustum between it and the axis, counted negative where the edge runs down. Four Gauss
     nodes are exact for the polynomials of degree four that occur.
@@ -74,13 +74,13 @@ def of_revolution(profile: Float[np.ndarray, "corner 2"]) -> Mass:
 
 
 def of_ball_slice(radius: float, low: float, high: float) -> Mass:
-    """Of the part of a ball around the origin between the planes z = low and z = high."""
+    """Mass of the part of a ball around the origin between the planes z = low and z = high."""
     z = 0.5 * (low + high) + 0.5 * (high - low) * _NODES
     return _from_slices(radius**2 - z**2, z, 0.5 * (high - low) * _WEIGHTS)
 
 
 def of_mesh(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> Mass:
-    """Of the inside of a closed triangle mesh, as a signed sum of tetrahedra with the origin."""
+    """Mass of the inside of a closed triangle mesh, a signed sum of tetrahedra with the origin."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
     volume = float(volumes.sum())
@@ -92,7 +92,7 @@ def of_mesh(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "fac
 
 
 def of_circular_segment(radius: float, chord: float, height: float) -> Mass:
-    """Of a prism, symmetric about z = 0, over the piece of a disc around the z axis that a chord at x > 0 cuts off."""
+    """Mass of a prism, symmetric about z = 0, over the segment at x > 0 that a chord cuts off a disc around z."""
     half_angle = np.arcsin(0.5 * chord / radius)
     s, c = np.sin(half_angle), np.cos(half_angle)
     area = radius**2 * (half_angle - s * c)

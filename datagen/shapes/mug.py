@@ -60,7 +60,7 @@ def build(
 
 
 def sample(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """From espresso cups to tankards."""
+    """Draw a mug, from espresso cups to tankards."""
     height = rng.uniform(1.6, 2.6)
     parameters = {
         "radius": 1.0,
@@ -94,7 +94,7 @@ def _bend(
 
 
 def _overlap(radius: float, end: float, thickness: float, width: float) -> Mass:
-    """What one end of the handle has in common with the wall: a slab and a circular segment in front of it."""
+    """Mass of the intersection of a handle's end and the wall: a slab and a circular segment in front of it."""
     chord = np.sqrt(radius**2 - 0.25 * width**2)
     slab = masses.of_box((chord - end, width, thickness)).placed(np.eye(3), np.array([0.5 * (chord + end), 0, 0]))
     return masses.total([slab, masses.of_circular_segment(radius, width, thickness)])

@@ -30,7 +30,7 @@ class Part:
     mass: Mass
     outline: Outline
     primitive: Primitive | None = None
-    """What the solid is exactly, if it is that simple."""
+    """Primitive that equals the solid exactly; None if there is none."""
 
     def placed(self, translation: Numbers, rotation: Float[np.ndarray, "3 3"] | None = None) -> "Part":
         """The part turned, then moved."""
@@ -136,7 +136,7 @@ def torus(ring_radius: float, tube_radius: float) -> Part:
 
 
 def revolution(profile: Corners, pieces: Sequence[np.ndarray] | None = None) -> Part:
-    """What a counter-clockwise polygon (r, z) sweeps about the z axis.
+    """Build the solid that a counter-clockwise polygon (r, z) sweeps about the z axis.
 
     Args:
         profile: corners in the half plane r >= 0.

@@ -79,7 +79,7 @@ def sample_sphere(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_cylinder(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """From a coin to a rod."""
+    """Draw a cylinder, from a coin to a rod."""
     aspect = np.exp(rng.uniform(np.log(0.35), np.log(3)))
     return rounded({"radius": 0.5, "height": aspect}, longest(rng, size) / max(1, aspect))
 
@@ -102,7 +102,7 @@ def sample_frustum(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_capsule(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """From nearly round to a stick."""
+    """Draw a capsule, from nearly round to a stick."""
     length = rng.uniform(0.4, 3)
     return rounded({"radius": 0.5, "length": length}, longest(rng, size) / (1 + length))
 

@@ -1,6 +1,6 @@
-"""What a built shape is: one surface to render, solids to check it against, convex parts to simulate, exact inertia.
+"""Built shapes: a surface to render, solids to verify it, convex parts to simulate, and exact inertia.
 
-All in the object frame: metres, origin at the centre of mass of the homogeneous solid, z the main axis.
+All are in the object frame: metres, origin at the centre of mass of the homogeneous solid, z the main axis.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 MESH_TOLERANCE = 8e-5
-"""Metres by which a rendered mesh may differ from the surface it stands for."""
+"""Largest distance of a rendered mesh from the exact surface, metres."""
 
 
 Numbers = Sequence[float | int] | np.ndarray
 """A few numbers, such as side lengths."""
 
 Corners = Sequence[Sequence[float | int]] | np.ndarray
-"""Points of a plane, one a row."""
+"""Points of a plane, one per row."""
 
 Primitive = tuple[Literal["box", "sphere", "cylinder", "capsule"], tuple[float, ...]]
 """A box (full side lengths), a sphere (radius), a cylinder (radius, height along z) or a capsule (radius, length of its
@@ -68,9 +68,9 @@ class Shape:
     convex_parts: tuple[Float[np.ndarray, "_ 3"], ...]
     """Corner points of the convex hulls that physics uses; at most 1 mm from the true surface."""
     volume: float
-    """Cubic metres."""
+    """Volume, cubic metres."""
     inertia: Float[np.ndarray, "3 3"]
-    """About the centre of mass, of the homogeneous solid of density 1 (m^5)."""
+    """Inertia about the centre of mass of the homogeneous solid of density 1, m^5."""
     symmetry: str
     """Exact group of rotations that leave the shape unchanged, see `datagen.shapes.symmetry`."""
     minimum_box: OrientedBox
@@ -78,13 +78,13 @@ class Shape:
     size: Float[np.ndarray, "3"]
     """Extents of the true surface along the object frame's axes, metres."""
     primitive: Primitive | None = None
-    """What the whole shape is exactly, if it is that simple."""
+    """Primitive that equals the whole shape exactly; None if there is none."""
 
     @property
     def radius(self) -> float:
-        """Of the smallest origin-centred ball that holds the shape, metres."""
+        """Radius of the smallest origin-centred ball that holds the shape, metres."""
         return float(np.sqrt(np.max(np.sum(self.vertices**2, axis=1))))
 
     def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
-        """Of the union of the solids; see `Solid.signed_distance`. Also 0 inside, where two solids touch."""
+        """Signed distance to the union of the solids, see `Solid`; also 0 inside, where two solids touch."""
         return np.min([solid.signed_distance(points) for solid in self.solids], axis=0)

@@ -23,7 +23,7 @@ class Placed:
     """The solid's origin in the outer frame, metres."""
 
     def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
-        """Of the moved solid; exact wherever the solid's own distance is."""
+        """Signed distance to the moved solid; exact wherever the solid's own distance is."""
         return self.solid.signed_distance((points - self.translation) @ self.rotation)
 
 
@@ -57,7 +57,7 @@ class Capsule:
 
     radius: float
     length: float
-    """Of the cylindrical part."""
+    """Length of the cylindrical part."""
 
     def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
         """Exact everywhere."""
@@ -70,7 +70,7 @@ class Torus:
     """A ring about the z axis with a round cross-section."""
 
     ring_radius: float
-    """Of the circle in the middle of the tube."""
+    """Radius of the circle in the middle of the tube."""
     tube_radius: float
 
     def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
@@ -140,7 +140,7 @@ class Extrusion:
 
 @dataclass(frozen=True, eq=False)
 class Revolution:
-    """What a polygon in the half plane (r >= 0, z) sweeps when it turns about the z axis.
+    """Solid that a polygon in the half plane (r >= 0, z) sweeps when it turns about the z axis.
 
     Cylinders, cones, bottles and, with a polygon that leaves out the cavity, cups.
     """

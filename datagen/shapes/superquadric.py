@@ -12,10 +12,10 @@ from datagen.shapes.sampling import Size, longest, rounded
 from datagen.shapes.shape import Shape
 
 STEPS = 24
-"""Around z; a multiple of four, so that the polyhedron has the symmetry of the superquadric."""
+"""Number of corners around z; a multiple of four, so that the polyhedron has the superquadric's symmetry."""
 
 LEVELS = 13
-"""From pole to pole."""
+"""Number of levels from pole to pole."""
 
 
 def build(half_axes: list[float], roundness: float, squareness: float) -> Shape:

@@ -1,4 +1,4 @@
-"""Stored arrays against each other and against the scene's description."""
+"""Check stored arrays against each other and against the scene's description."""
 
 import dataclasses
 import json
@@ -15,13 +15,13 @@ from datagen.verify.case import Case
 from datagen.verify.finding import Finding
 
 RELATIVE = 1e-5
-"""Relative difference that rounding to float32 may leave."""
+"""Largest relative difference attributed to rounding to float32."""
 
 DEVIATIONS = 8.0
-"""Standard deviations of normal noise that no pixel of any dataset reaches: one of 10^15 would."""
+"""Standard deviations allowed for normal noise; about one pixel in 10^15 exceeds them."""
 
 MANY = 30
-"""Pixels that make a median meaningful."""
+"""Least number of pixels for a meaningful median."""
 
 Expected = Callable[[Body, Shape], object]
 
@@ -44,11 +44,11 @@ DESCRIBED: dict[str, Expected] = {
     "objects/minimum_box_rotation": lambda body, shape: shape.minimum_box.rotation,
     "objects/minimum_box_size": lambda body, shape: shape.minimum_box.size,
 }
-"""What each stored field of an object must be."""
+"""Expected value of each stored field of an object, from its description and built shape."""
 
 
 def check_schema(record: Mapping[str, np.ndarray], groups: tuple[str, ...]) -> Iterator[Finding]:
-    """Names, dtypes, axes, padding and finiteness."""
+    """Check names, dtypes, axes, padding and finiteness."""
     try:
         schema.validate(record, groups)
     except schema.SchemaError as error:
@@ -72,7 +72,7 @@ def _check_padding(name: str, array: np.ndarray, count: int) -> Iterator[Finding
 
 
 def check_description(case: Case) -> Iterator[Finding]:
-    """Stored facts of cameras, lights and objects are those of the description."""
+    """Check that stored cameras, lights and objects match the description."""
     record, scene = case.record, case.scene
     yield from _equal(record, "objects/count", case.count)
     yield from _equal(record, "camera/world_from_camera", [camera.world_from_camera for camera in scene.cameras])
@@ -104,7 +104,7 @@ def _equal(record: Mapping[str, np.ndarray], name: str, expected: object) -> Ite
 
 
 def check_counts(case: Case) -> Iterator[Finding]:
-    """Visible pixels, fractions and 2D boxes are those of the segmentation."""
+    """Check that visible pixels, fractions and 2D boxes match the segmentation."""
     record = case.record
     visible, amodal = record["visibility/visible_pixels"], record["visibility/amodal_pixels"]
     fraction = np.where(amodal > 0, visible / np.maximum(amodal, 1), 0)
@@ -124,7 +124,7 @@ def check_counts(case: Case) -> Iterator[Finding]:
 
 
 def tight_box(mask: np.ndarray) -> Integer[np.ndarray, "4"]:
-    """x0 y0 x1 y1 of a mask, ends exclusive; zeros for an empty one."""
+    """Bounding box x0 y0 x1 y1 of a mask, ends exclusive; zeros for an empty mask."""
     columns, rows = np.flatnonzero(np.any(mask, axis=0)), np.flatnonzero(np.any(mask, axis=1))
     if not len(rows):
         return np.zeros(4, int)
@@ -132,7 +132,7 @@ def tight_box(mask: np.ndarray) -> Integer[np.ndarray, "4"]:
 
 
 def check_sensor(case: Case) -> Iterator[Finding]:
-    """Sensor depth is where it is valid, only where there is something to see, and no noisier than the recipe says."""
+    """Check that sensor depth matches its validity mask, lies on surfaces, and is no noisier than the recipe allows."""
     record = case.record
     depth, sensed, valid = record["depth"], record["sensor_depth"], record["sensor_valid"].astype(bool)
     if np.any(valid != (sensed > 0)):
@@ -148,7 +148,7 @@ def check_sensor(case: Case) -> Iterator[Finding]:
 def _check_noise(
     exact: Float[np.ndarray, "pixel"], measured: Float[np.ndarray, "pixel"], sensor: Sensor
 ) -> Iterator[Finding]:
-    """Allow each pixel 8 standard deviations of noise before inverse depth was rounded, and rounding of both depths."""
+    """Check each pixel: allow 8 standard deviations of noise, quantised inverse depth, and rounding of both depths."""
     half, step = 0.51 * schema.DEPTH_SCALE, 0.5 * sensor.quantisation
     most = DEVIATIONS * sensor.axial_noise * exact**2 + half
     low = 1 / (1 / (measured - half) + step)
@@ -163,7 +163,7 @@ def _check_noise(
 def _check_bias(
     exact: Float[np.ndarray, "pixel"], measured: Float[np.ndarray, "pixel"], sensor: Sensor
 ) -> Iterator[Finding]:
-    """Check the median of all pixels whose noise was not cut off, since that noise is symmetric."""
+    """Check the median of all pixels whose noise was not clipped; their noise is symmetric."""
     noise = sensor.axial_noise * exact
     whole = (DEVIATIONS * noise < 1) & (exact * (1 + DEVIATIONS * noise) < schema.MAX_DEPTH)
     count = np.count_nonzero(whole)

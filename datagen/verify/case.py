@@ -1,6 +1,6 @@
-"""One scene as the checks see it: stored arrays beside geometry that is built anew from the scene's description.
+"""Input of the checks: stored arrays of one scene, and geometry rebuilt from the scene's description.
 
-Cameras and rays are computed here from the stored arrays alone, by other code than the renderers use.
+Cameras and rays are computed here from the stored arrays alone, by code that the renderers do not use.
 """
 
 import functools
@@ -24,30 +24,30 @@ class Allowed:
     """Settings of a dataset that decide how far its arrays may be from the exact geometry."""
 
     physics: Physics = field(default_factory=Physics)
-    """It says how deep contacts may be."""
+    """Physics constants, which limit how deep contacts may be."""
     sensor: Sensor = field(default_factory=Sensor)
-    """It says how noisy sensor depth is."""
+    """Sensor constants, which determine the noise of sensor depth."""
     precision: Precision = PRECISION["raster"]
-    """Errors of the renderer."""
+    """Errors that the renderer may make."""
 
 
 DEFAULT = Allowed()
 
 _MOST_RAYS = 10_000_000
-"""Rays that are kept in memory."""
+"""Largest number of rays kept in memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Everything that a check may look at."""
+    """Everything that a check may use."""
 
     record: Mapping[str, np.ndarray]
     scene: Scene
     shapes: Sequence[Shape]
     world_from_object: Float[np.ndarray, "frame object 4 4"]
-    """From the stored poses."""
+    """Object poses as matrices, computed from the stored positions and quaternions."""
     allowed: Allowed = DEFAULT
-    """What the recipe and the renderer allow."""
+    """Tolerances that follow from the recipe and the renderer."""
 
     @property
     def count(self) -> int:
@@ -74,12 +74,12 @@ class Case:
 
     @cached_property
     def focal(self) -> Float[np.ndarray, "view"]:
-        """Focal length of each view, the shorter one of its two, in pixels."""
+        """Focal length of each view, pixels; the smaller of its two."""
         return np.min(self.record["camera/K"][:, [0, 1], [0, 1]], axis=1)
 
     @cached_property
     def rays(self) -> "ViewRays":
-        """World directions through the pixel centres of each view; depth times ray is the step from camera to point."""
+        """World rays through the pixel centres of each view; depth times ray is the vector from camera to point."""
         height, width = self.record["segmentation"].shape[2:]
         return ViewRays(self.record["camera/K"], self.record["camera/world_from_camera"], height, width)
 
@@ -95,7 +95,7 @@ class Case:
 
 
 class ViewRays:
-    """Rays of each view by its number; of large images, only those of the last views stay in memory."""
+    """Rays of each view, indexed by view; for large images, only the latest views stay in memory."""
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ def make_case(record: Mapping[str, np.ndarray], allowed: Allowed = DEFAULT) -> C
 def rigid_poses(
     position: Float[np.ndarray, "frame object 3"], quaternion_wxyz: Float[np.ndarray, "frame object 4"]
 ) -> Float[np.ndarray, "frame object 4 4"]:
-    """world_from_object in float64; rotations by Rodrigues' formula from the quaternion's parts."""
+    """Poses world_from_object in float64; rotations by Rodrigues' formula from the quaternion's parts."""
     q = quaternion_wxyz.astype(np.float64)
     q = q / np.maximum(np.sqrt(np.sum(q * q, axis=-1, keepdims=True)), 1e-12)
     w, (x, y, z) = q[..., 0, None, None], np.moveaxis(q[..., 1:], -1, 0)

@@ -1,4 +1,4 @@
-"""All scenes of a dataset, and the folder as a whole."""
+"""Verify all scenes of a dataset, and the folder as a whole."""
 
 import dataclasses
 import functools
@@ -30,12 +30,12 @@ MOST_PRINTED = 200
 SHARD = re.compile(rf"({'|'.join(schema.SPLITS)})-\d{{5,}}\.h5")
 
 UNREADABLE = (DatagenError, OSError, RuntimeError, KeyError, TypeError, ValueError)
-"""What damaged files raise, h5py's errors among them."""
+"""Exceptions that damaged files cause, including h5py's."""
 
 
 @dataclass(frozen=True)
 class Checked:
-    """What came out of some scenes."""
+    """Result of checking some scenes."""
 
     findings: list[Finding]
     contents: dict[str, str]
@@ -43,7 +43,7 @@ class Checked:
 
 
 def run(folder: str | Path, *, workers: int = 1) -> int:
-    """Check a dataset, print what is wrong with it, and give the exit code that says so.
+    """Check a dataset, print the findings, and return the exit code.
 
     Raises:
         UsageError: the folder holds no dataset of this format and data version.
@@ -118,7 +118,7 @@ def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
 
 
 def _check_files(dataset: Dataset) -> Iterator[Finding]:
-    """What the shards say about themselves, and that there are no others."""
+    """Check that every shard is readable and holds the expected scenes, and that there are no other shards."""
     expected = set()
     for split, size in dataset.splits.items():
         for number, scenes in enumerate(shard_ranges(size, dataset.spec["scenes_per_shard"])):
@@ -143,7 +143,7 @@ def _wrong_about(dataset: Dataset, split: str, number: int, scenes: range) -> It
 
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
-    """The record of the finished dataset is that of its files."""
+    """Check that the manifest matches the files of the dataset."""
     try:
         manifest = read_manifest(dataset.folder)
     except (DatagenError, OSError) as error:

@@ -1,16 +1,16 @@
-"""What is wrong with a dataset, in one line."""
+"""One-line descriptions of what is wrong with a dataset."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One contradiction; what it is about is left None where it concerns more than one."""
+    """One contradiction in a dataset; a place, such as `scene`, is None if the finding is not specific to one."""
 
     check: str
     """Name of the check that failed, see `docs/dataset.md`."""
     message: str
-    """What is wrong, with the figure and what was allowed."""
+    """Description of the error, with the measured and the allowed value."""
     split: str | None = None
     shard: str | None = None
     scene: int | None = None

@@ -26,7 +26,7 @@ CHECKS: dict[str, tuple[Check, ...]] = {
     "move": (partial(check_edit, kind="move"),),
     "add": (partial(check_edit, kind="add"),),
 }
-"""What is checked, by the group of fields that it needs."""
+"""Checks by the group of fields that they need."""
 
 
 def verify_record(
@@ -41,10 +41,10 @@ def verify_record(
 
     Args:
         record: The arrays.
-        groups: Those of `schema.Field.group` that must be there.
-        physics: Of the scene's recipe; it says how deep contacts may be.
-        sensor: Of the dataset's recipe; it says how noisy sensor depth is.
-        renderer: Name of the renderer; it says how exact depth and ids can be.
+        groups: Groups of fields that must be present, see `schema.Field.group`.
+        physics: Physics constants of the scene's recipe, which limit how deep contacts may be.
+        sensor: Sensor constants of the dataset's recipe, which determine the noise of sensor depth.
+        renderer: Name of the renderer, which determines how exact depth and ids can be.
     """
     if findings := list(check_schema(record, groups)):
         return findings

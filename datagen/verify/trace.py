@@ -1,4 +1,4 @@
-"""Rays against exact solids: sphere tracing (Hart 1996, The Visual Computer 12)."""
+"""Intersect rays with exact solids by sphere tracing (Hart 1996, The Visual Computer 12)."""
 
 from collections.abc import Callable
 
@@ -8,10 +8,10 @@ from jaxtyping import Float
 from datagen.shapes.shape import OrientedBox
 
 STEPS = 256
-"""Rays that are undecided after so many steps run along a surface; they may meet it or not."""
+"""Largest number of steps per ray; rays undecided by then run along a surface and may or may not meet it."""
 
 LEAST_STEP = 5e-5
-"""Metres; keeps a ray moving where the distance vanishes."""
+"""Least step of a ray, metres; keeps it moving where the distance vanishes."""
 
 SignedDistance = Callable[[Float[np.ndarray, "point 3"]], Float[np.ndarray, "point"]]
 
@@ -24,10 +24,12 @@ def trace(
     far: Float[np.ndarray, "ray"],
     depth_inside: float | Float[np.ndarray, "ray"],
 ) -> tuple[Float[np.ndarray, "ray"], Float[np.ndarray, "ray"]]:
-    """Where each ray first lies `depth_inside` metres below the surface, and its least signed distance until there.
+    """Find the first point of each ray that lies `depth_inside` metres below the surface.
 
-    The first is in units of the ray's direction, inf for rays that never do between `near` and `far` (same units); the
-    second is never positive for rays that stay undecided.
+    Returns:
+        Position of that point in units of the ray's direction; inf if there is none between `near` and `far`, which
+        are in the same units.
+        Least signed distance up to that point, metres; never positive for rays that stay undecided.
     """
     hit, closest = np.full(len(near), np.inf), np.full(len(near), np.inf)
     aim = np.broadcast_to(depth_inside, near.shape)
@@ -52,7 +54,10 @@ def trace(
 def clip_to_box(
     box: OrientedBox, origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"], margin: float
 ) -> tuple[Float[np.ndarray, "ray"], Float[np.ndarray, "ray"]]:
-    """Where rays enter and leave a box that is `margin` metres larger on every side; those that miss leave first."""
+    """Intersect rays with a box grown by `margin` metres on every side.
+
+    Returns entry and exit of each ray in units of its direction; for rays that miss the box, exit is before entry.
+    """
     local_origins = (origins - box.center) @ box.rotation
     local_directions = directions @ box.rotation
     half = 0.5 * box.size + margin

@@ -1,9 +1,9 @@
-"""Views of one moment against each other: no shapes, no poses, only pixels and cameras.
+"""Check views of one moment against each other, using only pixels and cameras, not shapes or poses.
 
-Nothing is known about what lies between the pixels of an image: an object that is smaller than a pixel, or an edge, may
-show in one view and be missed by all pixels of another. Only patches are compared: 3x3 pixels of one label on one
-plane, within the rounding of depth, so that the surface between them is known. Where the ray of a pixel of another view
-meets a patch, that pixel shows the patch, or something before it.
+An image contains no information about the surface between its pixels: all pixels of a view may miss an edge, or an
+object smaller than a pixel, that another view shows. Therefore only patches are compared: 3x3 pixels with one label on
+one plane, up to the rounding of depth, so that the surface between them is known. If the ray of a pixel of another view
+meets a patch, that pixel must show the patch or something in front of it.
 """
 
 from collections.abc import Iterator
@@ -17,23 +17,25 @@ from datagen.verify.case import Case
 from datagen.verify.finding import Finding
 
 SHARE = 0.01
-"""Share of an object's or the table's patches that may disagree: nine pixels may hit the bars of a grid and no gap."""
+"""Share of an object's or the table's patches that may disagree, e.g. if nine pixels hit only the bars of a grid."""
 
 FEW = 3
-"""Patches that may disagree for the same reason where few are compared."""
+"""Number of patches that may always disagree for the same reason, even if few are compared."""
 
 FLAT = 4.0
-"""Half steps of depth by which a plane through the middle of a patch may miss the others: one for the pixel, one for
-the middle, and two for the slopes, each of which comes from two pixels."""
+"""Largest distance, in half steps of depth, of a patch's pixels from the plane through its middle pixel.
+
+The pixel itself contributes one half step, the middle pixel one, and the two slopes, each from two pixels, two.
+"""
 
 PATCH_STEPS = 2 * FLAT
-"""Half steps of depth by which the surface between the pixels of a patch may lie off its plane."""
+"""Largest distance of the surface between the pixels of a patch from its plane, in half steps of depth."""
 
 MOST_PATCHES = 100_000
-"""Patches of a view that are compared; of more, every second, third or so on."""
+"""Approximate largest number of patches compared per view; of more, only every n-th is used."""
 
 MOST_OTHERS = 24
-"""Views that each view is compared with; of more, every second, third or so on after it."""
+"""Largest number of views that each view is compared with; of more, only every n-th after it is used."""
 
 AROUND = np.array([(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
 MIDDLE = 4
@@ -44,14 +46,14 @@ class Patches:
     """Flat pieces of surface that one view shows, in the frame of its camera."""
 
     pixel: Float[np.ndarray, "patch 2"]
-    """Centre of the pixel in the middle, x and y in the image."""
+    """Centre of the middle pixel, x and y in the image."""
     label: Integer[np.ndarray, "patch"]
     middle: Float[np.ndarray, "patch 3"]
-    """Point that this pixel shows, metres."""
+    """Point shown by the middle pixel, metres."""
     plane: Float[np.ndarray, "patch 3"]
-    """The n of the plane n . p = 1."""
+    """Vector n of the plane n . p = 1, 1/m."""
     error: Float[np.ndarray, "patch"]
-    """Of inverse depth anywhere on the patch, 1/m."""
+    """Largest error of inverse depth anywhere on the patch, 1/m."""
 
     def chosen(self, rows: np.ndarray) -> "Patches":
         """Select patches by a mask."""
@@ -60,21 +62,21 @@ class Patches:
 
 @dataclass(frozen=True, eq=False)
 class Meeting:
-    """Rays of another view on a patch's plane: of the pixel that the patch falls on, and of the eight around that."""
+    """Intersections of each patch's plane with rays of another view, of the pixel there and its eight neighbours."""
 
     met: Bool[np.ndarray, "patch"]
-    """Whether the ray in the middle meets the patch itself."""
+    """Whether the ray of the middle pixel meets the patch itself."""
     beyond: Float[np.ndarray, "9 patch"]
-    """Metres of depth by which each pixel shows more than the plane; inf where it shows nothing."""
+    """Depth of each pixel minus the depth of the plane there, metres; inf if the pixel shows nothing."""
     allowed: Float[np.ndarray, "9 patch"]
-    """Metres by which it may do so."""
+    """Largest allowed magnitude of `beyond`, metres."""
     is_sharp: Bool[np.ndarray, "patch"]
-    """Whether that is less than the width of a pixel there."""
+    """Whether `allowed` of the middle pixel is at most the width of a pixel there."""
     labels: Integer[np.ndarray, "9 patch"]
 
 
 def check_views(case: Case) -> Iterator[Finding]:
-    """Patches that one view sees are hidden or seen in every other view of the same moment, and not looked through."""
+    """Check that each other view of the same moment shows a view's patches, or something in front of them."""
     frames, views = case.record["segmentation"].shape[:2]
     for frame in range(frames if views > 1 else 0):
         for a in range(views):
@@ -127,13 +129,13 @@ def find_patches(case: Case, frame: int, view: int) -> Patches:
 
 
 def _around(image: np.ndarray) -> np.ndarray:
-    """Each pixel but those at the border with its eight neighbours, in the order of `AROUND`."""
+    """Each pixel inside the border with its eight neighbours, in the order of `AROUND`."""
     height, width = image.shape
     return np.stack([image[1 + dy : height - 1 + dy, 1 + dx : width - 1 + dx] for dx, dy in AROUND])
 
 
 def _meet(case: Case, frame: int, patches: Patches, place: Integer[np.ndarray, "patch 2"], a: int, b: int) -> Meeting:
-    """Let the rays of view `b` around the pixels `place` meet patches of view `a`."""
+    """Intersect patches of view `a` with the rays of view `b` at and around the pixels `place`."""
     pose, k = case.record["camera/world_from_camera"][a], case.record["camera/K"][a]
     column, row = np.moveaxis(place + AROUND[:, None], -1, 0)
     origin = (case.center(b) - pose[:3, 3]) @ pose[:3, :3]

@@ -1,4 +1,4 @@
-"""What a flow learns from: objects as a model finds them in clips; what was found in a clip is kept in a file."""
+"""Training examples of a flow: objects that a model finds in clips, cached in one file per clip."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from obpose.nerf.detail import EDGE
 from obpose.tensors import Form, Forms, differences_of, read_tensors
 
 FRAMES = 6
-"""Of a clip, at most: objects that move are seen from several sides."""
+"""Largest number of frames used of a clip; moving objects show several sides."""
 _MOST_BYTES = 2**28
 
 Say = Callable[[str], None]
@@ -33,28 +33,28 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Examples:
-    """Of a clip."""
+    """Objects found in one clip."""
 
     grids: Grids
-    """Of its objects in some frames."""
+    """Density and colour grids of the objects, in up to `FRAMES` frames."""
     what: Float[Tensor, "object what"]
-    """Codes of the last frame."""
+    """z_what of the objects in the last frame."""
 
 
 def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, workers: int, say: Say) -> list[Examples]:
-    """Of the first so many training clips of a dataset; those of which there are files are not looked at again.
+    """Find the objects in the first `clips` training clips of a dataset; clips that have a file are read from it.
 
     Args:
         origin: The model that finds the objects.
         data: Folder of the dataset.
-        folder: Where the files are.
-        clips: How many.
-        workers: Processes that look for objects.
-        say: Is told how it goes.
+        folder: Folder of the cache files, one per clip.
+        clips: Number of clips.
+        workers: Number of processes that look for objects.
+        say: Callback for progress messages.
 
     Raises:
         CorruptFile: a file is damaged.
-        UsageError: there are not so many clips.
+        UsageError: the dataset has fewer clips.
     """
     paths = [folder / f"clip-{index:05d}.safetensors" for index in range(clips)]
     missing = [index for index, path in enumerate(paths) if not path.exists()]
@@ -69,12 +69,12 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
 
 
 def joined(examples: list[Examples]) -> Grids:
-    """Grids of all clips."""
+    """Concatenate the grids of all clips."""
     return together([each.grids for each in examples], like=torch.zeros(0))
 
 
 def examples_of(model: ObPose, scene: Scene) -> bytes:
-    """Contents of the file of a scene that was found in a clip."""
+    """Serialise the objects of an inferred scene as the contents of a cache file."""
     frames = torch.linspace(0, scene.frames - 1, min(FRAMES, scene.frames)).round().int().tolist()
     grids = together([grids_of(model, scene, frame) for frame in frames], like=scene.what)
     tensors = {"values": grids.values.half(), "half": grids.half, "what": scene.what[-1]}
@@ -87,7 +87,7 @@ def _known(checkpoint: str) -> Origin:
 
 
 def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, bytes]:
-    """The clip's place, and contents of its file."""
+    """Infer a clip; give its index and the contents of its cache file."""
     origin = _known(checkpoint)
     scene = infer_scene(origin, read_clip(data, split, index), refinements=STEPS)
     return index, examples_of(origin.model, scene)
@@ -102,7 +102,7 @@ def _read(path: Path, latent: int) -> Examples:
 
 
 def _check_file(latent: int, found: Forms) -> None:
-    """Grids of some objects, and codes of as many or fewer."""
+    """Check names, types and shapes of the tensors of a cache file; grids and codes may differ in number."""
     objects, codes = (found[name].shape[:1] if name in found else () for name in ("half", "what"))
     expected = {
         "values": Form(torch.float16, (*objects, EDGE, EDGE, EDGE, 4)),

@@ -1,4 +1,4 @@
-"""What scenes are sampled from where a flow was learned: it gives the objects, all else is the fitted prior's."""
+"""Prior of scenes with a learned flow: the flow samples the objects, the fitted prior everything else."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,43 +20,44 @@ from obpose.tensors import Form, Forms, differences_of, forms_of, read_tensors
 PriorName = Literal["flow", "fitted", "learned"]
 
 FILE = "flow.safetensors"
-"""Beside the model's weights."""
+"""Name of the flow's file, in the folder of the model's weights."""
 _WEIGHTS = "weights"
-"""In the file's metadata: SHA-256 of the file of the weights that found the objects."""
+"""Metadata key: SHA-256 of the weights that found the objects."""
 _MOST_BYTES = 2**28
 _AGAIN = "make it again with obpose-edit learn, or give another --prior."
 
 
 @dataclass(frozen=True, eq=False)
 class FlowPrior:
-    """A distribution of scenes, as far as their objects' places are not the user's."""
+    """Distribution of objects, tables and backgrounds; positions are drawn between `low` and `high`."""
 
     flow: Flow
     tables: Tables
     background: Mixture
     low: Float[Tensor, "2"]
-    """Of the objects' middles, world x and y, metres."""
+    """Lowest world x and y of the objects' box centres, metres."""
     high: Float[Tensor, "2"]
+    """Highest world x and y of the objects' box centres, metres."""
 
 
 def save_flow(origin: Origin, flow: Flow) -> Path:
-    """Write what `load_flow` reads, in half precision; give the file."""
+    """Write a flow for `load_flow`, in half precision; give the path of the file."""
     contents = {name: tensor.half().contiguous() for name, tensor in flow.state_dict().items()}
     write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
     return origin.folder / FILE
 
 
 def has_flow(origin: Origin) -> bool:
-    """Whether there is one beside a model's weights."""
+    """Whether the folder of a model's weights has a learned flow."""
     return (origin.folder / FILE).is_file()
 
 
 def load_flow(origin: Origin) -> FlowPrior:
-    """The flow that was learned from what a model found, with the prior that was fitted to it.
+    """Load the learned flow of a model, together with its fitted prior.
 
     Raises:
-        UsageError: one of them is not there.
-        CorruptFile: a file is damaged, or another model's.
+        UsageError: one of them is missing.
+        CorruptFile: a file is damaged, or belongs to another model.
     """
     path = origin.folder / FILE
     if not has_flow(origin):
@@ -78,11 +79,11 @@ def load_flow(origin: Origin) -> FlowPrior:
 
 
 def named_prior(origin: Origin, name: PriorName) -> FlowPrior | ScenePrior:
-    """That a model learned, or that was fitted to its codes, or learned from objects that it found.
+    """Load a prior by name: learned by the model, fitted to its codes, or a flow learned from objects it found.
 
     Raises:
-        UsageError: it is not there.
-        CorruptFile: a file is damaged, or another model's.
+        UsageError: the prior is missing.
+        CorruptFile: a file is damaged, or belongs to another model.
     """
     if name == "learned":
         return learned_prior(origin.model)

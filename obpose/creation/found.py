@@ -1,6 +1,6 @@
-"""Objects as a model found them in clips, to be put together anew: whole, with the details that codes leave out.
+"""Bank of objects that a model found in clips, with their residual details, for recombination in new scenes.
 
-An addition, and no model of objects: each of them was seen, only its company and its place are new.
+Not in the paper. Non-parametric: every object was observed, only its position and the other objects are new.
 """
 
 from collections.abc import Iterable
@@ -22,35 +22,36 @@ from obpose.errors import UsageError
 from obpose.types import Observation
 
 LEAST_PLACES = 20
-"""Places of fewer objects do not say on which part of the table objects are; then it is the middle of the workspace."""
+"""Least number of objects to estimate the occupied part of the table; with fewer it is the middle of the workspace."""
 
 
 @dataclass(frozen=True, eq=False)
 class FoundObjects:
-    """Objects and backgrounds of the last frames of clips, in which most have come to rest, and where they were."""
+    """Objects, their poses and backgrounds from the last frames of clips, where most objects are at rest."""
 
     what: Float[Tensor, "object what"]
     rotation: Float[Tensor, "object 3 3"]
-    """World from object, as it was found."""
+    """World from object, as observed."""
     height: Float[Tensor, "object"]
-    """Of the middle of its box above the table, metres: what a field has below the table no camera can have seen, and
-    it is shown as little where an object keeps its height."""
+    """Height of the box centre above the table, metres. Objects keep it in new scenes, so that the part of a field
+    below the table, which no camera saw, stays hidden."""
     detail: Float[Tensor, "object edge edge edge 4"]
     background: Float[Tensor, "clip background"]
     tables: Tables
-    """One for each clip."""
+    """Light and pattern of the table, one for each clip."""
     low: Float[Tensor, "2"]
-    """Of the objects' middles, world x and y, metres."""
+    """Lowest world x and y of the objects' box centres, metres."""
     high: Float[Tensor, "2"]
+    """Highest world x and y of the objects' box centres, metres."""
 
 
 def find_objects(origin: Origin, clips: Iterable[Observation], *, refinements: int) -> FoundObjects:
-    """Those of scenes that are inferred from clips, a batch of one each, and fitted to them in so many steps.
+    """Infer scenes from clips (each a batch of one), fit them in `refinements` steps, and collect their objects.
 
-    Objects that are hardly anywhere dense above the table are left out.
+    Objects with hardly any dense voxels above the table are left out.
 
     Raises:
-        UsageError: there is no object at all.
+        UsageError: no object was found.
     """
     scenes = [infer_scene(origin, clip, refinements=refinements) for clip in clips]
     places = [(scene, place) for scene in scenes for place in range(len(scene.ids)) if _is_there(origin, scene, place)]

@@ -1,4 +1,4 @@
-"""A flow learned from the objects that a model finds in clips; both go on where they were stopped."""
+"""Training of a flow on the objects that a model finds in clips; an interrupted run resumes."""
 
 import json
 import math
@@ -26,47 +26,47 @@ from obpose.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.tensors import State, differences_of, forms_of, read_tensors
 
 PARTIAL = "flow.partial"
-"""Folder beside the weights, as long as the flow is not done."""
+"""Folder of the unfinished flow, beside the weights."""
 COMPARED = 200
-"""Samples, and as many objects that are held out, are compared with those that are learned from."""
+"""Number of samples, and of held-out objects, that are compared with the training objects."""
 HELD = 20
-"""Objects of every so many clips are not learned from, but tell how well it goes."""
+"""Interval of held-out clips: the objects of every 20th clip only measure the held-out loss."""
 BATCH, RATE, WARM_STEPS, CLIP = 256, 1e-3, 200, 1.0
-"""Objects a step, Adam's learning rate after so many steps, norm of the gradient; the rate falls in the second half."""
+"""Objects per step, learning rate, its warm-up steps, and gradient norm limit. The rate falls in the second half."""
 MEMORY = 0.999
-"""Share of the old value in the mean of the weights, which is what is kept."""
+"""Decay of the moving average of the weights, which is the result."""
 SAVE_STEPS = 250
 _LOOKING, _LEARNING, _STATE = "looking.json", "learning.json", "state.safetensors"
-"""Settings of what was found, those of what was learned from it, and how far that is."""
+"""Files of the unfinished flow: settings of the search for objects, of the training, and the training state."""
 _LEAST_OBJECTS = 32
 _MOST_SETTINGS_BYTES = 2**16
 
 
 @dataclass(frozen=True)
 class Lesson:
-    """What a flow is learned from, and for how long."""
+    """Settings of the training of a flow."""
 
     clips: int
-    """The first ones of the training split."""
+    """Number of clips, from the first of the training split on."""
     steps: int
     seed: int
 
 
 def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say: Say) -> Path:
-    """Learn a flow and write it beside the model's weights; give the file.
+    """Train a flow and write it beside the model's weights; give the path of the file.
 
     Args:
         origin: The model that finds the objects.
         data: Folder of the dataset.
-        lesson: What from, and how long.
-        workers: Processes that look for objects.
-        say: Is told how it goes.
+        lesson: Settings of the training.
+        workers: Number of processes that look for objects.
+        say: Callback for progress messages.
 
     Raises:
-        UsageError: too few objects are found, something else was begun before, or there is a flow already.
+        UsageError: too few objects are found, the folder holds a run with other settings, or there is a flow already.
         Diverged: the loss is not finite.
-        CorruptFile: a file of what was begun before is damaged.
-        Busy: another process is at it.
+        CorruptFile: a file of the interrupted run is damaged.
+        Busy: another process uses the folder.
     """
     if has_flow(origin):
         raise UsageError(f"{origin.folder / FILE} is there already; move it elsewhere to learn another one.")
@@ -85,7 +85,7 @@ def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say:
 
 
 def _check_same(path: Path, settings: dict[str, Any]) -> None:
-    """Check that what was begun had these settings; where none were written they are."""
+    """Check that an interrupted run had these settings; write them if there is none."""
     folder = path.parent
     if not path.exists():
         write_whole(path, json.dumps(settings, indent=1).encode())
@@ -111,7 +111,7 @@ def _fresh(origin: Origin, lesson: Lesson) -> Flow:
 
 
 def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say: Say) -> Flow:
-    """The mean of the weights after all steps."""
+    """Train a flow; give the moving average of its weights."""
     held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
     if len(learned.half) < _LEAST_OBJECTS:
         raise UsageError(
@@ -134,7 +134,7 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
         for group in optimiser.param_groups:
             group["lr"] = RATE * _pace(step, lesson.steps)
         with torch.random.fork_rng(devices=[]):
-            # What is dropped in training is drawn from the generator of all.
+            # Dropout draws from the global generator.
             torch.manual_seed(noise.initial_seed())
             loss = flow_loss(flow, batch, noise)
         if not loss.isfinite():
@@ -154,7 +154,7 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
 
 
 def _both_ways(flow: Flow, grids: Grids) -> Float[Tensor, "object value"]:
-    """Encoded, as they are and mirrored."""
+    """Encode grids and their mirror images."""
     return torch.cat([flow.encode(grids), flow.encode(mirrored(grids))])
 
 
@@ -168,7 +168,7 @@ def _held_out(flow: Flow, objects: Float[Tensor, "object value"]) -> str:
 
 @torch.no_grad()
 def _likeness(flow: Flow, learned: Float[Tensor, "one value"], held: Float[Tensor, "other value"]) -> str:
-    """How near samples come to objects that were learned from: copies would come nearer than other objects do."""
+    """Report distances of samples and of held-out objects to the training objects; copies would have smaller ones."""
     generator = torch.Generator().manual_seed(0)
     others = {
         "samples": flow.encode(sample_grids(flow, COMPARED, generator)),
@@ -179,15 +179,15 @@ def _likeness(flow: Flow, learned: Float[Tensor, "one value"], held: Float[Tenso
 
 
 def nearest(objects: Float[Tensor, "object value"], among: Float[Tensor, "other value"]) -> float:
-    """Median distance of objects from the nearest of others.
+    """Median distance from each object to its nearest neighbour in another set.
 
-    It is the root mean square of differences of values as a flow has them.
+    The distance is the root mean square difference of encoded values.
     """
     return float(torch.cdist(objects, among).amin(dim=1).median()) / objects.shape[1] ** 0.5
 
 
 def _pace(step: int, steps: int) -> float:
-    """Share of the learning rate."""
+    """Factor on the learning rate: linear warm-up, then cosine decay in the second half."""
     done = step / steps
     fall = 1.0 if done < 0.5 else 0.5 * (1 + math.cos(math.pi * (2 * done - 1)))
     return min(1.0, (step + 1) / WARM_STEPS) * max(fall, 0.01)
@@ -219,7 +219,7 @@ def _save(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, 
 
 
 def _restore(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, *, steps: int) -> int:
-    """Steps that were done before, of so many."""
+    """Restore an interrupted training; give the number of steps done."""
     if not path.exists():
         return 0
     advice = "delete it, and run the same command again."

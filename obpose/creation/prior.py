@@ -1,8 +1,8 @@
-"""What scenes are sampled from: the priors that the model learned, or mixtures fitted to what it infers.
+"""Priors of scenes: those that the model learned, or mixtures of Gaussians fitted to the latents it infers.
 
-The learned priors hardly weigh in training (`loss.kl`), and latents of real scenes fill only a few of their directions.
-Mixtures of Gaussians that are fitted afterwards to the posterior means of training clips (ex-post density estimation,
-Ghosh et al. 2020) stay nearer to them: of one Gaussian most of the mass is between the kinds of objects. Neither uses
+The learned priors have little weight in training (`loss.kl`), and latents of real scenes fill only a few of their
+directions. Mixtures fitted afterwards to the posterior means of training clips (ex-post density estimation, Ghosh et
+al. 2020) match them better. A single Gaussian has most of its mass between the kinds of objects. Neither prior uses
 labels.
 """
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:  # it takes a second to import, which only fitting needs
     from sklearn.mixture import GaussianMixture
 
 FILE = "prior.safetensors"
-"""Beside the model's weights."""
+"""Name of the prior's file, in the folder of the model's weights."""
 _WEIGHTS = "weights"
-"""In the file's metadata: SHA-256 of the file of the weights that it was fitted to."""
+"""Metadata key: SHA-256 of the weights that the prior was fitted to."""
 _AGAIN = "make it again with obpose-edit fit, or give --prior learned."
 _PARTS = "weights", "means", "factors"
 _MIXTURES = "what", "background"
@@ -41,17 +41,17 @@ _TABLES = {"lights", "spots"}
 _MOST_BYTES = 2**28
 _LARGEST_VALUE = 1e6
 _ROUNDING = 1e-3
-"""By how much the sum of weights may differ from 1."""
+"""Largest difference of the sum of mixture weights from 1."""
 _HELD = 5
-"""Every so many values are held out when the number of Gaussians is chosen."""
+"""Interval of held-out values: every 5th is held out to choose the number of Gaussians."""
 _LEAST_VALUES = 16
-"""For each Gaussian."""
+"""Least number of values for each Gaussian."""
 _MOST_POWER = 6
-"""At most 2 to this many Gaussians."""
+"""Exponent of 2 that gives the largest number of Gaussians."""
 _LEAST_VARIANCE = 1e-3
-"""Of a Gaussian along any axis, as a share of that of all values, on average over the axes."""
+"""Variance added to each Gaussian along all axes, as a share of the mean variance of the values."""
 _MARGIN = 0.02
-"""Share of the objects at each end that do not say how far from the middle they are found."""
+"""Share of the objects that are ignored at each end when the occupied part of the table is estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +59,13 @@ class Mixture:
     """A mixture of normal distributions."""
 
     weights: Float[Tensor, "part"]
-    """They sum to one."""
+    """Mixture weights, which sum to one."""
     means: Float[Tensor, "part latent"]
     factors: Float[Tensor, "part latent latent"]
-    """The covariance of a part is factor factor^T."""
+    """Factors of the covariances: that of a part is factor factor^T."""
 
     def draw(self, count: int, generator: torch.Generator) -> Float[Tensor, "count latent"]:
-        """Independent samples."""
+        """Draw independent samples."""
         if count == 0:
             return self.means[:0]
         part = self.weights.multinomial(count, replacement=True, generator=generator)
@@ -75,20 +75,22 @@ class Mixture:
 
 @dataclass(frozen=True, eq=False)
 class ScenePrior:
-    """Of the latents of the first frame, of tables, and of the part of a table on which objects stand."""
+    """Distribution of the latents of a first frame and of tables; positions are drawn between `low` and `high`."""
 
     what: Mixture
     background: Mixture
     tables: Tables
     low: Float[Tensor, "2"]
-    """Of the objects' middles, world x and y, metres."""
+    """Lowest world x and y of the objects' box centres, metres."""
     high: Float[Tensor, "2"]
+    """Highest world x and y of the objects' box centres, metres."""
 
 
 def learned_prior(model: ObPose) -> ScenePrior:
-    """The model's own (paper, section Object Location and Orientation Conditioned Encoding).
+    """Give the prior that the model learned (paper, section Object Location and Orientation Conditioned Encoding).
 
-    It says nothing of where objects are; they are put in the middle half of the workspace. Nor does it of tables.
+    It does not cover positions and tables: objects are put in the middle half of the workspace, tables have no light
+    and no pattern.
     """
     assert model.background is not None
     half = model.config.model.workspace_size / 4
@@ -102,7 +104,7 @@ def learned_prior(model: ObPose) -> ScenePrior:
 
 @torch.no_grad()
 def fit_prior(model: ObPose, clips: Iterable[Observation], tables: Tables) -> ScenePrior:
-    """Mixtures of the posterior means of the first frames of clips, a batch of one each, with tables that were found.
+    """Fit mixtures to the posterior means of the first frames of clips, each a batch of one; `tables` are kept as given.
 
     Raises:
         UsageError: too few objects were found for a covariance.
@@ -126,13 +128,13 @@ def fit_prior(model: ObPose, clips: Iterable[Observation], tables: Tables) -> Sc
 
 
 def table_part(places: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:
-    """The part of the table on which nearly all objects are, by its lowest and highest x and y."""
+    """Estimate the part of the table where nearly all objects are; give its lowest and its highest x and y."""
     low, high = (torch.quantile(places, share, dim=0) for share in (_MARGIN, 1 - _MARGIN))
     return low, high
 
 
 def save_prior(origin: Origin, prior: ScenePrior) -> None:
-    """Write what `load_prior` reads beside a model's weights, with their hash: to other weights it means nothing."""
+    """Write a prior for `load_prior` beside the weights it belongs to, with their hash."""
     tensors = {"low": prior.low, "high": prior.high}
     tensors |= {"lights": prior.tables.lights, "spots": prior.tables.spots.half()}
     for name, mixture in (("what", prior.what), ("background", prior.background)):
@@ -142,16 +144,16 @@ def save_prior(origin: Origin, prior: ScenePrior) -> None:
 
 
 def has_prior(origin: Origin) -> bool:
-    """Whether there is one beside a model's weights."""
+    """Whether the folder of a model's weights has a fitted prior."""
     return (origin.folder / FILE).is_file()
 
 
 def load_prior(origin: Origin) -> ScenePrior:
-    """The prior that was fitted to a model.
+    """Load the fitted prior of a model.
 
     Raises:
         UsageError: there is none.
-        CorruptFile: the file is damaged, or another model's.
+        CorruptFile: the file is damaged, or belongs to another model.
     """
     path = origin.folder / FILE
     if not has_prior(origin):
@@ -163,7 +165,7 @@ def load_prior(origin: Origin) -> ScenePrior:
     if weights != origin.hash:
         raise CorruptFile(f"{path} was fitted to other weights than those beside it; {_AGAIN}")
     what, background = (Mixture(*(found[f"{name}.{part}"] for part in _PARTS)) for name in _MIXTURES)
-    # Those that older versions fitted have none.
+    # Priors of older versions have no tables.
     none = no_tables(found["low"])
     tables = Tables(found.get("lights", none.lights), found.get("spots", none.spots).float())
     prior = ScenePrior(what, background, tables, found["low"], found["high"])
@@ -173,7 +175,7 @@ def load_prior(origin: Origin) -> ScenePrior:
 
 
 def _check_file(model: ObPose, found: Forms) -> None:
-    """Check that there are two mixtures, a part of the table, and tables or none."""
+    """Check names, types and shapes: two mixtures, a part of the table, and optionally tables."""
     latent = model.config.model.latent
     expected = {"low": Form(torch.float32, (2,)), "high": Form(torch.float32, (2,))}
     for name, size in zip(_MIXTURES, (latent.what, latent.background), strict=True):
@@ -189,12 +191,12 @@ def _check_file(model: ObPose, found: Forms) -> None:
 
 
 def _length(found: Forms, name: str) -> int:
-    """Length of the first axis, where there is one."""
+    """Length of a tensor's first axis; 1 if there is none."""
     return found[name].shape[0] if name in found and found[name].shape else 1
 
 
 def _fault(prior: ScenePrior) -> str | None:
-    """What is wrong with the finite numbers of a file."""
+    """Describe the first invalid value of a prior; None if all are valid."""
     for mixture in (prior.what, prior.background):
         if not 1 <= len(mixture.weights) <= 2**_MOST_POWER:
             return f"a mixture has {len(mixture.weights)} parts, expected 1 to {2**_MOST_POWER}"
@@ -208,10 +210,10 @@ def _fault(prior: ScenePrior) -> str | None:
 
 
 def fit_mixture(values: Float[Tensor, "n latent"]) -> Mixture:
-    """Of 1, 2, 4 ... Gaussians, for as long as more of them make values likelier that they were not fitted to.
+    """Fit 1, 2, 4 ... Gaussians; the number doubles while the likelihood of held-out values increases.
 
-    Where there are few values it is one Gaussian with their mean and covariance. What comes out depends on the values
-    and their order alone.
+    A few values give a single Gaussian with their mean and covariance. The result depends only on the values and their
+    order.
     """
     held = torch.arange(len(values)) % _HELD == 0
     count, best = 1, -torch.inf
@@ -237,7 +239,7 @@ def _expectation_maximisation(values: Float[Tensor, "n latent"], count: int) -> 
 
 
 def _gaussian(values: Float[Tensor, "n latent"]) -> Mixture:
-    """By the principal axes, as there may be fewer values than dimensions."""
+    """Fit one Gaussian by principal axes, because there may be fewer values than dimensions."""
     mean = values.mean(dim=0)
     _, spread, axes = torch.linalg.svd(values - mean, full_matrices=False)
     factor = torch.zeros(values.shape[1], values.shape[1])

@@ -1,4 +1,4 @@
-"""Scenes that were never seen: latents from a prior, or objects found elsewhere, on the table beside each other."""
+"""Sampling of new scenes: latents from a prior, or objects found in clips, placed on a table without overlap."""
 
 import math
 from collections.abc import Callable
@@ -27,32 +27,32 @@ from obpose.nerf.detail import no_detail
 from obpose.nerf.voxels import occupancy
 
 Source = ScenePrior | FlowPrior | FoundObjects
-"""What scenes are sampled from."""
+"""Source of sampled objects and backgrounds."""
 _Thing = TypeVar("_Thing")
 _TRIES, _LAYOUTS = 200, 10
-"""To draw an object that is somewhere, or a place for it; and to place all, with other objects."""
+"""Attempts to draw one object or a free place for it, and attempts to place all objects with new draws."""
 _SKIN = 1e-6
-"""Metres that leave what stands on the table above it, whatever the rounding."""
+"""Margin in metres that keeps objects above the table despite rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Objects without a place on the table."""
+    """Drawn objects that have no position yet."""
 
     what: Float[Tensor, "object what"]
     rotation: Float[Tensor, "object 3 3"]
     height: Float[Tensor, "object"] | None
-    """Of the middles of their boxes, metres; None where their lowest voxels are to lie on the table."""
+    """Heights of the box centres, metres; None to put the lowest voxel on the table."""
     detail: Float[Tensor, "object edge edge edge 4"]
     alone: Float[Tensor, "object"]
-    """As in `Scene`."""
+    """Size of a grid that replaces the field, in box edges, 0 for none; see `Scene.alone`."""
     faces: bool
-    """Whether the side that `rotation` turns to x is that on which the camera is; else objects look any way."""
+    """Whether the rotated x axis points to the camera; otherwise objects get a random heading."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Where objects stand."""
+    """Poses of the objects: box centres in metres and rotations, world from object."""
 
     center: Float[Tensor, "object 3"]
     rotation: Float[Tensor, "object 3 3"]
@@ -67,16 +67,16 @@ def sample_scene(
     cameras: tuple[Camera, ...],
     generator: torch.Generator,
 ) -> Scene:
-    """A scene of one frame with so many objects.
+    """Sample a scene of one frame with a number of objects.
 
-    They are turned about the vertical at random; those of a flow have the side that it knows them from to the first
-    camera. The lowest voxel of a sampled object is on the table; found ones are as high as they were.
+    Objects get a random heading, except those of a flow, whose observed side faces the first camera. The lowest voxel
+    of a sampled object is on the table; found objects keep their height and are drawn with replacement.
 
-    The paper leaves the poses of sampled objects to the user; these are drawn such that no two objects' voxels, seen
-    from above, come nearer to each other than both reach from their middles. Found objects are drawn with replacement.
+    The paper leaves the poses of sampled objects to the user. Here positions are drawn such that the circles around
+    the objects do not overlap, seen from above.
 
     Raises:
-        UsageError: there is no room for so many.
+        UsageError: there is no room for this many objects.
     """
     camera = cameras[0].world_from_camera[:3, 3]
     for _ in range(_LAYOUTS):
@@ -106,7 +106,7 @@ def sample_scene(
 def _place(
     model: ObPose, source: Source, drawn: _Drawn, camera: Float[Tensor, "3"], generator: torch.Generator
 ) -> _Placed | None:
-    """On the table, one beside the other; None where one has no room."""
+    """Place objects on the table without overlap; None if there is no room for one of them."""
     objects = len(drawn.what)
     center, rotation = torch.zeros(objects, 3), torch.zeros(objects, 3, 3)
     reaches: list[float] = []
@@ -136,7 +136,7 @@ def _draw(model: ObPose, source: Source, objects: int, generator: torch.Generato
     if isinstance(source, FlowPrior):
         what = source.flow.code.expand(objects, -1)
         grids = _draw_grids(model, source, objects, generator)
-        # Their boxes have the grids' middles and axes; what is outside of the box is cut off.
+        # Boxes share the centres and axes of the grids; parts of a grid outside of its box are cut off.
         alone = 2 * grids.half / model.config.model.pose.box_size
         return _Drawn(what, level, None, grids.values, alone, faces=True)
     what = _draw_codes(model, source, objects, generator)
@@ -144,7 +144,7 @@ def _draw(model: ObPose, source: Source, objects: int, generator: torch.Generato
 
 
 def _surroundings(source: Source, generator: torch.Generator) -> tuple[Float[Tensor, "1 background"], Light, Pattern]:
-    """Background, light and pattern."""
+    """Draw background, light and table pattern."""
     if isinstance(source, FoundObjects):
         place = int(torch.randint(len(source.background), (), generator=generator))
         return source.background[place, None], *source.tables.like(place, generator)
@@ -155,10 +155,10 @@ def _surroundings(source: Source, generator: torch.Generator) -> tuple[Float[Ten
 def _draw_codes(
     model: ObPose, prior: ScenePrior, objects: int, generator: torch.Generator
 ) -> Float[Tensor, "object latent"]:
-    """Codes of objects that are somewhere; of a model that has none, any.
+    """Draw codes of objects that have enough voxels; after too many attempts, any codes.
 
-    Where surfaces are sharp a Gaussian over codes has some that are hardly anywhere dense: these are drawn again. So
-    are those that are in the upper half of their box alone, whose middle would be below the table.
+    In models with sharp surfaces, some codes of a Gaussian give hardly any density. They are drawn again, as are
+    objects only in the upper half of their box, whose box centre would be below the table.
     """
 
     def voxels(code: Float[Tensor, "latent"]) -> int:
@@ -170,7 +170,7 @@ def _draw_codes(
 
 
 def _draw_grids(model: ObPose, prior: FlowPrior, objects: int, generator: torch.Generator) -> Grids:
-    """Of objects that are somewhere, as far as a flow has any."""
+    """Draw grids of objects that have enough voxels; after too many attempts, any grids."""
     threshold = model.config.model.voxel_threshold
     grids = _drawn_again(
         lambda count: sample_grids(prior.flow, count, generator).apart(),
@@ -181,7 +181,7 @@ def _draw_grids(model: ObPose, prior: FlowPrior, objects: int, generator: torch.
 
 
 def _drawn_again(draw: Callable[[int], list[_Thing]], voxels: Callable[[_Thing], int], objects: int) -> list[_Thing]:
-    """So many draws, those again that are in hardly any voxel, for some time."""
+    """Draw objects; those with too few voxels are drawn again, up to `_TRIES` times."""
     drawn = draw(objects)
     for _ in range(_TRIES):
         nowhere = [place for place, each in enumerate(drawn) if voxels(each) < LEAST_VOXELS]

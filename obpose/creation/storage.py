@@ -1,4 +1,4 @@
-"""Scenes on disk: a folder with `scene.safetensors` and `scene.json`."""
+"""Storage of scenes: a folder with `scene.safetensors` and `scene.json`."""
 
 import dataclasses
 import json
@@ -23,14 +23,14 @@ from obpose.tensors import Form, Forms, State, differences_of, read_tensors
 
 TENSORS, FACTS = "scene.safetensors", "scene.json"
 VERSION = 1
-"""Of the files; raised when older ones can no longer be read."""
+"""Version of the file format; raised when older files can no longer be read."""
 MOST_OBJECTS = 1000
 LARGEST_SIDE = 2**13
-"""Pixels along a side of a camera's image."""
+"""Largest width and height of a camera's image, pixels."""
 _LARGEST_VALUE = 1e6
-"""Metres, pixels or units of a latent, far beyond all that are meant."""
+"""Largest magnitude of a value, far above plausible metres, pixels or units of a latent."""
 _ROUNDING = 1e-3
-"""By how much R^T R may differ from 1 after many turns."""
+"""Largest difference of R^T R from the identity, as accumulated over many edits."""
 _FACTS = {"version", "model", "checkpoint", "objects", "images"}
 _SPLITS = "train", "val", "test"
 _MOST_FACTS_BYTES, _MOST_TENSOR_BYTES = 2**20, 2**29
@@ -38,11 +38,11 @@ _AGAIN = "make the scene again, into another folder."
 
 
 def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> None:
-    """Write a new folder that `load_scene` reads, with a picture of the scene; all of it is there or nothing.
+    """Write a scene to a new folder for `load_scene`, optionally with a picture. Nothing remains if writing fails.
 
     Raises:
-        UsageError: there is such a folder already, and something is in it; or the scene is none that could be read.
-        DatagenError: it cannot be written, for example because the disk is full.
+        UsageError: the folder exists and is not empty, or the scene is not valid.
+        DatagenError: the folder cannot be written, for example because the disk is full.
     """
     if not _is_whole(scene):
         raise UsageError(
@@ -59,7 +59,7 @@ def load_scene(folder: Path) -> Scene:
     """Read the scene of a folder.
 
     Raises:
-        UsageError: there is none, or it is of another version.
+        UsageError: there is no scene, or its version is unknown.
         CorruptFile: a file is damaged.
     """
     path = folder / FACTS
@@ -110,13 +110,13 @@ def _write(folder: Path, scene: Scene) -> None:
 
 
 def _wherever_from(checkpoint: str) -> str:
-    """The path of a folder such that it is found from every current folder; names of shipped weights stay."""
+    """Make the path of a checkpoint absolute; names of shipped weights are kept."""
     place = Path(checkpoint)
     return str(place.resolve()) if place.exists() else checkpoint
 
 
 def _parts(facts: Any) -> dict[str, Any]:
-    """What a file says of a scene, checked.
+    """Check the contents of `scene.json` and give its parts by name.
 
     Raises:
         ValueError, KeyError, TypeError, AttributeError: it is not what `_write` writes.
@@ -132,7 +132,7 @@ def _parts(facts: Any) -> dict[str, Any]:
     images = [(_number(width, LARGEST_SIDE), _number(height, LARGEST_SIDE)) for width, height in facts["images"]]
     if not isinstance(facts["images"], list) or not images:
         raise ValueError("images are not a list of widths and heights")
-    # Scenes of older versions do not say which clip they are of.
+    # Scenes of older versions do not name their clip.
     clip = _clip(facts["clip"]) if "clip" in facts else None
     return {"ids": ids, "images": images, "clip": clip, "model": facts["model"], "checkpoint": facts["checkpoint"]}
 
@@ -141,7 +141,7 @@ def _check_file(objects: int, cameras: int, found: Forms) -> None:
     """Check names, types and shapes of a scene's tensors; older versions wrote fewer of them.
 
     Raises:
-        ValueError: they are others.
+        ValueError: a tensor is missing, unknown, or of another type or shape.
     """
     frames, what, background = 0, 0, 0
     if "what" in found and len(found["what"].shape) == 3:

@@ -1,4 +1,4 @@
-"""Image files of a recording: the frames of a folder, in the order of the numbers in their names."""
+"""Image files of a recording, ordered by the numbers in their names."""
 
 import re
 from collections.abc import Sequence
@@ -8,27 +8,27 @@ from pathlib import Path
 from obpose.errors import UsageError
 
 _SIGN = r"(?:(?<![^\W_])(?<!-)[-+])?"
-"""Behind a letter, a digit or another dash it is punctuation."""
+"""Pattern of an optional sign; after a letter, a digit or another dash it is punctuation instead."""
 _WHOLE = "[0-9]+"
 _DECIMAL = r"(?<![0-9]\.)[0-9]+\.[0-9]+(?![0-9]|\.[0-9])"
-"""Two whole numbers around a dot; three of them are a date or a version."""
+"""Pattern of a decimal: two whole numbers around a dot. Three are a date or a version instead."""
 _EXPONENT = r"(?:[eE][-+][0-9]{1,3}(?![^\W_]))?"
-"""Always with a sign, as Python prints it: 1e-05."""
+"""Pattern of an optional exponent, always with a sign, as Python prints it: 1e-05."""
 _NUMBER = re.compile(f"({_SIGN}(?:{_DECIMAL}|{_WHOLE}){_EXPONENT})")
 _NUMBER_OF_PARTS = re.compile(f"({_SIGN}{_WHOLE})")
 
 _Key = tuple[str | Decimal, ...]
-"""Text and numbers of a file name in turn, beginning with text."""
+"""Sort key: text and numbers of a file name in turn, beginning with text."""
 
 
 def list_frames(paths: Sequence[Path], endings: Sequence[str], flag: str) -> list[Path]:
-    """Give the files that a flag names, in time order: as they are given, or those of one folder, sorted by name.
+    """List the files that a flag names, in time order: as given, or those of one folder, sorted by name.
 
     Hidden files, such as the `._0.png` that macOS writes, and folders inside the folder are not frames.
 
     Args:
         paths: Files, or one folder.
-        endings: Those of frames in a folder, in lower case.
+        endings: File endings of frames in a folder, in lower case.
         flag: The flag that named them, for messages.
 
     Raises:

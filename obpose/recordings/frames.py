@@ -1,4 +1,4 @@
-"""RGB-D frames of a user, as commands take them and as a model sees them."""
+"""RGB-D frames of a user: command-line flags, and conversion to model input."""
 
 import math
 from dataclasses import dataclass
@@ -106,10 +106,10 @@ def _pose_over_table(recording: Recording, model: ObPose) -> Pose:
 
 
 def _middle_of_table(model: ObPose) -> tuple[float, float, float]:
-    """Where the middle of the table was in training, world frame, metres.
+    """Middle of the table in training, world frame, metres.
 
-    It is the origin as a rule. Where a model was trained in another world, it is the place nearest to the origin in the
-    middle half of its workspace.
+    Usually it is the origin. If a model was trained in another world, it is the point nearest to the origin in the
+    middle half of the workspace.
     """
     trained = model.config.model
     quarter = trained.workspace_size / 4
@@ -118,7 +118,7 @@ def _middle_of_table(model: ObPose) -> tuple[float, float, float]:
 
 
 def _given_note(observation: Observation, model: ObPose) -> str:
-    """Say whether the given world is like those of the training."""
+    """Describe whether the given world frame is like the one in training."""
     points, camera = _first_points(observation), observation.world_from_camera[0, 0, :3, 3].numpy()
     plane = find_table(points - camera)
     if plane is None:

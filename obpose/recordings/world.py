@@ -98,11 +98,11 @@ def _read_array(path: Path) -> Pose | None:
 
 
 _READERS = {".json": _read_json, ".npy": _read_array}
-"""By ending; all other files are text."""
+"""Readers of a pose by file ending; all other files are text."""
 
 
 def _matrix(value: Any) -> Pose | None:
-    """The 4x4 array of four lists of four numbers, None of anything else."""
+    """Convert four lists of four numbers to a 4x4 array; None for anything else."""
     if not isinstance(value, list) or not all(isinstance(row, list) and len(row) == 4 for row in value):
         return None
     numbers = [number for row in value for number in row]
@@ -131,7 +131,7 @@ def _axes(plane: Plane, middle: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "
     towards = -middle
     x = towards - z * (z @ towards)
     if np.linalg.norm(x) < 0.1 * np.linalg.norm(towards):
-        # Seen from straight above there is no such direction: the lower side of the image is near.
+        # From straight above there is no such direction: use the direction to the lower side of the image.
         x = np.array([0.0, 1.0, 0.0])
         x = x - z * (z @ x)
     x = x / np.linalg.norm(x)

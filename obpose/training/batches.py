@@ -1,4 +1,4 @@
-"""Windows of clips for each training step, a function of the seed and the step alone, however they are read."""
+"""Windows of clips for each training step, which depend only on the seed and the step."""
 
 import atexit
 import os
@@ -19,12 +19,12 @@ from obpose.errors import DatagenError
 from obpose.types import Observation
 
 READERS_FOR_A_GPU = 8
-"""Processes that read ahead where a GPU computes; on a CPU reading takes about 1 % of a step and needs none."""
+"""Largest number of reader processes with a GPU; on a CPU reading takes about 1 % of a step and needs none."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Some frames of a clip."""
+    """Consecutive frames of a clip."""
 
     clip: int
     start: int
@@ -33,19 +33,19 @@ class Window:
 
 @dataclass(frozen=True)
 class Sampling:
-    """How the windows of a step are chosen."""
+    """Choice of the windows of each step."""
 
     clips: int
-    """How many there are."""
+    """Number of clips in the source."""
     frames_of_clip: int
     frames: int
-    """Of a window."""
+    """Frames of a window."""
     batch: int
-    """Windows a step, over all processes."""
+    """Windows per step, over all processes."""
     seed: int
 
     def windows(self, step: int) -> list[Window]:
-        """Each clip once before any comes again, in an order that changes, and a random place in it."""
+        """Choose the windows of a step: each clip once per shuffled epoch, at a random first frame."""
         places = np.random.default_rng([self.seed, 1, step]).integers(
             self.frames_of_clip - self.frames + 1, size=self.batch
         )
@@ -61,13 +61,13 @@ class Sampling:
 
 @dataclass(frozen=True)
 class Share:
-    """The part of a batch that one of several processes computes."""
+    """Part of a batch that belongs to one of several processes."""
 
     process: int = 0
     processes: int = 1
 
     def of(self, windows: Sequence[Window]) -> Sequence[Window]:
-        """This process's windows."""
+        """Select the windows of this process."""
         each = len(windows) // self.processes
         return windows[self.process * each : (self.process + 1) * each]
 
@@ -81,12 +81,12 @@ def batches(
     readers: int,
     sees: type[Observation] = Observation,
 ) -> Iterator[dict[str, Tensor]]:
-    """The batches of this process from a step on, without end; `readers` processes read ahead, 0 for none.
+    """Iterate endlessly over the batches of this process from a step on; `readers` processes read ahead, 0 for none.
 
-    `sees` is what the model is given, and all that is passed on.
+    Batches hold only the fields of `sees`, the observation type of the model.
 
     Raises:
-        DatagenError, OSError: a clip cannot be read; as the source raises it, also where a reader found it.
+        DatagenError, OSError: a clip cannot be read; errors in reader processes are raised unchanged.
     """
     loader = DataLoader(
         _Steps(source, sampling, share, sees),
@@ -103,12 +103,12 @@ def batches(
 
 
 def readers_for(device: torch.device) -> int:
-    """How many processes should read ahead."""
+    """Number of processes that should read ahead."""
     return 0 if device.type == "cpu" else min(READERS_FOR_A_GPU, max(1, cpu_count() - 1))
 
 
 def _raised(items: Iterator[dict[str, Tensor] | Exception]) -> Iterator[dict[str, Tensor]]:
-    """Pass batches on, and raise what stands in the place of one."""
+    """Yield batches, and raise an error that takes the place of one."""
     for item in items:
         if isinstance(item, Exception):
             # The error's traceback would keep the readers alive.
@@ -118,9 +118,9 @@ def _raised(items: Iterator[dict[str, Tensor] | Exception]) -> Iterator[dict[str
 
 
 class _Steps(Dataset[dict[str, Tensor] | Exception]):
-    """Item `step` is the batch of that step, or the error that came in its place.
+    """Dataset whose item `step` is the batch of that step, or the error raised while reading it.
 
-    An error that a reader raised itself would come with the reader's traceback in its message.
+    Errors are returned, because raising in a reader process would add its traceback to the message.
     """
 
     def __init__(self, source: ClipSource, sampling: Sampling, share: Share, sees: type[Observation]):
@@ -136,9 +136,9 @@ class _Steps(Dataset[dict[str, Tensor] | Exception]):
 
 
 def _begin_and_end_apart(_reader: int) -> None:
-    # From here on signals to the parent's group, such as Ctrl-C or a scheduler's, end no reader.
+    # Signals to the parent's process group, such as Ctrl-C, no longer end readers.
     os.setsid()
-    # The interpreter's own end would unwind the thread that still sends a batch, and abort.
+    # A normal exit of the interpreter would unwind the thread that still sends a batch, and abort.
     atexit.register(os._exit, 0)
 
 

@@ -1,4 +1,4 @@
-"""One step of learning: losses, gradients, their norm, Adam."""
+"""One training step: losses, gradients, clipping, Adam."""
 
 import math
 from collections.abc import Mapping
@@ -21,19 +21,19 @@ from obpose.training.guard import check_finite
 
 @dataclass(frozen=True)
 class Learned:
-    """What a step was like."""
+    """Losses and gradient norm of a step."""
 
     losses: dict[str, float]
     """Means over all processes."""
     gradient_norm: float
-    """Before clipping."""
+    """Norm of the gradient before clipping."""
 
 
 class Learner:
     """A model and its optimiser."""
 
     def __init__(self, fabric: Fabric, config: Configuration, build: Build):
-        """Fresh weights follow from the seed."""
+        """Build the model and its optimiser; initial weights depend on the seed."""
         self._fabric, self._config = fabric, config.train
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.train.seed)
@@ -42,10 +42,10 @@ class Learner:
         self._module, self._optimizer = fabric.setup(_Losses(self.model, config), optimizer)
 
     def learn(self, batch: Mapping[str, Tensor], *, step: int, fraction: float, learning_rate: float) -> Learned:
-        """Make one step, at a fraction of the budget.
+        """Take one step; `fraction` is the used share of the budget.
 
         Raises:
-            Diverged: losses or gradients are not finite; the weights are as before.
+            Diverged: losses or gradients are not finite; the weights are unchanged.
         """
         for group in self._optimizer.param_groups:
             group["lr"] = learning_rate
@@ -65,18 +65,18 @@ class Learner:
         return learned
 
     def weights(self) -> State:
-        """Of the model, for a checkpoint."""
+        """Give the weights of the model, for a checkpoint."""
         return self.model.state_dict()
 
     def optimizer_state(self) -> State:
-        """`parameter.value` to tensor; parameters that had no gradient yet have none."""
+        """Give the optimiser state by key `parameter.value`, without parameters that had no gradient yet."""
         return optimizer_state(self.model, self._optimizer)
 
     def restore(self, state: TrainingState) -> None:
-        """Go on from a checkpoint.
+        """Restore weights and optimiser from a checkpoint.
 
         Raises:
-            UsageError: its weights or its optimiser's state are another model's.
+            UsageError: weights or optimiser state do not fit the model.
         """
         put_weights(self.model, state.weights, "the checkpoint")
         try:
@@ -88,7 +88,7 @@ class Learner:
             ) from None
 
     def _clip(self) -> Tensor:
-        """Clip the gradient and give its norm; an infinite limit only measures."""
+        """Clip the gradient and give its norm before clipping; a limit of 0 only measures."""
         norm = self._fabric.clip_gradients(
             self._module, self._optimizer, max_norm=self._config.clip or math.inf, error_if_nonfinite=False
         )
@@ -97,7 +97,7 @@ class Learner:
 
 
 class _Losses(nn.Module):
-    """A model's losses as a forward pass, which is where data-parallel training hooks in."""
+    """Wrap a model's losses as a forward pass, which data-parallel training requires."""
 
     def __init__(self, model: Trainable, config: Configuration):
         super().__init__()

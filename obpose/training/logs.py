@@ -1,4 +1,4 @@
-"""Curves on disk: CSV tables and, where it is installed and asked for, TensorBoard."""
+"""Logs of the training curves: CSV tables and, on request, TensorBoard."""
 
 import csv
 import io
@@ -20,14 +20,14 @@ Row = Mapping[str, float | int | str]
 
 
 class CsvLog:
-    """A table with a column for each name that was ever written; the first is `step`. Every row is on disk at once.
+    """CSV table with a column for each name ever written; the first is `step`. Rows are written immediately.
 
     Raises:
-        UsageError: the file is another table, which would be lost.
+        UsageError: the file is another table, which would be overwritten.
     """
 
     def __init__(self, path: Path, *, steps: int):
-        """Go on after so many steps: rows of later ones, which a run that was killed had not saved, are dropped."""
+        """Resume a table after `steps` steps; rows of later steps, from after the last checkpoint, are dropped."""
         self._path = path
         rows = _rows(path, steps)
         self._columns = list(rows[0]) if rows else ["step"]
@@ -50,7 +50,7 @@ class CsvLog:
 
 
 class TensorBoardLog:
-    """The same values as TensorBoard shows them.
+    """TensorBoard log of the same values as the CSV tables.
 
     Raises:
         UsageError: TensorBoard is not installed.
@@ -67,16 +67,16 @@ class TensorBoardLog:
                 self._writer.add_scalar(f"{group}/{name}", float(value), step)
 
     def close(self) -> None:
-        """Write what is waiting."""
+        """Flush pending values and close the log."""
         self._writer.close()
 
 
 def _rows(path: Path, steps: int | None) -> list[Row]:
-    """Complete rows of a table, those of at most so many steps."""
+    """Read the complete rows of a table, up to the step `steps`; None for all."""
     if not path.exists():
         return []
     text = read_bytes(path, _MOST_BYTES).decode("utf-8", errors="replace")
-    whole, _, _ = text.rpartition("\n")  # a line that a kill cut short has no end
+    whole, _, _ = text.rpartition("\n")  # drops a last line that a kill cut short
     foreign = UsageError(f"{path} is no table of a training; it would be overwritten. Give another --out, or move it.")
     try:
         found = csv.DictReader(io.StringIO(whole))
@@ -88,7 +88,7 @@ def _rows(path: Path, steps: int | None) -> list[Row]:
 
 
 def _is_whole(row: dict[str, str]) -> bool:
-    """Whether a row was not damaged by a crash of the machine."""
+    """Whether a row is intact, since a crash of the machine may damage rows."""
     step = row["step"]
     return None not in row and step.isdecimal() and step.isascii() and len(step) <= _MOST_DIGITS
 

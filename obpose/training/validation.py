@@ -1,4 +1,4 @@
-"""What a model does on clips that it was not trained on; looked at by people, never used to choose."""
+"""Validation on held-out clips during training; for inspection only, never for model selection."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -14,35 +14,35 @@ from obpose.trainable import Trainable
 from obpose.types import Observation
 
 CLIPS = 16
-"""The first so many clips are looked at; the others are left to whoever compares models."""
+"""Number of clips used, from the first on; the others are reserved for model comparisons."""
 SEGMENTATION = "segmentation"
-"""Name of the labels in the windows of a source that has them."""
+"""Name of the labels in the windows of a labelled source."""
 
 _SEED = 0
 
 Score = Callable[[Labels, Labels], float]
-"""Of true and predicted labels of a clip; nan where it is not defined."""
+"""Score from the true and the predicted labels of a clip; nan if undefined."""
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """What one validation saw."""
+    """Result of one validation."""
 
     step: int
     seconds: float
-    """Of the budget's clock."""
+    """Time spent in training steps so far, as counted by the budget."""
     losses: dict[str, float]
-    """Means over the windows."""
+    """Loss terms by name, means over the windows."""
     ari_fg: float | None
-    """Mean over the clips; None where the source has no labels."""
+    """Mean ARI-FG over the clips; None if the source has no labels."""
 
     def row(self) -> dict[str, float | int]:
-        """As a row of a table."""
+        """Convert to a row of a CSV table."""
         score = {} if self.ari_fg is None else {"ari_fg": self.ari_fg}
         return {"step": self.step, "seconds": round(self.seconds, 3), **score, **self.losses}
 
     def plain(self) -> dict[str, Any]:
-        """As JSON can say it."""
+        """Convert to a dict of JSON values."""
         return asdict(self)
 
     @classmethod
@@ -50,7 +50,7 @@ class CurvePoint:
         """Rebuild a point: the inverse of `plain`.
 
         Raises:
-            AttributeError, TypeError, ValueError: values are missing or unknown, or no numbers.
+            AttributeError, TypeError, ValueError: values are missing, unknown or not numbers.
         """
         point = cls(**plain)
         numbers = [point.step, point.seconds, *point.losses.values(), *([] if point.ari_fg is None else [point.ari_fg])]
@@ -72,7 +72,7 @@ def validate(
     device: torch.device,
     score: Score,
 ) -> CurvePoint:
-    """Losses as in training, and the segmentations' score in evaluation mode."""
+    """Compute losses in training mode, and the score of the segmentations in evaluation mode."""
     losses = validation_losses(model, source, config, step=step, fraction=fraction, device=device)
     model.eval()
     try:
@@ -84,7 +84,7 @@ def validate(
 def validation_losses(
     model: Trainable, source: ClipSource, config: TrainConfig, *, step: int, fraction: float, device: torch.device
 ) -> dict[str, float]:
-    """Means of the loss terms over the first frames of the clips, with the same noise every time."""
+    """Mean loss terms over the first frames of the clips, with identical noise each time."""
     noise = torch.Generator(device).manual_seed(_SEED)
     sums: dict[str, float] = {}
     scenes = 0
@@ -100,7 +100,7 @@ def validation_losses(
 def validation_score(
     model: Trainable, source: ClipSource, config: TrainConfig, score: Score, *, device: torch.device
 ) -> float | None:
-    """Mean score of the segmentations of whole clips; None where the source has no labels."""
+    """Mean score of the segmentations of whole clips; None if there are no labels or no defined scores."""
     values = []
     for index in range(_clips(source)):
         window = source.window(index, 0, source.frames_of_clip)

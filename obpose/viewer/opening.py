@@ -1,4 +1,4 @@
-"""What a path given to the viewer is, and the scene that it shows at first."""
+"""Opening of a path in the viewer: detection of its kind, and the first scene to show."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,22 +21,22 @@ Kind = Literal["scene", "model", "dataset"]
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A scene with the model that it is of, and the clip that it was inferred from if there is one."""
+    """A scene with its model, and with the clip it was inferred from if that is available."""
 
     scene: Scene
     origin: Origin
     clip: Observation | None
-    """A batch of one."""
+    """The clip as a batch of one."""
     title: str
     is_inferred: bool
-    """Whether the scene is what the model infers from the clip, and nothing else."""
+    """Whether the scene was just inferred from the clip and is unedited."""
 
 
 def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: str, index: int) -> Opened:
-    """A saved scene as it is; of a dataset, or of a model with `data`, what the model infers from one clip.
+    """Load a saved scene, or infer one from a clip of a dataset, or of `data` if the path is a model.
 
     Raises:
-        UsageError: the path is none of these, or something else is missing or contradicts it.
+        UsageError: the path is none of these, or another argument is missing or contradicts it.
         CorruptFile: a file is damaged.
     """
     kind = check_request(path, checkpoint=checkpoint, data=data)
@@ -49,10 +49,10 @@ def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: s
 
 
 def check_request(path: Path, *, checkpoint: str | None, data: Path | None) -> Kind:
-    """Check that what belongs to a path is named, before anything is opened; give what the path is.
+    """Check that the arguments fit the kind of the path, before anything is opened; give the kind.
 
     Raises:
-        UsageError: the path is nothing that can be shown, or an argument is missing or contradicts it.
+        UsageError: the path cannot be shown, or an argument is missing or contradicts it.
     """
     kind = kind_of(path)
     if kind == "model" and checkpoint is not None:
@@ -65,10 +65,10 @@ def check_request(path: Path, *, checkpoint: str | None, data: Path | None) -> K
 
 
 def kind_of(path: Path) -> Kind:
-    """What a path is, by the files that are in it.
+    """Detect the kind of a path by the files in it.
 
     Raises:
-        UsageError: nothing that can be shown.
+        UsageError: the path cannot be shown.
     """
     if (path / FACTS).is_file():
         return "scene"
@@ -109,7 +109,7 @@ def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: st
 
 
 def _check_clip(path: Path, scene: Scene, data: Path, given: ClipName) -> None:
-    """Check that a scene was inferred from this clip, where it says from which."""
+    """Check that a scene was inferred from the given clip, if the scene names its clip."""
     if scene.clip is None or scene.clip == given:
         return
     if scene.clip.dataset == given.dataset:

@@ -1,8 +1,8 @@
 """The page: a session, its nodes and widgets, and the thread that renders it.
 
-There is one session, shared by all who open the page: edits of one window are seen in the others, and undone there,
-while everybody has a camera of their own. viser calls back in threads of its own; all that touches session, stage or
-panel holds the page's lock, which is never held while something is rendered.
+All browser windows share one session: an edit appears in all of them and can be undone in any. Each window has its
+own camera. viser runs callbacks in its own threads; code that uses session, stage or panel holds the page's lock. The
+lock is never held during rendering.
 """
 
 import sys
@@ -37,14 +37,14 @@ from obpose.viewer.session import Session
 from obpose.viewer.stage import Events, Stage
 
 _SECONDS = 8.0
-"""For which messages stay."""
+"""Seconds a notification stays visible."""
 
 
 class Page:
-    """What one server shows."""
+    """The page of one server."""
 
     def __init__(self, server: viser.ViserServer, opened: Opened, out: Path):
-        """Scenes are saved into new folders in `out`."""
+        """Build the page; scenes are saved into new folders in `out`."""
         self.title = opened.title
         self.server, self._opened, self._out = server, opened, out
         self._lock = threading.RLock()
@@ -61,7 +61,7 @@ class Page:
         self._refresh()
 
     def close(self) -> None:
-        """Stop rendering, and let go of all who look."""
+        """Stop rendering and disconnect all browsers."""
         self.work.close()
         close_server(self.server)
 
@@ -82,7 +82,7 @@ class Page:
         )
 
     def _edit(self, change: Callable[[Session], None]) -> None:
-        """Change the session and show what comes of it; what two windows do at once may contradict each other."""
+        """Change the session and show the result; an edit may fail because of another window's edit."""
         with self._lock:
             try:
                 change(self.session)
@@ -94,7 +94,7 @@ class Page:
         self._edit(lambda session: session.select(None if session.selected == name else name))
 
     def _go_to_frame(self, frame: int) -> None:
-        # Widgets also tell of values that the page gave them itself.
+        # Widgets also call back for values that the page set itself.
         if frame != self.session.frame and frame < self.session.scene.frames:
             self._edit(lambda session: session.go_to_frame(frame))
 
@@ -114,7 +114,7 @@ class Page:
         self._edit(change)
 
     def _fit(self) -> None:
-        """Fit what was inferred to its frames; what was edited shows something else than they do."""
+        """Fit the inferred scene to its frames; edited scenes no longer match them."""
         scene, clip = self._opened.scene, self._opened.clip
         assert clip is not None
         with self._lock:
@@ -128,7 +128,7 @@ class Page:
         self._edit(change)
 
     def _run(self, doing: str, job: Callable[[], None]) -> None:
-        """Run a job in the thread that renders, and say so on the page from now until it is done."""
+        """Run a job in the render thread, and show its name on the page until it is done."""
         with self._lock:
             self._panel.begin(doing)
 
@@ -146,7 +146,7 @@ class Page:
             raise UsageError("The scene is no longer what was inferred; undo the edits, and fit again.")
 
     def _sample_wanted(self, objects: str) -> None:
-        """Sample so many objects."""
+        """Sample a scene with the chosen number of objects."""
         try:
             count = checked_count(objects)
         except UsageError as error:
@@ -161,7 +161,7 @@ class Page:
         self._tell("Sampled", f"{counted(objects, 'object')}, with seed {self._sampler.seed}")
 
     def _save(self) -> None:
-        """Save the scene as it is now, whatever is edited before its turn comes."""
+        """Save the scene as it is now, regardless of edits before the job runs."""
         with self._lock:
             scene = self.session.scene
         self._run("Saving", lambda: self._write(scene))
@@ -171,7 +171,7 @@ class Page:
         self._tell("Saved", f"{folder}: {counted(scene.frames, 'frame')}, {counted(len(scene.ids), 'object')}", "green")
 
     def _refresh(self) -> None:
-        """Show the session as it is, and ask for what has to be rendered."""
+        """Show the current session and request the renderings it needs."""
         session = self.session
         self._stage.show(session, self._panel.layers)
         self._panel.show(session)

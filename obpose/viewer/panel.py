@@ -16,7 +16,7 @@ _MOVE, _HIDE, _SHOW, _COPY, _REMOVE = "move", "hide", "show", "copy", "remove"
 
 @dataclass(frozen=True)
 class Actions:
-    """What the controls do."""
+    """Callbacks of the controls."""
 
     select: Callable[[int | None], None]
     hide: Callable[[int], None]
@@ -26,11 +26,11 @@ class Actions:
     go_to_frame: Callable[[int], None]
     look: Callable[[int], None]
     draw: Callable[[], None]
-    """Other layers are wanted."""
+    """Called when the choice of layers changes."""
     undo: Callable[[], None]
     fit: Callable[[], None]
     sample: Callable[[str], None]
-    """With so many objects, in digits."""
+    """Called with the number of objects, as text."""
     save: Callable[[], None]
 
 
@@ -63,17 +63,17 @@ class Panel:
 
     @property
     def layers(self) -> Layers:
-        """What is to be drawn."""
+        """Layers chosen for drawing."""
         values = self._shapes.value, self._boxes.value, self._cameras.value
         return Layers(self._points.value, *values)
 
     def begin(self, doing: str) -> None:
-        """Show what is being done, and let nobody start another job, until `end` is called with the same words."""
+        """Show a running job and disable the buttons of jobs, until `end` is called with the same text."""
         self._doing.append(doing)
         self._show_busy()
 
     def end(self, doing: str) -> None:
-        """Show that something is done."""
+        """Remove a finished job from the display."""
         self._doing.remove(doing)
         self._show_busy()
 
@@ -86,7 +86,7 @@ class Panel:
         self._fit.disabled = busy or not self._can_fit_now
 
     def show(self, session: Session) -> None:
-        """Make the widgets those of the session."""
+        """Update the widgets to the session."""
         if session.version.title != self._title:
             self._title = session.version.title
             self._gui.set_panel_label(self._title)
@@ -106,7 +106,7 @@ class Panel:
         self._fit.disabled = bool(self._doing) or not self._can_fit_now
 
     def put_picture(self, picture: np.ndarray, note: str) -> None:
-        """Show what was rendered, and a line about it."""
+        """Show a rendered picture with a line of text."""
         self._picture.image = picture
         self._note.content = _small(note)
 
@@ -145,7 +145,7 @@ class Panel:
     def _add_scene(
         self, out: str, can_fit: bool
     ) -> tuple[viser.GuiButtonHandle, viser.GuiButtonHandle, tuple[viser.GuiButtonHandle, ...]]:
-        """Give the buttons to undo and to fit, and those of other jobs."""
+        """Add the scene controls; give the buttons to undo, to fit, and those of other jobs."""
         with self._gui.add_folder("Scene"):
             fit = self._gui.add_button(
                 "Fit to the frames",
@@ -174,7 +174,7 @@ class Panel:
 
 
 def _nothing(_name: int) -> None:
-    """Do nothing, for a button that is not there."""
+    """Do nothing; stands in for a missing button."""
 
 
 def _view_name(view: int) -> str:

@@ -1,4 +1,4 @@
-"""New scenes for the viewer: the seeds 0, 1, 2 and so on."""
+"""Sampling of new scenes for the viewer, with the seeds 0, 1, 2 and so on."""
 
 import torch
 
@@ -10,16 +10,16 @@ from obpose.creation.scene import Camera, Scene
 from obpose.errors import UsageError
 
 MOST_SAMPLED = 8
-"""Objects of a sampled scene."""
+"""Largest number of objects of a sampled scene."""
 COUNTS = tuple(str(count) for count in range(MOST_SAMPLED + 1))
-"""Numbers to choose from."""
+"""Numbers of objects that the page offers, as text."""
 
 
 def checked_count(value: str) -> int:
-    """Give the number of objects that was chosen on the page, from which any text may come.
+    """Parse the number of objects chosen on the page, which may send any text.
 
     Raises:
-        UsageError: it is no whole number in 0 to `MOST_SAMPLED`.
+        UsageError: the text is no whole number from 0 to `MOST_SAMPLED`.
     """
     if value not in COUNTS:
         raise UsageError(f"New objects: {value!r:.20}; expected a whole number from 0 to {MOST_SAMPLED}.")
@@ -27,16 +27,16 @@ def checked_count(value: str) -> int:
 
 
 class Sampler:
-    """Scenes of one model that were never seen, from the best of its priors."""
+    """Sampler of new scenes from the best prior of a model."""
 
     def __init__(self, origin: Origin):
         self._origin = origin
         self._prior: FlowPrior | ScenePrior | None = None
         self.seed = -1
-        """Of the newest scene."""
+        """Seed of the newest scene; -1 before the first."""
 
     def next(self, objects: int, cameras: tuple[Camera, ...]) -> Scene:
-        """The scene of the next seed.
+        """Sample a scene with the next seed.
 
         Raises:
             UsageError: there is no room for so many objects.
@@ -50,7 +50,7 @@ class Sampler:
 
 
 def _best_prior(origin: Origin) -> FlowPrior | ScenePrior:
-    """The flow that was learned, else the mixtures that were fitted, else what the model has by itself."""
+    """Load the learned flow, otherwise the fitted mixtures, otherwise the prior that the model learned."""
     if has_flow(origin):
         return named_prior(origin, "flow")
     return named_prior(origin, "fitted" if (origin.folder / FILE).is_file() else "learned")

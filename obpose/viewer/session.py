@@ -1,4 +1,4 @@
-"""What is being edited: a scene, the versions before it, and what of it is looked at. It knows nothing of the page."""
+"""State of an editing session: a scene, its earlier versions and the current selection, independent of the page."""
 
 import math
 from collections import deque
@@ -15,30 +15,30 @@ from obpose.creation.scene import Scene
 from obpose.model import ObPose
 
 _MOST_VERSIONS = 1000
-"""Edits that can be undone."""
+"""Largest number of edits that can be undone."""
 _DIRECTIONS, _ASIDE = 8, 0.75
-"""Where copies are put: in one of so many directions, so many edges of a box away."""
+"""Placement of copies: number of candidate directions, and distance in box edges."""
 
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """A scene, where its objects come from, and which of them are hidden."""
+    """A scene, the origin of its objects, and the hidden ones."""
 
     scene: Scene
     seen_as: Mapping[int, int] | None
-    """Which object of the input each is, or a copy of; None where the scene is not that of the input."""
+    """For each object, the object of the input that it is or was copied from; None if the scene is not of the input."""
     began: Scene
-    """What it was before all edits: of equal beginnings, equal names are the same object."""
+    """Scene before all edits. In versions that share it, equal names mean the same object."""
     title: str = ""
-    """Where the scene comes from."""
+    """Source of the scene: dataset, saved scene or sample, as shown in the title."""
     hidden: frozenset[int] = frozenset()
 
 
 class Session:
-    """One scene that is edited step by step; not for several threads at once."""
+    """Step-by-step editing of one scene; not thread-safe."""
 
     def __init__(self, scene: Scene, model: ObPose, title: str = ""):
-        """The model says where objects can be and how large they are."""
+        """Start a session; the model determines the workspace bounds and the box size."""
         self.version = Version(scene, {name: name for name in scene.ids}, began=scene, title=title)
         self.selected: int | None = None
         self.frame = 0
@@ -50,17 +50,17 @@ class Session:
 
     @property
     def scene(self) -> Scene:
-        """As it is now, hidden objects included."""
+        """Current scene, including hidden objects."""
         return self.version.scene
 
     @property
     def hidden(self) -> frozenset[int]:
-        """Objects that are not shown."""
+        """Names of the hidden objects."""
         return self.version.hidden
 
     @property
     def shown(self) -> Scene:
-        """Without the hidden objects."""
+        """Current scene without the hidden objects."""
         shown = self.scene
         for name in self.hidden:
             shown = edit.remove(shown, name)
@@ -68,23 +68,23 @@ class Session:
 
     @property
     def can_undo(self) -> bool:
-        """Whether anything was edited."""
+        """Whether there is an edit to undo."""
         return bool(self._past)
 
     @property
     def is_dragging(self) -> bool:
-        """Whether an object is held."""
+        """Whether an object is being dragged."""
         return self._grabbed is not None
 
     def select(self, name: int | None) -> None:
-        """Choose the object that is dragged."""
+        """Select an object for dragging; None to select nothing."""
         if name is not None:
             self.scene.place(name)
         self.drop()
         self.selected = name
 
     def go_to_frame(self, frame: int) -> None:
-        """Look at another moment; an object that is held is let go of."""
+        """Show another frame; a drag in progress ends."""
         self.drop()
         self.frame = min(max(frame, 0), self.scene.frames - 1)
 
@@ -93,7 +93,7 @@ class Session:
         self.view = min(max(view, 0), len(self.scene.cameras) - 1)
 
     def hide(self, name: int) -> None:
-        """Leave an object out of what is shown; it stays in the scene, and this is no edit to undo."""
+        """Hide an object; it stays in the scene, and hiding cannot be undone as an edit."""
         self.scene.place(name)
         self.drop()
         self.version = replace(self.version, hidden=self.hidden | {name})
@@ -106,11 +106,11 @@ class Session:
         self.version = replace(self.version, hidden=self.hidden - {name})
 
     def remove(self, name: int) -> None:
-        """Take an object out of the scene."""
+        """Remove an object from the scene."""
         self._become(replace(self.version, scene=edit.remove(self.scene, name), hidden=self.hidden - {name}))
 
     def duplicate(self, name: int) -> None:
-        """Put a copy beside an object, where most room is, and select it."""
+        """Put a copy beside an object, on the side with the most room, and select it."""
         copied = edit.duplicate(self.scene, name, self._beside(name))
         seen_as = self.version.seen_as
         if seen_as is not None and name in seen_as:
@@ -119,17 +119,17 @@ class Session:
         self.select(copied.ids[-1])
 
     def grab(self) -> None:
-        """Take hold of the selected object: what follows until `drop` is one edit."""
+        """Start dragging the selected object; all changes until `drop` are one edit."""
         self.drop()
         if self.selected is not None:
             self._grabbed = self.version
 
     def drag(self, to: Float[Tensor, "3"], turn: Float[Tensor, "3 3"]) -> None:
-        """Move the middle of the held object there in this frame, as far as the workspace reaches, and turn it.
+        """Move the dragged object, within the workspace, and rotate it.
 
         Args:
-            to: World frame, metres.
-            turn: Rotation of the world, relative to how the object was when it was grabbed.
+            to: New box centre in the current frame, world frame, metres.
+            turn: Rotation in the world frame, relative to the object's orientation when it was grabbed.
         """
         if self._grabbed is None or self.selected is None:
             return
@@ -139,22 +139,22 @@ class Session:
         self.version = replace(self._grabbed, scene=moved)
 
     def drop(self) -> None:
-        """Let go of the held object."""
+        """End the drag of an object."""
         if self._grabbed is not None and self._grabbed is not self.version:
             self._past.append(self._grabbed)
         self._grabbed = None
 
     def replace(self, scene: Scene, title: str = "") -> None:
-        """Go on with another scene of the same model, which is not that of the input."""
+        """Switch to another scene of the same model that is not of the input."""
         self._become(Version(scene, None, began=scene, title=title))
         self.selected = None
 
     def fit(self, scene: Scene) -> None:
-        """Go on with the same objects in the same places, only that they look more like the input."""
+        """Replace the scene by a version fitted to the input, with the same objects in the same places."""
         self._become(replace(self.version, scene=scene))
 
     def undo(self) -> None:
-        """Go back to before the last edit, if there was one, as is a drag that goes on; what is hidden stays so."""
+        """Undo the last edit, if any; a drag in progress counts as one. Hidden objects stay hidden."""
         self.drop()
         if self._past:
             past = self._past.pop()
@@ -165,25 +165,25 @@ class Session:
             self._settle()
 
     def _become(self, version: Version) -> None:
-        """Go on with another version; a drag that goes on ends before, as an edit of its own."""
+        """Switch to another version; a drag in progress ends first, as a separate edit."""
         self.drop()
         self._past.append(self.version)
         self.version = version
         self._settle()
 
     def _settle(self) -> None:
-        """Let go of objects, frames and views that are no more."""
+        """Reset a selection, frame or view that no longer exists."""
         self.selected = self.selected if self.selected in self.scene.ids else None
         self.frame = min(self.frame, self.scene.frames - 1)
         self.view = min(self.view, len(self.scene.cameras) - 1)
 
     def _within(self, scene: Scene, name: int, by: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
-        """As much of a displacement as leaves an object of a scene inside the workspace in all frames."""
+        """Clamp a displacement so that an object stays inside the workspace in all frames."""
         center = scene.center[:, scene.place(name)]
         return by.clamp(self._low - center.amin(dim=0), self._high - center.amax(dim=0))
 
     def _beside(self, name: int) -> Float[Tensor, "3"]:
-        """Beside the object's box, in the direction in which the nearest object is farthest in this frame."""
+        """Displacement of a copy, in the direction with the most distance to the nearest object in this frame."""
         angles = torch.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
         steps = torch.stack([angles.cos(), angles.sin(), torch.zeros(_DIRECTIONS)], dim=-1) * (_ASIDE * self._box)
         center = self.scene.center[self.frame]

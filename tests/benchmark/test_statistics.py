@@ -299,7 +299,7 @@ def coverage(n_seeds: int, between: float, within: float, interval: Interval) ->
 def test_how_often_intervals_cover_the_truth(
     interval: Interval, n_seeds: int, between: float, within: float, share: float
 ):
-    """What docs/results.md says: few seeds under-cover, and drawing scenes anew for every seed covers less still."""
+    """As docs/benchmark.md says: few seeds under-cover, and drawing scenes anew for every seed covers less still."""
     assert coverage(n_seeds, between, within, interval) == pytest.approx(share, abs=0.03)
 
 

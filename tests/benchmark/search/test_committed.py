@@ -1,6 +1,6 @@
 """The search whose table is committed is the one that the code declares, and what it chose is what is used.
 
-The table does not say with which budget, dataset and other settings the trials ran; docs/results.md does.
+The table does not say with which budget, dataset and other settings the trials ran; docs/results/search.md does.
 """
 
 import csv

@@ -1,6 +1,6 @@
 """What ObSuRF learns in little more than a minute: to tell two balls apart that are all there is.
 
-Some seeds do, others do not, and arithmetic of another machine is another seed; docs/results.md has six of each.
+Some seeds do, others do not, and arithmetic of another machine is another seed; docs/results/obsurf.md has six of each.
 """
 
 import math
