@@ -186,8 +186,10 @@ def _stored_config(folder: Path) -> Configuration:
 
 
 def _check_free(folder: Path) -> None:
-    """Check that a new training overwrites no earlier work. Files of step 0 may be left by a kill during the first
-    save."""
+    """Check that a new training overwrites no earlier work.
+
+    Files of step 0 are no work: a kill during the first save may leave them.
+    """
     for name in (TRAINING, MODEL):
         if (folder / name).exists() and _read_tensors(folder / name)[1].get("step") != 0:
             raise UsageError(

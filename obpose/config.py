@@ -109,7 +109,7 @@ class PoseConfig:
     box_size: float = 0.2
     """s: edge of a box, metres. [code: 0.4]"""
     max_translation: float = 0.05
-    """T_max: largest predicted translation of a box, metres. [code: 0.1]"""
+    """T_max: largest offset of a box from the centre of its observed points, per axis, metres. [code: 0.1]"""
     min_points: int = 1
     """A slot keeps its location from the previous frame if it has the largest mask at fewer points of the embedding
     grid than this. [ours; code: 10 of 64x64]"""

@@ -1,9 +1,9 @@
 """The command `obpose-view`: look at scenes and edit them by hand, in a browser.
 
-obpose-view DATA                              what weights that ship infer from test scene 0 of a dataset
-obpose-view DATA --checkpoint RUN --scene 3   what your own infer from another
-obpose-view RUN --data DATA                   the same
-obpose-view SCENE                             a scene that obpose-edit or the page itself has written
+obpose-view DATA                              infer test scene 0 of a dataset with weights that ship
+obpose-view DATA --checkpoint RUN --scene 3   infer test scene 3 with your own model
+obpose-view RUN --data DATA                   infer test scene 0 with your own model
+obpose-view SCENE                             open a scene written by obpose-edit or by this page
 """
 
 import importlib.util

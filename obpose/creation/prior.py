@@ -104,7 +104,7 @@ def learned_prior(model: ObPose) -> ScenePrior:
 
 @torch.no_grad()
 def fit_prior(model: ObPose, clips: Iterable[Observation], tables: Tables) -> ScenePrior:
-    """Fit mixtures to the posterior means of the first frames of clips, each a batch of one; `tables` are kept as given.
+    """Fit mixtures to the posterior means of the first frames of clips (each a batch of one); `tables` stay as given.
 
     Raises:
         UsageError: too few objects were found for a covariance.
