@@ -11,7 +11,6 @@ from benchmark.tracks import Profile
 Task = Literal["segmentation", "editing"]
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 DEFAULT_OUT = Path("results")
-DEFAULT_SEARCH = Path("search")
 
 
 @dataclass(frozen=True)
@@ -120,35 +119,6 @@ class Pack:
     out: Path
     """The packed folder, such as docs/results/paper; made if it is missing. Its results are kept, never replaced; its
     tables are written anew."""
-
-
-@dataclass(frozen=True)
-class Search:
-    """Try the declared settings of models that learn, and choose by the loss on validation clips, never by a label.
-
-    The same command again makes only the trials that are missing.
-    """
-
-    model: tuple[str, ...]
-    """Names of models that learn, and groups of them."""
-    track: tuple[str, ...] = ()
-    """Names of tracks and groups, moving if left out."""
-    data: Path | None = None
-    """Folder of a dataset, in place of tracks."""
-    minutes: float = 3.0
-    """Training time of each trial, in minutes of one core."""
-    steps: int | None = None
-    """Training steps of each trial, in place of minutes."""
-    profile: Profile = "cpu"
-    """Size of the tracks' images and of the networks."""
-    out: Path = DEFAULT_SEARCH
-    """Folder for search.csv, outcomes and learning curves."""
-    workers: int = 2
-    """Number of trials that run in parallel."""
-    memory_limit: float | None = None
-    """MiB of memory at which a trial has failed; if left out, an equal part of nine tenths of the machine's."""
-    retry: Switch = False
-    """Run failed trials again."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ obpose-bench --model training-free --track moving static      compare models
 obpose-bench --model plane-dbscan --data DIR                   on a dataset of your own
 obpose-bench --predictions DIR --track moving                  score label maps made elsewhere
 obpose-bench --task editing --model obpose --pretrained --track clevr3d     score edits of inferred scenes
-obpose-bench search --model obpose --track moving              choose settings by validation losses
 obpose-bench rescore RUN                                       compute all scores anew from stored label maps
 obpose-bench compare A B                                       is A better than B, and what could be seen at all?
 obpose-bench report RUN                                        write tables and report again
@@ -21,8 +20,7 @@ from typing import Any
 import tyro
 
 from benchmark import commands
-from benchmark.arguments import Compare, Pack, Report, Rescore, Run, Search, Selftest
-from benchmark.search.command import search
+from benchmark.arguments import Compare, Pack, Report, Rescore, Run, Selftest
 from datagen.command_line import given_arguments
 from datagen.errors import run_program
 
@@ -58,7 +56,6 @@ def _run(arguments: list[str]) -> int:
 
 COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {
     "run": (Run, commands.run),
-    "search": (Search, search),
     "rescore": (Rescore, commands.rescore),
     "compare": (Compare, commands.compare),
     "report": (Report, commands.report),

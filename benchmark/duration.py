@@ -25,7 +25,7 @@ SLOW = 2.0
 
 @runtime_checkable
 class Training(Protocol):
-    """Work that may include training: a job, or a trial of a search."""
+    """Work that may include training: a job."""
 
     @property
     def trains(self) -> bool:

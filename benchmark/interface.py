@@ -16,8 +16,7 @@ values that are tuned for it, by name, and those of the following for which its 
 - `watch`: a `benchmark.watch.Watch`, to be called as `watch(segment, step=, seconds=)` now and then while the model
   learns, with a function from a clip to a `Prediction`: it puts scores on validation clips into the run's learning
   curve, at the steps which that has points for. It needs a default too.
-- `changes`: values of the model's own settings by dotted name, which `obpose-bench search` tries; `ModelSpec.trials`
-  declares them. It needs a default too.
+- `changes`: values of the model's own settings by dotted name, which `ModelSpec.on_tracks` gives. It needs a default.
 """
 
 from collections.abc import Mapping, Sequence

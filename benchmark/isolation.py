@@ -30,7 +30,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 @runtime_checkable
 class Work(Protocol):
-    """Work for a process of its own: results (`benchmark.runner.Job`), or a trial (`benchmark.search.trial`)."""
+    """Work for a process of its own: such as `benchmark.runner.Job`."""
 
     @property
     def results(self) -> tuple[str, ...]:

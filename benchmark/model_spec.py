@@ -19,9 +19,6 @@ PRIORS = ("slots", "background slot", "camera pose", "plane", "object size")
 """Number of slots; which slot is the background; poses of the cameras; that the background is a plane; how large
 objects are at most."""
 
-MOST_TRIALS = 6
-"""That a model may declare, so that none is searched more than another."""
-
 DEFAULT_BUDGET = 600.0
 """Seconds of one core that a model may train for, if it does not say otherwise."""
 
@@ -78,13 +75,8 @@ class ModelSpec:
     """Changes of its settings by dotted name where it is fitted on a track of this name, as an option `changes`."""
     views: Views | None = None
     """Which views it uses, if it says so."""
-    trials: tuple[Options, ...] = ({},)
-    """What `obpose-bench search` tries: changes of its settings by dotted name; the first are none."""
     configured: Callable[[Path], "ModelSpec"] | None = None
     """The same with the priors and views of a folder's weights, which may be others than the model's own."""
-    searched_from: Options = field(default_factory=dict)
-    """The settings that these are changes of, by dotted name, where a choice was frozen since: the same trials have the
-    same outcomes before and after."""
 
     @property
     def default(self) -> Options:

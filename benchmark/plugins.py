@@ -13,20 +13,19 @@ Such a class has `fit` and `segment` (`benchmark.interface.Segmenter`). Optional
 - `budget`: seconds that it trains for unless the command says otherwise; 600.0 if left out.
 - `extra`: names of further segmentations that its predictions hold; none if left out.
 - `views`: how many views of a frame it is given and how many supervise it, such as ("one", "all").
-- `trials`: a tuple of dicts, changes that `obpose-bench search` gives to its argument `changes`; the first is empty.
 """
 
 import inspect
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, cast
 
 from benchmark.escaping import brief
 from benchmark.interface import Segmenter
-from benchmark.model_spec import DEFAULT_BUDGET, KINDS, MOST_TRIALS, PRIORS, VIEWS_SEEN, Builder, ModelSpec, Views
+from benchmark.model_spec import DEFAULT_BUDGET, KINDS, PRIORS, VIEWS_SEEN, Builder, ModelSpec, Views
 from benchmark.names import check_model_name, check_row_name, find_twin
 from datagen.errors import UsageError
 
@@ -43,7 +42,6 @@ UNSAID: dict[str, Any] = {
     "budget": DEFAULT_BUDGET,
     "extra": (),
     "views": (),
-    "trials": ({},),
 }
 """Defaults for attributes that a class does not define."""
 
@@ -91,7 +89,6 @@ def spec_of(model: Any) -> ModelSpec:
     _check(said)
     for options in said["options"] or ({},):
         _check_options(options, inspect.signature(model))
-    _check_trials(said["trials"], inspect.signature(model))
     summary = inspect.cleandoc(model.__doc__ or model.__name__).splitlines()[0]
     return ModelSpec(
         build=Builder(cast(type[Segmenter], model)),
@@ -105,7 +102,6 @@ def spec_of(model: Any) -> ModelSpec:
         budget=said["budget"],
         extra=said["extra"],
         views=Views(*said["views"]) if said["views"] else None,
-        trials=said["trials"],
     )
 
 
@@ -159,15 +155,6 @@ def _check(said: Mapping[str, Any]) -> None:
         raise UsageError(f"its extra holds {wrong[0]!r}; expected names.")
     if unknown := [prior for prior in said["priors"] if prior not in PRIORS]:
         raise UsageError(f"its priors name {', '.join(map(repr, unknown))}; expected some of {', '.join(PRIORS)}.")
-
-
-def _check_trials(trials: Sequence[Any], signature: inspect.Signature) -> None:
-    if not trials or not all(isinstance(changes, Mapping) for changes in trials) or trials[0]:
-        raise UsageError(f"its trials are {trials!r}; expected dicts of changes, the first of which is empty.")
-    if len(trials) > MOST_TRIALS:
-        raise UsageError(f"it declares {len(trials)} trials; expected {MOST_TRIALS} at most, as many as others have.")
-    if len(trials) > 1 and "changes" not in signature.parameters:
-        raise UsageError("it declares trials, but its constructor has no argument 'changes' to get them by.")
 
 
 def _check_options(options: Any, signature: inspect.Signature) -> None:

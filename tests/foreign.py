@@ -47,24 +47,6 @@ class Chance(Good):
         return Prediction(rng.integers(self.slots, size=clip.depth.shape), None)
 
 
-class Searched(Good):
-    """Learns worse with every change, but counts its fits in its folder."""
-
-    trials = ({}, {"worse": 2.0}, {"worse": -1.0}, {"worse": None})
-    views = ("one", "all")
-
-    def __init__(self, slots, folder=None, changes=None):
-        self.folder, self.worse = folder, (changes or {}).get("worse", 0.0)
-
-    def fit(self, train, val, *, seed, budget):
-        assert len(train) and all(clip.truth is None for clip in [*train, *val])
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with (self.folder / "fits").open("a") as file:
-            file.write("fit\\n")
-        loss = {"loss": -self.worse, "colour loss": self.worse, "air loss": 1.0}
-        self.learning_curve = [{"step": 1, "seconds": 0.5, **loss}]
-
-
 class Slow(Chance):
     def segment(self, clip):
         time.sleep(0.1)
@@ -159,7 +141,6 @@ class FailsOnSecondTrack(Good):
 CLASSES = {
     "good": "Good",
     "chance": "Chance",
-    "searched": "Searched",
     "slow": "Slow",
     "raises": "Raises",
     "raises-in-fit": "RaisesInFit",

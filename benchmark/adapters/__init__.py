@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.adapters.settings import settings_of
-from benchmark.adapters.trials import LABELLED_TRIALS, SEARCHED_FROM, TRIALS
 from benchmark.interface import Segmenter
 from benchmark.model_spec import ModelSpec, Options, Views
 from obpose.systems import SYSTEMS, System, priors_of
+
+LABELLED_TRIALS: dict[str, int] = {"obpose": 70, "supervised": 70, "obsurf": 30}
+"""Approximate number of short runs that were compared with labels of validation scenes, by architecture; see
+docs/results/search.md."""
 
 
 def _build(name: str, options: Options) -> Segmenter:
@@ -37,8 +40,6 @@ def _spec(name: str, system: System) -> ModelSpec:
         profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
         views=_views(config),
         configured=partial(_configured, name),
-        trials=TRIALS.get(name, ({},)),
-        searched_from=SEARCHED_FROM.get(name, {}),
         on_tracks=system.on_tracks,
     )
 

@@ -311,13 +311,6 @@ def test_models_and_tracks_are_listed(capsys):
         (["compare", "a", "b", "--run", ""], "--run is empty"),
         (["report", ""], "Argument 2 is empty"),
         (["rescore", "{empty}", "--data", ""], "--data is empty"),
-        (["search", "--model", "obpose", "--data", "{data}", "--out", ""], "--out is empty"),
-        (["search", "--model", "obpose", "--data", "{data}", "--out", "{data}"], "is a dataset; give another folder"),
-        (["search", "--model", "obpose", "--data", "{data}", "--minutes", "inf"], "--minutes is inf"),
-        (
-            ["search", "--model", "obpose", "--data", "{data}", "--workers", "1000"],
-            "--workers is 1000; expected 1 to 256",
-        ),
         (
             ["--model", "plane-dbscan", "--data", "{data}", "--seeds", "1000000000"],
             "--seeds is 1000000000; expected 1 to 1000",
@@ -335,10 +328,6 @@ def test_models_and_tracks_are_listed(capsys):
             "--slots is 1000000; expected 1 to 255",
         ),
         (["--model", "plane-dbscan", "--data", "{odd}"], "is called 'a|b', and its name becomes part of file names"),
-        (
-            ["search", "--model", "obpose", "--data", "{odd}"],
-            "is called 'a|b', and its name becomes part of file names",
-        ),
         (["--predictions", "{empty}", "--data", "{data}", "--name", "a" * 81], "cannot be a model's name"),
         (["--model", "chance", "--data", "{data}", "--deterministic"], "--steps"),
         (["--model", "plane-dbscan", "--data", "{data}", "--out", "{file}"], "is a file"),

@@ -70,7 +70,7 @@ def test_attributes_say_more(install):
     priors = ("slots", "plane")
     options = ({"depth": 2}, {"depth": 3})
     budget, extra = 60.0, ("fine", "coarse")
-    views, trials = ("one", "all"), ({}, {"rate": 2})
+    views = ("one", "all")
 
     def __init__(self, slots, depth=1, folder=None, changes=None):
         self.slots, self.depth, self.folder = slots, depth, folder
@@ -81,7 +81,7 @@ def test_attributes_say_more(install):
         spec.build, 3, "Sees much.", "classical", ({"depth": 2}, {"depth": 3}), False, True, ("slots", "plane")
     )
     expected = dataclasses.replace(expected, budget=60.0, extra=("fine", "coarse"))
-    expected = dataclasses.replace(expected, views=Views("one", "all"), trials=({}, {"rate": 2}))
+    expected = dataclasses.replace(expected, views=Views("one", "all"))
     assert spec == expected
     model = spec.build({"slots": 5, "steps": 10, "folder": Path("f"), **spec.grid[1]})
     assert vars(model) == {"slots": 5, "depth": 3, "folder": Path("f")}
@@ -125,11 +125,6 @@ def test_attributes_say_more(install):
         ),
         ("Nothing.views = ('one',)", "Nothing", "views are ('one',); expected two of one, all"),
         ("Nothing.views = ('one', 'two')", "Nothing", "expected two of one, all"),
-        ("Nothing.trials = ()", "Nothing", "trials are (); expected dicts of changes, the first of which is empty"),
-        ("Nothing.trials = ({'rate': 2},)", "Nothing", "the first of which is empty"),
-        ("Nothing.trials = ({},) * 7", "Nothing", "declares 7 trials; expected 6 at most"),
-        ("Nothing.trials = ({}, 2)", "Nothing", "expected dicts of changes"),
-        ("Nothing.trials = ({}, {'rate': 2})", "Nothing", "has no argument 'changes'"),
         ("class Keen(Nothing):\n    def __init__(self, folder): ...", "Keen", "does not take the options {}"),
         ("class Greedy(Nothing):\n    def __init__(self, layers): ...", "Greedy", "does not take the options {}"),
     ],

@@ -55,12 +55,10 @@ def _edit(arguments: list[str]) -> int:
 def _bench(arguments: list[str]) -> None:
     import benchmark.editing.command
     import benchmark.schedule
-    import benchmark.search.command
     from benchmark.cli import main
 
     with (
         mock.patch.object(benchmark.schedule, "run_isolated", _run_here),
-        mock.patch.object(benchmark.search.command, "run_isolated", _run_here),
         mock.patch.object(benchmark.editing.command, "run_isolated", _run_here),
     ):
         main(arguments)

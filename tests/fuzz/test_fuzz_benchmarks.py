@@ -1,4 +1,4 @@
-"""Predictions, rows, scores, label maps, curves, edits and trials of the benchmark that are damaged."""
+"""Predictions, rows, scores, label maps, curves and edits of the benchmark that are damaged."""
 
 from pathlib import Path
 

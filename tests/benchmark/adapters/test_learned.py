@@ -101,7 +101,7 @@ def test_whoever_watches_sees_it_segment_while_it_learns(tmp_path: Path):
     assert watch.added_to([{"step": 2.0}])[0]["msc_fg"] == curve[-1]["msc_fg"]
 
 
-def test_settings_are_changed_as_a_search_says():
+def test_settings_are_changed_by_dotted_name():
     model = fitted({"changes": {"model.object_field.width": 24}}, clips(2))
     assert model.parameters < fitted({}, clips(2)).parameters
 

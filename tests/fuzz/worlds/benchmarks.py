@@ -1,4 +1,4 @@
-"""Run folders, trials, edits and predictions of the benchmark."""
+"""Run folders, edits and predictions of the benchmark."""
 
 import shutil
 from pathlib import Path
@@ -13,9 +13,9 @@ from tests.fuzz.worlds.group import DATASET, MODEL, Group, Target, run
 
 
 def build_benchmarks(world: Path) -> None:
-    """A run folder with rows of all kinds, edits and trials, and predictions in all layouts."""
+    """A run folder with rows of all kinds, edits, and predictions in all layouts."""
     run(f"obpose-datagen {DATASET} --split train=1,val=1,test=2 --out {world}/data")
-    for command in (RUN, RUN_LEARNED, SEARCH, SCORE_EDITS):
+    for command in (RUN, RUN_LEARNED, SCORE_EDITS):
         run(command.format(w=world))
     (trained,) = (world / "results/runs").glob("*--obpose-loc--*.json")
     shutil.copytree(world / "results", world / "unfinished")
@@ -52,7 +52,6 @@ GO_ON = f"{_BENCH} --model obpose-loc --steps 1 --out {{w}}/unfinished"
 COMPARE = "obpose-bench compare one-cluster plane-components --run {w}/results"
 REPORT = "obpose-bench report {w}/results --data {w}/data"
 RESCORE = "obpose-bench rescore {w}/results --data {w}/data"
-SEARCH = "obpose-bench search --model obpose-loc --steps 1 --data {w}/data --workers 1 --out {w}/search"
 SCORE_EDITS = (
     f"obpose-bench --task editing --checkpoint {assets.CHECKPOINTS / MODEL} --name own --data {{w}}/data --scenes 1"
     " --workers 1 --out {w}/edits"
@@ -78,6 +77,5 @@ BENCHMARKS = Group(
         Target("unfinished/training/*/training.safetensors", [GO_ON], 3),
         Target("unfinished/watched/*.csv", [GO_ON], 4),
         Target("edits/editing/data--own--*.csv", [SCORE_EDITS], 6),
-        Target("search/trials/data--obpose-loc--trial1--*.json", [SEARCH], 6),
     ],
 )
