@@ -6,9 +6,10 @@ from typing import Any, overload
 import numpy as np
 from jaxtyping import UInt8
 
-from benchmark.interface import Clip
-from datagen import schema, storage
+from benchmark.models.interface import Clip
+from datagen import schema
 from datagen.errors import UsageError
+from datagen.storage import reader
 
 
 class ClipSequence(Sequence[Clip]):
@@ -20,7 +21,7 @@ class ClipSequence(Sequence[Clip]):
         UsageError: the dataset holds no images.
     """
 
-    def __init__(self, scenes: storage.Split, *, uses_labels: bool = False):
+    def __init__(self, scenes: reader.Split, *, uses_labels: bool = False):
         if scenes.spec["resolution"] is None:
             raise UsageError(f"{scenes.folder} holds no images; make them with: obpose-datagen render.")
         self._scenes = scenes
@@ -55,7 +56,7 @@ class ClipSequence(Sequence[Clip]):
 class TruthSequence(Sequence[UInt8[np.ndarray, "frame view height width"]]):
     """Object ids of the scenes of one split, 0 = background, read when they are asked for."""
 
-    def __init__(self, scenes: storage.Split):
+    def __init__(self, scenes: reader.Split):
         self._scenes = scenes
 
     def __len__(self) -> int:
@@ -71,12 +72,6 @@ class TruthSequence(Sequence[UInt8[np.ndarray, "frame view height width"]]):
         return read_truth(self._scenes, index)
 
 
-def labels_shape(scenes: storage.Split) -> tuple[int, int, int, int, int]:
-    """Shape of the label maps of a split with images: scenes, frames, views, height, width."""
-    width, height = scenes.spec["resolution"]
-    return len(scenes), scenes.spec["recipe"]["frames"], scenes.views, height, width
-
-
-def read_truth(scenes: storage.Split, index: int) -> UInt8[np.ndarray, "frame view height width"]:
+def read_truth(scenes: reader.Split, index: int) -> UInt8[np.ndarray, "frame view height width"]:
     """Object ids of one scene, 0 = background."""
     return scenes.read(index, ["segmentation"])["segmentation"]

@@ -1,13 +1,10 @@
-"""Rules for the names of models and datasets, which become parts of file names and cells of tables."""
+"""Rules for the names of models, which become parts of file names and cells of tables."""
 
 import re
-import unicodedata
 from collections.abc import Collection
 
 from datagen.errors import UsageError
-
-MOST_BYTES = 80
-"""Longest name in UTF-8: a file name holds two names and may have 255 bytes."""
+from datagen.storage.portable_names import EXPECTED, is_portable, shown
 
 PRETRAINED = "-pretrained"
 """Suffix for models whose weights were not trained in the run."""
@@ -20,25 +17,7 @@ REFINED = "-refined"
 REFERENCES = "references"
 """Stands in the place of a model's name for edits that need no model."""
 
-_NAME = re.compile(r"[^\W_]([\w.+-]| (?! |$))*")
-_EXPECTED = (
-    f"expected at most {MOST_BYTES} bytes of letters, digits, dots, dashes, plus signs, underscores and single spaces, "
-    "the first a letter or digit"
-)
 _RESERVED = re.compile(rf".*({PRETRAINED}|{ATTENTION}|{REFINED}|{SLOTS.format('[0-9]+')})|{REFERENCES}")
-
-
-def check_dataset_name(name: str) -> None:
-    """Check the name of a dataset's folder, which stands for the dataset in file names and tables.
-
-    Raises:
-        UsageError: it cannot be part of a file name.
-    """
-    if not _is_portable(name):
-        raise UsageError(
-            f"The dataset's folder is called {_shown(name)}, and its name becomes part of file names; {_EXPECTED}. "
-            "Rename the folder."
-        )
 
 
 def check_model_name(name: str, advice: str) -> None:
@@ -61,23 +40,10 @@ def check_row_name(name: str, advice: str) -> None:
     Raises:
         UsageError: it cannot be part of a file name.
     """
-    if not _is_portable(name):
-        raise UsageError(f"{_shown(name)} cannot be a model's name, which is part of file names; {_EXPECTED}. {advice}")
+    if not is_portable(name):
+        raise UsageError(f"{shown(name)} cannot be a model's name, which is part of file names; {EXPECTED}. {advice}")
 
 
 def find_twin(name: str, taken: Collection[str]) -> str | None:
     """Find a name that equals this one but for upper and lower case, which some file systems take for the same."""
     return next((other for other in taken if other.casefold() == name.casefold()), None)
-
-
-def _is_portable(name: str) -> bool:
-    return bool(
-        _NAME.fullmatch(name)
-        and len(name.encode()) <= MOST_BYTES
-        and unicodedata.is_normalized("NFC", name)
-        and not name.endswith(".")
-    )
-
-
-def _shown(name: str) -> str:
-    return ascii(name) if len(name) <= MOST_BYTES else f"{name[:20]!a}... ({len(name)} characters)"

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.geometry import intrinsics, look_at, rigid
-from datagen.safe_io import parse_json
+from datagen.storage.safe_io import parse_json
 
 _MOST = 1e6
 """Largest number in the description of a scene."""

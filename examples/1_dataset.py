@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from datagen.config import load_recipe
-from datagen.generate import generate
-from datagen.storage import Dataset
+from datagen.pipeline.generate import generate
+from datagen.storage.reader import Dataset
 
 
 def main(folder: Path) -> None:

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.metrics import clip_scores
-from obpose.checkpoint import load_obpose
-from obpose.clips import observation_of
-from obpose.data import SceneDataset
+from obpose.data.clips import observation_of
+from obpose.data.datasets import SceneDataset
+from obpose.storage.checkpoint import load_obpose
 
 
 def main(dataset: Path, run: Path, *budget: str) -> None:

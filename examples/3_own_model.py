@@ -14,8 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.clips import ClipSequence
-from benchmark.interface import Clip, Prediction
-from datagen.storage import Dataset
+from benchmark.models.interface import (
+    Clip,
+    Prediction,
+)
+from datagen.storage.reader import Dataset
 
 
 class DepthBands:

@@ -199,7 +199,7 @@ class ModelConfig:
     background_field: FieldConfig = field(default_factory=lambda: FieldConfig(width=48))
     spacing: float = 0.012
     """Distance in metres between the surface points of neighbouring pixels of the full image, median over training
-    images; measured before training (`obpose.measure.measure_scene`)."""
+    images; measured before training (`obpose.data.scene_stats.measure_scene`)."""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training."""
     workspace_size: float = 1.0
@@ -314,7 +314,7 @@ class Config:
 
 @dataclass(frozen=True)
 class SupervisedConfig(Config):
-    """Configuration of `obpose.supervised`, which ignores the values of latents, fields and losses."""
+    """Configuration of `obpose.baselines.supervised`, which ignores the values of latents, fields and losses."""
 
 
 ADDED_LATER = frozenset({"loss.air_growth", "model.backbone.scene_means"})

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from datagen.safe_io import parse_json
-from datagen.wording import counted
+from datagen.console.text import counted
+from datagen.storage.safe_io import parse_json
 from obpose.config import ADDED_LATER, Config
 from obpose.errors import UsageError
 

@@ -7,7 +7,7 @@ from einops import rearrange, repeat
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.layers.numerics import all_digits
+from obpose.model.layers.numerics import all_digits
 from obpose.types import Observation, Rays
 
 _DEPTH_OF_NOTHING = 1.0

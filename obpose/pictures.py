@@ -10,11 +10,11 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from obpose.clips import views_apart
 from obpose.config import Views
-from obpose.files import write_whole
+from obpose.data.clips import views_apart
 from obpose.geometry import all_rays, from_box
-from obpose.nerf.compose import mean_colour
+from obpose.model.nerf.compose import mean_colour
+from obpose.storage.files import write_whole
 from obpose.trainable import Trainable
 from obpose.types import Boxes, Decoded, Inference, Observation, SceneSegmentation, Segmentation
 

@@ -50,7 +50,7 @@ class System:
     """What it changes in the configuration, beside the profile."""
     description: str
     priors: tuple[str, ...]
-    """What it is told beyond the images, out of `benchmark.model_spec.PRIORS`."""
+    """What it is told beyond the images, out of `benchmark.models.model_spec.PRIORS`."""
     version: int = 1
     """Rises when its results change."""
     uses_labels: bool = False
@@ -79,7 +79,7 @@ class System:
 
 
 def _build_obpose(config: Config) -> "Trainable":
-    from obpose.model import ObPose
+    from obpose.model.obpose import ObPose
 
     return ObPose(config)
 
@@ -91,7 +91,7 @@ def _build_obsurf(config: ObsurfConfig) -> "Trainable":
 
 
 def _build_supervised(config: SupervisedConfig) -> "Trainable":
-    from obpose.supervised import Supervised
+    from obpose.baselines.supervised import Supervised
 
     return Supervised(config)
 
@@ -129,7 +129,7 @@ def _obpose_system(variant: str) -> System:
 
 
 def priors_of(config: Any) -> tuple[str, ...]:
-    """What a model of this configuration is told beyond the images, out of `benchmark.model_spec.PRIORS`.
+    """What a model of this configuration is told beyond the images, out of `benchmark.models.model_spec.PRIORS`.
 
     Raises:
         TypeError: as `architecture_of`.

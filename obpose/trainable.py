@@ -1,4 +1,4 @@
-"""What `obpose.train` asks of a model, so that other architectures are trained by the same loop."""
+"""What `obpose.training.loop` asks of a model, so that other architectures are trained by the same loop."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar, Protocol, runtime_checkable

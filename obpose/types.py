@@ -18,7 +18,7 @@ Draw = Literal["sample", "mean"]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """RGB-D clips of several scenes, as `obpose.data.SceneDataset` gives them, with a batch axis."""
+    """RGB-D clips of several scenes, as `obpose.data.datasets.SceneDataset` gives them, with a batch axis."""
 
     rgb: Float[Tensor, "batch frame view height width 3"]
     """sRGB in 0..1."""
@@ -123,7 +123,7 @@ class Decoded:
     """The fields at one point of each ray."""
 
     logits: Float[Tensor, "batch frame component ray"]
-    """Density logits sigma_k; `obpose.nerf.compose.OUTSIDE` outside a slot's box and for idle slots."""
+    """Density logits sigma_k; `obpose.model.nerf.compose.OUTSIDE` outside a slot's box and for idle slots."""
     colours: Float[Tensor, "batch frame component ray 3"] | None
     """c_k in 0..1; None where only densities were asked for."""
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from jaxtyping import install_import_hook
 
-ROOT = Path(__file__).parent.parent
+from tests.paths import ROOT
+
 UNCHECKED = {"datagen.render.kernels"}
 """Modules whose functions numba compiles; it cannot compile the checker's wrappers."""
 
@@ -28,7 +29,7 @@ def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of eight clips of the recipe `moving`, 4 train, 2 val, 2 test, at 64x64; not to be changed."""
     pytest.importorskip("pybullet", reason="simulation needs PyBullet")
     from datagen.config import load_recipe
-    from datagen.generate import generate
+    from datagen.pipeline.generate import generate
 
     folder = tmp_path_factory.mktemp("data") / "moving"
     generate(folder, load_recipe("moving"), splits={"train": 4, "val": 2, "test": 2}, resolution=(64, 64))

@@ -7,7 +7,7 @@ from datagen.geometry import invert_rigid, pixel_rays, transform, unproject
 from datagen.render import Image
 from datagen.scene import Camera, Scene
 from datagen.shapes import build
-from tests.tabletop import poses
+from tests.worlds.handmade import poses
 
 GRAZE = 3e-4
 """Metres within which a ray that passes a surface may or may not hit its mesh."""

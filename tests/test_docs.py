@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.paths import ROOT
+
 MACHINE_MADE = {"leaderboard.md", "editing.md"}
 """Tables that commands write into run folders; nobody wrote them by hand."""
 LONGEST_LINE = 120

@@ -4,15 +4,14 @@ import ast
 import re
 from collections.abc import Iterable, Iterator
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 from obpose.config import Config, override
 from obpose.config_text import differences, parse_changes
 from obpose.errors import UsageError
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parent.parent
 CODE = re.compile(r"`([^`\n]+)`")
 PLACE = re.compile(r"[a-z0-9_/]+\.py(::[A-Za-z_][\w.]*)?")
 DEFAULT = re.compile(r"(model|loss|train)\.[a-z_.]+=.*")
@@ -80,9 +79,9 @@ def test_every_piece_of_code_that_looks_like_a_place_is_one():
 
 def test_what_is_not_there_is_noticed():
     assert not exists("geometry.py::to_sphere")
-    assert not exists("model.py::ObPose.dream")
+    assert not exists("model/obpose.py::ObPose.dream")
     with pytest.raises(FileNotFoundError):
-        exists("nerf/clouds.py::render")
+        exists("model/nerf/clouds.py::render")
     with pytest.raises(UsageError):
         wrong_defaults("loss.beauty=1")
     assert len(wrong_defaults("train.warmup=-1")) == 1

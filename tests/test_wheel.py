@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.paths import ROOT
+
 PARTS = ("datagen", "obpose", "benchmark", "assets", "pyproject.toml", "README.md", "LICENSE")
 
 

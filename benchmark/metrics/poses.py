@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
-from benchmark.interface import Poses
 from benchmark.metrics.box_overlap import Box, box_overlap
 from benchmark.metrics.contingency import contingency
 from benchmark.metrics.orientation import box_orientation_error, orientation_error
 from benchmark.metrics.overlap import intersection_over_union
+from benchmark.models.interface import Poses
 
 LEAST_IOU = 0.5
 """Of an object's pixels and a slot's, above which the slot has found the object."""

@@ -4,8 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmark.number_text import plain_number
-from datagen.wording import counted
+from benchmark.ranking.number_text import plain_number
+from datagen.console.text import counted
 
 WIDTH, HEIGHT = 320, 208
 LEFT, RIGHT, TOP, BOTTOM = 34, 12, 12, 40

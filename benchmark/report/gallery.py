@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from benchmark.errors_by_type import ERROR_TYPES
+from benchmark.metrics.errors_by_type import ERROR_TYPES
 from benchmark.report.observations import Objects
 
 Image = tuple[int, int, int]

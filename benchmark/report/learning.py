@@ -11,12 +11,15 @@ from xml.sax.saxutils import escape
 import numpy as np
 from jaxtyping import Float64
 
-from benchmark.escaping import one_line
-from benchmark.files import write_whole
-from benchmark.number_text import plain_number
-from benchmark.report.board import NAMES
-from benchmark.standings import Entry, fields
-from benchmark.watch import SCORES
+from benchmark.execution.validation_scores import SCORES
+from benchmark.ranking.escaping import one_line
+from benchmark.ranking.number_text import plain_number
+from benchmark.ranking.standings import (
+    Entry,
+    fields,
+)
+from benchmark.report.leaderboard_view import NAMES
+from benchmark.results.files import write_whole
 
 FILE = "learning.svg"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#7f7f00", "#8c564b", "#6a3d9a")

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64, Integer
 
-from benchmark.errors_by_type import errors_by_type
 from benchmark.metrics.contingency import contingency
+from benchmark.metrics.errors_by_type import errors_by_type
 from benchmark.metrics.overlap import intersection_over_union
-from datagen.storage import Split
+from datagen.storage.reader import Split
 
 
 @dataclass(frozen=True, eq=False)

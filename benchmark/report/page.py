@@ -7,16 +7,35 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from benchmark.errors_by_type import MEANINGS
-from benchmark.files import write_whole
-from benchmark.pose_tables import HEADER, NOTES
-from benchmark.report import board
-from benchmark.report.field import OWN, Field, Find, Truths, comparisons, facts, make_field
-from benchmark.report.panel import LIMITS, Album, Limits, Painter
-from benchmark.results import check_runs
-from benchmark.standings import Entry, fields
-from benchmark.wording import seeds_in_words
-from datagen.wording import counted
+from benchmark.metrics.errors_by_type import MEANINGS
+from benchmark.ranking.pose_tables import (
+    HEADER,
+    NOTES,
+)
+from benchmark.ranking.standings import (
+    Entry,
+    fields,
+)
+from benchmark.ranking.table_text import seeds_in_words
+from benchmark.report import leaderboard_view
+from benchmark.report.comparison import (
+    OWN,
+    Field,
+    Find,
+    Truths,
+    comparisons,
+    facts,
+    make_field,
+)
+from benchmark.report.track_panel import (
+    LIMITS,
+    Album,
+    Limits,
+    Painter,
+)
+from benchmark.results.files import write_whole
+from benchmark.results.run_folder import check_runs
+from datagen.console.text import counted
 
 LARGEST = 14_000_000
 """Bytes that a page may have; reports with many models have fewer pictures."""
@@ -54,7 +73,7 @@ def write(folder: Path, entries: Sequence[Entry], find: Find) -> Path:
 
 def model_names(entries: Sequence[Entry]) -> list[str]:
     """List all models, sorted by kind, then by name."""
-    kinds = list(board.BLOCKS)
+    kinds = list(leaderboard_view.BLOCKS)
     keys = {(kinds.index(entry.row.kind), entry.row.key.model) for entry in entries}
     return list(dict.fromkeys(name for _, name in sorted(keys)))
 
@@ -120,7 +139,7 @@ def _overview(fit: str, found: Sequence[Field], numbers: Mapping[str, int]) -> d
         values = [scores.get((model, field.track), float("nan")) for field in found]
         cells = [
             {
-                "text": board.number(value),
+                "text": leaderboard_view.number(value),
                 "shade": f"{0.55 * min(max(value, 0.0), 1.0):.3f}" if value == value else "0",
                 "best": best[field.track] == model,
             }

@@ -7,11 +7,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.config import Recipe
-from datagen.edits.stage import Stage, displaced, with_copy, without
+from datagen.edits.edit_context import (
+    Stage,
+    displaced,
+    with_copy,
+    without,
+)
+from datagen.pipeline.simulate import visible_pixels
+from datagen.pipeline.visible_range import near_object
 from datagen.sampling.poses import Stance, about_vertical
 from datagen.schema import EditKind
-from datagen.simulate import visible_pixels
-from datagen.visible_range import near_object
 
 GROUNDED = 0.01
 """Height of the lowest point, over all frames, up to which an object counts as standing on the table, metres."""

@@ -5,10 +5,19 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from datagen.errors import UsageError
-from datagen.safe_io import parse_json
 from datagen.scene import ShapeSpec
-from datagen.shapes import composite, extrusion, furniture, lathe, mug, primitives, seating, superquadric
+from datagen.shapes.families import (
+    composite,
+    extrusion,
+    furniture,
+    lathe,
+    mug,
+    primitives,
+    seating,
+    superquadric,
+)
 from datagen.shapes.shape import Shape
+from datagen.storage.safe_io import parse_json
 
 FAMILIES: dict[str, Callable[..., Shape]] = {
     "box": primitives.build_box,

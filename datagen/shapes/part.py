@@ -6,13 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from datagen.shapes import mass as masses
-from datagen.shapes import mesh as meshes
-from datagen.shapes import round_mesh, solids
-from datagen.shapes.bounding import Outline, minimum_box
-from datagen.shapes.convex import convex_hull
-from datagen.shapes.mass import Mass
-from datagen.shapes.mesh import Mesh
+from datagen.shapes.geometry import mass as masses
+from datagen.shapes.geometry import mesh as meshes
+from datagen.shapes.geometry import (
+    round_mesh,
+    sdf,
+)
+from datagen.shapes.geometry.bounding import (
+    Outline,
+    minimum_box,
+)
+from datagen.shapes.geometry.convex import convex_hull
+from datagen.shapes.geometry.mass import Mass
+from datagen.shapes.geometry.mesh import Mesh
 from datagen.shapes.shape import Corners, Numbers, Primitive, Shape, Solid
 
 HULL_ERROR = 5e-4
@@ -37,7 +43,7 @@ class Part:
         turn = np.eye(3) if rotation is None else rotation
         shift = np.asarray(translation, float)
         return Part(
-            solids.Placed(self.solid, turn, shift),
+            sdf.Placed(self.solid, turn, shift),
             self.mesh.placed(turn, shift),
             tuple(hull @ turn.T + shift for hull in self.hulls),
             self.mass.placed(turn, shift),
@@ -78,7 +84,7 @@ def box(size: Numbers) -> Part:
     """A box around the origin."""
     mesh = meshes.box(size)
     x, y, z = (float(length) for length in size)
-    solid = solids.Box((x, y, z))
+    solid = sdf.Box((x, y, z))
     return Part(
         solid, mesh, (mesh.vertices,), masses.of_box(size), Outline.of_points(mesh.vertices), ("box", (x, y, z))
     )
@@ -93,7 +99,7 @@ def slab(x: Numbers, y: Numbers, z: Numbers) -> Part:
 def sphere(radius: float) -> Part:
     """A ball around the origin."""
     part = ellipsoid((radius, radius, radius))
-    return replace(part, solid=solids.Sphere(radius), primitive=("sphere", (radius,)))
+    return replace(part, solid=sdf.Sphere(radius), primitive=("sphere", (radius,)))
 
 
 def ellipsoid(half_axes: Numbers) -> Part:
@@ -102,7 +108,7 @@ def ellipsoid(half_axes: Numbers) -> Part:
     hull = round_mesh.ellipsoid(half_axes, HULL_ERROR).vertices
     outline = Outline.of_ellipsoid(half_axes)
     return Part(
-        solids.Ellipsoid((x, y, z)), round_mesh.ellipsoid(half_axes), (hull,), masses.of_ellipsoid(half_axes), outline
+        sdf.Ellipsoid((x, y, z)), round_mesh.ellipsoid(half_axes), (hull,), masses.of_ellipsoid(half_axes), outline
     )
 
 
@@ -115,7 +121,7 @@ def capsule(radius: float, length: float) -> Part:
     hull = round_mesh.ellipsoid((radius, radius, radius), HULL_ERROR).vertices
     shift = np.array([0, 0, half])
     return Part(
-        solids.Capsule(radius, length),
+        sdf.Capsule(radius, length),
         round_mesh.capsule(radius, length),
         (np.concatenate([hull[hull[:, 2] > -1e-9] + shift, hull[hull[:, 2] < 1e-9] - shift]),),
         masses.total([*ends, tube]),
@@ -127,7 +133,7 @@ def capsule(radius: float, length: float) -> Part:
 def torus(ring_radius: float, tube_radius: float) -> Part:
     """A ring about the z axis with a round cross-section."""
     return Part(
-        solids.Torus(ring_radius, tube_radius),
+        sdf.Torus(ring_radius, tube_radius),
         round_mesh.torus(ring_radius, tube_radius),
         _torus_hulls(ring_radius, tube_radius),
         masses.of_torus(ring_radius, tube_radius),
@@ -145,7 +151,7 @@ def revolution(profile: Corners, pieces: Sequence[np.ndarray] | None = None) -> 
     corners = np.asarray(profile, float)
     rims = convex_hull(corners)
     return Part(
-        solids.Revolution(corners),
+        sdf.Revolution(corners),
         meshes.revolution(corners),
         tuple(hull for piece in (pieces or [corners]) for hull in _revolution_hulls(piece)),
         masses.of_revolution(corners),
@@ -173,7 +179,7 @@ def extrusion(polygon: Corners, pieces: Sequence[Sequence[int]], height: float) 
     mesh = meshes.extrusion(corners, pieces, height)
     hulls = tuple(mesh.vertices[np.concatenate([np.array(piece), np.array(piece) + len(corners)])] for piece in pieces)
     return Part(
-        solids.Extrusion(corners, height),
+        sdf.Extrusion(corners, height),
         mesh,
         hulls,
         masses.of_mesh(mesh.vertices, mesh.faces),
@@ -189,7 +195,7 @@ def polyhedron(mesh: Mesh) -> Part:
     _, kept = np.unique(np.round(planes, 9), axis=0, return_index=True)
     planes = planes[np.sort(kept)]
     return Part(
-        solids.ConvexPolyhedron(planes[:, :3], planes[:, 3]),
+        sdf.ConvexPolyhedron(planes[:, :3], planes[:, 3]),
         mesh,
         (mesh.vertices,),
         masses.of_mesh(mesh.vertices, mesh.faces),

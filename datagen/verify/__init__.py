@@ -2,6 +2,6 @@
 
 from datagen.verify.dataset import run
 from datagen.verify.finding import Finding
-from datagen.verify.record import verify_record
+from datagen.verify.scene_checks import verify_record
 
 __all__ = ["Finding", "run", "verify_record"]

@@ -13,15 +13,27 @@ from rich.console import Console
 from rich.progress import track
 
 from datagen import schema
+from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
-from datagen.manifest import make_manifest, read_manifest
-from datagen.parallel import make_all
-from datagen.shard import Shard
-from datagen.spec import MANIFEST_FILE, groups_of, recipe_of, shard_name, shard_ranges
-from datagen.storage import Dataset, Split
+from datagen.pipeline.parallel import make_all
+from datagen.storage.manifest import (
+    make_manifest,
+    read_manifest,
+)
+from datagen.storage.reader import (
+    Dataset,
+    Split,
+)
+from datagen.storage.shard import Shard
+from datagen.storage.spec import (
+    MANIFEST_FILE,
+    groups_of,
+    recipe_of,
+    shard_name,
+    shard_ranges,
+)
 from datagen.verify.finding import Finding
-from datagen.verify.record import verify_record
-from datagen.wording import counted
+from datagen.verify.scene_checks import verify_record
 
 SCENES_PER_JOB = 8
 

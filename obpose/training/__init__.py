@@ -1,1 +1,1 @@
-"""Parts of the training loop in `obpose.train`."""
+"""Parts of the training loop in `obpose.training.loop`."""

@@ -14,7 +14,10 @@ from joblib import cpu_count
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from obpose.clips import ClipSource, stack
+from obpose.data.clips import (
+    ClipSource,
+    stack,
+)
 from obpose.errors import DatagenError
 from obpose.types import Observation
 

@@ -8,11 +8,18 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from obpose.checkpoint import Build, TrainingState, put_weights
-from obpose.clips import views_apart
+from obpose.data.clips import views_apart
 from obpose.errors import UsageError
-from obpose.optimizer_state import optimizer_state, put_optimizer_state
-from obpose.tensors import State
+from obpose.storage.checkpoint import (
+    Build,
+    TrainingState,
+    put_weights,
+)
+from obpose.storage.optimizer_state import (
+    optimizer_state,
+    put_optimizer_state,
+)
+from obpose.storage.tensors import State
 from obpose.trainable import Configuration, Trainable
 from obpose.training.budget import is_skipped
 from obpose.training.devices import mean_over_processes, noise_of

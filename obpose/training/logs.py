@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.safe_io import read_bytes
+from datagen.storage.safe_io import read_bytes
 from obpose.errors import UsageError
-from obpose.files import write_whole
+from obpose.storage.files import write_whole
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter

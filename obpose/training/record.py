@@ -1,6 +1,6 @@
 """What a training leaves in its folder: checkpoints, curves and pictures.
 
-RUN/config.json, model.safetensors     the model, for `obpose.checkpoint.load`
+RUN/config.json, model.safetensors     the model, for `obpose.storage.checkpoint.load`
 RUN/training.safetensors               what the training needs to go on
 RUN/training.csv, validation.csv       curves
 RUN/pictures/                          what the model makes of some clips, as it learns
@@ -11,9 +11,18 @@ import time
 from pathlib import Path
 from typing import Any
 
-from obpose.checkpoint import STEPS, VALIDATIONS, TrainingState, save_model, save_training
-from obpose.clips import ClipSource, observation_of
+from obpose.data.clips import (
+    ClipSource,
+    observation_of,
+)
 from obpose.pictures import write_picture
+from obpose.storage.checkpoint import (
+    STEPS,
+    VALIDATIONS,
+    TrainingState,
+    save_model,
+    save_training,
+)
 from obpose.trainable import Configuration, Trainable
 from obpose.training.learner import Learned, Learner
 from obpose.training.logs import CsvLog, TensorBoardLog

@@ -7,9 +7,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from obpose.clips import ClipSource, observation_of, views_apart
 from obpose.config import TrainConfig
-from obpose.labels import Labels, segment_clip
+from obpose.data.clips import (
+    ClipSource,
+    observation_of,
+    views_apart,
+)
+from obpose.data.labels import (
+    Labels,
+    segment_clip,
+)
 from obpose.trainable import Trainable
 from obpose.types import Observation
 
@@ -34,7 +41,7 @@ class CurvePoint:
     losses: dict[str, float]
     """Loss terms by name, means over the windows."""
     ari_fg: float | None
-    """Mean ARI-FG over the clips; None if the source has no labels."""
+    """Mean ARI-FG over the clips; None without labels or without a score."""
 
     def row(self) -> dict[str, float | int]:
         """Convert to a row of a CSV table."""
@@ -70,10 +77,12 @@ def validate(
     fraction: float,
     seconds: float,
     device: torch.device,
-    score: Score,
+    score: Score | None,
 ) -> CurvePoint:
-    """Compute losses in training mode, and the score of the segmentations in evaluation mode."""
+    """Compute losses in training mode and, if a score is given, score the segmentations in evaluation mode."""
     losses = validation_losses(model, source, config, step=step, fraction=fraction, device=device)
+    if score is None:
+        return CurvePoint(step, seconds, losses, None)
     model.eval()
     try:
         return CurvePoint(step, seconds, losses, validation_score(model, source, config, score, device=device))

@@ -5,10 +5,19 @@ from dataclasses import dataclass
 
 import torch
 
-from obpose.creation.rendering import Image, Renderer
-from obpose.creation.scene import Camera, Scene
+from obpose.scenes.rendering import (
+    Image,
+    Renderer,
+)
+from obpose.scenes.scene import (
+    Camera,
+    Scene,
+)
 from obpose.types import Observation
-from obpose.viewer.seen import Cloud, observed_clouds
+from obpose.viewer.point_clouds import (
+    Cloud,
+    observed_clouds,
+)
 from obpose.viewer.shapes import Shapes
 
 PREVIEW = 64

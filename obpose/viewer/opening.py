@@ -4,16 +4,33 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from datagen.wording import counted
-from obpose.checkpoint import CONFIG
-from obpose.creation.clip import name_clip, read_clip
-from obpose.creation.infer import infer_scene
-from obpose.creation.origin import Origin, load_origin, origin_of
-from obpose.creation.scene import ClipName, Scene
-from obpose.creation.storage import FACTS, load_scene
-from obpose.data import SceneDataset
+from datagen.console.text import counted
+from obpose.data.datasets import SceneDataset
 from obpose.errors import UsageError
-from obpose.shipped import list_shipped, shipped_names, shipped_to_create
+from obpose.scenes.clip import (
+    name_clip,
+    read_clip,
+)
+from obpose.scenes.infer import infer_scene
+from obpose.scenes.model_ref import (
+    Origin,
+    load_origin,
+    origin_of,
+)
+from obpose.scenes.scene import (
+    ClipName,
+    Scene,
+)
+from obpose.scenes.storage import (
+    FACTS,
+    load_scene,
+)
+from obpose.storage.checkpoint import CONFIG
+from obpose.storage.pretrained import (
+    list_shipped,
+    shipped_names,
+    shipped_to_create,
+)
 from obpose.types import Observation
 
 Kind = Literal["scene", "model", "dataset"]

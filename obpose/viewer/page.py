@@ -19,22 +19,25 @@ import viser
 from jaxtyping import Float
 from torch import Tensor
 
-from datagen.wording import counted
-from obpose.creation.infer import fit_to_frames
-from obpose.creation.refine import STEPS
-from obpose.creation.rendering import Renderer
-from obpose.creation.scene import Scene
+from datagen.console.text import counted
 from obpose.errors import DatagenError, UsageError
+from obpose.scenes.infer import fit_to_frames
+from obpose.scenes.refine import STEPS
+from obpose.scenes.rendering import Renderer
+from obpose.scenes.scene import Scene
 from obpose.viewer.drawing import Clouds, Drawer, Picture, Piece, Shape, Wish
-from obpose.viewer.newest import Newest
+from obpose.viewer.latest_worker import Newest
 from obpose.viewer.opening import Opened
 from obpose.viewer.panel import Actions, Panel
 from obpose.viewer.panes import panes
 from obpose.viewer.sampling import Sampler, checked_count
 from obpose.viewer.saving import save_new
+from obpose.viewer.scene3d import (
+    Events,
+    Stage,
+)
 from obpose.viewer.serving import close_server
 from obpose.viewer.session import Session
-from obpose.viewer.stage import Events, Stage
 
 _SECONDS = 8.0
 """Seconds a notification stays visible."""

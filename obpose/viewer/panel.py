@@ -6,10 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import viser
 
+from obpose.viewer.point_clouds import slot_colour
 from obpose.viewer.sampling import COUNTS
-from obpose.viewer.seen import slot_colour
+from obpose.viewer.scene3d import (
+    POINTS,
+    Layers,
+)
 from obpose.viewer.session import Session
-from obpose.viewer.stage import POINTS, Layers
 
 _MOVE, _HIDE, _SHOW, _COPY, _REMOVE = "move", "hide", "show", "copy", "remove"
 

@@ -7,7 +7,7 @@ from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 from torch import Tensor
 
-from obpose.creation.rendering import Image
+from obpose.scenes.rendering import Image
 
 Picture = UInt8[np.ndarray, "height width 3"]
 """sRGB."""

@@ -2,12 +2,22 @@
 
 import torch
 
-from obpose.creation.flow_prior import FlowPrior, has_flow, named_prior
-from obpose.creation.origin import Origin
-from obpose.creation.prior import FILE, ScenePrior
-from obpose.creation.sample import sample_scene
-from obpose.creation.scene import Camera, Scene
 from obpose.errors import UsageError
+from obpose.scenes.model_ref import Origin
+from obpose.scenes.priors.flow_prior import (
+    FlowPrior,
+    has_flow,
+    named_prior,
+)
+from obpose.scenes.priors.gaussian import (
+    FILE,
+    ScenePrior,
+)
+from obpose.scenes.priors.sample import sample_scene
+from obpose.scenes.scene import (
+    Camera,
+    Scene,
+)
 
 MOST_SAMPLED = 8
 """Largest number of objects of a sampled scene."""

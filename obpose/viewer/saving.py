@@ -4,12 +4,12 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from obpose.creation.bounds import check_inside
-from obpose.creation.pictures import strip
-from obpose.creation.rendering import Renderer
-from obpose.creation.scene import Scene
-from obpose.creation.storage import save_scene
 from obpose.errors import DatagenError, UsageError
+from obpose.scenes.bounds import check_inside
+from obpose.scenes.pictures import strip
+from obpose.scenes.rendering import Renderer
+from obpose.scenes.scene import Scene
+from obpose.scenes.storage import save_scene
 
 
 def save_new(root: Path, scene: Scene, renderer: Renderer) -> Path:

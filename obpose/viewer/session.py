@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.creation import edit
-from obpose.creation.bounds import workspace_bounds
-from obpose.creation.scene import Scene
-from obpose.model import ObPose
+from obpose.model.obpose import ObPose
+from obpose.scenes import edit
+from obpose.scenes.bounds import workspace_bounds
+from obpose.scenes.scene import Scene
 
 _MOST_VERSIONS = 1000
 """Largest number of edits that can be undone."""

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import torch
 
-from obpose.creation.scene import Scene
 from obpose.errors import UsageError
-from obpose.model import ObPose
+from obpose.model.obpose import ObPose
+from obpose.scenes.scene import Scene
 
 _CELLS = 32
 """Points along each edge of a box."""
@@ -31,7 +31,7 @@ class Shapes:
 
     def _make(self, scene: Scene, frame: int, name: int) -> bytes | None:
         # Late, because trimesh and marching cubes take a second to import, for which the first picture need not wait.
-        from obpose.creation.meshes import object_mesh
+        from obpose.scenes.meshes import object_mesh
 
         upright = torch.eye(3).expand_as(scene.rotation)
         posed = replace(scene, center=torch.zeros_like(scene.center), rotation=upright)

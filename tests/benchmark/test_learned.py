@@ -16,13 +16,13 @@ import pytest
 from safetensors import safe_open
 
 import assets
-from benchmark.cli import main
-from benchmark.results import load_runs
-from benchmark.tracks import DataFolder
+from benchmark.commands.cli import main
+from benchmark.results.run_folder import load_runs
 from datagen.errors import EXIT_INTERRUPTED, EXIT_OK
+from datagen.tracks import DataFolder
+from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 
-ROOT = Path(__file__).parent.parent.parent
 STEPS = 30
 
 pytestmark = pytest.mark.slow
@@ -37,7 +37,7 @@ def run_cli(*arguments: object) -> int:
 def start(data: Path, out: Path, *, steps: int = STEPS) -> subprocess.Popen[str]:
     command = ["--model", "obpose", "--seeds", 1, "--data", data, "--out", out, "--deterministic", "--steps", steps]
     return subprocess.Popen(
-        [sys.executable, "-m", "benchmark.cli", *map(str, command)],
+        [sys.executable, "-m", "benchmark.commands.cli", *map(str, command)],
         env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -2,8 +2,9 @@ import unicodedata
 
 import pytest
 
-from benchmark.names import check_dataset_name, check_model_name, check_row_name, find_twin
+from benchmark.names import check_model_name, check_row_name, find_twin
 from datagen.errors import UsageError
+from datagen.storage.portable_names import check_dataset_name
 
 GOOD = ("obpose", "plane-dbscan-colour", "my model 2", "v1.0+cuda_12", "Größe", "obpose--moving--64x64", "a" * 80)
 BAD = (

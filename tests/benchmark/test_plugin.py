@@ -9,10 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.results import load_runs, load_scenes, pooled
-from tests.fabricated import write_dataset
+from benchmark.results.run_folder import (
+    load_runs,
+    load_scenes,
+    pooled,
+)
+from tests.paths import ROOT
+from tests.worlds.traced import write_dataset
 
-ROOT = Path(__file__).parent.parent.parent
 PAGE = ROOT / "docs" / "benchmark.md"
 
 
@@ -42,7 +46,7 @@ def test_a_package_that_pip_installs_is_found_and_scored(tmp_path: Path):
     data = write_dataset(tmp_path / "data", scenes=2, frames=2)
     command = ["--model", "depth-bands", "--data", data, "--out", tmp_path / "out", "--seeds", 1]
     result = subprocess.run(
-        [sys.executable, "-m", "benchmark.cli", *map(str, command)],
+        [sys.executable, "-m", "benchmark.commands.cli", *map(str, command)],
         env={**os.environ, "PYTHONPATH": f"{ROOT}:{site}"},
         capture_output=True,
         text=True,

@@ -10,16 +10,27 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmark.adapters.predictions import PredictionFolder
-from benchmark.cli import main
-from benchmark.clips import ClipSequence, labels_shape
-from benchmark.interface import Clip, Poses, Prediction
-from benchmark.labels import write_labels
-from benchmark.results import load_runs, load_scenes, pooled
-from benchmark.standings import load_standings
+from benchmark.clips import ClipSequence
+from benchmark.commands.cli import main
+from benchmark.models.adapters.predictions import PredictionFolder
+from benchmark.models.interface import (
+    Clip,
+    Poses,
+    Prediction,
+)
+from benchmark.ranking.standings import load_standings
+from benchmark.results.labels import write_labels
+from benchmark.results.run_folder import (
+    load_runs,
+    load_scenes,
+    pooled,
+)
 from datagen.errors import CorruptFile, DatagenError, UsageError
-from datagen.storage import Dataset, Split
-from tests.fabricated import write_dataset
+from datagen.storage.reader import (
+    Dataset,
+    Split,
+)
+from tests.worlds.traced import write_dataset
 
 Writer = Callable[[Path, list[np.ndarray]], None]
 
@@ -76,7 +87,7 @@ def run_cli(*arguments: object) -> int:
 def test_every_layout_holds_the_same(scenes: Split, truths: list[np.ndarray], tmp_path: Path, write: Writer):
     write(tmp_path, truths)
     folder = PredictionFolder(tmp_path, 0)
-    folder.check(labels_shape(scenes))
+    folder.check(scenes.labels_shape)
     for index, clip in enumerate(ClipSequence(scenes)):
         prediction = folder.read(index, clip)
         np.testing.assert_array_equal(prediction.labels, truths[index])
@@ -500,10 +511,10 @@ def test_what_does_not_fit_the_split_is_refused_before_anything_is_scored(
     write, spoil, message = FAULTS[fault]
     write(tmp_path / "mine", truths)
     folder = PredictionFolder(tmp_path / "mine")
-    folder.check(labels_shape(scenes))
+    folder.check(scenes.labels_shape)
     spoil(tmp_path / "mine", truths)
     with pytest.raises((UsageError, CorruptFile), match=re.escape(message)) as error:
-        folder.check(labels_shape(scenes))
+        folder.check(scenes.labels_shape)
     assert str(tmp_path / "mine") in str(error.value)
 
 
@@ -526,7 +537,7 @@ def test_hidden_files_and_notes_are_let_be(scenes: Split, truths: list[np.ndarra
     copy_image(tmp_path, "._view0_frame000.png")
     for name in ("README.txt", ".DS_Store", "._00000.npz", "00000/notes.txt"):
         (tmp_path / "test" / name).write_bytes(b"")
-    PredictionFolder(tmp_path).check(labels_shape(scenes))
+    PredictionFolder(tmp_path).check(scenes.labels_shape)
 
 
 @pytest.mark.parametrize("kind", ["external storage", "external link", "soft link", "virtual dataset"])
@@ -551,7 +562,7 @@ def test_label_maps_that_refer_to_other_files_are_refused(
             layout[:] = h5py.VirtualSource(tmp_path / "other" / "labels.h5", "labels", shape)
             file.create_virtual_dataset("labels", layout)
     for act in (
-        lambda: PredictionFolder(tmp_path / "mine").check(labels_shape(scenes)),
+        lambda: PredictionFolder(tmp_path / "mine").check(scenes.labels_shape),
         lambda: PredictionFolder(tmp_path / "mine").read(0, clip),
     ):
         with pytest.raises(CorruptFile, match=r"labels\.h5 is truncated, damaged or not"):
@@ -561,7 +572,7 @@ def test_label_maps_that_refer_to_other_files_are_refused(
 def test_a_pipe_is_no_file_of_label_maps(scenes: Split, tmp_path: Path):
     os.mkfifo(tmp_path / "labels.h5")
     with pytest.raises(UsageError, match="is a pipe"):
-        PredictionFolder(tmp_path).check(labels_shape(scenes))
+        PredictionFolder(tmp_path).check(scenes.labels_shape)
 
 
 def test_poses_may_lie_beside_the_labels(clip: Clip, truths: list[np.ndarray], tmp_path: Path):
@@ -595,9 +606,9 @@ def test_claims_of_millions_of_poses_are_refused_by_their_headers(
     def fail(*_arguments: object) -> np.ndarray:
         pytest.fail("read before its size was checked")
 
-    monkeypatch.setattr("benchmark.adapters.predictions.read_npz", fail)
-    monkeypatch.setattr("benchmark.pose_files.read_hdf5", fail)
+    monkeypatch.setattr("benchmark.models.adapters.predictions.read_npz", fail)
+    monkeypatch.setattr("benchmark.results.pose_files.read_hdf5", fail)
     with pytest.raises(UsageError, match=r"center of poses has shape .* expected at most 3072 numbers"):
-        PredictionFolder(tmp_path / "npz").check(labels_shape(scenes))
+        PredictionFolder(tmp_path / "npz").check(scenes.labels_shape)
     with pytest.raises(DatagenError, match="poses/index has 10000000 rows; expected at most 2048"):
-        PredictionFolder(tmp_path / "hdf5").check(labels_shape(scenes))
+        PredictionFolder(tmp_path / "hdf5").check(scenes.labels_shape)

@@ -13,12 +13,21 @@ from pathlib import Path
 
 import pytest
 
-from benchmark import leaderboard, report
+from benchmark import report
+from benchmark.ranking import leaderboard
 from benchmark.report import page as page_module
-from benchmark.results import load_runs, save_row
+from benchmark.results.run_folder import (
+    load_runs,
+    save_row,
+)
 from datagen.errors import UsageError
 from tests.chosen_scores import run_row, save_run, scene_table
-from tests.fabricated_runs import MODELS, TRACKS, write_report, write_runs
+from tests.worlds.runs import (
+    MODELS,
+    TRACKS,
+    write_report,
+    write_runs,
+)
 
 HOSTILE = "<script>alert(1)<&script>'\""
 VOID = {"meta", "link", "img", "br", "input"}
@@ -226,7 +235,7 @@ def test_the_same_folder_gives_the_same_bytes(folder: Path, text: str) -> None:
 
 @pytest.mark.slow
 def test_another_process_gives_the_same_bytes(folder: Path, text: str) -> None:
-    code = "import sys; from pathlib import Path; from tests.fabricated_runs import TRACKS, write_report; "
+    code = "import sys; from pathlib import Path; from tests.worlds.runs import TRACKS, write_report; "
     code += "f = Path(sys.argv[1]); write_report(f / 'run', {track: f / track for track in TRACKS})"
     root = Path(report.__file__).parents[2]
     environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)}

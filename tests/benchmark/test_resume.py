@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.results import load_runs
-from tests import foreign
-from tests.fabricated import write_dataset
+from benchmark.results.run_folder import load_runs
+from tests import fake_plugins
+from tests.paths import ROOT
 from tests.processes import command_line, descendants, errors_at_end, wait_until, wait_until_gone
+from tests.worlds.traced import write_dataset
 
-ROOT = Path(__file__).parent.parent.parent
 MODELS = ("slow", "chance", "good", "raises", "plane-dbscan")
 TABLES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv")
 
@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("resume")
     write_dataset(folder / "data", scenes=3, frames=2)
-    foreign.install(folder / "site")
+    fake_plugins.install(folder / "site")
     return folder
 
 
@@ -33,7 +33,7 @@ def start(place: Path, out: Path, *flags: object, models: tuple[str, ...] = MODE
     command = ["--model", *models, "--data", place / "data", "--out", out, "--seeds", 2]
     command += ["--deterministic", "--steps", 3, *flags]
     return subprocess.Popen(
-        [sys.executable, "-m", "benchmark.cli", *map(str, command)],
+        [sys.executable, "-m", "benchmark.commands.cli", *map(str, command)],
         env={**os.environ, "PYTHONPATH": f"{ROOT}:{place / 'site'}", "OMP_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -87,7 +87,7 @@ def test_workers_and_what_models_start_do_not_outlive_a_killed_run(place: Path, 
     process = start(place, tmp_path, models=("hangs",))
     wait_until(lambda: any(b"sleep" in line for line in lines_of(process.pid).values()), what="the model's own process")
     workers = lines_of(process.pid)
-    assert any(b"benchmark.worker" in line for line in workers.values())
+    assert any(b"benchmark.execution.worker" in line for line in workers.values())
     process.kill()
     errors_at_end(process)
     wait_until_gone(workers)

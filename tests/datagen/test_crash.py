@@ -14,7 +14,12 @@ import pytest
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK
 from tests.processes import command_line, descendants, errors_at_end, wait_until, wait_until_gone
-from tests.small import FLAGS, ROOT, hashes, make
+from tests.worlds.generated import (
+    FLAGS,
+    ROOT,
+    hashes,
+    make,
+)
 
 SIZES = {"train": 4, "val": 2, "test": 2}
 SPLIT = "train=4,val=2,test=2"
@@ -34,7 +39,7 @@ def whole(tmp_path_factory):
 def start(folder: Path, *flags: object, limit: int | None = None) -> subprocess.Popen[str]:
     """The command in a process group of its own, as a terminal would start it; no file may grow beyond `limit`."""
     program = (
-        "import resource, sys; from datagen.command import main\n"
+        "import resource, sys; from datagen.commands.entry import main\n"
         "print('begun', flush=True)\n"
         f"limit = {limit}\n"
         "if limit: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))\n"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info
 
-from tests.small import ROOT
+from tests.worlds.generated import ROOT
 
 KERNELS = (
     "import json, datagen, numpy, scipy.linalg, threadpoolctl\n"
@@ -48,10 +48,10 @@ def test_trajectories_of_another_cpu_type_are_equal(tmp_path: Path):
 def make(folder: Path, chosen: str | None) -> list[str]:
     """Stored hashes of scenes that are made with these kernels as OpenBLAS's choice."""
     arguments = ["--video", "--split", "train=8", "--simulate-only", "--workers", "1", "--out", str(folder)]
-    command = [sys.executable, "-m", "datagen.command", *arguments]
+    command = [sys.executable, "-m", "datagen.commands.entry", *arguments]
     subprocess.run(command, env=environment(chosen), capture_output=True, check=True)
     code = (
-        "import sys; from datagen.storage import Dataset; scenes = Dataset(sys.argv[1]).split('train')\n"
+        "import sys; from datagen.storage.reader import Dataset; scenes = Dataset(sys.argv[1]).split('train')\n"
         "print(*(scenes.hash(index) for index in range(8)))"
     )
     found = subprocess.run(

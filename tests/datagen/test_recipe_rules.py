@@ -1,13 +1,11 @@
 import dataclasses
 import math
-from pathlib import Path
 
 import pytest
 
 from datagen.config import load_recipe, recipe_names
 from datagen.recipe_rules import LIMITS, constants, problems, span
-
-ROOT = Path(__file__).parents[2]
+from tests.paths import ROOT
 
 
 @pytest.mark.parametrize("name", recipe_names())

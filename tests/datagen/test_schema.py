@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from datagen import schema
-from tests.small import random_record
+from tests.worlds.generated import random_record
 
 ALL = ("simulation", "pixels", "sensor", *schema.EDITS)
 

@@ -11,15 +11,15 @@ import benchmark
 import datagen
 import obpose
 from datagen.version import find_version
-from tests.small import ROOT
+from tests.worlds.generated import ROOT
 
 COMMANDS = {
-    "obpose-datagen": "from datagen.command import main",
-    "obpose-train": "from obpose.begin import train as main",
-    "obpose-segment": "from obpose.begin import segment as main",
-    "obpose-edit": "from obpose.begin import edit as main",
-    "obpose-view": "from obpose.view_cli import main",
-    "obpose-bench": "from benchmark.begin import main",
+    "obpose-datagen": "from datagen.commands.entry import main",
+    "obpose-train": "from benchmark.commands.train import main",
+    "obpose-segment": "from obpose.commands.entry import segment as main",
+    "obpose-edit": "from obpose.commands.entry import edit as main",
+    "obpose-view": "from obpose.commands.view import main",
+    "obpose-bench": "from benchmark.commands.entry import main",
 }
 
 

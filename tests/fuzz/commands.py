@@ -29,44 +29,44 @@ def run_command(words: list[str]) -> tuple[int | None, str]:
 
 
 def _datagen(arguments: list[str]) -> int:
-    from datagen.cli import main
+    from datagen.commands.cli import main
 
     return main(arguments)
 
 
 def _train(arguments: list[str]) -> int:
-    from obpose.cli import main
+    from obpose.commands.train import main
 
     return main(arguments)
 
 
 def _segment(arguments: list[str]) -> None:
-    from obpose.segment_cli import main
+    from obpose.commands.segment import main
 
     main(arguments)
 
 
 def _edit(arguments: list[str]) -> int:
-    from obpose.edit_cli import main
+    from obpose.commands.edit import main
 
     return main(arguments)
 
 
 def _bench(arguments: list[str]) -> None:
-    import benchmark.editing.command
-    import benchmark.schedule
-    from benchmark.cli import main
+    import benchmark.execution.schedule
+    import benchmark.tasks.editing.command
+    from benchmark.commands.cli import main
 
     with (
-        mock.patch.object(benchmark.schedule, "run_isolated", _run_here),
-        mock.patch.object(benchmark.editing.command, "run_isolated", _run_here),
+        mock.patch.object(benchmark.execution.schedule, "run_isolated", _run_here),
+        mock.patch.object(benchmark.tasks.editing.command, "run_isolated", _run_here),
     ):
         main(arguments)
 
 
 def _run_here(job: Any, _limits: Any, _log: Path, _stop: threading.Event, heard: Callable[[str], None]) -> Any:
     """A benchmark job in this process: of its own, it would hide a traceback as the reason of a failed row."""
-    from benchmark.isolation import Outcome
+    from benchmark.execution.isolation import Outcome
 
     events: list[str] = []
 
@@ -85,7 +85,10 @@ def _view(arguments: list[str]) -> int:
     """What `obpose-view` does before it serves a page."""
     import tyro
 
-    from obpose.view_cli import PROGRAM, Arguments
+    from obpose.commands.view import (
+        PROGRAM,
+        Arguments,
+    )
     from obpose.viewer.opening import open_path
 
     def run() -> int:
@@ -98,8 +101,8 @@ def _view(arguments: list[str]) -> int:
 
 def _load(arguments: list[str]) -> int:
     """Read every array of a dataset with both classes that load them."""
-    from datagen.storage import Dataset
-    from obpose.data import SceneDataset
+    from datagen.storage.reader import Dataset
+    from obpose.data.datasets import SceneDataset
 
     def run() -> int:
         dataset = Dataset(arguments[0])

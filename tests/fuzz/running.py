@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 from tests.fuzz.inputs import Ending
-
-ROOT = Path(__file__).parent.parent.parent
+from tests.paths import ROOT
 
 
 def endings_of(folder: Path, group: str, count: int, *, seconds: float = 20.0) -> list[Ending]:

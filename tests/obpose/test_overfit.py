@@ -13,15 +13,18 @@ import pytest
 import torch
 
 from benchmark.metrics import clip_scores
+from obpose.baselines.supervised import Supervised
 from obpose.config import SupervisedConfig, TrainConfig, override
 from obpose.config_bounds import check_bounds
-from obpose.model import ObPose
-from obpose.supervised import Supervised
+from obpose.model.obpose import ObPose
 from obpose.trainable import Trainable
 from obpose.training.budget import learning_rate
 from obpose.types import LabelledObservation
 from obpose.variants import make_config
-from tests.obpose.scenes import labels_by_colour, table_scene
+from tests.worlds.observations import (
+    labels_by_colour,
+    table_scene,
+)
 
 SIZE, OBJECTS = 48, 2
 SCENE = {

@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from obpose.clips import observation_of
+from obpose.data.clips import observation_of
 from obpose.pictures import COLUMNS, HEADER, PALETTE, box_edges, draw, reconstruct, tint, write_picture
 from obpose.types import Boxes, Decoded
 from tests.obpose.toy import SIZE, SLOTS, ToyClips, ToyModel, toy_config

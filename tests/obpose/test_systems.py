@@ -1,16 +1,16 @@
 import pytest
 import torch
 
-from benchmark.tracks import all_tracks
 from datagen.config import load_recipe
+from datagen.tracks import all_tracks
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
+from obpose.baselines.supervised import Supervised
 from obpose.config import Config, SupervisedConfig
 from obpose.config_text import from_plain, to_plain
+from obpose.data.scene_stats import SceneMeasures
 from obpose.errors import UsageError
-from obpose.measure import SceneMeasures
-from obpose.model import ObPose
-from obpose.supervised import Supervised
+from obpose.model.obpose import ObPose
 from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model, find_system, system_of
 from obpose.types import LabelledObservation
 from obpose.variants import VARIANTS, make_config

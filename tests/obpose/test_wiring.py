@@ -6,16 +6,16 @@ import pytest
 import torch
 from einops import repeat
 
-from obpose import encoder as encoding
-from obpose import model as modelling
-from obpose.backbone import plain_colours
 from obpose.geometry import all_rays, from_box, unproject
-from obpose.losses.observation import log_likelihood
-from obpose.model import ObPose
-from obpose.pose.rotations import rotation_from_vector
+from obpose.model import encoder as encoding
+from obpose.model import obpose as modelling
+from obpose.model.backbone import plain_colours
+from obpose.model.losses.observation import log_likelihood
+from obpose.model.obpose import ObPose
+from obpose.model.pose.rotations import rotation_from_vector
 from obpose.types import Observation
 from obpose.variants import make_config
-from tests.obpose.scenes import table_scene
+from tests.worlds.observations import table_scene
 
 STEP = 1000
 """After the warm-up."""

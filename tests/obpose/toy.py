@@ -111,7 +111,7 @@ def main() -> None:
     """`python -m tests.obpose.toy FOLDER STEPS BATCH SECONDS`: train, each step taking so long, without noise."""
     import time
 
-    from obpose.train import train
+    from obpose.training.loop import train
 
     folder, steps, batch, seconds = sys.argv[1:]
 

@@ -7,8 +7,11 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from obpose.backbone import Backbone, BackboneOutput
 from obpose.config import BackboneConfig
+from obpose.model.backbone import (
+    Backbone,
+    BackboneOutput,
+)
 
 GROUP = "backbone: 20 images at 64x64"
 SPACING = 0.012

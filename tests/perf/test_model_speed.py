@@ -10,10 +10,10 @@ from statistics import median
 import pytest
 import torch
 
-from obpose.model import ObPose
+from obpose.model.obpose import ObPose
 from obpose.training.devices import keep_memory
-from tests.obpose.scenes import table_scene
 from tests.perf.training_step import Step, clips, config_for_clips, measure_steps, sgemm_rate
+from tests.worlds.observations import table_scene
 
 GFLOP = 1e9
 AUTHORS_GFLOP = 365

@@ -10,12 +10,18 @@ from typing import Any
 import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
-from datagen.folder import write_whole
-from datagen.generate import Run, generate
-from datagen.maker import SceneMaker, renderer_identity
-from datagen.shard import shard_image
-from datagen.spec import make_spec
-from datagen.storage import Dataset
+from datagen.pipeline.generate import (
+    Run,
+    generate,
+)
+from datagen.pipeline.make_scene import (
+    SceneMaker,
+    renderer_identity,
+)
+from datagen.storage.dataset_folder import write_whole
+from datagen.storage.reader import Dataset
+from datagen.storage.shard import shard_image
+from datagen.storage.spec import make_spec
 
 MOVING = load_recipe("moving")
 SCENES = 48

@@ -11,8 +11,8 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from datagen.config import load_recipe
-from datagen.generate import generate
-from obpose.data import SceneDataset
+from datagen.pipeline.generate import generate
+from obpose.data.datasets import SceneDataset
 
 CLIPS = 16
 

@@ -12,13 +12,16 @@ from typing import TypeVar
 import torch
 
 from benchmark.metrics.images import psnr
-from obpose.creation.clip import read_clip
-from obpose.creation.infer import fit_to_frames, infer_scene
-from obpose.creation.origin import load_origin
-from obpose.creation.refine import STEPS
-from obpose.creation.rendering import Renderer
-from obpose.creation.scene import Scene
-from tests.obpose.creation.dense import densely
+from obpose.scenes.clip import read_clip
+from obpose.scenes.infer import (
+    fit_to_frames,
+    infer_scene,
+)
+from obpose.scenes.model_ref import load_origin
+from obpose.scenes.refine import STEPS
+from obpose.scenes.rendering import Renderer
+from obpose.scenes.scene import Scene
+from tests.obpose.scenes.dense import densely
 
 MODEL = "obpose--moving--64x64"
 ROUNDS = 3

@@ -17,7 +17,7 @@ CHILD = """
 import json, sys, threading, time
 from pathlib import Path
 import torch
-from obpose.view_cli import Arguments, serve
+from obpose.commands.view import Arguments, serve
 from obpose.viewer.panel import Panel
 
 shown, put = threading.Event(), Panel.put_picture

@@ -21,17 +21,17 @@ from lightning_fabric import Fabric
 from torch import Tensor
 from torch.autograd.graph import Node
 
-import obpose.encoder
-import obpose.model
+import obpose.model.encoder
+import obpose.model.obpose
 from obpose.config import Config
-from obpose.model import ObPose
-from obpose.pose.encoder import ObjectEncoder
-from obpose.pose.what import What
+from obpose.model.obpose import ObPose
+from obpose.model.pose.encoder import ObjectEncoder
+from obpose.model.pose.what import What
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import Observation
 from obpose.variants import make_config
-from tests.obpose.scenes import table_scene
+from tests.worlds.observations import table_scene
 
 ENCODERS = "where and what"
 REST = "rest"
@@ -43,10 +43,10 @@ PARTS = (
     (ObPose, "_crop", ENCODERS),
     (ObjectEncoder, "forward", ENCODERS),
     (What, "forward", ENCODERS),
-    (obpose.encoder, "observed_rotation", "orientation"),
+    (obpose.model.encoder, "observed_rotation", "orientation"),
     (ObPose, "decode", "fields"),
     (ObPose, "_estimate_shape", "voxels"),
-    (obpose.model, "loss_terms", "losses"),
+    (obpose.model.obpose, "loss_terms", "losses"),
 )
 """Owner and name of what is timed; what one part calls of another does not count for the caller."""
 
@@ -190,20 +190,20 @@ def clips(batch: int, size: int) -> Observation:
 
 
 def config_for_clips(variant: str, profile: str, **changes: Any) -> Config:
-    """With the sizes that `obpose.measure` would find."""
+    """With the sizes that `obpose.data.scene_stats` would find."""
     measured = {"model.workspace_center": (0.0, 0.0, 0.1), "model.workspace_size": 1.0, "model.background_size": 1.5}
     return make_config(variant, profile, **measured, **changes)
 
 
 def authors_step() -> Step:
     """One clip of 5 frames of 128x128, all rays, boxes of 40 cm, 24^3 voxels in every frame, as theirs."""
-    estimate = obpose.model.estimate_shape
-    obpose.model.estimate_shape = lambda *arguments, frame, **options: estimate(*arguments, **options)
+    estimate = obpose.model.obpose.estimate_shape
+    obpose.model.obpose.estimate_shape = lambda *arguments, frame, **options: estimate(*arguments, **options)
     same = {"train.batch": 1, "model.spacing": 0.006, "model.pose.box_size": 0.4, "model.table": None}
     try:
         return measure_steps(config_for_clips("obpose", "paper", **same), clips(1, 128), steps=3)
     finally:
-        obpose.model.estimate_shape = estimate
+        obpose.model.obpose.estimate_shape = estimate
 
 
 def sgemm_rate(rows: int = 16384, width: int = 128) -> float:

@@ -67,7 +67,7 @@ class ObsurfModelConfig:
     sigma_max: float = 10.0
     """Largest density of a slot, per unit. [code]"""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Middle of the observed points, world frame, metres; measured before training (`obpose.measure.measure_scene`)."""
+    """Middle of the observed points, world frame, metres; measured before training (`measure_scene`)."""
     units_per_metre: float = 10.0
     """Edges of CLEVR's objects are 0.7 to 1.4 units, ours 5 to 28 cm. [ours; in `clevr3d` a unit of CLEVR is 0.1 m]"""
 

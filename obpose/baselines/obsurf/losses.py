@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.baselines.obsurf.config import ObsurfLossConfig
-from obpose.losses.observation import mean_over
+from obpose.model.losses.observation import mean_over
 
 Logits = Float[Tensor, "batch frame slot ray"]
 Weight = Float[Tensor, "batch frame ray"]

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from obpose.layers.numerics import all_digits
+from obpose.model.layers.numerics import all_digits
 
 _NEAREST = 1e-3
 """Metres before the camera; what is nearer, or behind it, is not in the image."""

@@ -6,8 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmark.commands.selftest import (
+    checks,
+    golden,
+    label_maps,
+)
 from benchmark.metrics import CLIP_METRICS, METRICS, clip_scores, frame_scores, score
-from benchmark.selftest import checks, golden, label_maps
 
 CASES = {case["name"]: case for case in golden()["cases"]}
 VIDEOS = [case for case in CASES.values() if case["kind"] == "video"]

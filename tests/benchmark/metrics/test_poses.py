@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmark.interface import Poses
 from benchmark.metrics.poses import POSE_METRICS, TruePoses, pose_scores
+from benchmark.models.interface import Poses
 
 SIZE = np.array([0.1, 0.06, 0.04])
 NAN = np.full(3, np.nan)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmark.errors_by_type import ERROR_TYPES
+from benchmark.metrics.errors_by_type import ERROR_TYPES
 from benchmark.report.gallery import disagreements, errors_in_words, telling_image, typical_scenes, worst_scenes
 from benchmark.report.observations import Objects
 

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmark.ranking.standings import (
+    Entry,
+    standings,
+)
 from benchmark.report.learning import PANEL_HEIGHT, PANEL_WIDTH, mean_line, panels, write
-from benchmark.standings import Entry, standings
 from tests.chosen_scores import run_row, scene_table
 
 

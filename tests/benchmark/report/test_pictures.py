@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from benchmark.report.pictures import GAP, SIDE, label_picture, photograph, slot_colors, thin
-from datagen.preview import label_colors
+from datagen.inspect.preview import label_colors
 
 
 def test_label_maps_are_exact_to_the_pixel() -> None:

@@ -1,11 +1,11 @@
 import numpy as np
 
+from datagen.edits.edit_context import stage_of
 from datagen.edits.effects import changed, packed, touched
-from datagen.edits.stage import stage_of
 from datagen.render import make_renderer
 from datagen.schema import LEAST_EFFECT
 from datagen.shapes import build
-from tests import staged
+from tests.worlds import rendered
 
 
 def test_a_change_is_counted_over_the_channels_and_either_way():
@@ -24,9 +24,9 @@ def test_nine_objects_take_two_bytes_and_none_takes_one():
 
 
 def test_an_object_touches_all_pixels_that_carry_its_id_and_their_rim():
-    world = staged.scene()
-    record = staged.record(world)
-    stage = stage_of(world, tuple(build(body.shape) for body in world.bodies), staged.trajectory(world))
+    world = rendered.scene()
+    record = rendered.record(world)
+    stage = stage_of(world, tuple(build(body.shape) for body in world.bodies), rendered.trajectory(world))
     for name, mask in touched(stage, record, make_renderer("raster")).items():
         own = record["segmentation"] == name
         assert np.all(mask[own])

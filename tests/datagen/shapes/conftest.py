@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from datagen.shapes.mesh import Mesh
+from datagen.shapes.geometry.mesh import Mesh
 from datagen.shapes.shape import Shape
 
 

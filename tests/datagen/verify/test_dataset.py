@@ -11,15 +11,21 @@ import h5py
 import numpy as np
 import pytest
 
-from datagen import records, schema, shapes, spec, verify
+from datagen import (
+    schema,
+    shapes,
+    verify,
+)
 from datagen.config import Physics, load_recipe, recipe_names
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
+from datagen.pipeline import records
 from datagen.schema import SceneRecord
-from datagen.storage import Dataset
+from datagen.storage import spec
+from datagen.storage.reader import Dataset
 from datagen.verify.dataset import find
-from tests import staged
 from tests.processes import command_line, descendants, errors_at_end, wait_until_gone
-from tests.staged import change_scene
+from tests.worlds import rendered
+from tests.worlds.rendered import change_scene
 
 SCENE = 1
 """Of the training split."""
@@ -29,15 +35,15 @@ SCENE = 1
 def folder(tiny_dataset: Path, tmp_path: Path) -> Path:
     """Two scenes of the generated dataset, to be tampered with."""
     scenes = Dataset(tiny_dataset).split("train")
-    return staged.write_dataset(tmp_path / "two", [scenes[0], scenes[2]])
+    return rendered.write_dataset(tmp_path / "two", [scenes[0], scenes[2]])
 
 
 @pytest.fixture
 def plain(tmp_path: Path) -> Path:
     """Three staged scenes, quick to check."""
-    places = [(staged.SPHERE, (0.2 + 0.05 * i, 0.0, 0.04)) for i in range(3)]
-    scenes = [staged.record(staged.scene([place], frames=2), resolution=(48, 48)) for place in places]
-    return staged.write_dataset(tmp_path / "plain", scenes)
+    places = [(rendered.SPHERE, (0.2 + 0.05 * i, 0.0, 0.04)) for i in range(3)]
+    scenes = [rendered.record(rendered.scene([place], frames=2), resolution=(48, 48)) for place in places]
+    return rendered.write_dataset(tmp_path / "plain", scenes)
 
 
 def test_a_clean_dataset_is_verified(tiny_dataset: Path, capsys: pytest.CaptureFixture[str]):
@@ -140,7 +146,7 @@ def test_every_box_that_is_turned_by_a_degree_about_any_axis_is_found(tiny_datas
         for axis in [*np.eye(3), *rng.normal(size=(2, 3))]:
             record = {name: array.copy() for name, array in Dataset(tiny_dataset).split(split)[index].items()}
             turn_by_a_degree(record, row, axis)
-            found = {finding.check for finding in verify.verify_record(record, staged.GROUPS)}
+            found = {finding.check for finding in verify.verify_record(record, rendered.GROUPS)}
             assert found <= {"surface", "label", "amodal", "table", "overlap"}
             assert "surface" in found
     split, index, row = boxes[0]
@@ -241,17 +247,17 @@ def test_files_are_checked_whatever_is_wrong_with_scenes(plain: Path):
 def test_a_shard_with_more_scenes_than_the_dataset_is_found(plain: Path):
     fewer = spec.with_splits(spec.read_spec(plain), {"train": 2})
     (plain / spec.SPEC_FILE).write_text(spec.spec_text(fewer))
-    staged.write_manifest(plain)
+    rendered.write_manifest(plain)
     (finding,) = find(plain)
     assert finding.message == "holds 3 scenes, expected 2"
 
 
 def test_the_recipe_says_how_deep_contacts_may_be(tmp_path: Path):
-    record = staged.record(staged.scene([staged.STANDING[2]], frames=2), resolution=(48, 48))
+    record = rendered.record(rendered.scene([rendered.STANDING[2]], frames=2), resolution=(48, 48))
     record["contacts/gap"][1, 0, 1] = record["contacts/gap"][1, 1, 0] = -0.0025
-    staged.write_dataset(tmp_path / "deep", [record], physics=Physics(deepest_in_motion=0.003))
+    rendered.write_dataset(tmp_path / "deep", [record], physics=Physics(deepest_in_motion=0.003))
     assert find(tmp_path / "deep") == []
-    staged.write_dataset(tmp_path / "default", [record])
+    rendered.write_dataset(tmp_path / "default", [record])
     assert [(finding.check, finding.frame) for finding in find(tmp_path / "default")] == [("overlap", 1)]
 
 
@@ -285,7 +291,7 @@ def test_a_folder_without_dataset_is_the_user_s_error(tmp_path: Path):
 
 def test_simulations_without_images_are_verified(tmp_path: Path):
     pytest.importorskip("pybullet", reason="simulation needs PyBullet")
-    from datagen.generate import generate
+    from datagen.pipeline.generate import generate
 
     generate(tmp_path / "simulated", load_recipe("moving"), splits={"train": 2}, renderer=None)
     assert find(tmp_path / "simulated") == []
@@ -300,7 +306,7 @@ def make_heavier(record: SceneRecord) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", recipe_names())
 def test_every_recipe_is_verified(tmp_path: Path, name: str):
-    from datagen.generate import generate
+    from datagen.pipeline.generate import generate
 
     generate(tmp_path / name, load_recipe(name), splits={"train": 10, "test": 2})
     assert find(tmp_path / name) == []
@@ -309,7 +315,10 @@ def test_every_recipe_is_verified(tmp_path: Path, name: str):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "scenes"), [("mixed", 300), ("moving", 100), ("touching", 100), ("cluttered", 100)])
 def test_of_hundreds_of_scenes_none_is_suspected(tmp_path: Path, name: str, scenes: int):
-    from datagen.generate import Run, generate
+    from datagen.pipeline.generate import (
+        Run,
+        generate,
+    )
 
     generate(tmp_path / name, load_recipe(name), splits={"train": scenes}, resolution=(64, 64), run=Run(workers=2))
     assert find(tmp_path / name, workers=2) == []
@@ -317,7 +326,7 @@ def test_of_hundreds_of_scenes_none_is_suspected(tmp_path: Path, name: str, scen
 
 @pytest.mark.slow
 def test_the_other_renderer_is_verified(tmp_path: Path):
-    from datagen.generate import generate
+    from datagen.pipeline.generate import generate
     from datagen.render import make_renderer
 
     try:

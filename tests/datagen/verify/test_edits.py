@@ -6,10 +6,10 @@ import pytest
 
 from datagen.schema import EDITS, SceneRecord
 from datagen.verify import verify_record
-from tests import staged
+from tests.worlds import rendered
 
-GROUPS = (*staged.GROUPS, *EDITS)
-RECORD = staged.record(staged.scene(views=2), edits=EDITS)
+GROUPS = (*rendered.GROUPS, *EDITS)
+RECORD = rendered.record(rendered.scene(views=2), edits=EDITS)
 
 
 def find(change: Callable[[SceneRecord], None] = lambda record: None) -> list[str]:

@@ -3,13 +3,19 @@ import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
 from datagen.errors import UsageError
-from datagen.maker import make_scene, renderer_identity
+from datagen.pipeline.make_scene import (
+    make_scene,
+    renderer_identity,
+)
 from datagen.schema import DEPTH_SCALE
-from datagen.spec import make_spec
+from datagen.storage.spec import make_spec
 from datagen.verify import pixels, verify_record
-from datagen.verify.case import Allowed, make_case
 from datagen.verify.precision import OPENGL, PRECISION, Precision, rounding
-from tests import staged
+from datagen.verify.scene_case import (
+    Allowed,
+    make_case,
+)
+from tests.worlds import rendered
 
 
 def test_a_step_of_depth_is_longer_along_rays_at_the_side():
@@ -25,7 +31,7 @@ def test_errors_of_a_renderer_grow_with_depth():
 
 
 def test_what_opengl_may_move_is_a_finding_for_the_rasteriser_alone():
-    record = staged.record(staged.scene(frames=1), resolution=(16, 16))
+    record = rendered.record(rendered.scene(frames=1), resolution=(16, 16))
     rows = record["segmentation"] == 1
     for steps, renderers in [(3, ["raster"]), (50, ["raster", "pyrender"])]:
         moved = {**record, "depth": (record["depth"] + steps * rows).astype(np.uint16)}
@@ -34,11 +40,11 @@ def test_what_opengl_may_move_is_a_finding_for_the_rasteriser_alone():
 
 
 def verify(record, renderer: str):
-    return verify_record(record, staged.GROUPS, renderer=renderer)
+    return verify_record(record, rendered.GROUPS, renderer=renderer)
 
 
 def test_a_pixel_beside_an_outline_may_carry_the_depth_of_an_extended_triangle():
-    record = staged.record(staged.scene(frames=1), resolution=(64, 64))
+    record = rendered.record(rendered.scene(frames=1), resolution=(64, 64))
     case = make_case(record, Allowed(precision=OPENGL))
     pose, radius = case.world_from_object[0, 2], 0.04
     center = pose[:3, 3] - case.center(0)
@@ -63,7 +69,7 @@ def test_a_pixel_beside_an_outline_may_carry_the_depth_of_an_extended_triangle()
 
 @pytest.mark.parametrize("renderer", ["raster", "pyrender", "another"])
 def test_clean_scenes_give_no_finding_whoever_rendered_them(renderer: str):
-    record = staged.record(staged.scene(frames=2, views=2), resolution=(32, 32))
+    record = rendered.record(rendered.scene(frames=2, views=2), resolution=(32, 32))
     assert verify(record, renderer) == []
 
 

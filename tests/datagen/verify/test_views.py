@@ -4,14 +4,14 @@ import pytest
 from datagen.scene import Scene, ShapeSpec
 from datagen.schema import DEPTH_SCALE, SceneRecord
 from datagen.verify import views
-from datagen.verify.case import make_case
-from tests import staged
+from datagen.verify.scene_case import make_case
+from tests.worlds import rendered
 
 GEAR = ShapeSpec("gear", {"teeth": 8, "outer_radius": 0.12, "inner_radius": 0.08, "tooth_share": 0.5, "height": 0.02})
 
 
 def world(count: int = 2) -> Scene:
-    return staged.scene(views=count, frames=1)
+    return rendered.scene(views=count, frames=1)
 
 
 def found(record: SceneRecord) -> list[str]:
@@ -19,7 +19,7 @@ def found(record: SceneRecord) -> list[str]:
 
 
 def test_patches_lie_on_the_planes_that_they_show():
-    case = make_case(staged.record(world(1)))
+    case = make_case(rendered.record(world(1)))
     patches = views.find_patches(case, 0, 0)
     assert len(patches.label) > 500
     pose = case.record["camera/world_from_camera"][0]
@@ -33,7 +33,7 @@ def test_patches_lie_on_the_planes_that_they_show():
 
 
 def test_patches_have_one_label_and_no_edge():
-    record = staged.record(world(1))
+    record = rendered.record(world(1))
     before = len(views.find_patches(make_case(record), 0, 0).label)
     record["segmentation"][0, 0, 5, 5] = 1
     record["depth"][0, 0, 5, 20] += 20
@@ -41,14 +41,14 @@ def test_patches_have_one_label_and_no_edge():
 
 
 def test_patches_of_large_images_are_thinned_out(monkeypatch: pytest.MonkeyPatch):
-    case = make_case(staged.record(world(1)))
+    case = make_case(rendered.record(world(1)))
     every = len(views.find_patches(case, 0, 0).label)
     monkeypatch.setattr(views, "MOST_PATCHES", 500)
     assert 0.6 * 500 < len(views.find_patches(case, 0, 0).label) <= 500 < every
 
 
 def test_a_view_that_looks_through_a_surface_is_found():
-    record = staged.record(world())
+    record = rendered.record(world())
     assert found(record) == []
     hole = record["depth"][0, 1, 45:57, 28:40]
     hole += (0.05 / DEPTH_SCALE * np.ones_like(hole)).astype(np.uint16)
@@ -57,7 +57,7 @@ def test_a_view_that_looks_through_a_surface_is_found():
 
 
 def test_an_object_that_one_view_shows_with_another_label_is_found():
-    record = staged.record(world())
+    record = rendered.record(world())
     ids = record["segmentation"][0, 1]
     ids[ids == 1] = 2
     one, other = found(record)
@@ -69,19 +69,19 @@ def test_what_shows_in_one_view_and_between_the_pixels_of_another_is_no_contradi
     # Pegs of 8 mm in images whose pixels are 6 cm wide.
     peg = ShapeSpec("box", {"size": [0.008, 0.008, 0.08]})
     pegs = [(peg, (0.2 + 0.06 * x, -0.1 + 0.06 * y, 0.04)) for x in range(2) for y in range(2)]
-    assert found(staged.record(staged.scene(pegs, views=6, frames=1), resolution=(12, 12))) == []
+    assert found(rendered.record(rendered.scene(pegs, views=6, frames=1), resolution=(12, 12))) == []
 
 
 @pytest.mark.parametrize("size", [(10, 10), (16, 12), (24, 24)])
 def test_gaps_between_teeth_are_no_contradiction(size: tuple[int, int]):
     gears = [(GEAR, (0.28, 0.0, 0.01 + 0.1 * level)) for level in range(3)]
-    assert found(staged.record(staged.scene(gears, views=8, frames=1), resolution=size)) == []
+    assert found(rendered.record(rendered.scene(gears, views=8, frames=1), resolution=size)) == []
 
 
 def test_of_many_views_each_is_compared_with_some(monkeypatch: pytest.MonkeyPatch):
     pairs = []
     monkeypatch.setattr(views, "_check_pair", lambda case, frame, patches, a, b: pairs.append((a, b)) or iter(()))
     monkeypatch.setattr(views, "MOST_OTHERS", 4)
-    found(staged.record(world(9), resolution=(8, 8)))
+    found(rendered.record(world(9), resolution=(8, 8)))
     assert len(pairs) == 9 * 4
     assert {(b - a) % 9 for a, b in pairs} == {1, 3, 5, 7}

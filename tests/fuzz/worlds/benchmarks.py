@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 import assets
-from datagen.storage import Dataset
+from datagen.storage.reader import Dataset
 from tests.fuzz.worlds.group import DATASET, MODEL, Group, Target, run
 
 

@@ -30,9 +30,9 @@ def build_models(world: Path) -> None:
     infer = f"obpose-edit infer --checkpoint {world}/model --refine 0 --resolution 8x8"
     run(f"{infer} --data {world}/data --out {world}/scene")
     with (
-        mock.patch("obpose.creation.learn.save_flow", side_effect=UsageError("interrupted")),
-        mock.patch("obpose.creation.learn.SAVE_STEPS", 1),
-        mock.patch("obpose.creation.examples.STEPS", 0),
+        mock.patch("obpose.scenes.priors.train_flow.save_flow", side_effect=UsageError("interrupted")),
+        mock.patch("obpose.scenes.priors.train_flow.SAVE_STEPS", 1),
+        mock.patch("obpose.scenes.priors.examples.STEPS", 0),
     ):
         run(LEARN.format(w=world), code=2)
 

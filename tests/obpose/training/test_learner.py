@@ -2,9 +2,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from obpose.checkpoint import TrainingState
-from obpose.clips import stack
+from obpose.data.clips import stack
 from obpose.errors import UsageError
+from obpose.storage.checkpoint import TrainingState
 from obpose.training.devices import make_fabric
 from obpose.training.learner import Learner
 from tests.obpose.toy import ToyClips, ToyModel, toy_config

@@ -1,9 +1,13 @@
 import torch
 
-from obpose.creation.rendering import Renderer
-from obpose.creation.scene import Camera
+from obpose.scenes.rendering import Renderer
+from obpose.scenes.scene import Camera
 from obpose.viewer.drawing import Drawer, Picture, Shape, Unfinished, Wish, bands, joined, preview_camera
-from tests.obpose.creation.scenes import CAMERA, some_model, some_scene
+from tests.obpose.scenes.small_scenes import (
+    CAMERA,
+    some_model,
+    some_scene,
+)
 
 
 def test_bands_are_the_picture():

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from obpose.creation.storage import save_scene
 from obpose.errors import UsageError
+from obpose.scenes.storage import save_scene
 from obpose.viewer.opening import kind_of, open_path
 
 MODEL = "obpose-sharp--moving--64x64"

@@ -11,13 +11,16 @@ import numpy as np
 import pytest
 import torch
 
-from obpose.creation.infer import infer_scene
-from obpose.creation.scene import upright
-from obpose.creation.storage import load_scene
+from obpose.scenes.infer import infer_scene
+from obpose.scenes.scene import upright
+from obpose.scenes.storage import load_scene
 from obpose.viewer.opening import Opened, open_path
 from obpose.viewer.page import Page
 from obpose.viewer.serving import open_server
-from tests.obpose.creation.scenes import alike, equal
+from tests.obpose.scenes.small_scenes import (
+    alike,
+    equal,
+)
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import pytest
 import torch
 from PIL import Image
 
-from obpose.creation.storage import load_scene
+from obpose.scenes.storage import load_scene
 from obpose.viewer.opening import open_path
 from obpose.viewer.page import Page
 from obpose.viewer.serving import open_server
 from tests.browser import BROWSER, MISSING, browser
-from tests.obpose.creation.scenes import equal
+from tests.obpose.scenes.small_scenes import equal
 from tests.obpose.viewer.driving import Person
 from tests.obpose.viewer.test_page import free_port
 from tests.processes import wait_until

@@ -1,6 +1,6 @@
 import torch
 
-from obpose.creation.rendering import Image
+from obpose.scenes.rendering import Image
 from obpose.viewer.panes import TILE, greys, panes
 
 

@@ -16,9 +16,12 @@ import torch
 from benchmark.metrics import clip_scores
 from obpose.geometry import unproject
 from obpose.systems import find_system
-from obpose.train import train
+from obpose.training.loop import train
 from obpose.types import Observation
-from tests.obpose.scenes import balls_in_depth, pairs_of_balls
+from tests.worlds.observations import (
+    balls_in_depth,
+    pairs_of_balls,
+)
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 

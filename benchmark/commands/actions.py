@@ -1,0 +1,217 @@
+"""Commands of `obpose-bench`: their work and their output."""
+
+import math
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmark.commands import (
+    arguments,
+    outputs,
+)
+from benchmark.commands import selftest as golden_cases
+from benchmark.commands.console import (
+    prepare,
+    progress_bar,
+    status,
+    watched,
+)
+from benchmark.execution.duration import (
+    estimate,
+    in_words,
+    time_limit,
+)
+from benchmark.execution.isolation import (
+    Limits,
+    limits,
+)
+from benchmark.execution.plan import (
+    Plan,
+    Request,
+    check_places,
+    make_plan,
+    superseded,
+)
+from benchmark.execution.request import request_of
+from benchmark.execution.runner import (
+    SPLIT,
+    Job,
+)
+from benchmark.execution.schedule import (
+    repeat_rows,
+    run_jobs,
+)
+from benchmark.models.registry import (
+    GROUPS,
+    discover,
+)
+from benchmark.ranking import compare as paired
+from benchmark.ranking.escaping import terminal
+from benchmark.results import pack as packing
+from benchmark.results import rescore as rescoring
+from benchmark.results.files import remove_abandoned
+from benchmark.results.packed_runs import refuse_packed
+from benchmark.results.run_folder import (
+    RunRow,
+    check_runs,
+    delete_rows,
+    load_runs,
+)
+from benchmark.tasks.editing.command import score_edits
+from datagen import tracks
+from datagen.console.text import counted
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION
+from datagen.tracks import (
+    SIZES,
+    Profile,
+    all_tracks,
+)
+
+
+def run(values: arguments.Run) -> int:
+    """Make the rows that are missing, then tables and report."""
+    if values.list:
+        _print_lists(values.profile)
+        return EXIT_OK
+    refuse_packed(values.out)
+    request = request_of(values)
+    if values.task == "editing":
+        return score_edits(values, request)
+    _check_predictions(request)
+    remove_abandoned(values.out)
+    rows = load_runs(values.out)
+    plan = make_plan(request, rows, values.out)
+    rows = _make_room(values, plan, rows)
+    plan = make_plan(request, rows, values.out)
+    if found := estimate(plan, values.workers):
+        status().print(in_words(found))
+    elif not plan.jobs:
+        status().print("All rows are there; writing tables and report.")
+    prepare(plan.splits, workers=values.workers)
+    _run_jobs(plan, values)
+    repeat_rows(plan.keys, values.out)
+    outputs.write(values.out, [source.folder for source in request.sources])
+    failed = [row for row in load_runs(values.out) if row.key in plan.keys and row.status == "failed"]
+    if failed:
+        status().print(f"{len(failed)} of these rows failed; --retry makes them again.")
+    return EXIT_INCOMPLETE if failed else EXIT_OK
+
+
+def rescore(values: arguments.Rescore) -> int:
+    """Compute scene tables from label maps, then tables and report."""
+    refuse_packed(values.folder)
+    count = rescoring.rescore(values.folder, check_runs(values.folder), values.data, progress=watched)
+    Console().print(f"{counted(count, 'row')} scored again.")
+    outputs.write(values.folder, values.data)
+    return EXIT_OK
+
+
+def report(values: arguments.Report) -> int:
+    """Write tables and report."""
+    check_runs(values.folder)
+    outputs.write(values.folder, values.data)
+    return EXIT_OK
+
+
+def compare(values: arguments.Compare) -> int:
+    """Print paired differences."""
+    found = paired.compare(values.run, values.one, values.other, progress=watched)
+    outputs.wide_console().print(paired.comparison_table(found, values.one, values.other))
+    return EXIT_OK
+
+
+def pack(values: arguments.Pack) -> int:
+    """Add rows to a packed folder."""
+    added = packing.pack(values.run, values.out)
+    rows = len(load_runs(values.out))
+    Console().print(terminal(f"{counted(added, 'row')} added to {values.out}, which has {rows} now."), soft_wrap=True)
+    return EXIT_OK
+
+
+def selftest(_values: arguments.Selftest) -> int:
+    """Check the metrics."""
+    wrong, console = golden_cases.run(), Console(soft_wrap=True, highlight=False)
+    for line in wrong:
+        console.print(line, markup=False)
+    cases = len(golden_cases.golden()["cases"])
+    found = f"{counted(len(wrong), 'value')} differ from what was expected" if wrong else "all hold"
+    console.print(f"{counted(cases, 'golden case')}: {found}.")
+    return EXIT_VERIFICATION if wrong else EXIT_OK
+
+
+def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[RunRow]:
+    """The rows that stay: without those to be replaced or tried again."""
+    again = [row for row in rows if row.status == "failed" and _is_tried_again(row, values, plan)]
+    kept = [row for row in rows if row not in again]
+    if not values.overwrite:
+        check_places(plan.keys, kept)
+    other = superseded(plan.keys, rows) if values.overwrite else []
+    delete_rows(values.out, [*other, *again])
+    return [row for row in kept if row not in other]
+
+
+def _is_tried_again(row: RunRow, values: arguments.Run, plan: Plan) -> bool:
+    """Failed label maps are tried whenever they are named, since mending their files makes another row of them."""
+    if row.kind == "predictions":
+        return row.key.place in {key.place for key in plan.keys}
+    return values.retry and row.key in plan.keys
+
+
+def _check_predictions(request: Request) -> None:
+    for folder in request.predictions:
+        folder.check(request.sources[0].labels_shape(SPLIT))
+
+
+def _run_jobs(plan: Plan, values: arguments.Run) -> None:
+    """Run what is missing, with a line for every row."""
+
+    def limits_of(job: Job) -> Limits:
+        return limits(
+            60 * values.time_limit if values.time_limit else time_limit(job),
+            workers=values.workers,
+            memory_mib=values.memory_limit,
+            threads=1 if values.deterministic else None,
+        )
+
+    total = sum(len(job.targets) for job in plan.jobs)
+    console = status()
+    with progress_bar(console, "rows", total) as advance:
+
+        def hear(row: RunRow) -> None:
+            console.print(terminal(_line(row)))
+            advance()
+
+        run_jobs(plan, limits_of, values.workers, hear)
+
+
+def _line(row: RunRow) -> str:
+    place = f"{row.key.track}, {row.key.model}, seed {row.key.seed}"
+    if row.status == "failed":
+        return f"{place}: FAILED, {row.reason}"
+    seconds = row.measured.fit_seconds
+    fitted = (
+        "" if math.isnan(seconds) else f"fit {seconds:.1f} s, {1000 * row.measured.seconds_per_frame:.1f} ms a frame"
+    )
+    return f"{place}: {fitted or 'scored'}"
+
+
+def _print_lists(profile: Profile) -> None:
+    console = outputs.wide_console()
+    models, problems = discover()
+    table = Table("model", "version", "kind", "what it is", box=None)
+    for name, spec in sorted(models.items(), key=lambda item: (item[1].kind, item[0])):
+        table.add_row(*map(terminal, (name, str(spec.version), spec.kind, spec.description)))
+    console.print(table)
+    for problem in problems:
+        console.print(terminal(f"{problem.name}: cannot be used: {problem.reason}"))
+    for name, group in GROUPS.items():
+        budget = f", {counted(group.budget, 'second')} each" if group.budget else ""
+        console.print(f"\ngroup {name}: {', '.join(group.members)}{budget}", highlight=False)
+    table = Table("track", "size", "slots", "what it is", box=None)
+    for track in all_tracks(profile):
+        table.add_row(track.name, "{}x{}".format(*track.resolution), str(track.slots), track.description)
+    console.print()
+    console.print(table)
+    for name, members in tracks.GROUPS.items():
+        console.print(f"\ngroup {name}: {', '.join(members)}", highlight=False)
+    console.print(f"\nscenes of a track: {', '.join(f'{number} {split}' for split, number in SIZES.items())}")

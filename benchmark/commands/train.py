@@ -1,0 +1,34 @@
+"""Entry point of `obpose-train`: the training command of `obpose`, with the benchmark's ARI-FG as validation score."""
+
+import sys
+from typing import TYPE_CHECKING
+
+from datagen.console.command_line import answer_version
+from datagen.errors import EXIT_OK, interruptible_imports
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+def main() -> int:
+    """Run `obpose-train` and give its exit code."""
+    if answer_version("obpose-train"):
+        return EXIT_OK
+    with interruptible_imports("obpose-train"):
+        from obpose.commands.train import main as train
+    return train(score=ari_fg)
+
+
+def ari_fg(truth: "np.ndarray", labels: "np.ndarray") -> float:
+    """Mean ARI-FG over the frames of a clip; nan if it is undefined in all of them."""
+    import numpy as np  # late: `--version` needs no NumPy
+
+    from benchmark.metrics import clip_scores
+
+    frames = clip_scores(truth, labels)["ari_fg"]
+    defined = frames[~np.isnan(frames)]
+    return float(defined.mean()) if len(defined) else float("nan")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

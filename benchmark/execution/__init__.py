@@ -1,0 +1,1 @@
+"""Job execution: from a request to finished results."""

@@ -1,0 +1,314 @@
+"""Plan a request: the rows it asks for, and the jobs that make the missing ones."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmark.execution.runner import (
+    SPLIT,
+    Job,
+    Target,
+)
+from benchmark.models.adapters.predictions import PredictionFolder
+from benchmark.models.model_spec import ModelSpec
+from benchmark.models.registry import find_model
+from benchmark.names import PRETRAINED, SLOTS
+from benchmark.results.run_folder import (
+    TRAINING,
+    RunKey,
+    RunRow,
+    digest,
+)
+from datagen.errors import UsageError
+from datagen.tracks import (
+    Profile,
+    Source,
+)
+from obpose.storage.pretrained import (
+    content_hash,
+    find_shipped,
+)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A trained model from a folder."""
+
+    model: str
+    """Registry name of the model."""
+    folder: Path
+    name: str
+    """Name in tables, files and keys."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """Comparison to be made: models, datasets and options."""
+
+    models: tuple[str, ...]
+    sources: tuple[Source, ...]
+    """Tracks or datasets to score on."""
+    seeds: int = 3
+    fit_source: Source | None = None
+    """Dataset on which all models are fitted, or tuned, once; None: on each track itself."""
+    seconds: float | None = None
+    """Training budget of models that learn, in seconds of one core; None: the budget that each declares."""
+    steps: int | None = None
+    """Training budget in steps, in place of seconds."""
+    pretrained: bool = False
+    """Whether models that learn use the weights that ship with the package; these run with one seed."""
+    weights: tuple[Weights, ...] = ()
+    """Trained models to score beside `models`; these run with one seed too."""
+    slots: tuple[int, ...] = ()
+    """Slot counts to compare, background included; each count other than the track's own makes a separate model."""
+    profile: Profile = "cpu"
+    """Profile of the models that learn; the sources have their own."""
+    predictions: tuple[PredictionFolder, ...] = ()
+    """Label maps to score in place of models, one folder per seed; `models` then holds their one name."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Rows of a request, and the jobs that make the missing ones."""
+
+    keys: tuple[RunKey, ...]
+    jobs: tuple[Job, ...]
+    """Jobs for the missing rows; a model without randomness gets one job for all seeds."""
+    splits: dict[Source, tuple[str, ...]]
+    """Splits that the jobs read; the datasets need not exist yet."""
+
+
+def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
+    """Plan the jobs for a request, given the rows that the run folder already has.
+
+    Raises:
+        UsageError: the request asks for weights that do not exist.
+    """
+    if request.predictions:
+        return _predictions_plan(request, rows, out)
+    done = {row.key for row in rows}
+    keys, jobs, splits = [], [], {}
+    for way, sources in _ways(request):
+        for seed in range(way.seeds):
+            targets = {source: way.target(source, seed) for source in sources}
+            keys += [key for target in targets.values() for key in target.keys]
+            missing = {source: target for source, target in targets.items() if not done.issuperset(target.keys)}
+            if not missing or (seed > 0 and not way.spec.random):
+                continue
+            jobs.append(way.job(seed, tuple(missing.values()), out))
+            _add(splits, way.fit, way.splits)
+            for source in missing:
+                _add(splits, source, (SPLIT,))
+    return Plan(tuple(sorted(keys)), tuple(_by_track(jobs, request.sources)), splits)
+
+
+def _predictions_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
+    done = {row.key for row in rows}
+    (name,), (source,) = request.models, request.sources
+    keys, jobs = [], []
+    for seed, folder in enumerate(request.predictions):
+        spec_hash = source.spec_hash
+        key = RunKey(source.name, source.name, name, seed, 1, folder.digest(), spec_hash, spec_hash)
+        keys.append(key)
+        if key not in done:
+            target = Target(key, source.folder, source.slots)
+            jobs.append(Job(name, seed, source.folder, source.slots, (target,), out, predictions=folder))
+    return Plan(tuple(keys), tuple(jobs), {source: (SPLIT,)} if jobs else {})
+
+
+def _add(splits: dict[Source, tuple[str, ...]], source: Source, names: tuple[str, ...]) -> None:
+    splits[source] = tuple(sorted({*splits.get(source, ()), *names}))
+
+
+def repeats(row: RunRow, keys: Iterable[RunKey]) -> list[RunRow]:
+    """Copy a row for the other seeds that it stands for, if seeds make no difference to its model."""
+    if row.random:
+        return []
+    same = (key for key in keys if key != row.key and dataclasses.replace(key, seed=row.key.seed) == row.key)
+    return [dataclasses.replace(row, key=key) for key in same]
+
+
+def superseded(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> list[RunRow]:
+    """Find the rows to be replaced: those with the place of a wanted row but other settings.
+
+    For label maps made elsewhere, all seeds are replaced, so that old and new maps never mix.
+    """
+    wanted = {key.place: key for key in keys}
+    rows = list(rows)
+    changed = {row.key.place for row in rows if wanted.get(row.key.place, row.key) != row.key}
+    renewed = {row.key.place[:3] for row in rows if row.key.place in changed and row.kind == "predictions"}
+    return [
+        row
+        for row in rows
+        if row.key.place in changed or (row.key.place[:3] in renewed and row.key.place not in wanted)
+    ]
+
+
+def check_places(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> None:
+    """Check that no wanted row shares its place with a row of other settings.
+
+    Raises:
+        UsageError: names the first such row and the settings that differ.
+    """
+    there = {row.key.place: row for row in rows}
+    for key in keys:
+        row = there.get(key.place)
+        if row is None or row.key == key:
+            continue
+        if row.kind == "predictions":
+            raise UsageError(
+                f"The run folder has a row of {key.model} on {key.track} of other label maps or --background-slot, or "
+                "of another dataset. Give another --name or --out, or --overwrite to replace all rows of that name."
+            )
+        changed = [name for name, value in dataclasses.asdict(key).items() if getattr(row.key, name) != value]
+        raise UsageError(
+            f"The run folder has a row of {key.model} on {key.track} of other settings ({', '.join(changed)} differs). "
+            "Give another folder with --out, the same settings, or --overwrite to replace such rows."
+        )
+
+
+def _fits(request: Request) -> list[tuple[Source, tuple[Source, ...]]]:
+    """List each dataset to fit on, with the datasets that are scored after that fit."""
+    if request.fit_source:
+        return [(request.fit_source, request.sources)]
+    return [(source, (source,)) for source in request.sources]
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A model and the source of its weights or tuned values: a fit on a track, or a checkpoint."""
+
+    model: str
+    spec: ModelSpec
+    fit: Source
+    seeds: int
+    seconds: float
+    steps: int | None
+    weights: Weights | None
+    """Trained weights, used in place of training."""
+    slots: int | None
+    """Number of slots, in place of the track's."""
+    profile: Profile
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits that the model is fitted on."""
+        if self.weights:
+            return ()
+        return ("train", "val") if self.spec.kind == "learned" else ("val",)
+
+    def own_slots(self, source: Source) -> int | None:
+        """Number of slots if it differs from the model's default on a track; otherwise None."""
+        usual = {self.fit.slots} if self.spec.kind == "learned" else {self.fit.slots, source.slots}
+        return None if usual == {self.slots} else self.slots
+
+    def name(self, source: Source) -> str:
+        """Name of the model in tables, files and keys."""
+        if self.weights:
+            return self.weights.name
+        slots = self.own_slots(source)
+        return self.model + (SLOTS.format(slots - 1) if slots else "")
+
+    def settings(self, source: Source) -> dict[str, object]:
+        """Settings that are fixed before the run and change its results."""
+        if self.weights:
+            return {"checkpoint": content_hash(self.weights.folder)}
+        settings: dict[str, object] = {"grid": [dict(value) for value in self.spec.grid]}
+        if self.spec.kind == "learned":
+            settings["budget"] = [self.seconds, "seconds"] if self.steps is None else [self.steps, "steps"]
+        # Omit default values, so that rows from before these options existed keep their keys.
+        further = {
+            "settings": self.spec.settings_in(self.profile),
+            "changes": dict(self.spec.on_tracks.get(self.fit.name, {})),
+            "slots": self.own_slots(source),
+            "profile": self.profile if self.spec.kind == "learned" and self.profile != "cpu" else None,
+        }
+        return settings | {name: value for name, value in further.items() if value}
+
+    def target(self, source: Source, seed: int) -> Target:
+        """Build the target for a seed on a track."""
+        name = self.name(source)
+        key = RunKey(
+            track=source.name,
+            model=name,
+            fit_track=self.fit.name,
+            seed=seed,
+            version=self.spec.version,
+            config_hash=digest(self.settings(source)),
+            fit_spec=self.fit.spec_hash,
+            track_spec=source.spec_hash,
+        )
+        extra = {other: dataclasses.replace(key, model=f"{name}-{other}") for other in self.spec.extra}
+        return Target(key, source.folder, self.slots or source.slots, extra)
+
+    def job(self, seed: int, targets: tuple[Target, ...], out: Path) -> Job:
+        """Build the job of a seed."""
+        return Job(
+            model=self.model,
+            seed=seed,
+            fit_data=self.fit.folder,
+            fit_slots=self.slots or self.fit.slots,
+            targets=targets,
+            out=out,
+            seconds=self.seconds if self.steps is None else math.inf,
+            steps=self.steps,
+            folder=out / TRAINING / self._folder_name(seed) if self.spec.kind == "learned" else None,
+            checkpoint=self.weights.folder if self.weights else None,
+            profile=self.profile,
+        )
+
+    def _folder_name(self, seed: int) -> str:
+        """Name of the training folder, equal for all tracks that are scored, so that they share one training."""
+        facts = [self.spec.version, self.settings(self.fit), self.fit.spec_hash]
+        return f"{self.fit.name}--{self.name(self.fit)}--{seed}--{digest({'fit': facts})[:8]}"
+
+
+def _ways(request: Request) -> Iterator[tuple[_Way, tuple[Source, ...]]]:
+    """Yield every requested variant of every model, with the datasets that are scored after its fit."""
+    for model, (fit, sources) in itertools.product(request.models, _fits(request)):
+        numbers = request.slots if find_model(model).takes_slots else ()
+        shipped = _shipped(request, model, fit)
+        for slots in numbers or (None,):
+            yield _way(request, model, fit, shipped, slots), sources
+    for weights, (fit, sources) in itertools.product(request.weights, _fits(request)):
+        yield _way(request, weights.model, fit, weights), sources
+
+
+def _way(request: Request, model: str, fit: Source, weights: Weights | None, slots: int | None = None) -> _Way:
+    spec = find_model(model)
+    return _Way(
+        model,
+        spec,
+        fit,
+        seeds=1 if weights else request.seeds,
+        seconds=request.seconds or spec.budget,
+        steps=request.steps,
+        weights=weights,
+        slots=slots,
+        profile=request.profile,
+    )
+
+
+def trained(request: Request, fit: Source) -> list[Weights]:
+    """List all trained weights that a request uses: shipped ones for this track, and given ones.
+
+    Raises:
+        UsageError: requested weights do not ship with the package.
+    """
+    shipped = [_shipped(request, model, fit) for model in request.models]
+    return [*filter(None, shipped), *request.weights]
+
+
+def _shipped(request: Request, model: str, fit: Source) -> Weights | None:
+    if not request.pretrained or find_model(model).kind != "learned":
+        return None
+    return Weights(model, find_shipped(model, fit.name, fit.resolution), model + PRETRAINED)
+
+
+def _by_track(jobs: Iterable[Job], sources: Sequence[Source]) -> list[Job]:
+    """Sort jobs by track, so that the first tables are complete early."""
+    order = {source.name: number for number, source in enumerate(sources)}
+    return sorted(jobs, key=lambda job: order[job.targets[0].key.track])

@@ -1,0 +1,165 @@
+"""Turn the flags of `obpose-bench` into a request."""
+
+from pathlib import Path
+
+from benchmark.commands import arguments
+from benchmark.commands.flag_limits import check_flag
+from benchmark.execution.plan import (
+    Request,
+    Weights,
+)
+from benchmark.models.adapters.predictions import PredictionFolder
+from benchmark.models.registry import (
+    budget_of,
+    discover,
+    expand,
+    find_model,
+    row_names,
+)
+from benchmark.names import check_model_name, find_twin
+from datagen.errors import UsageError
+from datagen.tracks import (
+    DEFAULT,
+    DataFolder,
+    Source,
+    find_data_folder,
+    find_track,
+    find_tracks,
+)
+from obpose.storage.pretrained import find_checkpoint
+from obpose.systems import system_of
+
+_OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
+"""Flags that do not apply to --predictions."""
+
+_NUMBERS = (
+    "seeds",
+    "workers",
+    "steps",
+    "scenes",
+    "refine",
+    "background_slot",
+    "time_limit",
+    "budget",
+    "memory_limit",
+)
+"""Flags that `benchmark.commands.flag_limits` bounds."""
+
+
+def request_of(values: arguments.Run) -> Request:
+    """Build the request that the flags describe.
+
+    Raises:
+        UsageError: flags contradict each other, or name something that does not exist.
+    """
+    _check(values)
+    names = values.track or (values.fit_track or DEFAULT,)
+    sources: list[Source] = [_scored_folder(values.data)] if values.data else [*find_tracks(names, values.profile)]
+    if values.predictions and values.task == "editing":
+        raise UsageError("--task editing is for models; label maps cannot be edited.")
+    if values.predictions:
+        return _predictions_request(values, sources)
+    models = tuple(expand(values.model))
+    learns = any(find_model(name).kind == "learned" for name in models)
+    if values.deterministic and values.steps is None and learns and not values.pretrained:
+        raise UsageError("--deterministic counts budgets in steps; say how many with --steps.")
+    if values.pretrained and not learns:
+        raise UsageError("--pretrained is for models that learn; name one, or leave it out.")
+    if (values.pretrained or values.checkpoint) and values.slots:
+        raise UsageError("--slots is for models that are made here: weights have the slots of their training.")
+    return Request(
+        models=models,
+        sources=tuple(sources),
+        seeds=values.seeds,
+        fit_source=find_track(values.fit_track, values.profile) if values.fit_track else None,
+        seconds=values.budget if values.budget is not None else budget_of(values.model),
+        steps=values.steps,
+        pretrained=values.pretrained,
+        weights=_weights(values),
+        slots=tuple(dict.fromkeys(number + 1 for number in values.slots)),
+        profile=values.profile,
+    )
+
+
+def _check(values: arguments.Run) -> None:
+    places = bool(values.track) + (values.data is not None)
+    models = bool(values.model or values.checkpoint)
+    if models == bool(values.predictions) or places > 1 or (values.predictions and not places):
+        raise UsageError(
+            "Name what to score and where: --model NAME [NAME ...], --checkpoint DIR or --predictions DIR, and --track "
+            f"NAME [NAME ...] or --data DIR (models are scored on the track {DEFAULT!r} if left out); --list shows "
+            "models and tracks."
+        )
+    given = [flag for flag in _OF_MODELS if getattr(values, flag) not in ((), False, None)]
+    if values.predictions and given:
+        flag = given[0].replace("_", "-")
+        raise UsageError(f"--{flag} is for models that are run here; --predictions are scored as they are.")
+    if values.name is not None and not values.predictions and len(values.checkpoint) != 1:
+        raise UsageError("--name is for --predictions or one --checkpoint; models go by their own names.")
+    if values.scenes is not None and values.task != "editing":
+        raise UsageError("--scenes is for --task editing; segmentations are scored on all test scenes.")
+    if values.refine and values.task != "editing":
+        raise UsageError("--refine is for --task editing; segmentations are scored as they are inferred.")
+    if values.background_slot is not None and not values.predictions:
+        raise UsageError("--background-slot is for --predictions; models say themselves which slot is the background.")
+    for flag in _NUMBERS:
+        check_flag(flag.replace("_", "-"), getattr(values, flag))
+    for number in values.slots:
+        check_flag("slots", number)
+    if values.out.exists() and not values.out.is_dir():
+        raise UsageError(f"{values.out} is a file; give a folder with --out.")
+    if (values.out / "dataset.json").exists():
+        raise UsageError(f"{values.out} is a dataset, whose manifest would be lost; give another folder with --out.")
+
+
+def _scored_folder(folder: Path) -> DataFolder:
+    source = find_data_folder(folder)
+    if not source.size("test"):
+        raise UsageError(f"{folder} has no test scenes to score on; generate some with --scenes or --split test=N.")
+    return source
+
+
+def _predictions_request(values: arguments.Run, sources: list[Source]) -> Request:
+    if len(sources) > 1:
+        raise UsageError("--predictions are of one track or dataset; name one.")
+    if missing := [folder for folder in values.predictions if not folder.is_dir()]:
+        raise UsageError(f"{missing[0]} is no folder; expected one with label maps.")
+    resolved = [folder.resolve() for folder in values.predictions]
+    if twice := [folder for folder in values.predictions if resolved.count(folder.resolve()) > 1]:
+        raise UsageError(f"{twice[0]} is given twice in --predictions; expected one folder a seed, each another.")
+    folders = tuple(PredictionFolder(folder, values.background_slot) for folder in values.predictions)
+    return Request(models=(_name(values, resolved[0]),), sources=tuple(sources), predictions=folders)
+
+
+def _weights(values: arguments.Run) -> tuple[Weights, ...]:
+    """Load the weights that --checkpoint names."""
+    if not values.checkpoint:
+        return ()
+    # PyTorch takes seconds to import.
+    from obpose.scenes.model_ref import check_poses
+    from obpose.storage.checkpoint import read_config
+
+    folders = [find_checkpoint(folder).resolve() for folder in values.checkpoint]
+    configs = [read_config(folder) for folder in folders]
+    if values.task == "editing":
+        for folder, config in zip(folders, configs, strict=True):
+            check_poses(config, str(folder))
+    found = tuple(
+        Weights(system_of(config), folder, _name(values, folder))
+        for folder, config in zip(folders, configs, strict=True)
+    )
+    names = [weights.name for weights in found]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(
+            f"Two of --checkpoint are called {twice[0]!r}; score them one by one, each with a --name of its own."
+        )
+    return found
+
+
+def _name(values: arguments.Run, folder: Path) -> str:
+    """Name for the label maps, or weights, of a folder in tables, files and keys."""
+    name = folder.name if values.name is None else values.name
+    check_model_name(name, "Give one with --name.")
+    if twin := find_twin(name, row_names(discover()[0])):
+        raise UsageError(f"{twin!r} is the name of a model; give what is in {folder} another with --name.")
+    return name

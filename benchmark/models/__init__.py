@@ -1,0 +1,1 @@
+"""Models of the benchmark: interface, registry, plug-ins, and all implementations."""

@@ -1,0 +1,64 @@
+"""What is scored besides the models that need no training: those that learn, and label maps made elsewhere.
+
+PyTorch takes seconds to import, so that only building a model does it.
+"""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmark.models.adapters.settings import settings_of
+from benchmark.models.interface import Segmenter
+from benchmark.models.model_spec import (
+    ModelSpec,
+    Options,
+    Views,
+)
+from obpose.systems import SYSTEMS, System, priors_of
+
+LABELLED_TRIALS: dict[str, int] = {"obpose": 70, "supervised": 70, "obsurf": 30}
+"""Approximate number of short runs that were compared with labels of validation scenes, by architecture; see
+docs/results/search.md."""
+
+
+def _build(name: str, options: Options) -> Segmenter:
+    from benchmark.models.adapters.learned import LearnedSegmenter
+
+    return LearnedSegmenter(name, **options)
+
+
+def _spec(name: str, system: System) -> ModelSpec:
+    config = system.config()
+    return ModelSpec(
+        partial(_build, name),
+        version=system.version,
+        description=system.description,
+        kind="learned",
+        uses_labels=system.uses_labels,
+        priors=system.priors,
+        budget=60 * config.train.minutes,
+        extra=system.extra,
+        labelled_trials=LABELLED_TRIALS[system.architecture.name],
+        settings=settings_of(config),
+        profiles={name: settings_of(system.config(name)) for name in system.architecture.profiles if name != "cpu"},
+        views=_views(config),
+        configured=partial(_configured, name),
+        on_tracks=system.on_tracks,
+    )
+
+
+def _configured(name: str, folder: Path) -> ModelSpec:
+    from obpose.storage.checkpoint import read_config
+
+    config = read_config(folder)
+    return replace(LEARNED[name], priors=priors_of(config), views=_views(config))
+
+
+def _views(config: Any) -> Views:
+    return {"together": Views("all", "all"), "one": Views("one", "all"), "apart": Views("one", "one")}[
+        config.train.views
+    ]
+
+
+LEARNED = {name: _spec(name, system) for name, system in SYSTEMS.items()}

@@ -1,0 +1,133 @@
+"""The systems of `obpose.systems` as models of the benchmark: clips to observations, labels back."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from einops import rearrange
+
+from benchmark.execution.validation_scores import Watch
+from benchmark.models.adapters.poses import poses_of
+from benchmark.models.adapters.settings import settings_of
+from benchmark.models.interface import (
+    Clip,
+    Prediction,
+)
+from datagen.errors import UsageError
+from obpose.data.clips import (
+    ArrayClips,
+    LabelledArrayClips,
+    observation_of,
+    views_apart,
+)
+from obpose.data.resolution import fitting_model
+from obpose.data.scene_stats import measure_scene
+from obpose.model.obpose import ObPose
+from obpose.storage.checkpoint import load
+from obpose.systems import find_system
+from obpose.trainable import Trainable
+from obpose.training.loop import (
+    CurvePoint,
+    train,
+)
+
+ATTENTION = "att"
+"""Name of the attention masks in `Prediction.extra`."""
+
+
+class LearnedSegmenter:
+    """One of `obpose.systems.SYSTEMS`, trained on clips or loaded from a checkpoint; implements `Segmenter`."""
+
+    parameters: int = 0
+    device: str = "cpu"
+    learning_curve: list[dict[str, float]] | None = None
+    fit_seconds: float = float("nan")
+    """Training time on the budget's clock, in seconds; includes the time before an interruption."""
+    fitted_settings: Mapping[str, Any] | None = None
+    """Settings of the training that made the weights, budget and scene included, in the format of `settings_of`."""
+
+    def __init__(
+        self,
+        system: str,
+        *,
+        slots: int,
+        steps: int | None = None,
+        folder: Path | None = None,
+        checkpoint: Path | None = None,
+        profile: str = "cpu",
+        changes: Mapping[str, Any] | None = None,
+        watch: Watch | None = None,
+    ):
+        """Options as in `benchmark.models.interface`; `slots` counts the background, which configurations do not."""
+        self._changes = {"model.slots": slots - 1, "train.steps": steps, **(changes or {})}
+        self._profile, self._watch = profile, watch
+        self._system, self._folder, self._checkpoint = find_system(system), folder, checkpoint
+
+    def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
+        """Train for `budget` seconds of one core, or resume the training in the folder."""
+        torch.set_num_threads(1)
+        if self._checkpoint:
+            model, config, _ = load(self._checkpoint)
+            self._model, self._views, self.fitted_settings = model, config.train.views, settings_of(config)
+        else:
+            self._model = self._train(train, val, seed=seed, budget=budget)
+        self.parameters = sum(parameter.numel() for parameter in self._model.parameters())
+
+    def segment(self, clip: Clip) -> Prediction:
+        """Segment a clip. Slot 0 is the background if the model has one; `att` holds the attention masks.
+
+        Poses are included if the model gives objects poses and segments each view separately.
+        """
+        return self._segment(self._model, clip)
+
+    def _segment(self, model: Trainable, clip: Clip) -> Prediction:
+        source = ArrayClips([clip])
+        observation = observation_of([source.window(0, 0, source.frames_of_clip)]).to(device_of(model))
+        model = fitting_model(model, observation) if isinstance(model, ObPose) else model
+        if self._views == "together":
+            found, axes = model.segment(observation), "1 frame view h w -> frame view h w"
+            poses = None
+        else:
+            apart = views_apart(observation)
+            found, axes = model.segment(apart), "view frame 1 h w -> frame view h w"
+            poses = poses_of(model, found, apart)
+        labels, attention = (rearrange(maps, axes).cpu().numpy() for maps in (found.labels, found.attention))
+        extra = {ATTENTION: attention} if ATTENTION in self._system.extra else {}
+        return Prediction(labels, model.background_slot, extra, poses)
+
+    def _train(self, clips: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> Trainable:
+        if not len(clips):
+            raise UsageError(
+                "The dataset has no training scenes; expected some to learn from. Generate some with --split train=N, "
+                "or use weights with --pretrained or --checkpoint."
+            )
+        kind = LabelledArrayClips if self._system.uses_labels else ArrayClips
+        source, validation = kind(clips), kind(val) if len(val) else None
+        config = self._config(source, seed, budget)
+        self._views, self.fitted_settings = config.train.views, settings_of(config)
+        trained = train(source, validation, config, folder=self._folder, look=self._look)
+        self.learning_curve = [_point(point) for point in trained.curve]
+        self.fit_seconds = trained.seconds
+        return trained.model
+
+    def _look(self, model: Trainable, step: int, seconds: float) -> None:
+        if self._watch:
+            self._watch(partial(self._segment, model), step=step, seconds=seconds)
+
+    def _config(self, source: ArrayClips, seed: int, budget: float) -> Any:
+        measured = self._system.known(measure_scene(source).changes())
+        run = {"train.seed": seed, "train.minutes": budget / 60}
+        return self._system.config(self._profile, {**self._changes, **run, **measured})
+
+
+def device_of(model: Trainable) -> torch.device:
+    """Device that holds the model's weights."""
+    return next(model.parameters()).device
+
+
+def _point(point: CurvePoint) -> dict[str, float]:
+    """Validation losses of a curve point. `benchmark.ranking.failed_seeds` looks for names that contain "loss"."""
+    losses = {"loss" if name == "total" else f"{name} loss": value for name, value in point.losses.items()}
+    return {"step": float(point.step), "seconds": point.seconds, **losses}

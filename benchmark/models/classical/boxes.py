@@ -1,0 +1,110 @@
+"""Poses without learning: the smallest box around what is visible of a segment.
+
+It knows nothing of the hidden side, which is what a model that infers whole objects is to be held against.
+"""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int64
+from scipy.spatial import ConvexHull, QhullError
+
+from benchmark.metrics.box_overlap import Box
+from benchmark.models.classical.oracles import truth_of
+from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
+from benchmark.models.classical.untrained import Untrained
+from benchmark.models.interface import (
+    Clip,
+    Poses,
+    Prediction,
+)
+from benchmark.tasks.true_poses import (
+    visible_centers,
+    world_points,
+)
+from datagen.shapes.geometry.bounding import (
+    Outline,
+    minimum_box,
+)
+
+LEAST_POINTS = 4
+"""Fewer have no box; their middle still is a place."""
+_THICKNESS = 0.01
+"""Share of a segment's length by which its points are balls while its box is looked for: a flat segment would have no
+volume along any axes."""
+
+
+@dataclass
+class PlaneHdbscanBoxes(PlaneHdbscan):
+    """`PlaneHdbscan`, and the smallest box around each of its segments; implements `Segmenter`."""
+
+    def segment(self, clip: Clip) -> Prediction:
+        """Clusters are of all views of a frame, and so are their boxes."""
+        found = super().segment(clip)
+        return Prediction(
+            found.labels, found.background_slot, poses=visible_boxes(found.labels, clip, views="together")
+        )
+
+
+class OracleVisibleBoxes(Untrained):
+    """The truth, and the smallest box around the visible points of each object."""
+
+    def segment(self, clip: Clip) -> Prediction:
+        """Each view's boxes are of its own points: what a model with one view can know without guessing."""
+        labels = truth_of(clip)
+        return Prediction(labels, background_slot=0, poses=visible_boxes(labels, clip, views="apart"))
+
+
+class OracleVisibleMeans(Untrained):
+    """The truth, and the mean of the visible points of each object: no orientations, no boxes."""
+
+    def segment(self, clip: Clip) -> Prediction:
+        """Of each view by itself."""
+        labels = truth_of(clip)
+        centers = visible_centers(clip, labels, int(labels.max()))
+        nowhere = np.full((*centers.shape[:2], 1, 3), np.nan)
+        return Prediction(labels, background_slot=0, poses=Poses(np.concatenate([nowhere, centers], axis=2)))
+
+
+def visible_boxes(
+    labels: Int64[np.ndarray, "frame view height width"], clip: Clip, *, views: Literal["together", "apart"]
+) -> Poses:
+    """Smallest boxes around the points of each label but 0, of all views of a frame or of each by itself."""
+    points = world_points(clip)
+    frames, count = labels.shape[:2]
+    shape = frames, count, int(labels.max()) + 1
+    poses = Poses(*(np.full((*shape, *axes), np.nan) for axes in ((3,), (3, 3), (3,))))
+    groups = [slice(None)] if views == "together" else [slice(view, view + 1) for view in range(count)]
+    for frame, group in product(range(frames), groups):
+        for label in range(1, shape[2]):
+            mine = (labels[frame, group] == label) & clip.valid[frame, group]
+            if mine.any():
+                _put(poses, (frame, group, label), smallest_box(points[frame, group][mine]))
+    return poses
+
+
+def smallest_box(points: Float[np.ndarray, "point 3"]) -> Box:
+    """Centre, rotation and sides of the smallest box around points; along the world's axes where they are too few."""
+    outermost = _outermost(points)
+    if len(outermost) < LEAST_POINTS:
+        return (points.min(axis=0) + points.max(axis=0)) / 2, np.eye(3), np.ptp(points, axis=0)
+    radius = _THICKNESS * float(np.ptp(outermost, axis=0).max())
+    none, balls = np.zeros((0, 3)), np.full(len(outermost), radius)
+    box = minimum_box(Outline(none, outermost, np.zeros((len(outermost), 3, 3)), balls))
+    return box.center, box.rotation, np.maximum(box.size - 2 * radius, 0.0)
+
+
+def _outermost(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "corner 3"]:
+    """Corners of the convex hull; all points where they have none, as those of a plane."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        return points
+
+
+def _put(poses: Poses, place: tuple[int, slice, int], box: Box) -> None:
+    for array, values in zip((poses.center, poses.rotation, poses.size), box, strict=True):
+        assert array is not None
+        array[place] = values

@@ -1,0 +1,1 @@
+"""Statistics, ranks and the leaderboard."""

@@ -1,0 +1,184 @@
+"""`obpose-bench compare A B`: how two models of a run folder differ, paired by scene."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from benchmark.ranking import statistics
+from benchmark.ranking.escaping import one_line
+from benchmark.ranking.number_text import decimals_that_show
+from benchmark.ranking.standings import (
+    ALL_METRICS,
+    Entry,
+    Progress,
+    compare_entries,
+    load_entries,
+    silent,
+)
+from benchmark.ranking.statistics import Difference
+from benchmark.ranking.table_text import without_floor
+from benchmark.results.run_folder import check_runs
+from datagen.console.text import counted
+from datagen.errors import UsageError
+
+COLUMNS = {"metric": 17, "A": 5, "B": 5, "A - B": 6, "95 % interval": 13, "wins": 5, "resolvable": 10, "p": 5}
+"""Columns of the printed table and their widths, equal for all tracks."""
+
+LEGEND = (
+    "A - B is paired by scene, after a mean over each model's seeds that have scores. wins: share of scenes in which A "
+    "scores more; equal scores count half. resolvable: the smallest true difference that these scenes would show (5 % "
+    "significance, 80 % power). p: Holm-corrected over all lines; grey where 5 % or more."
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Difference of model A's score from model B's, in one metric on one track."""
+
+    track: str
+    fit_track: str
+    """Track that both models were fitted on."""
+    metric: str
+    one: float
+    two: float
+    """Scores of A and B: means over their seeds."""
+    difference: Difference
+    p_corrected: float
+    """Holm-corrected for the metrics and tracks of the comparison."""
+    warnings: tuple[str, ...] = ()
+    """Caveats about the two models: failed seeds, undetectable collapses and missing scores."""
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the difference is significant (5 %, after correction)."""
+        return self.p_corrected < statistics.SIGNIFICANCE
+
+
+def compare(
+    folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS, progress: Progress = silent
+) -> list[Comparison]:
+    """Compare every metric on every track on which both models have scores, fitted on the same track.
+
+    Raises:
+        UsageError: a model has no scores in this folder, or the two have no track in common.
+        CorruptFile: a finished row is damaged.
+    """
+    check_runs(folder)
+    everything = load_entries(folder, progress)
+    entries = [entry for entry in everything if entry.n_scenes > 0]
+    first, second = (_of_model(entries, name, folder) for name in (one, two))
+    shared = [(first[field], second[field]) for field in first if field in second]
+    if not shared:
+        raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {_tracks(first)}.")
+    wanted = [(a, b, name) for a, b in shared for name in metrics]
+    found = [(*line, compare_entries(*line)) for line in progress(wanted, "resampling scenes")]
+    found = [line for line in found if line[3].n_scenes > 0]
+    left_out = [_left_out(entry) for entry in everything if entry.place[2] in (one, two) and entry.n_scenes == 0]
+    corrected = statistics.holm(np.array([line[3].p_value for line in found]))
+    return [
+        Comparison(
+            *a.place[:2],
+            name,
+            a.best_known(name),
+            b.best_known(name),
+            difference,
+            float(p_value),
+            (*_warnings(a, b), *left_out),
+        )
+        for (a, b, name, difference), p_value in zip(found, corrected, strict=True)
+    ]
+
+
+def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> Group:
+    """Format comparisons for the terminal: one table per track, warnings below. Insignificant lines are grey."""
+    comparisons = list(comparisons)
+    places = groupby(comparisons, key=lambda line: (line.track, line.fit_track))
+    tables = [_track_table(*place, list(lines)) for place, lines in places]
+    warnings = dict.fromkeys(warning for line in comparisons for warning in line.warnings)
+    return Group(
+        Text(f"A = {one_line(one)}, B = {one_line(two)}\n"),
+        *tables,
+        *(Text(f"Warning: {one_line(warning)}", "yellow") for warning in warnings),
+        LEGEND,
+    )
+
+
+def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Table:
+    scenes = max(line.difference.n_scenes for line in lines)
+    title = Text(f"{one_line(_where(track, fit_track))}, {counted(scenes, 'scene')}", "bold")
+    table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
+    for name, width in COLUMNS.items():
+        table.add_column(name, justify="left" if name == "metric" else "right", no_wrap=True, min_width=width)
+    for line in lines:
+        table.add_row(*_cells(line), style=None if line.is_significant else "bright_black")
+    table.add_row()
+    return table
+
+
+def _cells(line: Comparison) -> list[str]:
+    found = line.difference
+    ends = (found.mean, found.low, found.high)
+    # What is significantly different from 0 must not be printed as 0.
+    digits = decimals_that_show(ends if line.is_significant else (), lambda rounded, exact: bool(rounded or not exact))
+    mean, low, high = (f"{value:+z.{digits}f}" for value in ends)
+    return [
+        line.metric,
+        f"{line.one:z.3f}",
+        f"{line.two:z.3f}",
+        mean,
+        f"{low} {high}",
+        f"{100 * found.win_rate:.0f} %",
+        "–" if math.isnan(found.resolvable) else f"{found.resolvable:.3f}",
+        _p_value(line.p_corrected),
+    ]
+
+
+def _p_value(value: float) -> str:
+    """Format a p-value with enough decimals to show on which side of the significance level it lies."""
+    if math.isnan(value):
+        return "–"
+    level = statistics.SIGNIFICANCE
+    digits = decimals_that_show([value], lambda rounded, exact: (rounded < level) == (exact < level))
+    return f"{value:.{digits}f}" if value >= 0.001 else "<.001"
+
+
+def _warnings(one: Entry, two: Entry) -> tuple[str, ...]:
+    failed = ", ".join(filter(None, map(_failed_seeds, (one, two))))
+    seeds = f"{_where(*one.place[:2])}: {failed}; their scores, where they have some, count." if failed else ""
+    return tuple(filter(None, (seeds, without_floor((one, two)))))
+
+
+def _left_out(entry: Entry) -> str:
+    track, fit_track, model = entry.place
+    return f"{_where(track, fit_track)} is left out, as {model} has no scores there: {_failed_seeds(entry)}."
+
+
+def _failed_seeds(entry: Entry) -> str:
+    """List the failed runs with their causes; empty if none failed."""
+    causes = list(zip(entry.rows, entry.causes, strict=True))[: entry.n_runs]
+    return ", ".join(f"seed {row.key.seed} of {row.key.model} failed ({cause})" for row, cause in causes if cause)
+
+
+def _where(track: str, fit_track: str) -> str:
+    return track if fit_track == track else f"{track}, fitted on {fit_track}"
+
+
+def _of_model(entries: Iterable[Entry], model: str, folder: Path) -> dict[tuple[str, ...], Entry]:
+    """The model's entries by what makes them comparable: track, dataset, and what it was fitted on."""
+    entries = list(entries)
+    found = {(*entry.place[:2], entry.row.key.track_spec): entry for entry in entries if entry.place[2] == model}
+    if not found:
+        there = ", ".join(sorted({entry.place[2] for entry in entries}))
+        raise UsageError(f"{folder} has no scores of {model!r}; it has those of: {one_line(there)}.")
+    return found
+
+
+def _tracks(entries: Iterable[tuple[str, ...]]) -> str:
+    return ", ".join(sorted({track for track, *_ in entries}))

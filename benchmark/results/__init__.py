@@ -1,0 +1,1 @@
+"""Run folders on disk: scores, label maps, poses and learning curves."""

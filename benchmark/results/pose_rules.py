@@ -1,0 +1,76 @@
+"""Rules for the poses of a clip, whoever made them: a model, predictions from elsewhere, or a stored run."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from benchmark.models.interface import LARGEST_LABEL
+
+ARRAYS = {"center": (3,), "rotation": (3, 3), "size": (3,)}
+"""Names of the arrays, and the shape of one pose in each."""
+MOST_METRES = 1e6
+"""Largest coordinate and side length; beyond it squares lose all precision."""
+UNIT_TOLERANCE = 1e-3
+"""Largest deviation of a rotation's columns from orthonormal ones."""
+
+
+def pose_fault(arrays: Mapping[str, np.ndarray | None], images: tuple[int, int]) -> str:
+    """Say what is wrong with poses, and what was expected; empty if nothing is.
+
+    Args:
+        arrays: Some of `ARRAYS` by name, each [frame, view, label, ...]; missing ones may be None.
+        images: Frames and views of the clip.
+    """
+    given = {name: array for name in ARRAYS if (array := arrays.get(name)) is not None}
+    if given and "center" not in given:
+        return f"{', '.join(given)} without center; expected center as well"
+    if "size" in given and "rotation" not in given:
+        return "size without rotation; expected both, as sides are measured along the axes of the box"
+    if fault := _shape_fault(given, images):
+        return fault
+    return next(_value_faults({name: np.asarray(array, np.float64) for name, array in given.items()}), "")
+
+
+def _shape_fault(given: Mapping[str, np.ndarray], images: tuple[int, int]) -> str:
+    center = given.get("center")
+    labels = center.shape[2] if center is not None and center.ndim == 4 else "label"
+    for name, array in given.items():
+        expected = (*images, labels, *ARRAYS[name])
+        if array.shape != expected or array.dtype.kind != "f":
+            shape = str(expected).replace("'", "")
+            return f"{name} of poses {array.dtype} {array.shape}; expected floats of {shape}, [frame view label ...]"
+    if isinstance(labels, int) and labels > LARGEST_LABEL + 1:
+        return f"poses of {labels} labels; expected at most {LARGEST_LABEL + 1}"
+    return ""
+
+
+def _value_faults(given: Mapping[str, np.ndarray]) -> Iterator[str]:
+    """Faults of single poses; in a row without a pose all numbers are nan."""
+    there = {name: ~np.isnan(array).all(axis=tuple(range(3, array.ndim))) for name, array in given.items()}
+    for name, array in given.items():
+        inner = tuple(range(3, array.ndim))
+        yield from _fault(np.isinf(array).any(axis=inner), f"{name} is infinite; expected numbers, or nan in all of it")
+        yield from _fault(np.isnan(array).any(axis=inner) & there[name], f"{name} is partly nan; expected all or none")
+        far = np.any(np.abs(np.nan_to_num(array)) > MOST_METRES, axis=inner)
+        yield from _fault(far, f"{name} is beyond {MOST_METRES:,.0f} m")
+        only = there[name] != there["center"]
+        yield from _fault(only, f"only one of center and {name} is given; expected both, or nan in both")
+    if "size" in given:
+        yield from _fault((given["size"] < 0).any(axis=3), "size is negative; expected 0 or more")
+    if "rotation" in given:
+        wrong = there["rotation"] & ~_are_rotations(np.nan_to_num(given["rotation"]))
+        yield from _fault(wrong, "rotation is not a rotation matrix; expected orthonormal columns, determinant 1")
+
+
+def _fault(wrong: ArrayLike, words: str) -> Iterator[str]:
+    places = np.argwhere(wrong)
+    if len(places):
+        frame, view, label = places[0].tolist()
+        yield f"of frame {frame}, view {view}, label {label} the {words}"
+
+
+def _are_rotations(matrices: np.ndarray) -> np.ndarray:
+    squares = np.swapaxes(matrices, -1, -2) @ matrices
+    orthonormal = np.all(np.abs(squares - np.eye(3)) < UNIT_TOLERANCE, axis=(-2, -1))
+    return orthonormal & (np.linalg.det(matrices) > 0)

@@ -1,0 +1,148 @@
+"""`obpose-bench --task editing`: scores the edits of trained models, and writes the tables."""
+
+import glob
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from benchmark.commands import arguments
+from benchmark.commands.console import (
+    prepare,
+    progress_bar,
+    status,
+)
+from benchmark.commands.outputs import (
+    print_path,
+    wide_console,
+)
+from benchmark.execution.duration import GRACE_SECONDS
+from benchmark.execution.isolation import (
+    LOGS,
+    limits,
+    run_isolated,
+)
+from benchmark.execution.plan import (
+    Request,
+    trained,
+)
+from benchmark.execution.runner import SPLIT
+from benchmark.execution.schedule import side_by_side
+from benchmark.models.registry import find_model
+from benchmark.names import REFERENCES, REFINED
+from benchmark.ranking.escaping import terminal
+from benchmark.results.files import remove_abandoned
+from benchmark.results.run_folder import digest
+from benchmark.tasks.editing import summary
+from benchmark.tasks.editing.job import (
+    VERSION,
+    EditJob,
+)
+from benchmark.tasks.editing.lines import FOLDER
+from benchmark.tasks.editing.truth import kinds_in
+from datagen.console.text import counted
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
+from datagen.schema import EDITS
+from datagen.storage.reader import Dataset
+from datagen.tracks import (
+    Source,
+    Track,
+)
+from obpose.storage.pretrained import content_hash
+
+
+def score_edits(values: arguments.Run, request: Request) -> int:
+    """Score what is missing, then write the tables."""
+    if request.models and not request.pretrained:
+        raise UsageError(
+            "--task editing trains nothing; add --pretrained for weights that ship with the package, or give a folder "
+            "of your own with --checkpoint in the place of --model."
+        )
+    if idle := [model for model in request.models if find_model(model).kind != "learned"]:
+        raise UsageError(f"{idle[0]!r} infers no scenes that could be edited; leave it out.")
+    sources = [_with_edits(source) for source in request.sources]
+    jobs = [job for source in sources for job in _jobs(request, source, values)]
+    remove_abandoned(values.out)
+    _make_room(jobs, overwrite=values.overwrite)
+    prepare(dict.fromkeys(sources, (SPLIT,)), workers=values.workers)
+    reasons = _run([job for job in jobs if job.missing()], values)
+    console = wide_console()
+    console.print(summary.screen_table(summary.write(values.out)))
+    console.print()
+    print_path(console, "Table: ", values.out / summary.FILES[1])
+    return EXIT_INCOMPLETE if reasons else EXIT_OK
+
+
+def _with_edits(source: Source) -> Source:
+    """A track with all edits; of a dataset, those that it has."""
+    if isinstance(source, Track):
+        return replace(source, edits=EDITS)
+    kinds_in(Dataset(source.folder))
+    return source
+
+
+def _jobs(request: Request, source: Source, values: arguments.Run) -> list[EditJob]:
+    fit = request.fit_source or source
+    there = source.size(SPLIT)
+    if values.scenes is not None and values.scenes > there:
+        raise UsageError(f"--scenes is {values.scenes}; expected at most {there}, the test scenes of {source.name}.")
+    scenes = values.scenes or there
+    answers: dict[str, Path | None] = {REFERENCES: None}
+    answers |= {weights.name: weights.folder for weights in trained(request, fit)}
+    return [
+        EditJob(
+            track=source.name,
+            model=f"{model}{REFINED}" if checkpoint and values.refine else model,
+            data=source.folder,
+            checkpoint=checkpoint,
+            refinements=values.refine,
+            scenes=scenes,
+            digest=digest({"facts": _facts(source, checkpoint, values.refine)}),
+            out=values.out,
+        )
+        for model, checkpoint in answers.items()
+    ]
+
+
+def _facts(source: Source, checkpoint: Path | None, refinements: int) -> list[object]:
+    """List the facts that determine the scores, for the job's digest."""
+    if checkpoint is None:
+        return [VERSION, source.spec_hash, None]
+    return [VERSION, source.spec_hash, content_hash(checkpoint), *([refinements] if refinements else [])]
+
+
+def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
+    """Delete old lines that would share a place with new ones but are of other weights or another dataset."""
+    for job in jobs:
+        place = glob.escape(f"{job.track}--{job.model}--") + "????????.csv"
+        for other in (path for path in (job.out / FOLDER).glob(place) if path != job.path):
+            if not overwrite:
+                raise UsageError(
+                    f"{other} has edits of other weights, of another dataset of that name, or with another --refine. "
+                    "Give another folder with --out, or --overwrite to replace them."
+                )
+            other.unlink()
+
+
+def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
+    """Run the jobs in parallel; returns the reasons of failures."""
+    console, reasons = status(), []
+    with progress_bar(console, "scenes", sum(len(job.missing()) for job in jobs)) as advance:
+
+        def do(job: EditJob, stop: threading.Event) -> list[EditJob]:
+            def hear(event: str) -> None:
+                if event != job.name:  # a scene
+                    advance()
+
+            seconds = 60 * values.time_limit if values.time_limit else GRACE_SECONDS
+            share = limits(seconds, workers=values.workers, memory_mib=values.memory_limit)
+            ending = run_isolated(job, share, job.out / LOGS / f"{job.name}.log", stop, hear)
+            if job.name in ending.events:
+                console.print(terminal(f"{job.track}, {job.model}: {counted(job.scenes, 'scene')}"))
+            elif not stop.is_set():
+                console.print(terminal(f"{job.track}, {job.model}: FAILED, {ending.reason}"))
+                reasons.append(ending.reason)
+            return []
+
+        side_by_side(jobs, do, values.workers)
+    return reasons

@@ -1,0 +1,242 @@
+"""The command `obpose-datagen`: synthetic RGB-D scenes of objects on a table, with exact labels.
+
+obpose-datagen --scenes 1000 --video          1000 clips of moving objects
+obpose-datagen --scenes 1000                  1000 still scenes from three views
+obpose-datagen verify DIR                     prove a dataset's labels
+"""
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from datagen.commands import options
+from datagen.commands.arguments import (
+    Constants,
+    Generate,
+    Inspect,
+    Preview,
+    Regenerate,
+    Render,
+    Stats,
+    Verify,
+)
+from datagen.config import Recipe, recipe_names
+from datagen.console.command_line import given_arguments
+from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError, run_program
+from datagen.storage.reader import Dataset
+from datagen.storage.spec import (
+    read_spec,
+    rendered_recipe_of,
+)
+
+if TYPE_CHECKING:
+    from datagen.pipeline.generate import Report
+
+PROGRAM = "obpose-datagen"
+_LOADING = """Load it:
+    from datagen.storage.reader import Dataset
+    scenes = Dataset("{folder}").split("{split}")
+    record = scenes[0]  # a dict of arrays; scenes.read(0, ["rgb"]) reads only some
+"""
+_LOADING_PIXELS = """\
+    rgb, labels = record["rgb"], record["segmentation"]  # frame view height width (channel)
+    depth = record["depth"] * 1e-4  # metres, 0 = no return
+"""
+_LOADING_POSES = """\
+    positions = record["poses/position"]  # frame object xyz, metres
+    objects = record["objects/category"][: record["objects/count"]]
+Make images of it:
+    obpose-datagen render --from {folder}
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    kept = "Interrupted; finished shards are kept, the same command again goes on."
+    return run_program(PROGRAM, lambda: _run(given_arguments(arguments)), interrupted=kept)
+
+
+def _run(arguments: list[str]) -> int:
+    name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "generate"
+    kind, command = COMMANDS[name]
+    defaults = {"generate": _default_generate, "render": _default_render}.get(name, _no_default)
+    program = PROGRAM if name == "generate" else f"{PROGRAM} {name}"
+    return command(tyro.cli(kind, args=arguments, prog=program, **defaults(arguments)))
+
+
+def _no_default(_arguments: list[str]) -> dict[str, Any]:
+    return {}
+
+
+def _default_generate(arguments: list[str]) -> dict[str, Any]:
+    """Find the recipe before parsing the other flags, because its values are the defaults of the constants' flags."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--recipe")
+    parser.add_argument("--video", action="store_true")
+    known, _ = parser.parse_known_args(arguments)
+    recipe = options.with_overrides(options.choose_recipe(known.recipe, video=known.video), arguments)
+    values = Generate(recipe=known.recipe, constants=Constants.of(recipe))
+    return {"default": values, "description": _description(recipe)}
+
+
+def _description(recipe: Recipe) -> str:
+    """Text shown above the flags in --help. The help printer drops single line breaks, so use empty lines."""
+    return "\n\n".join(
+        [
+            "Synthetic RGB-D scenes of objects on a table, with exact labels.",
+            "--scenes 1000 --video: 1000 clips of moving objects. --scenes 1000: 1000 still scenes from three views.",
+            f"Subcommands, each with a --help of its own: {', '.join(COMMANDS)}; without one, generate.",
+            f"Recipes: {', '.join(recipe_names())}. Defaults below are those of {recipe.name}.",
+        ]
+    )
+
+
+def _default_render(arguments: list[str]) -> dict[str, Any]:
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--from", dest="source")
+    known, _ = parser.parse_known_args(arguments)
+    if not known.source:
+        return {}
+    recipe = rendered_recipe_of(read_spec(Path(known.source)))
+    return {"default": Render(source=Path(known.source), rig=recipe.rig, views=recipe.views)}
+
+
+def _generate(values: Generate) -> int:
+    options.check_seed(values.seed)
+    splits = options.parse_splits(values.scenes, values.split)
+    recipe = values.constants.recipe()
+    if values.video and not recipe.video:
+        raise UsageError("--video contradicts --frames 1; leave one of them out.")
+    if values.simulate_only and (values.resolution or values.renderer):
+        raise UsageError("--simulate-only makes no images; give --resolution and --renderer to `render` instead.")
+    edits = options.parse_edits(values.edits)
+    if values.simulate_only and edits:
+        raise UsageError("--simulate-only makes no images, so that there is nothing to edit; give --edits to `render`.")
+    size = None
+    if not values.simulate_only:
+        size = options.parse_resolution(values.resolution) if values.resolution else recipe.resolution
+    folder = values.out or options.default_folder(recipe.name, size, values.seed)
+    run = _how(values)
+
+    from datagen.pipeline.generate import generate
+
+    renderer = None if values.simulate_only else values.renderer or "raster"
+    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits}
+    report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
+    _print_report(folder, report, splits)
+    return EXIT_OK
+
+
+def _render(values: Render) -> int:
+    spec = read_spec(values.source)
+    recipe = rendered_recipe_of(spec)
+    wanted = dataclasses.replace(recipe, rig=values.rig, views=values.views)
+    size = options.parse_resolution(values.resolution) if values.resolution else None
+    edits = options.parse_edits(values.edits)
+    folder = values.out or options.default_folder(
+        recipe.name + "-rig" * (wanted != recipe), size or spec["resolution"] or recipe.resolution, spec["seed"]
+    )
+    run = _how(values)
+
+    from datagen.pipeline.generate import render
+
+    rig = wanted if wanted != recipe else None
+    report = render(values.source, folder, resolution=size, renderer=values.renderer, rig=rig, edits=edits, run=run)
+    _print_report(folder, report, spec["splits"])
+    return EXIT_OK
+
+
+def _how(values: Generate | Render) -> Any:
+    workers, share = options.parse_workers(values.workers), options.parse_share(values.shard)
+
+    from datagen.console.progress import progress_bar
+    from datagen.pipeline.generate import Run
+
+    return Run(workers=workers, share=share, overwrite=values.overwrite, progress=progress_bar)
+
+
+def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> None:
+    splits = report.spec["splits"]
+    if any(number > wanted.get(name, 0) for name, number in splits.items()):
+        print("There were more scenes than asked for; none was deleted.")
+    counts = ", ".join(f"{number} {name}" for name, number in splits.items())
+    print(f"{folder.resolve()}: {counts} scenes; {report.scenes_made} made in {report.seconds:.1f} s.")
+    if not report.complete:
+        print("Shards are still missing; other --shard jobs, or the same command without --shard, make them.")
+        return
+    split = next(name for name, number in splits.items() if number)
+    text = _LOADING + (_LOADING_PIXELS if report.spec["renderer"] else _LOADING_POSES)
+    print(text.format(folder=folder, split=split), end="")
+
+
+def _verify(values: Verify) -> int:
+    from datagen import verify
+
+    return verify.run(values.folder, workers=options.parse_workers(values.workers))
+
+
+def _stats(values: Stats) -> int:
+    from datagen.inspect import stats
+
+    stats.run(values.folder)
+    return EXIT_OK
+
+
+def _preview(values: Preview) -> int:
+    from datagen.inspect import preview
+
+    for path in preview.run(
+        values.folder, split=values.split, scenes=values.scenes, out=values.out, video=values.animation
+    ):
+        print(path)
+    return EXIT_OK
+
+
+def _inspect(values: Inspect) -> int:
+    _check_scene(values)
+
+    from datagen.inspect import stats
+
+    stats.inspect(values.folder, values.split, values.scene)
+    return EXIT_OK
+
+
+def _regenerate(values: Regenerate) -> int:
+    _check_scene(values)
+
+    from datagen.pipeline.generate import regenerate
+
+    differing = regenerate(values.folder, values.split, values.scene)
+    place = f"{values.folder}, {values.split} scene {values.scene}"
+    if differing:
+        print(f"{place}: these arrays differ from what is stored: {', '.join(differing)}")
+        return EXIT_VERIFICATION
+    print(f"{place}: made anew, every array has the stored SHA-256.")
+    return EXIT_OK
+
+
+def _check_scene(values: Inspect | Regenerate) -> None:
+    scenes = Dataset(values.folder).splits[values.split]
+    if not 0 <= values.scene < scenes:
+        raise UsageError(f"--scene {values.scene}: split {values.split} has scenes 0 to {scenes - 1}.")
+
+
+Command = tuple[type, Callable[[Any], int]]
+
+COMMANDS: dict[str, Command] = {
+    "generate": (Generate, _generate),
+    "render": (Render, _render),
+    "verify": (Verify, _verify),
+    "stats": (Stats, _stats),
+    "preview": (Preview, _preview),
+    "inspect": (Inspect, _inspect),
+    "regenerate": (Regenerate, _regenerate),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What the commands of all packages share: flags, messages, progress, Ctrl-C."""

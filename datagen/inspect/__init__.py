@@ -1,0 +1,1 @@
+"""Statistics, previews and cards of datasets."""

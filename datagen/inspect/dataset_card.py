@@ -1,0 +1,176 @@
+"""A dataset's card: the README.md in its folder, with the header that the Hugging Face hub reads."""
+
+from pathlib import Path
+
+from datagen.inspect.stats import (
+    Summary,
+    summary,
+)
+from datagen.schema import FIELDS
+from datagen.storage.dataset_folder import write_file
+from datagen.storage.reader import Dataset
+from datagen.storage.shard import CONVENTIONS
+from datagen.storage.spec import (
+    CARD_FILE,
+    Spec,
+    settings_hash,
+)
+
+SIZES = [(10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M")]
+"""The hub's words for numbers of images below a limit."""
+
+
+def write_card(folder: str | Path) -> Path:
+    """Write DIR/README.md of a complete dataset and give its path.
+
+    Raises:
+        DatagenError: the folder holds no complete dataset.
+    """
+    spec = Dataset(folder).spec
+    write_file(Path(folder), CARD_FILE, card(spec, summary(folder)).encode(), settings_hash(spec))
+    return Path(folder) / CARD_FILE
+
+
+def card(spec: Spec, figures: Summary) -> str:
+    """The text of the card."""
+    parts = [
+        _header(figures),
+        _title(spec, figures),
+        _table(figures),
+        _loading(figures),
+        _conventions(),
+        _identity(spec),
+    ]
+    return "\n".join(parts)
+
+
+def size_category(images: int) -> str:
+    """The hub's word for a number of images."""
+    return next((name for limit, name in SIZES if images < limit), "n>10M")
+
+
+def _header(figures: Summary) -> str:
+    return f"""---
+license: mit
+task_categories:
+- image-segmentation
+- depth-estimation
+size_categories:
+- {size_category(figures["images"])}
+tags:
+- object-centric-learning
+- synthetic
+- rgb-d
+pretty_name: obpose {figures["recipe"]}
+---
+"""
+
+
+def _title(spec: Spec, figures: Summary) -> str:
+    description = spec["recipe"]["description"] or "An own recipe."
+    renderer = f"rendered with `{figures['renderer']}`" if figures["renderer"] else "simulated, without images"
+    return f"""# {figures["recipe"]}
+
+{description} Made with `{spec["generator"]}`, {renderer}; every constant of the recipe is in `dataset.json`.
+"""
+
+
+def _table(figures: Summary) -> str:
+    scenes = ", ".join(f"{number} {split}" for split, number in figures["scenes"].items())
+    rows = [
+        ("scenes", scenes),
+        ("frames x views a scene", f"{figures['frames_per_scene']} x {figures['views']}"),
+        ("resolution (width x height)", _resolution(figures)),
+        ("objects a scene", _counts(figures["objects_per_scene"])),
+        ("categories", _counts(figures["categories"])),
+        ("motions", _counts(figures["motions"])),
+        ("objects that move", _percent(figures["moving_objects"])),
+        ("clips with a collision", _percent(figures["colliding_clips"])),
+        ("frames in which objects touch (gap under 5 mm)", _percent(figures["touching_frames"])),
+        ("rejected samples", _shares(figures["rejected"])),
+        ("bytes an image on disk", f"{figures['bytes_per_image']:.0f}"),
+        *_pixel_rows(figures),
+    ]
+    return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows), ""])
+
+
+def _pixel_rows(figures: Summary) -> list[tuple[str, str]]:
+    if "foreground" not in figures:
+        return []
+    near, far = figures["depth_range"]
+    quantiles = ", ".join(
+        f"{100 * float(q):.0f} %: {value:.2f}" for q, value in figures["visible_fraction_quantiles"].items()
+    )
+    return [
+        ("foreground share (mean)", _shares(figures["foreground"])),
+        ("visible fraction of objects (quantiles)", quantiles),
+        ("objects less than half visible", _percent(figures["objects_less_than_half_visible"])),
+        ("depth", f"{near:.2f} to {far:.2f} m"),
+    ]
+
+
+def _resolution(figures: Summary) -> str:
+    return "x".join(str(side) for side in figures["resolution"]) if figures["resolution"] else "-"
+
+
+def _counts(histogram: dict[str, int]) -> str:
+    return ", ".join(f"{name}: {number}" for name, number in histogram.items()) or "-"
+
+
+def _shares(shares: dict[str, float]) -> str:
+    return ", ".join(f"{name}: {_percent(share)}" for name, share in shares.items()) or "none"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def _loading(figures: Summary) -> str:
+    fields = '["rgb", "depth", "segmentation"]' if figures["resolution"] else '["poses/position"]'
+    return f"""## Loading
+
+```python
+from datagen.storage.reader import Dataset
+
+scenes = Dataset("path/to/this/folder").split("train")
+record = scenes[0]  # every array of a scene, by name
+part = scenes.read(0, {fields}, frames=slice(0, 1))
+```
+
+The files are plain HDF5 (`h5py.File("train-00000.h5")["objects/size"][0]`); `obpose.data.datasets.SceneDataset` is a
+PyTorch dataset over the folder.
+"""
+
+
+def _conventions() -> str:
+    return f"""## Conventions
+
+{CONVENTIONS}
+"""
+
+
+def _identity(spec: Spec) -> str:
+    renderer = spec["renderer"] and f"{spec['renderer']['name']} {spec['renderer']['version']}"
+    return f"""## Identity
+
+| | |
+|---|---|
+| spec hash | `{spec["spec_hash"]}` |
+| recipe, seed | {spec["recipe"]["name"]}, {spec["seed"]} |
+| data version, format version | {spec["data_version"]}, {spec["format_version"]} |
+| renderer and version | {renderer or "-"} |
+
+The hash of every scene's arrays is stored beside it; `obpose-datagen verify` proves arrays, hashes and geometry, and
+`obpose-datagen regenerate --split train --scene 0` makes a scene again and compares.
+"""
+
+
+def field_table() -> str:
+    """The format's table of fields, as it stands in `docs/dataset.md`."""
+    head = ["| field | type | axes | unit | frame | group | what |", "|---|---|---|---|---|---|---|"]
+    rows = [
+        f"| `{field.name}` | {'text' if field.dtype == 'S' else field.dtype} | {' '.join(field.axes) or '-'} "
+        f"| {field.unit} | {field.frame} | {field.group} | {field.description or '-'} |"
+        for field in FIELDS.values()
+    ]
+    return "\n".join([*head, *rows])

@@ -1,0 +1,1 @@
+"""From a recipe to a dataset: simulate, render and store scenes in parallel."""

@@ -1,0 +1,308 @@
+"""Making datasets: scenes as a pure function of the spec, in parallel, shard by shard, from wherever a run left off."""
+
+import functools
+import itertools
+import json
+import time
+from collections.abc import Collection, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from datagen.config import Recipe, recipe_to_dict
+from datagen.console.progress import (
+    Advance,
+    Progress,
+    no_progress,
+)
+from datagen.errors import UsageError
+from datagen.inspect.dataset_card import write_card
+from datagen.pipeline.make_scene import (
+    SceneMaker,
+    Source,
+    check_memory,
+    make_scene,
+    renderer_identity,
+)
+from datagen.pipeline.parallel import make_all
+from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, array_hash
+from datagen.storage.dataset_folder import (
+    filling,
+    settle,
+    write_file,
+)
+from datagen.storage.manifest import make_manifest
+from datagen.storage.reader import Dataset
+from datagen.storage.shard import (
+    PackedScene,
+    Shard,
+    shard_image,
+)
+from datagen.storage.spec import (
+    MANIFEST_FILE,
+    Spec,
+    groups_of,
+    make_spec,
+    settings_hash,
+    shard_name,
+    shard_ranges,
+)
+
+
+@dataclass(frozen=True)
+class Run:
+    """Options of a run that do not change the content of the dataset."""
+
+    workers: int = 1
+    """Number of processes."""
+    share: tuple[int, int] = (0, 1)
+    """Share (i, n) of the work: make only the shards whose number modulo n is i."""
+    splits: tuple[str, ...] = SPLITS
+    """Splits whose shards are made; the others can follow in another run."""
+    overwrite: bool = False
+    """Whether to replace a dataset of other settings in the same folder."""
+    progress: Progress = no_progress
+    """Shows the progress."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of a run."""
+
+    spec: Spec
+    """Spec of the dataset after the run."""
+    scenes_made: int
+    complete: bool
+    """Whether every scene of the spec exists."""
+    seconds: float
+
+
+def generate(
+    folder: Path,
+    recipe: Recipe,
+    *,
+    splits: Mapping[str, int],
+    seed: int = 0,
+    resolution: tuple[int, int] | None = None,
+    renderer: str | None = "raster",
+    edits: Collection[EditKind] = (),
+    run: Run = Run(),
+) -> Report:
+    """Make a dataset, complete it, or extend it.
+
+    Args:
+        folder: Where it is or will be.
+        recipe: What it holds.
+        splits: Scenes of each split.
+        seed: Any non-negative integer.
+        resolution: Width and height of the images, the recipe's if None.
+        renderer: Name of the renderer; None stores scenes and trajectories without images.
+        edits: Counterfactual edits that are rendered beside each scene.
+        run: How to go about it.
+
+    Raises:
+        UsageError: the request contradicts itself or what is in the folder.
+        DatagenError: it could not be completed; running it again goes on.
+    """
+    spec = dataset_spec(recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer, edits=edits)
+    return _fill(folder, spec, None, run)
+
+
+def dataset_spec(
+    recipe: Recipe,
+    *,
+    splits: Mapping[str, int],
+    seed: int = 0,
+    resolution: tuple[int, int] | None = None,
+    renderer: str | None = "raster",
+    edits: Collection[EditKind] = (),
+) -> Spec:
+    """The spec of the dataset that `generate` makes of these arguments in a new folder.
+
+    Raises:
+        UsageError: edits are asked for where there are no images.
+    """
+    if edits and not renderer:
+        raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
+    return make_spec(
+        recipe_to_dict(recipe),
+        seed=seed,
+        splits=splits,
+        resolution=(resolution or recipe.resolution) if renderer else None,
+        renderer=renderer_identity(renderer),
+        edits=edits,
+    )
+
+
+def render(
+    source: Path,
+    folder: Path,
+    *,
+    resolution: tuple[int, int] | None = None,
+    renderer: str = "raster",
+    rig: Recipe | None = None,
+    edits: Collection[EditKind] = (),
+    run: Run = Run(),
+) -> Report:
+    """Make images of the scenes of another dataset; needs no physics engine.
+
+    Args:
+        source: A complete dataset, with or without images.
+        folder: Where the new one is or will be.
+        resolution: Width and height of the images, the source's or its recipe's if None.
+        renderer: Name of the renderer.
+        rig: A recipe whose cameras (`rig`, `views`) replace the source's; None keeps these.
+        edits: Counterfactual edits that are rendered beside each scene.
+        run: How to go about it.
+
+    Raises:
+        UsageError: the source is no dataset, of another data version or the folder itself, or the request contradicts
+            what is in the folder.
+        DatagenError: the source is incomplete, or the run could not be completed.
+    """
+    if folder.resolve() == source.resolve():
+        raise UsageError(f"{folder} is the dataset whose scenes are to be rendered; give another folder with --out.")
+    dataset = Dataset(source)
+    if dataset.spec["data_version"] != DATA_VERSION:
+        raise UsageError(
+            f"{source} was made by data version {dataset.spec['data_version']}, this program makes version "
+            f"{DATA_VERSION}; render it with the program that made it, or make it anew."
+        )
+    dataset.check_complete()
+    spec = render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig, edits=edits)
+    return _fill(folder, spec, Source(source, settings_hash(dataset.spec)), run)
+
+
+def render_spec(
+    source: Spec,
+    *,
+    resolution: tuple[int, int] | None = None,
+    renderer: str = "raster",
+    rig: Recipe | None = None,
+    edits: Collection[EditKind] = (),
+) -> Spec:
+    """The spec of a dataset that `render` makes of the scenes of another."""
+    width, height = resolution or source["resolution"] or source["recipe"]["resolution"]
+    cameras = {key: recipe_to_dict(rig)[key] for key in ("rig", "views")} if rig else None
+    return make_spec(
+        source["recipe"],
+        seed=source["seed"],
+        splits=source["splits"],
+        resolution=(width, height),
+        renderer=renderer_identity(renderer),
+        rig=cameras or source["rig"],
+        edits=edits,
+    )
+
+
+def regenerate(folder: Path, split: str, index: int) -> list[str]:
+    """Make one scene anew and compare it with the stored one; returns the names of the arrays that differ.
+
+    Raises:
+        UsageError: the folder holds no dataset, or no such scene.
+        DatagenError: the scene has not been made yet, or cannot be read.
+    """
+    dataset = Dataset(folder)
+    stored = dataset.split(split)[index]
+    fresh = make_scene(dataset.spec, split, index)
+    return [
+        name for name in stored if name not in fresh or array_hash(name, stored[name]) != array_hash(name, fresh[name])
+    ]
+
+
+def _fill(folder: Path, wanted: Spec, source: Source | None, run: Run) -> Report:
+    started = time.monotonic()
+    check_memory(wanted)
+    prove = functools.partial(_make_first, SceneMaker(wanted, source))
+    with filling(folder, wanted, overwrite=run.overwrite, prove=prove) as spec:
+        tasks = [task for task in _tasks(folder, spec) if _is_wanted(task, run)]
+        scenes = [(task.split, index) for task in tasks for index in task.todo]
+        maker = SceneMaker(spec, source)
+        progress = run.progress if scenes else no_progress
+        with progress(len(scenes)) as advance, closing(make_all(maker, scenes, run.workers)) as made:
+            for task in tasks:
+                new = [_counted(scene, advance) for scene in itertools.islice(made, len(task.todo))]
+                _write_shard(folder, spec, task, new)
+        # Runs that asked for other numbers of scenes may have been at work in the meantime.
+        spec = settle(folder, spec)
+        complete = not any(task.todo for task in _tasks(folder, spec))
+        seconds = time.monotonic() - started
+        if complete:
+            _finish(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
+    return Report(spec, len(scenes), complete, seconds)
+
+
+def _make_first(maker: SceneMaker) -> None:
+    """Make a scene in vain, so that an impossible request fails before a folder is begun or given up."""
+    if split := next((name for name, scenes in maker.spec["splits"].items() if scenes), None):
+        maker(split, 0)
+
+
+def _is_wanted(task: "_Task", run: Run) -> bool:
+    return bool(task.todo) and task.split in run.splits and task.order % run.share[1] == run.share[0]
+
+
+def _counted(scene: PackedScene, advance: Advance) -> PackedScene:
+    advance()
+    return scene
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A shard and what is to be done about it."""
+
+    split: str
+    order: int
+    """Number among the shards of all splits."""
+    number: int
+    kept: range
+    """Scenes to take over from the file that is there."""
+    todo: range
+    """Scenes to make."""
+
+
+def _tasks(folder: Path, spec: Spec) -> list[_Task]:
+    places = [
+        (split, number, indices)
+        for split in SPLITS
+        for number, indices in enumerate(shard_ranges(spec["splits"][split], spec["scenes_per_shard"]))
+    ]
+    return [_task(folder, spec, order, *place) for order, place in enumerate(places)]
+
+
+def _task(folder: Path, spec: Spec, order: int, split: str, number: int, indices: range) -> _Task:
+    kept = _usable_scenes(folder, spec, split, number) if (folder / shard_name(split, number)).exists() else 0
+    return _Task(split, order, number, indices[:kept], indices[kept:])
+
+
+def _usable_scenes(folder: Path, spec: Spec, split: str, number: int) -> int:
+    """Scenes of a shard that hold all fields that a new one would hold."""
+    with closing(Shard(folder, spec, split, number)) as shard:
+        shard.check()
+        return len(shard) if set(shard.fields) == _fields(spec) else 0
+
+
+def _fields(spec: Spec) -> set[str]:
+    return {name for name, field in FIELDS.items() if field.group in groups_of(spec)}
+
+
+def _write_shard(folder: Path, spec: Spec, task: _Task, new: list[PackedScene]) -> None:
+    scenes = new
+    if task.kept:
+        with closing(Shard(folder, spec, task.split, task.number)) as shard:
+            scenes = [*(shard.packed(row) for row in range(len(task.kept))), *new]
+    settings = settings_hash(spec)
+    attributes = {
+        "data_version": spec["data_version"],
+        "settings_hash": settings,
+        "split": task.split,
+        "first_scene": (task.kept or task.todo).start,
+    }
+    write_file(folder, shard_name(task.split, task.number), shard_image(scenes, attributes), settings)
+
+
+def _finish(folder: Path, spec: Spec, **run: Any) -> None:
+    write_card(folder)
+    manifest = make_manifest(folder, spec, **run)
+    write_file(folder, MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode(), settings_hash(spec))

@@ -1,0 +1,210 @@
+"""One scene from first to last: a pure function of the spec, the split and the index."""
+
+import dataclasses
+import functools
+import uuid
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from datagen.config import Recipe
+from datagen.edits import edits_record
+from datagen.edits.edit_context import stage_of
+from datagen.errors import CorruptFile, UsageError
+from datagen.pipeline.records import (
+    pixel_record,
+    scene_and_trajectory,
+    simulation_record,
+    with_scene,
+)
+from datagen.pipeline.visible_range import check_range
+from datagen.render import make_renderer
+from datagen.render.renderer import Renderer
+from datagen.sampling.cameras import sample_cameras
+from datagen.scene import Scene
+from datagen.schema import FIELDS, SPLITS, EditKind, SceneRecord
+from datagen.shapes import build
+from datagen.storage.reader import (
+    Dataset,
+    Split,
+)
+from datagen.storage.shard import (
+    PackedScene,
+    pack,
+)
+from datagen.storage.spec import (
+    Spec,
+    edits_of,
+    recipe_of,
+    rendered_recipe_of,
+    views_of,
+)
+
+MOST_MEMORY = 4 * 2**30
+"""Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
+
+_SENSOR_STREAM = 1
+_RIG_STREAM = 2
+_EDIT_STREAMS: dict[EditKind, int] = {"remove": 3, "move": 4, "add": 5}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Dataset whose scenes are rendered again."""
+
+    folder: Path
+    settings: str
+    """Settings hash of the dataset."""
+    run: str = field(default_factory=lambda: uuid.uuid4().hex)
+    """Random identifier of the run, so that each run reopens the files."""
+
+
+@dataclass(frozen=True)
+class SceneMaker:
+    """Make the scenes of a dataset, ready to be stored; can be called in any process."""
+
+    spec: Spec
+    source: Source | None = None
+    """Dataset that the simulation fields are read from; None simulates."""
+
+    def __call__(self, split: str, index: int) -> PackedScene:
+        """Make one scene.
+
+        Raises:
+            UsageError: another dataset has taken the source's folder.
+            CorruptFile: a scene of the source cannot be read or built.
+        """
+        return pack(make_scene(self.spec, split, index, self._source_record(split, index)))
+
+    def _source_record(self, split: str, index: int) -> SceneRecord | None:
+        if self.source is None:
+            return None
+        scenes = _source_split(self.source, split)
+        names = [name for name in scenes.fields(index) if name in FIELDS and FIELDS[name].group == "simulation"]
+        record = scenes.read(index, names)
+        try:
+            scene_and_trajectory(record)
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise CorruptFile(
+                f"{self.source.folder}, {split} scene {index}: scene/description is damaged ({error}). "
+                "Delete the shard and run the command that made it again."
+            ) from None
+        return record
+
+
+@functools.lru_cache(maxsize=len(SPLITS))
+def _source_split(source: Source, split: str) -> Split:
+    """A split, kept open from scene to scene."""
+    scenes = Dataset(source.folder).split(split)
+    if scenes.settings_hash != source.settings:
+        raise UsageError(
+            f"{source.folder} was replaced by another dataset while its scenes were rendered; nothing of it was used. "
+            "Run the command again."
+        )
+    return scenes
+
+
+def check_memory(spec: Spec) -> None:
+    """Check that a scene of a dataset fits into memory while it is made.
+
+    Raises:
+        UsageError: it would take more than `MOST_MEMORY` bytes.
+    """
+    needed = scene_memory(spec)
+    if needed > MOST_MEMORY:
+        raise UsageError(
+            f"A scene would take about {needed / 2**30:.1f} GiB of memory, expected at most {MOST_MEMORY / 2**30:.0f} "
+            "GiB. Lower --frames, --views, --resolution or --objects.maximum, or leave out --edits."
+        )
+
+
+def scene_memory(spec: Spec) -> int:
+    """Bytes that a process holds at most while it makes a scene, measured and rounded up."""
+    recipe = recipe_of(spec)
+    objects, edits = object_rows(recipe), edits_of(spec)
+    width, height = spec["resolution"] or (0, 0)
+    # Removals are rendered at three times the resolution, and keep a mask for each object.
+    finer, masks = (9, 80 + 2 * objects) if "remove" in edits else (1, 0)
+    images = recipe.frames * views_of(spec) * width * height * (40 + 20 * len(edits) + masks)
+    tables = recipe.frames * (48 * (objects + 1) ** 2 + 72 * views_of(spec) * objects)
+    return images + 80 * finer * width * height + tables
+
+
+def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = None) -> SceneRecord:
+    """All arrays of one scene, a pure function of the spec's settings, the split and the index.
+
+    Args:
+        spec: The dataset's spec.
+        split: One of `schema.SPLITS`.
+        index: Counts from 0 within the split.
+        source: The scene's simulation fields where they are known; else it is simulated.
+    """
+    recipe = recipe_of(spec)
+    record = source or _simulate(recipe, spec["seed"], split, index)
+    scene, trajectory = scene_and_trajectory(record)
+    if spec["rig"]:
+        scene = _with_cameras(scene, spec, _rng(spec, split, index, _RIG_STREAM))
+        record = with_scene(record, scene)
+    if not spec["renderer"]:
+        return record
+    shapes = tuple(build(body.shape) for body in scene.bodies)
+    renderer = _renderer(spec["renderer"]["name"])
+    width, height = spec["resolution"]
+    check_range(scene, shapes, trajectory.world_from_object, (width, height), name=f"{split} scene {index}: ")
+    pixels = pixel_record(
+        scene,
+        shapes,
+        trajectory,
+        renderer,
+        resolution=(width, height),
+        rows=object_rows(recipe),
+        sensor=recipe.sensor,
+        rng=_rng(spec, split, index, _SENSOR_STREAM),
+    )
+    edits = edits_record(
+        stage_of(scene, shapes, trajectory),
+        pixels,
+        recipe.for_scene(index),
+        renderer,
+        {kind: _rng(spec, split, index, _EDIT_STREAMS[kind]) for kind in edits_of(spec)},
+    )
+    return {**record, **pixels, **edits}
+
+
+def object_rows(recipe: Recipe) -> int:
+    """Length of the object axis: the most objects that a scene of the recipe or its parts can have."""
+    return max(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts))))
+
+
+def _simulate(recipe: Recipe, seed: int, split: str, index: int) -> SceneRecord:
+    # Imported here so that rendering stored scenes does not need the physics engine.
+    from datagen.pipeline.simulate import simulate_scene
+
+    made = simulate_scene(recipe, seed, split, index)
+    return simulation_record(
+        made.scene,
+        made.shapes,
+        made.trajectory,
+        rows=object_rows(recipe),
+        attempts=made.attempts,
+        rejections=made.rejections,
+    )
+
+
+def _with_cameras(scene: Scene, spec: Spec, rng: np.random.Generator) -> Scene:
+    return dataclasses.replace(scene, cameras=sample_cameras(rendered_recipe_of(spec), rng))
+
+
+def _rng(spec: Spec, split: str, index: int, stream: int) -> np.random.Generator:
+    return np.random.default_rng([spec["seed"], SPLITS.index(split), index, stream])
+
+
+@functools.cache
+def _renderer(name: str) -> Renderer:
+    return make_renderer(name)
+
+
+def renderer_identity(name: str | None) -> dict[str, str | int] | None:
+    """Name and version of a renderer."""
+    return {"name": name, "version": _renderer(name).version} if name else None

@@ -1,0 +1,96 @@
+"""Scenes made or checked in several processes and handed out in their order."""
+
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from typing import Any, TypeVar
+
+from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.backend import resource_tracker as loky_tracker
+from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+from datagen.console import interrupts
+from datagen.errors import EXIT_INCOMPLETE, DatagenError
+
+_PARENT_CHECK_SECONDS = 0.2
+
+Place = TypeVar("Place")
+Made = TypeVar("Made")
+
+
+def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Place]], workers: int) -> Generator[Made]:
+    """Call `make`, which can be sent to another process, on splits and indices; what it makes comes in their order."""
+    if workers == 1 or len(scenes) < 3:
+        for scene in scenes:
+            interrupts.check()
+            yield make(*scene)
+        return
+    # The first one compiles the renderer and stores it, so that the workers need not do so all at once.
+    yield make(*scenes[0])
+    interrupts.check()
+    with parallel_config(backend="loky", inner_max_num_threads=1, initializer=_become_worker, initargs=(os.getpid(),)):
+        pool: Any = Parallel(
+            n_jobs=min(workers, len(scenes) - 1),
+            batch_size=1,  # pyright: ignore[reportArgumentType]  # joblib takes numbers too
+            return_as="generator",
+            max_nbytes=None,
+        )
+    with _silent_trackers(), interrupts.held():
+        made = pool(delayed(make)(*scene) for scene in scenes[1:])
+    try:
+        for scene in made:  # `yield from` would close it before the warnings are off
+            interrupts.check()
+            yield scene
+    except TerminatedWorkerError:
+        raise DatagenError(
+            "A worker process died, perhaps for want of memory. What is finished is intact; "
+            "run the same command again, perhaps with fewer --workers."
+        ) from None
+    finally:
+        _stop(made)
+
+
+@contextmanager
+def _silent_trackers() -> Iterator[None]:
+    """Start the processes that clean up after this one such that they do so without a word.
+
+    Ctrl-C can come between the making of a semaphore or a folder and the note of its removal; they would warn that it
+    has leaked after the user was told that all is well.
+    """
+    sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # handed to every process that is started
+    try:
+        loky_tracker.ensure_running()
+        resource_tracker.ensure_running()  # when it starts, it lets Ctrl-C through again
+        yield
+    finally:
+        sys.warnoptions.pop()
+
+
+def _stop(made: Generator[Any]) -> None:
+    """End the workers, if they are not done; joblib would warn that their last scenes were made in vain."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        made.close()
+
+
+def _become_worker(parent: int) -> None:
+    """Leave Ctrl-C to the parent, and end when it is gone, even if it was killed.
+
+    Every worker does so before it waits for its first task: one whose parent was killed before it sent a task would
+    wait for minutes, or for ever if the parent died with a lock in hand, and hold the parent's output pipes open.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    # Not "until it is 1": in a container or a session manager, orphans can be given to another process.
+    while os.getppid() == parent:
+        time.sleep(_PARENT_CHECK_SECONDS)
+    os._exit(EXIT_INCOMPLETE)

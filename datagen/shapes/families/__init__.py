@@ -1,0 +1,1 @@
+"""Shape families, one file each."""

@@ -1,0 +1,1 @@
+"""Meshes, signed distances, mass and bounding boxes of shapes."""

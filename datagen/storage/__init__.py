@@ -1,0 +1,1 @@
+"""Dataset files: shards, folders, locks, and safe readers of files from outside."""

@@ -1,0 +1,215 @@
+"""Reading a dataset with nothing but NumPy and h5py, and the folder's files.
+
+dataset = Dataset("data/moving-128x128-seed0")
+scenes = dataset.split("train")
+record = scenes[0]                                            # all arrays of a scene
+record = scenes.read(0, ["rgb", "depth"], frames=slice(2, 6))  # some fields, some frames
+"""
+
+import operator
+import os
+from collections import Counter, OrderedDict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, SupportsIndex, overload
+
+from datagen.errors import DatagenError, UsageError
+from datagen.schema import SPLITS, EditKind, SceneRecord
+from datagen.storage.shard import (
+    PackedScene,
+    Shard,
+    scenes_present,
+)
+from datagen.storage.spec import (
+    Spec,
+    edits_of,
+    groups_of,
+    read_spec,
+    settings_hash,
+    shard_name,
+    shard_ranges,
+    views_of,
+)
+
+_MOST_OPEN_FILES = 64
+
+
+class Dataset:
+    """A folder of scenes; files are opened when they are needed, so that it can be sent to worker processes.
+
+    Raises:
+        UsageError: the folder holds no dataset of this format.
+        CorruptFile: its `dataset.json` is damaged.
+    """
+
+    def __init__(self, folder: str | Path):
+        self.folder = Path(folder)
+        self.spec: Spec = read_spec(self.folder)
+
+    @property
+    def splits(self) -> dict[str, int]:
+        """Number of scenes of each split."""
+        return {name: self.spec["splits"][name] for name in SPLITS}
+
+    @property
+    def edits(self) -> tuple[EditKind, ...]:
+        """Counterfactual edits that its scenes have."""
+        return edits_of(self.spec)
+
+    @property
+    def views(self) -> int:
+        """Number of cameras."""
+        return views_of(self.spec)
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Groups of fields that its scenes have; see `schema.Field.group`."""
+        return groups_of(self.spec)
+
+    def split(self, name: str) -> "Split":
+        """The scenes of one split.
+
+        Raises:
+            UsageError: there is no such split, or shards beyond its scenes belong elsewhere.
+            CorruptFile: such a shard is damaged.
+        """
+        if name not in self.splits:
+            raise UsageError(f"Unknown split {name!r}; expected one of {', '.join(SPLITS)}.")
+        scenes = Split(self.folder, self.spec, name)
+        scenes_present(self.folder, self.spec, name, first=len(scenes.shards))
+        return scenes
+
+    def check_complete(self) -> None:
+        """Check that every scene is there.
+
+        Raises:
+            DatagenError: scenes are missing; says how many, and where.
+            CorruptFile: a file cannot be read.
+        """
+        missing = {name: self.split(name).missing() for name in SPLITS}
+        if any(missing.values()):
+            counts = ", ".join(
+                f"{len(numbers)} of {self.splits[name]} {name}" for name, numbers in missing.items() if numbers
+            )
+            raise DatagenError(
+                f"{self.folder} is incomplete: {counts} scenes are missing. "
+                "Run the command that began it again to complete it."
+            )
+
+
+class Split(Sequence[SceneRecord]):
+    """The scenes of one split, in order."""
+
+    def __init__(self, folder: Path, spec: Spec, name: str):
+        self.folder, self.spec, self.name = folder, spec, name
+        self._per_shard: int = spec["scenes_per_shard"]
+        self._shards: OrderedDict[int, Shard] = OrderedDict()
+        self._process = os.getpid()
+
+    def __len__(self) -> int:
+        return self.spec["splits"][self.name]
+
+    @property
+    def views(self) -> int:
+        """Number of cameras."""
+        return views_of(self.spec)
+
+    @overload
+    def __getitem__(self, index: SupportsIndex) -> SceneRecord: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[SceneRecord]: ...
+    def __getitem__(self, index: SupportsIndex | slice) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        shard, row = self._locate(index)
+        return {name: shard.read(row, name) for name in shard.fields}
+
+    def read(self, index: SupportsIndex, fields: Iterable[str], frames: slice | None = None) -> SceneRecord:
+        """Read some fields of one scene; `frames` slices the fields that have a frame axis.
+
+        Raises:
+            IndexError: there is no such scene.
+            UsageError: the dataset has no such field.
+            DatagenError: the scene has not been made yet.
+            CorruptFile: its file is damaged.
+        """
+        shard, row = self._locate(index)
+        return {name: shard.read(row, name, frames) for name in fields}
+
+    @property
+    def labels_shape(self) -> tuple[int, int, int, int, int]:
+        """Shape of the label maps of a split with images: scenes, frames, views, height, width."""
+        width, height = self.spec["resolution"]
+        return len(self), self.spec["recipe"]["frames"], self.views, height, width
+
+    @property
+    def settings_hash(self) -> str:
+        """SHA-256 of the settings; equal hashes mean equal scenes at equal indices, whatever the number of scenes."""
+        return settings_hash(self.spec)
+
+    def hash(self, index: SupportsIndex) -> str:
+        """The stored SHA-256 of one scene."""
+        shard, row = self._locate(index)
+        return shard.hashes()[row]
+
+    def rejections(self, index: SupportsIndex) -> Counter[str]:
+        """Number of rejected samples of one scene by reason."""
+        shard, row = self._locate(index)
+        return shard.rejections(row)
+
+    def fields(self, index: SupportsIndex = 0) -> list[str]:
+        """Names of the arrays of one scene that its hash covers."""
+        return self._locate(index)[0].fields
+
+    def packed(self, index: SupportsIndex) -> PackedScene:
+        """One scene in its stored, compressed form."""
+        shard, row = self._locate(index)
+        return shard.packed(row)
+
+    @property
+    def shards(self) -> list[range]:
+        """Indices of the scenes of each shard."""
+        return shard_ranges(len(self), self._per_shard)
+
+    def missing(self) -> list[int]:
+        """Indices of the scenes that have not been made yet."""
+        missing: list[int] = []
+        for number, indices in enumerate(self.shards):
+            there = len(self._shard(number)) if self.path(number).exists() else 0
+            missing.extend(indices[there:])
+        return missing
+
+    def path(self, number: int) -> Path:
+        """Path of shard `number`."""
+        return self.folder / shard_name(self.name, number)
+
+    def close(self) -> None:
+        """Close all files; they are opened again when needed."""
+        while self._shards:
+            self._shards.popitem()[1].close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_shards": OrderedDict(), "_process": -1}
+
+    def _locate(self, index: SupportsIndex) -> tuple[Shard, int]:
+        number = operator.index(index)
+        if not 0 <= number < len(self):
+            raise IndexError(f"Scene {number} of split {self.name}, which has {len(self)} scenes counted from 0.")
+        shard, row = self._shard(number // self._per_shard), number % self._per_shard
+        if row >= len(shard):
+            raise DatagenError(
+                f"Scene {number} of split {self.name} is not in {shard.path} yet: the dataset is incomplete. "
+                "Run the command that began it again to complete it."
+            )
+        return shard, row
+
+    def _shard(self, number: int) -> Shard:
+        if self._process != os.getpid():
+            # HDF5 handles that came along with a fork are dropped, not closed: they belong to the parent.
+            self._shards, self._process = OrderedDict(), os.getpid()
+        if number not in self._shards:
+            self._shards[number] = Shard(self.folder, self.spec, self.name, number)
+            if len(self._shards) > _MOST_OPEN_FILES:
+                self._shards.popitem(last=False)[1].close()
+        self._shards.move_to_end(number)
+        return self._shards[number]

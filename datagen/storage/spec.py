@@ -1,0 +1,311 @@
+"""Spec of a dataset: the content of its `dataset.json`, fixed before any scene is made.
+
+The spec is a plain dict:
+    format_version, data_version, generator
+    recipe .......... every constant of the recipe; its `resolution` is only the default of the one below
+    seed
+    resolution ...... width and height of the images, null if there are none
+    renderer ........ name and version, null if there are no images
+    rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
+    edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
+    scenes_per_shard
+    splits .......... number of scenes of each split
+    spec_hash ....... SHA-256 of all the above: the dataset's identity
+"""
+
+import functools
+import hashlib
+import json
+import math
+import os
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from datagen.config import Recipe, recipe_from_dict
+from datagen.errors import CorruptFile, UsageError
+from datagen.schema import DATA_VERSION, EDITS, FORMAT_VERSION, GENERATOR, SPLITS, EditKind
+from datagen.storage.safe_io import (
+    MOST_ARRAY_BYTES,
+    brief_reason,
+    read_json,
+)
+
+SPEC_FILE = "dataset.json"
+MANIFEST_FILE = "manifest.json"
+CARD_FILE = "README.md"
+
+MOST_SCENES = 1_000_000
+"""Largest number of scenes of a split."""
+
+_MOST_SCENES_PER_SHARD = 64
+_MOST_BYTES_PER_SHARD = 2**30
+_MOST_PIXELS = MOST_ARRAY_BYTES // 3
+"""Largest number of pixels of a scene: its colours are read as one array."""
+_BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
+_BYTES_PER_EDITED_PIXEL = 7  # rgb, depth, segmentation, effects
+
+_LONGEST_NAME = 1000
+_MEND = "Restore it, or delete it and run the command that made the dataset again, which rebuilds it from the shards."
+
+Spec = dict[str, Any]
+
+
+def make_spec(
+    recipe: Mapping[str, Any],
+    *,
+    seed: int,
+    splits: Mapping[str, int],
+    resolution: tuple[int, int] | None,
+    renderer: Mapping[str, Any] | None,
+    rig: Mapping[str, Any] | None = None,
+    edits: Collection[EditKind] = (),
+) -> Spec:
+    """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
+    pixels = _pixels(recipe, rig, resolution)
+    scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL)
+    spec = {
+        "format_version": FORMAT_VERSION,
+        "data_version": DATA_VERSION,
+        "generator": GENERATOR,
+        "recipe": recipe,
+        "seed": seed,
+        "resolution": resolution,
+        "renderer": renderer,
+        "rig": rig,
+        "scenes_per_shard": max(1, min(_MOST_SCENES_PER_SHARD, _MOST_BYTES_PER_SHARD // max(1, scene_bytes))),
+        "splits": {name: int(splits.get(name, 0)) for name in SPLITS},
+    }
+    if edits:
+        # Datasets without edits keep the identity that they had before there were any.
+        spec["edits"] = [kind for kind in EDITS if kind in edits]
+    spec = json.loads(json.dumps(spec))
+    return {**spec, "spec_hash": _digest(spec)}
+
+
+def _pixels(recipe: Mapping[str, Any], rig: Mapping[str, Any] | None, resolution: Sequence[int] | None) -> int:
+    """Number of pixels of all images of a scene."""
+    return recipe["frames"] * (rig or recipe)["views"] * math.prod(resolution or (0, 0))
+
+
+def with_splits(spec: Spec, splits: Mapping[str, int]) -> Spec:
+    """Copy of a spec with other numbers of scenes."""
+    changed = {key: value for key, value in spec.items() if key != "spec_hash"}
+    changed["splits"] = {name: int(splits.get(name, 0)) for name in SPLITS}
+    return {**changed, "spec_hash": _digest(changed)}
+
+
+def spec_text(spec: Spec) -> str:
+    """Text of `dataset.json` for a spec."""
+    return json.dumps(spec, indent=2, allow_nan=False) + "\n"
+
+
+def settings_hash(spec: Spec) -> str:
+    """SHA-256 of all settings that determine a scene, which excludes the numbers of scenes."""
+    return _digest({key: value for key, value in spec.items() if key not in ("splits", "spec_hash")})
+
+
+def _digest(values: Mapping[str, Any]) -> str:
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def split_sizes(scenes: int) -> dict[str, int]:
+    """Split N scenes 80/10/10: of every ten, the second goes to test, the third to val, the others to train.
+
+    No size shrinks as N grows, so that a dataset can be extended: 1 -> 1/0/0, 2 -> 1/0/1, 3 -> 1/1/1, 10 -> 8/1/1.
+    """
+    test, val = (scenes + 8) // 10, (scenes + 7) // 10
+    return {"train": scenes - val - test, "val": val, "test": test}
+
+
+def shard_name(split: str, number: int) -> str:
+    """File name of a split's shard."""
+    return f"{split}-{number:05d}.h5"
+
+
+def shard_numbers(folder: Path, split: str) -> list[int]:
+    """Sorted numbers of the shards of a split in a folder; empty if the folder does not exist."""
+    names = os.listdir(folder) if folder.is_dir() else []
+    matches = (re.fullmatch(rf"{split}-(\d{{5,18}})\.h5", name) for name in names)
+    numbers = sorted({int(match[1]) for match in matches if match})
+    return [number for number in numbers if shard_name(split, number) in names]
+
+
+def shard_ranges(scenes: int, per_shard: int) -> list[range]:
+    """Indices of the scenes of each shard of a split."""
+    return [range(start, min(start + per_shard, scenes)) for start in range(0, scenes, per_shard)]
+
+
+def read_spec(folder: Path) -> Spec:
+    """Read a dataset's spec.
+
+    Raises:
+        UsageError: the folder holds no dataset, or one of another format version.
+        CorruptFile: the file is damaged.
+    """
+    path = folder / SPEC_FILE
+    try:
+        spec = read_json(path)
+    except (FileNotFoundError, NotADirectoryError):
+        raise UsageError(f"{folder} holds no dataset: {_missing_spec(folder)}") from None
+    except CorruptFile as error:
+        raise CorruptFile(f"{error} {_MEND}") from None
+    if not isinstance(spec, dict) or spec.get("generator") != GENERATOR:
+        raise UsageError(f"{path} was not written by {GENERATOR}; give a folder made by it.")
+    if spec.get("format_version") != FORMAT_VERSION:
+        found = f"{spec.get('format_version')!r:.20}"
+        raise UsageError(f"{path} has format version {found}, this program reads {FORMAT_VERSION}; update the program.")
+    if spec.get("spec_hash") != _digest({key: value for key, value in spec.items() if key != "spec_hash"}):
+        raise CorruptFile(f"{path} was changed after it was written: its spec_hash does not fit. {_MEND}")
+    if wrong := [key for key, fits in _FITS.items() if not _holds(fits, spec.get(key))]:
+        raise CorruptFile(f"{path} is no spec: {', '.join(wrong)} missing or malformed. {_MEND}")
+    if _pixels(spec["recipe"], spec["rig"], spec["resolution"]) > _MOST_PIXELS:
+        raise CorruptFile(f"{path} is no spec: its scenes have more than {_MOST_PIXELS:,} pixels. {_MEND}")
+    return spec
+
+
+def _missing_spec(folder: Path) -> str:
+    if shards := [shard_name(split, number) for split in SPLITS for number in shard_numbers(folder, split)]:
+        return (
+            f"{SPEC_FILE} is missing beside {', '.join(shards[:3])}{', ...' * (len(shards) > 3)}. Run the command that "
+            "made these shards again, which rebuilds it from them."
+        )
+    return f"it has no {SPEC_FILE}; give a folder made by {GENERATOR}."
+
+
+def edits_of(spec: Spec) -> tuple[EditKind, ...]:
+    """The counterfactual edits of a dataset, in the order of `schema.EDITS`."""
+    return tuple(kind for kind in EDITS if kind in spec.get("edits", ()))
+
+
+def views_of(spec: Spec) -> int:
+    """Number of cameras of a dataset: that of the rig used for rendering, otherwise that of its recipe."""
+    return (spec["rig"] or spec["recipe"])["views"]
+
+
+def lengths_of(spec: Spec) -> dict[str, int]:
+    """Lengths of the axes of `schema.FIELDS` that a spec determines."""
+    width, height = spec["resolution"] or (0, 0)
+    images = {"width": width, "height": height} if spec["resolution"] else {}
+    return {"frame": spec["recipe"]["frames"], "view": views_of(spec), **images}
+
+
+def groups_of(spec: Spec) -> tuple[str, ...]:
+    """Groups of fields in a dataset of this spec."""
+    if not spec["renderer"]:
+        return ("simulation",)
+    sensor = ("sensor",) if spec["recipe"]["sensor"]["enabled"] else ()
+    return "simulation", "pixels", *sensor, *edits_of(spec)
+
+
+def recipe_of(spec: Spec) -> Recipe:
+    """The recipe of a spec.
+
+    Raises:
+        UsageError: a constant is unknown to this program, or has an impossible value.
+        CorruptFile: a constant has the wrong type.
+    """
+    try:
+        recipe = recipe_from_dict(spec["recipe"])
+    except UsageError as error:
+        raise UsageError(f"{SPEC_FILE} holds a recipe that this version does not take: {error}") from None
+    except (TypeError, ValueError, KeyError, IndexError, AttributeError, ArithmeticError) as error:
+        raise CorruptFile(f"{SPEC_FILE} holds no recipe ({brief_reason(error)}); restore the original.") from None
+    if wrong := list(_mistyped(recipe)):
+        raise CorruptFile(f"{SPEC_FILE} holds no recipe ({wrong[0]} has another type); restore the original.")
+    return recipe
+
+
+def _mistyped(values: Any, prefix: str = "") -> Iterator[str]:
+    """Names of the constants whose type is wrong."""
+    for name, hint in _hints(type(values)).items():
+        value = getattr(values, name)
+        if is_dataclass(value) and isinstance(value, hint):
+            yield from _mistyped(value, f"{prefix}{name}.")
+        elif not _is_of(value, hint):
+            yield prefix + name
+
+
+_hints = functools.cache(get_type_hints)
+
+
+def _is_of(value: Any, hint: Any) -> bool:
+    kind, parts = get_origin(hint), get_args(hint)
+    if kind is Literal:
+        return value in parts
+    if kind is tuple:
+        hints = parts[:1] * len(value) if parts[-1] is ... else parts
+        return type(value) is tuple and len(value) == len(hints) and all(map(_is_of, value, hints))
+    return type(value) in ((int, float) if hint is float else (hint,))
+
+
+def rendered_recipe_of(spec: Spec) -> Recipe:
+    """Recipe of a spec, with the cameras used for its images; raises the same errors as `recipe_of`."""
+    return recipe_of({**spec, "recipe": {**spec["recipe"], **(spec["rig"] or {})}})
+
+
+def _holds(fits: Callable[[Any], bool], value: Any) -> bool:
+    try:
+        return fits(value)
+    except (TypeError, ValueError, KeyError, AttributeError, ArithmeticError):
+        return False
+
+
+def _is_number(value: Any, least: int = 0, most: int | float = math.inf) -> bool:
+    return type(value) is int and least <= value <= most
+
+
+def _is_name(value: Any) -> bool:
+    return type(value) is str and len(value) <= _LONGEST_NAME and value.isprintable()
+
+
+def _is_size(value: Any) -> bool:
+    return type(value) is list and len(value) == 2 and all(_is_number(side, 1, _MOST_PIXELS) for side in value)
+
+
+def _has_views(values: Mapping[str, Any]) -> bool:
+    return _is_number(values["views"], 1, _MOST_PIXELS)
+
+
+def _is_recipe(recipe: Mapping[str, Any]) -> bool:
+    return (
+        all(_is_name(name) for name in (recipe["name"], recipe["description"], *recipe["parts"]))
+        and _is_number(recipe["frames"], 1, _MOST_PIXELS)
+        and _has_views(recipe)
+        and _is_size(recipe["resolution"])
+        and 0.001 <= recipe["fps"] <= 1e6
+        and _is_number(recipe["objects"]["maximum"], 1, 255)
+        and type(recipe["sensor"]["enabled"]) is bool
+    )
+
+
+_FITS: dict[str, Callable[[Any], bool]] = {
+    "data_version": lambda version: _is_number(version, 1),
+    "recipe": _is_recipe,
+    "seed": _is_number,
+    "resolution": lambda size: size is None or _is_size(size),
+    "renderer": lambda renderer: renderer is None or (_is_name(renderer["name"]) and _is_number(renderer["version"])),
+    "rig": lambda rig: rig is None or (_has_views(rig) and type(rig["rig"]) is dict),
+    "scenes_per_shard": lambda scenes: _is_number(scenes, 1, MOST_SCENES),
+    "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
+    "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
+}
+"""Check of each key of a spec that readers rely on."""
+
+
+def differences(old: Spec, new: Spec) -> list[str]:
+    """Settings in which two specs differ, as `key: old -> new`; ignores the numbers of scenes."""
+    ignored = ("splits", "spec_hash")
+    return _differences(
+        {k: v for k, v in old.items() if k not in ignored}, {k: v for k, v in new.items() if k not in ignored}, ""
+    )
+
+
+def _differences(old: Any, new: Any, where: str) -> list[str]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = [*old, *(key for key in new if key not in old)]
+        return [line for key in keys for line in _differences(old.get(key), new.get(key), f"{where}.{key}".lstrip("."))]
+    return [] if old == new else [f"{where}: {json.dumps(old):.100} -> {json.dumps(new):.100}"]

@@ -1,0 +1,76 @@
+"""All checks of one scene."""
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+
+import numpy as np
+
+from datagen.config import Physics, Sensor
+from datagen.errors import DatagenError
+from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
+from datagen.verify.bodies import check_boxes, check_overlap, check_poses
+from datagen.verify.edits import check_edit, check_effects
+from datagen.verify.finding import Finding
+from datagen.verify.pixels import check_order, check_surfaces, check_table
+from datagen.verify.precision import OPENGL, PRECISION
+from datagen.verify.scene_case import (
+    DEFAULT,
+    Allowed,
+    Case,
+    make_case,
+)
+from datagen.verify.views import check_views
+
+Check = Callable[[Case], Iterator[Finding]]
+
+CHECKS: dict[str, tuple[Check, ...]] = {
+    "simulation": (check_description, check_poses, check_overlap),
+    "pixels": (check_counts, check_boxes, check_surfaces, check_table, check_order, check_views),
+    "sensor": (check_sensor,),
+    "remove": (partial(check_edit, kind="remove"), check_effects),
+    "move": (partial(check_edit, kind="move"),),
+    "add": (partial(check_edit, kind="add"),),
+}
+"""Checks by the group of fields that they need."""
+
+
+def verify_record(
+    record: Mapping[str, np.ndarray],
+    groups: tuple[str, ...],
+    physics: Physics = DEFAULT.physics,
+    *,
+    sensor: Sensor = DEFAULT.sensor,
+    renderer: str = "raster",
+) -> list[Finding]:
+    """All contradictions within one scene's arrays.
+
+    Args:
+        record: The arrays.
+        groups: Groups of fields that must be present, see `schema.Field.group`.
+        physics: Physics constants of the scene's recipe, which limit how deep contacts may be.
+        sensor: Sensor constants of the dataset's recipe, which determine the noise of sensor depth.
+        renderer: Name of the renderer, which determines how exact depth and ids can be.
+    """
+    if findings := list(check_schema(record, groups)):
+        return findings
+    try:
+        # An unknown renderer is taken for one that is no more exact than OpenGL.
+        case = make_case(record, Allowed(physics, sensor, PRECISION.get(renderer, OPENGL)))
+    except (ValueError, KeyError, TypeError, IndexError, DatagenError) as error:
+        return [Finding("description", f"cannot be built: {type(error).__name__} {error}")]
+    if case.count != record["objects/count"]:
+        message = f"objects/count is {record['objects/count']}, scene/description has {case.count} bodies"
+        return [Finding("description", message)]
+    return [finding for group in groups for check in CHECKS[group] for finding in _findings(check, case)]
+
+
+def _findings(check: Check, case: Case) -> list[Finding]:
+    # Damaged numbers, such as a singular camera matrix, must not hide what else is wrong with a dataset.
+    try:
+        return list(check(case))
+    except (ValueError, IndexError, ArithmeticError) as error:
+        return [Finding(_name(check), f"cannot be checked: {type(error).__name__} {error}")]
+
+
+def _name(check: Check) -> str:
+    return check.func.__name__ if isinstance(check, partial) else check.__name__

@@ -1,0 +1,1 @@
+"""The commands `obpose-train`, `obpose-segment`, `obpose-edit` and `obpose-view`."""

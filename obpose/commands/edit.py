@@ -1,0 +1,447 @@
+"""The command `obpose-edit`: infer, sample, change and render scenes of a trained model.
+
+obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what is in test scene 0
+obpose-edit infer --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --out a
+obpose-edit sample --checkpoint obpose--moving--64x64 --camera a --out b    a scene that was never seen
+obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
+obpose-edit render c --turntable 24 --out turn.gif
+obpose-edit mesh c --object 2 --out object.glb
+"""
+
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+from jaxtyping import Float
+from joblib import cpu_count
+from torch import Tensor
+
+import assets
+from datagen.console.command_line import given_arguments
+from datagen.console.text import counted
+from obpose.commands.edit_arguments import (
+    Add,
+    Fit,
+    Infer,
+    Learn,
+    Mesh,
+    Move,
+    Remove,
+    Render,
+    Rotate,
+    Sample,
+    Swap,
+)
+from obpose.data.clips import clip_part
+from obpose.data.datasets import SceneDataset
+from obpose.data.resolution import spacing_note
+from obpose.errors import EXIT_OK, Interrupted, UsageError, run_program
+from obpose.rgbd.frames import look
+from obpose.scenes import edit
+from obpose.scenes.appearance.light import strength
+from obpose.scenes.bounds import check_inside
+from obpose.scenes.clip import (
+    name_clip,
+    one_of,
+    read_clip,
+)
+from obpose.scenes.infer import (
+    infer_scene,
+    views_as_trained,
+)
+from obpose.scenes.meshes import (
+    FORMATS,
+    object_mesh,
+    write_mesh,
+)
+from obpose.scenes.model_ref import (
+    Origin,
+    load_origin,
+    origin_of,
+)
+from obpose.scenes.pictures import (
+    PICTURE,
+    strip,
+    turntable,
+    write_gif,
+    write_png,
+)
+from obpose.scenes.priors.flow_prior import (
+    has_flow,
+    named_prior,
+)
+from obpose.scenes.priors.gaussian import FILE as PRIOR
+from obpose.scenes.priors.gaussian import (
+    fit_prior,
+    has_prior,
+    load_prior,
+    save_prior,
+)
+from obpose.scenes.priors.object_bank import (
+    FoundObjects,
+    find_objects,
+)
+from obpose.scenes.priors.sample import sample_scene
+from obpose.scenes.priors.tables import (
+    MOST,
+    find_tables,
+)
+from obpose.scenes.priors.train_flow import (
+    Lesson,
+    learn_flow,
+)
+from obpose.scenes.refine import STEPS
+from obpose.scenes.rendering import (
+    Image,
+    Renderer,
+)
+from obpose.scenes.scene import (
+    Camera,
+    Scene,
+    axis_rotation,
+)
+from obpose.scenes.storage import (
+    load_scene,
+    save_scene,
+)
+from obpose.storage.files import (
+    check_free,
+    check_new,
+    new_file,
+)
+
+PROGRAM = "obpose-edit"
+FPS = 8.0
+MOST_OBJECTS = 100
+MOST_CELLS = 256
+MOST_REFINEMENTS = 10_000
+MOST_TURNS = 360
+MOST_STEPS = 10_000_000
+MOST_SEEDS = 2**31
+LARGEST = 2048
+"""Pixels along a side of a picture."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one subcommand and give its exit code."""
+    return run_program(
+        PROGRAM,
+        lambda: _run(given_arguments(arguments)),
+        interrupted="Interrupted; nothing was changed.",
+        out_of_memory="Out of memory; give a smaller --resolution.",
+    )
+
+
+def _run(arguments: list[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(f"{__doc__}\nSubcommands, each with a --help of its own: {', '.join(COMMANDS)}.")
+        return EXIT_OK
+    name = arguments.pop(0)
+    if name not in COMMANDS:
+        raise UsageError(f"Unknown subcommand {name!r}; expected one of {', '.join(COMMANDS)}.")
+    kind, command = COMMANDS[name]
+    command(tyro.cli(kind, args=arguments, prog=f"{PROGRAM} {name}"))
+    return EXIT_OK
+
+
+def _infer(values: Infer) -> None:
+    framed = any((values.rgb, values.depth, values.intrinsics, values.camera_pose))
+    if framed == (values.data is not None):
+        raise UsageError("Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own.")
+    if not 0 <= values.refine <= MOST_REFINEMENTS:
+        raise UsageError(f"--refine {values.refine}: expected 0 to {MOST_REFINEMENTS}.")
+    _size(values.resolution)
+    origin = load_origin(values.checkpoint)
+    if values.data is not None:
+        place = (values.data, values.split, values.scene)
+        clip = read_clip(*place)
+        check_free(values.out)
+        print(f"Resolution: {spacing_note(origin.model, clip)}.")
+        scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
+    else:
+        sight = look(values, origin.model)
+        check_free(values.out)
+        print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
+        scene = infer_scene(origin, sight.observation, refinements=values.refine)
+    _show(scene, origin, values.out, values.resolution)
+    if not scene.ids:
+        print("No object was found: there is none, or the weights were trained too little or on other scenes.")
+    elif values.refine and not strength(scene.light):
+        print("No light was found by its shadows: the scene is drawn without any.")
+
+
+def _sample(values: Sample) -> None:
+    if not 0 <= values.objects <= MOST_OBJECTS:
+        raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
+    if not 0 <= values.seed < 2**63:
+        raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
+    if values.prior == "found" and values.data is None:
+        raise UsageError("--prior found needs --data DIR, a dataset with training scenes to take objects from.")
+    if values.prior != "found" and values.data is not None:
+        raise UsageError("--data is for --prior found; other priors take nothing from a dataset.")
+    if values.clips < 1:
+        raise UsageError(f"--clips {values.clips}: expected 1 or more.")
+    _size(values.resolution)
+    origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
+    generator = torch.Generator().manual_seed(values.seed)
+    if values.prior == "found":
+        source = _found(origin, values, generator)
+    else:
+        source = named_prior(origin, values.prior or ("flow" if has_flow(origin) else "fitted"))
+    scene = sample_scene(origin, source, objects=values.objects, cameras=cameras, generator=generator)
+    _show(scene, origin, values.out, values.resolution)
+
+
+def _found(origin: Origin, values: Sample, generator: torch.Generator) -> FoundObjects:
+    data = values.data
+    assert data is not None
+    number = len(SceneDataset(data, "train"))
+    if not number:
+        raise UsageError(f"{data} has no training scenes to take objects from; make some with --split train=N.")
+    check_free(values.out)
+    chosen = torch.randperm(number, generator=generator)[: values.clips].tolist()
+    print(
+        f"Looking for objects in {counted(len(chosen), 'training clip')} of {data}; each takes some seconds.",
+        flush=True,
+    )
+    return find_objects(origin, (read_clip(data, "train", index) for index in chosen), refinements=STEPS)
+
+
+def _fit(values: Fit) -> None:
+    origin, count = _own(values.checkpoint), _clips(values)
+    model = origin.model
+    if has_prior(origin):
+        raise UsageError(f"{origin.folder / PRIOR} is there already; move it elsewhere to fit another one.")
+    _say(f"Looking for lights and patterns in {counted(min(count, MOST), 'clip')}; each takes some seconds.")
+    whole = (read_clip(values.data, "train", i) for i in _places(min(count, MOST)))
+    tables = find_tables(origin, whole, refinements=STEPS)
+    _say(f"Looking at the first frames of {counted(count, 'clip')}.")
+    clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
+    save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips), tables))
+    print(f"Fitted to {counted(count, 'clip')}, for obpose-edit sample: {origin.folder}")
+
+
+def _learn(values: Learn) -> None:
+    origin, count = _own(values.checkpoint), _clips(values)
+    if not 1 <= values.steps <= MOST_STEPS:
+        raise UsageError(f"--steps {values.steps}: expected 1 to {MOST_STEPS}.")
+    if not 0 <= values.seed < MOST_SEEDS:
+        raise UsageError(f"--seed {values.seed}: expected 0 to {MOST_SEEDS - 1}.")
+    load_prior(origin)
+    if values.workers is not None and values.workers < 1:
+        raise UsageError(f"--workers {values.workers}: expected at least 1.")
+    workers = values.workers or cpu_count()
+    try:
+        path = learn_flow(origin, values.data, Lesson(count, values.steps, values.seed), workers=workers, say=_say)
+    except KeyboardInterrupt:
+        raise Interrupted("Interrupted; what was done is kept, and the same command goes on.") from None
+    print(f"Learned from {counted(count, 'clip')}, for obpose-edit sample: {path}")
+
+
+def _places(clips: int) -> Iterator[int]:
+    """Places of clips, and a word now and then of how many are done."""
+    for place in range(clips):
+        if place and place % 8 == 0:
+            _say(f"{place} of {counted(clips, 'clip')}")
+        yield place
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _own(checkpoint: str) -> Origin:
+    """A model beside whose weights files may be written."""
+    origin = load_origin(checkpoint)
+    if origin.folder.resolve().parent == assets.CHECKPOINTS.resolve():
+        raise UsageError(
+            f"{origin.folder} ships with the package, its prior too; use a copy of the folder without these."
+        )
+    return origin
+
+
+def _clips(values: Fit | Learn) -> int:
+    """How many there are, and at most as many as are asked for."""
+    number = len(SceneDataset(values.data, "train"))
+    if min(values.clips, number) < 2:
+        raise UsageError(
+            f"--clips {values.clips}: expected 2 or more, of the training split of {values.data}, which has {number}."
+        )
+    if values.clips > number:
+        _say(f"{values.data} has {number} training clips, fewer than --clips {values.clips}.")
+    return min(values.clips, number)
+
+
+def _render(values: Render) -> None:
+    if values.turntable is not None and not 0 < values.turntable <= MOST_TURNS:
+        raise UsageError(f"--turntable {values.turntable}: expected 1 to {MOST_TURNS}.")
+    if values.clip and (values.turntable is not None or values.frame is not None):
+        raise UsageError("--clip shows all frames from where the camera is; leave out --turntable and --frame, or it.")
+    moving = values.turntable is not None or values.clip
+    if values.out.suffix != (".gif" if moving else ".png"):
+        expected = ".gif" if moving else ".png, or --turntable or --clip for an animation"
+        raise UsageError(f"--out {values.out}: expected a name that ends with {expected}.")
+    scene = load_scene(values.scene)
+    frame = one_of("--frame", values.frame or 0, scene.frames)
+    camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
+    camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
+    check_new(values.out)
+    renderer = Renderer(origin.model)
+    with new_file(values.out) as out:
+        if values.turntable is not None:
+            around = turntable(camera, origin.model.center, values.turntable)
+            images = [renderer.render(scene, frame, each) for each in around]
+            write_gif(out, (strip(image, scene.ids) for image in images), fps=FPS)
+            _tell_of_fog(images, float((origin.model.center - camera.world_from_camera[:3, 3]).norm()))
+        elif values.clip:
+            frames = range(scene.frames)
+            write_gif(out, (strip(renderer.render(scene, each, camera), scene.ids) for each in frames), fps=FPS)
+        else:
+            write_png(out, strip(renderer.render(scene, frame, camera), scene.ids))
+    print(values.out)
+
+
+def _tell_of_fog(images: list[Image], distance: float) -> None:
+    """Say if there is something before most of what a camera should see, so many metres away."""
+    if fogged := sum(float(image.depth.median()) < distance / 2 for image in images):
+        print(
+            f"In {fogged} of {counted(len(images), 'picture')} there is fog before the scene: these weights know what "
+            "is empty only where their training's cameras looked. Turntables want weights that were trained with "
+            "several views."
+        )
+
+
+def _mesh(values: Mesh) -> None:
+    if values.out.suffix not in FORMATS:
+        raise UsageError(f"--out {values.out}: expected a name that ends with {' or '.join(FORMATS)}.")
+    if not 2 <= values.cells <= MOST_CELLS:
+        raise UsageError(f"--cells {values.cells}: expected 2 to {MOST_CELLS}.")
+    scene = load_scene(values.scene)
+    frame = one_of("--frame", values.frame, scene.frames)
+    model = origin_of(scene, values.checkpoint).model
+    scene.place(values.object)
+    check_new(values.out)
+    mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
+    with new_file(values.out) as out:
+        write_mesh(out, mesh)
+    sides = " x ".join(f"{100 * side:.1f}" for side in mesh.extents)
+    print(f"{values.out}: {counted(len(mesh.faces), 'triangle')}, {sides} cm along the world's axes")
+
+
+def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:
+    """A command that loads a scene, changes it, and writes what comes of it."""
+
+    def command(values: Any) -> None:
+        scene = load_scene(values.scene)
+        changed = change(values, scene)
+        _show(changed, origin_of(scene, values.checkpoint), values.out, values.resolution)
+
+    return command
+
+
+def _remove(values: Remove, scene: Scene) -> Scene:
+    return edit.remove(scene, values.object)
+
+
+def _move(values: Move, scene: Scene) -> Scene:
+    if (values.by is None) == (values.to is None):
+        raise UsageError("Give either --by or --to.")
+    if values.by is not None:
+        return edit.move(scene, values.object, _vector("--by", values.by))
+    return edit.move_to(scene, values.object, _vector("--to", values.to))
+
+
+def _rotate(values: Rotate, scene: Scene) -> Scene:
+    if not math.isfinite(values.degrees):
+        raise UsageError(f"--degrees {values.degrees}: expected a finite number.")
+    return edit.rotate(scene, values.object, axis_rotation(values.axis, math.radians(values.degrees), scene.center))
+
+
+def _swap(values: Swap, scene: Scene) -> Scene:
+    return edit.swap(scene, *values.objects)
+
+
+def _add(values: Add, scene: Scene) -> Scene:
+    source = scene if values.source is None else load_scene(values.source)
+    if values.by is not None and values.to is not None:
+        raise UsageError("Give --by or --to, not both.")
+    added = edit.transfer(source, values.object, scene)
+    if values.by is not None:
+        added = edit.move(added, added.ids[-1], _vector("--by", values.by))
+    if values.to is not None:
+        added = edit.move_to(added, added.ids[-1], _vector("--to", values.to))
+    _check_seen(added)
+    return added
+
+
+def _check_seen(scene: Scene) -> None:
+    """Check that the last object is not where an equal one is, as a copy that stays in its place would be."""
+    parts = (scene.what, scene.center, scene.rotation)
+    for place, name in enumerate(scene.ids[:-1]):
+        if all(torch.equal(part[:, place], part[:, -1]) for part in parts):
+            raise UsageError(f"A copy in the same place as object {name} would not be seen; give --by or --to.")
+
+
+def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> None:
+    """Check, render, write and describe a scene."""
+    check_inside(scene, origin.model)
+    camera = _sized(scene.cameras[0], resolution)
+    check_free(out)
+    picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
+    save_scene(out, scene, picture)
+    print(f"{out}: {counted(scene.frames, 'frame')}, {counted(len(scene.ids), 'object')}; {out / PICTURE}")
+    for place, name in enumerate(scene.ids):
+        x, y, z = scene.center[0, place].tolist()
+        print(f"  object {name} at {x:.3f}, {y:.3f}, {z:.3f} m in the first frame")
+
+
+def _vector(flag: str, text: str | None) -> Float[Tensor, "3"]:
+    try:
+        numbers = [float(part) for part in (text or "").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise UsageError(f"{flag} {text}: expected x,y,z in metres, such as 0.1,0,0.")
+    return torch.tensor(numbers)
+
+
+def _sized(camera: Camera, resolution: str | None) -> Camera:
+    return camera.resized(*(_size(resolution) or (camera.width, camera.height)))
+
+
+def _size(resolution: str | None) -> tuple[int, int] | None:
+    """Width and height; looked at before anything slow is done, too."""
+    if resolution is None:
+        return None
+    try:
+        width, height = (int(part) for part in resolution.lower().split("x"))
+    except ValueError:
+        width = height = 0
+    if not (0 < width <= LARGEST and 0 < height <= LARGEST):
+        raise UsageError(f"--resolution {resolution}: expected WIDTHxHEIGHT, such as 128x128, at most {LARGEST}.")
+    return width, height
+
+
+Command = tuple[type, Callable[[Any], None]]
+
+COMMANDS: dict[str, Command] = {
+    "infer": (Infer, _infer),
+    "sample": (Sample, _sample),
+    "fit": (Fit, _fit),
+    "learn": (Learn, _learn),
+    "render": (Render, _render),
+    "mesh": (Mesh, _mesh),
+    "remove": (Remove, _edited(_remove)),
+    "move": (Move, _edited(_move)),
+    "rotate": (Rotate, _edited(_rotate)),
+    "swap": (Swap, _edited(_swap)),
+    "add": (Add, _edited(_add)),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())

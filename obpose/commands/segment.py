@@ -1,0 +1,117 @@
+"""The command `obpose-segment`: a trained model on a user's own RGB-D frames of one camera that stands still.
+
+obpose-segment --checkpoint RUN --rgb a.png --depth a_depth.png --intrinsics 525,525,320,240
+obpose-segment --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --every 8
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from einops import rearrange
+from jaxtyping import Float, Int
+
+from datagen.console.command_line import given_arguments
+from datagen.console.text import counted
+from obpose.data.resolution import fitting_model
+from obpose.errors import EXIT_OK, run_program
+from obpose.model.obpose import ObPose
+from obpose.rgbd.frames import (
+    Frames,
+    look,
+)
+from obpose.rgbd.writing import (
+    Found,
+    write_results,
+)
+from obpose.storage.checkpoint import load_obpose
+from obpose.storage.files import check_free
+from obpose.storage.pretrained import find_checkpoint
+from obpose.types import SceneSegmentation, Segmentation
+
+PROGRAM = "obpose-segment"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments(Frames):
+    """Segment RGB-D frames, and find where the objects are and how they are turned."""
+
+    checkpoint: Path
+    """Folder of a trained model, or the name of weights that ship with this package."""
+    out: Path = Path("segmented")
+    """Folder for label images, overlays, and objects.json."""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the console script; leaves with an exit code of `obpose.errors`."""
+    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
+    code = run_program(
+        PROGRAM,
+        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=given_arguments(arguments), description=description)),
+        out_of_memory="Out of memory; give fewer frames at a time, or a larger --every.",
+    )
+    sys.exit(code)
+
+
+def run(values: Arguments) -> int:
+    """Segment and write."""
+    model = load_obpose(find_checkpoint(values.checkpoint))
+    sight = look(values, model)
+    check_free(values.out)
+    found = fitting_model(model, sight.observation).segment(sight.observation)
+    labels = _enlarged(found, values.every, sight.whole.depth.shape)
+    facts = {
+        "checkpoint": str(values.checkpoint),
+        "world": sight.world,
+        "units": "metres; rotations are world_from_object; box_size is the edge of the object's cube",
+        "resolution": sight.resolution,
+    }
+    page = write_results(values.out, sight.whole, labels, _objects(found, labels, model), sight.pose, facts)
+    print(f"World: {sight.world}.")
+    print(f"Resolution: {sight.resolution}.")
+    print(f"Labels, overlays and poses of {counted(len(labels), 'frame')}: {page}")
+    return EXIT_OK
+
+
+def _enlarged(found: Segmentation, step: int, shape: tuple[int, ...]) -> Int[np.ndarray, "frame height width"]:
+    """Labels of all pixels of the recording: squares have the label of the pixel that was taken."""
+    labels = rearrange(found.labels, "1 frame 1 h w -> frame h w").numpy()
+    rows = np.minimum(np.arange(shape[1]) // step, labels.shape[1] - 1)
+    columns = np.minimum(np.arange(shape[2]) // step, labels.shape[2] - 1)
+    return labels[:, rows[:, None], columns]
+
+
+def _objects(
+    found: SceneSegmentation, labels: Int[np.ndarray, "frame height width"], model: ObPose
+) -> list[list[Found]]:
+    """The objects of each frame: slots in use, whether they are in view or not."""
+    inference = found.inference
+    boxed = inference.where is not None
+    center = _array(inference.boxes.center if boxed else inference.observed_center)
+    rotation = _array(inference.boxes.rotation)
+    slots = [slot for slot in range(center.shape[1]) if inference.masks.active[0, slot]]
+    return [
+        [
+            Found(
+                label=slot + 1,
+                pixels=int(np.sum(labels[frame] == slot + 1)),
+                center=center[frame, slot],
+                rotation=rotation[frame, slot],
+                box_size=inference.boxes.size if boxed else None,
+            )
+            for slot in slots
+        ]
+        for frame in range(len(labels))
+    ]
+
+
+def _array(values: Float[torch.Tensor, "1 frame slot ..."]) -> Float[np.ndarray, "frame slot ..."]:
+    return values[0].detach().cpu().numpy().astype(np.float64)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""The command `obpose-train`: train a model on a track or on a dataset of your own.
+
+obpose-train --track moving                                    23 minutes of one CPU core
+obpose-train --data DIR --variant obpose-loc --minutes 6
+obpose-train --track moving --set model.pose.box_size=0.3
+torchrun --nproc-per-node 2 -m benchmark.commands.train --track moving       two processes, each with a batch of its own
+"""
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+from rich.console import Console
+
+from datagen.console.command_line import given_arguments
+from datagen.console.text import counted
+from datagen.tracks import (
+    DataFolder,
+    Track,
+    find_track,
+)
+from obpose.commands.scene_bar import scene_bar
+from obpose.commands.train_arguments import Train
+from obpose.config import TrainConfig
+from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
+from obpose.config_text import parse_changes
+from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program, unknown_name
+from obpose.storage.files import check_no_dataset
+from obpose.systems import System, find_system
+
+if TYPE_CHECKING:
+    from obpose.training.validation import Score
+
+PROGRAM = "obpose-train"
+RUNS = Path("runs")
+LIMITS = {"minutes": MOST_MINUTES, "steps": MOST_STEPS, "threads": 1024, "workers": 1024}
+"""Largest values of flags, all of which are positive."""
+
+
+def main(arguments: Sequence[str] | None = None, *, score: "Score | None" = None) -> int:
+    """Train and give the exit code; `score` is logged at each validation, see `benchmark.commands.train`."""
+    # The help printer keeps empty lines only.
+    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
+    return run_program(
+        PROGRAM,
+        lambda: run(tyro.cli(Train, prog=PROGRAM, args=given_arguments(arguments), description=description), score),
+        interrupted="Interrupted; the same command goes on from the last checkpoint.",
+        out_of_memory="Out of memory; give smaller --set train.batch, train.frames or train.rays.",
+    )
+
+
+def run(values: Train, score: "Score | None" = None) -> int:
+    """Prepare the data, train, and say where everything is."""
+    system = find_system(values.variant)
+    _check(values, system)
+    changes = parse_changes(values.set, system.architecture.config)
+    data = _data(values)
+    if not data.size("train"):
+        raise UsageError(
+            f"{values.data} has no training scenes; expected at least one. Make a dataset with some, such as with "
+            "obpose-datagen --split train=2000,val=100,test=300."
+        )
+    out = values.out or RUNS / f"{values.variant}-{values.profile}-{data.name}-seed{values.seed}"
+    check_no_dataset(out)
+    console = Console(stderr=True, soft_wrap=True, highlight=False, quiet=_process() > 0)
+    folder = _prepare(data, values, console)
+
+    # Late, because PyTorch takes seconds to import.
+    with interruptible_imports(PROGRAM):
+        import torch
+
+        from obpose.commands.train_progress import progress_bar
+        from obpose.data.datasets import SceneDataset
+        from obpose.data.scene_stats import measure_scene
+        from obpose.training.loop import train
+
+    torch.set_num_threads(values.threads)
+    source = SceneDataset(folder, extra=["segmentation"] if system.uses_labels else ())
+    val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
+    measured = system.known(measure_scene(source).changes())
+    config = system.config(values.profile, _chosen(values, data, system) | measured | changes)
+    system.architecture.check(config)
+    console.print(f"Training {values.variant} on {data.name}, {_in_words(config.train)}, into {out}", markup=False)
+    with progress_bar(console) as report:
+        trained = train(
+            source,
+            val_source,
+            config,
+            folder=out,
+            report=report,
+            score=score,
+            device=values.device,
+            tensorboard=values.tensorboard,
+        )
+    if _process() == 0:
+        print(f"{out.resolve()}: {counted(trained.steps, 'step')} in {trained.seconds / 60:.1f} minutes.")
+    return EXIT_OK
+
+
+def _check(values: Train, system: System) -> None:
+    if values.profile not in (profiles := system.architecture.profiles):
+        raise unknown_name("profile", values.profile, profiles)
+    if values.minutes is not None and values.steps is not None:
+        raise UsageError("--minutes and --steps contradict each other; leave one of them out.")
+    for name, most in LIMITS.items():
+        value = getattr(values, name)
+        if value is not None and not 0 < value <= most:
+            raise UsageError(f"--{name} {value}: expected more than 0 and at most {most}.")
+    if not 0 <= values.seed < 2**63:
+        raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
+
+
+def _data(values: Train) -> Track | DataFolder:
+    if (values.track is None) == (values.data is None):
+        raise UsageError("Say what to train on: either --track NAME or --data DIR.")
+    profile = "cpu" if values.profile == "cpu" else "gpu"
+    return DataFolder(values.data) if values.data is not None else find_track(str(values.track), profile)
+
+
+def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
+    """Prepare the dataset and give its folder. The first process makes it, the others wait until it is complete."""
+    splits = [split for split in ("train", "val") if data.size(split)]
+    while _process() > 0 and data.missing(splits):
+        time.sleep(1.0)
+    return data.prepare(splits, workers=values.workers, progress=lambda total: scene_bar(console, data.name, total))
+
+
+def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:
+    """Configuration changes that follow from the flags; `model.slots` excludes the background."""
+    own = system.on_tracks.get(values.track or "", {})
+    budget = {} if values.minutes is None else {"train.minutes": values.minutes}
+    return {**own, "model.slots": data.slots - 1, "train.seed": values.seed, "train.steps": values.steps, **budget}
+
+
+def _in_words(settings: TrainConfig) -> str:
+    return counted(settings.minutes, "minute") if settings.steps is None else counted(settings.steps, "step")
+
+
+def _process() -> int:
+    """Number of this process among those that `torchrun` started."""
+    return int(os.environ.get("RANK", 0))

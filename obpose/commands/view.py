@@ -1,0 +1,132 @@
+"""The command `obpose-view`: look at scenes and edit them by hand, in a browser.
+
+obpose-view DATA                              infer test scene 0 of a dataset with weights that ship
+obpose-view DATA --checkpoint RUN --scene 3   infer test scene 3 with your own model
+obpose-view RUN --data DATA                   infer test scene 0 with your own model
+obpose-view SCENE                             open a scene written by obpose-edit or by this page
+"""
+
+import importlib.util
+import socket
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from datagen.console.command_line import (
+    answer_version,
+    given_arguments,
+)
+from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program
+
+if TYPE_CHECKING:
+    from obpose.viewer.page import Page
+
+PROGRAM = "obpose-view"
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Serve a page to view, edit, sample and save scenes."""
+
+    path: Annotated[Path, tyro.conf.Positional]
+    """Folder of a dataset with images, of a scene, or of a trained model (or the name of weights that ship)."""
+    checkpoint: str | None = None
+    """For a dataset: folder of the model that infers the scene, or the name of weights that ship; if left out, those
+    that ship for its recipe. For a scene: folder of its model, if it was moved."""
+    data: Path | None = None
+    """For a model: folder of the dataset to infer a scene from. For a scene: folder of the dataset that it was inferred
+    from, to show the clip beside it."""
+    split: Literal["train", "val", "test"] = "test"
+    scene: int = 0
+    """Index of the scene in the split, from 0."""
+    out: Path = Path("scenes")
+    """Folder for saved scenes; each gets a new folder inside."""
+    host: str = "127.0.0.1"
+    """Address to listen at; with any other than the default, others on the network can open the page, edit and save."""
+    port: int = 8080
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Serve until Ctrl-C and give the exit code."""
+    if answer_version(PROGRAM, arguments):
+        return EXIT_OK
+    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
+    return run_program(
+        PROGRAM,
+        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=given_arguments(arguments), description=description)),
+        interrupted="Closed; what was not saved is gone.",
+        out_of_memory="Out of memory; give a dataset of shorter clips or smaller images.",
+    )
+
+
+def run(values: Arguments) -> int:
+    """Open the path, serve the page, and wait for Ctrl-C."""
+    check(values)
+    page = serve(values)
+    print(f"{PROGRAM}: http://{_bracketed(values.host)}:{values.port} shows {page.title}; Ctrl-C ends it.", flush=True)
+    if values.host not in LOOPBACK:
+        print(f"{PROGRAM}: everyone who reaches {values.host} can edit, and save into {values.out}.", flush=True)
+    try:
+        threading.Event().wait()
+    finally:
+        page.close()
+    return EXIT_OK
+
+
+def check(values: Arguments) -> None:
+    """Check the arguments before any slow work.
+
+    Raises:
+        UsageError: viser is missing, a number is out of range, or the address cannot be used.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise UsageError("The viewer needs viser and websockets; install them with: pip install viser websockets")
+    if values.scene < 0:
+        raise UsageError(f"--scene {values.scene}: expected 0 or more.")
+    if not 0 < values.port < 65536:
+        raise UsageError(f"--port {values.port}: expected 1 to 65535.")
+    try:
+        family = socket.getaddrinfo(values.host, values.port, type=socket.SOCK_STREAM)[0][0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind((values.host, values.port))
+    except OSError as error:
+        raise UsageError(
+            f"Cannot listen at {values.host}, port {values.port}: {error.strerror}; give another --port or --host."
+        ) from None
+
+
+def serve(values: Arguments) -> "Page":
+    """Open the path of the arguments and start a server with its page.
+
+    Raises:
+        UsageError: as in `obpose.viewer.opening.open_path`, or the port was taken meanwhile.
+    """
+    # Late, because PyTorch takes seconds to import.
+    with interruptible_imports(PROGRAM):
+        from obpose.viewer.opening import check_request, open_path
+        from obpose.viewer.page import Page
+        from obpose.viewer.serving import open_server
+
+    check_request(values.path, checkpoint=values.checkpoint, data=values.data)
+    # After `check_request`, so that its errors come first.
+    if values.out.exists() and not values.out.is_dir():
+        raise UsageError(f"--out {values.out} is a file; expected a folder, or a place for a new one.")
+    opened = open_path(
+        values.path, checkpoint=values.checkpoint, data=values.data, split=values.split, index=values.scene
+    )
+    return Page(open_server(values.host, values.port, opened.title), opened, values.out)
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Clips as tensors, for training and inference."""

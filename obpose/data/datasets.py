@@ -1,0 +1,211 @@
+"""Datasets on disk as PyTorch datasets of clips, without labels unless asked for."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from datagen import schema
+from datagen.console.text import counted
+from datagen.errors import UsageError, unknown_name
+from datagen.storage import reader
+from obpose.data.clips import check_window
+
+Window = Literal["first", "random", "all"]
+
+
+class SceneDataset(Dataset[dict[str, Tensor]]):
+    """One split of a dataset folder; each item is a clip, or a window of one.
+
+    An item is a dict of tensors:
+
+    - `rgb`: Float32 "frame view height width 3", sRGB in 0..1
+    - `depth`: Float32 "frame view height width", planar z in metres, 0 where there is no return
+    - `valid`: Bool "frame view height width", whether the pixel has a depth
+    - `k`: Float32 "view 3 3", camera matrices in pixels, pixel centres at +0.5
+    - `world_from_camera`: Float32 "view 4 4", poses of the cameras with OpenCV axes, metres
+    - each field named in `extra`, under its name, with its axes in `datagen.schema.FIELDS`; depths in metres, other
+      integers as int64, floats as float32. This is the only way to labels: `extra=["segmentation"]`.
+
+    Files are opened on first use in each process, so that the dataset can be sent to any number of loader workers.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        split: str = "train",
+        *,
+        frames: int | None = None,
+        window: Window = "first",
+        views: int | Sequence[int] | None = None,
+        depth: Literal["observed", "clean"] = "observed",
+        extra: Sequence[str] = (),
+        seed: int = 0,
+    ):
+        """Choose what to read; of the dataset itself only its description is read now.
+
+        Args:
+            folder: Of a dataset made by obpose-datagen.
+            split: `train`, `val` or `test`.
+            frames: Length of a window; None for whole clips.
+            window: `first`: each clip's first frames; `random`: a new place in each epoch (see `set_epoch`), a function
+                of seed, epoch and index alone; `all`: clips are cut into as many windows as fit, an item each.
+            views: How many views, from the first on, or which ones; None for all.
+            depth: `observed`: what the sensor saw, where the recipe has one; `clean`: the exact depth.
+            extra: Names of further fields.
+            seed: Of the random windows.
+
+        Raises:
+            UsageError: the dataset, the split, a view or a field does not exist, windows are longer than clips, or a
+                value is of another kind.
+            CorruptFile: the dataset's description is damaged.
+        """
+        dataset = reader.Dataset(folder)
+        self._scenes = dataset.split(split)
+        spec = self._scenes.spec
+        if spec["resolution"] is None:
+            raise UsageError(f"{folder} holds no images; make them with: obpose-datagen render.")
+        self._clip_frames: int = spec["recipe"]["frames"]
+        self._frames = _window_length(frames, self._clip_frames, folder)
+        self._window = _one_of(window, ("first", "random", "all"), "window")
+        self._views = _chosen_views(views, self._scenes.views, folder)
+        sensor: bool = spec["recipe"]["sensor"]["enabled"]
+        self._sensor = _one_of(depth, ("observed", "clean"), "depth") == "observed" and sensor
+        self._extra = _known_fields(extra, _numeric_fields(dataset.groups))
+        self._seed = _not_negative(seed, "seed")
+        # In shared memory, so that workers that outlive an epoch see the number of the next one.
+        self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the random windows of an epoch; call it before iterating.
+
+        Raises:
+            UsageError: the number is negative.
+        """
+        self._epoch.fill_(_not_negative(epoch, "epoch"))
+
+    @property
+    def recipe(self) -> str:
+        """Name of the recipe that the dataset was made with."""
+        return self._scenes.spec["recipe"]["name"]
+
+    @property
+    def settings_hash(self) -> str:
+        """SHA-256 of the settings that the dataset was made with: all but how many scenes it has."""
+        return self._scenes.settings_hash
+
+    @property
+    def frames_of_clip(self) -> int:
+        """Frames of a whole clip."""
+        return self._clip_frames
+
+    def __len__(self) -> int:
+        return len(self._scenes) * self._windows_per_clip
+
+    def __getitem__(self, index: int) -> dict[str, Tensor]:
+        if not 0 <= index < len(self):
+            raise IndexError(f"Item {index} of a dataset with {counted(len(self), 'item')}, counted from 0.")
+        scene, window = divmod(index, self._windows_per_clip)
+        return self.window(scene, self._start(index, window), self._frames)
+
+    def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
+        """Read some frames of a scene, wherever the dataset's own windows are (see `obpose.data.clips.ClipSource`).
+
+        Raises:
+            IndexError: there is no such scene.
+            UsageError: its clip has no such frames.
+            CorruptFile: a file is damaged.
+        """
+        if not 0 <= index < len(self._scenes):
+            raise IndexError(f"Scene {index} of a split with {counted(len(self._scenes), 'scene')}, counted from 0.")
+        check_window(start, frames, self._clip_frames)
+        depth = "sensor_depth" if self._sensor else "depth"
+        fields = {"rgb", depth, "camera/K", "camera/world_from_camera", *self._extra}
+        if self._sensor:
+            fields.add("sensor_valid")
+        record = self._scenes.read(index, fields, slice(start, start + frames))
+        record = {name: self._select_views(name, array) for name, array in record.items()}
+        return {
+            "rgb": _rgb(record["rgb"]),
+            "depth": torch.from_numpy(schema.decode_depth(record[depth])),
+            "valid": torch.from_numpy((record["sensor_valid"] if self._sensor else record[depth]) > 0),
+            "k": _tensor("camera/K", record["camera/K"]),
+            "world_from_camera": _tensor("camera/world_from_camera", record["camera/world_from_camera"]),
+            **{name: _tensor(name, record[name]) for name in self._extra},
+        }
+
+    @property
+    def _windows_per_clip(self) -> int:
+        return self._clip_frames // self._frames if self._window == "all" else 1
+
+    def _start(self, index: int, window: int) -> int:
+        if self._window == "random":
+            rng = np.random.default_rng([self._seed, int(self._epoch), index])
+            return int(rng.integers(self._clip_frames - self._frames + 1))
+        return window * self._frames
+
+    def _select_views(self, name: str, array: np.ndarray) -> np.ndarray:
+        axes = schema.FIELDS[name].axes
+        if self._views is None or "view" not in axes:
+            return array
+        return np.take(array, self._views, axis=axes.index("view"))
+
+
+def _rgb(stored: np.ndarray) -> Tensor:
+    return torch.from_numpy(stored).to(torch.float32).mul_(1 / 255)
+
+
+def _tensor(name: str, array: np.ndarray) -> Tensor:
+    """Depths in metres, other integers as int64, floats as float32."""
+    if schema.FIELDS[name].unit == "0.1 mm":
+        return torch.from_numpy(schema.decode_depth(array))
+    return torch.from_numpy(array.astype(np.int64 if array.dtype.kind == "u" else np.float32))
+
+
+def _window_length(frames: int | None, clip_frames: int, folder: str | Path) -> int:
+    if frames is None:
+        return clip_frames
+    if not _is_whole(frames) or not 1 <= frames <= clip_frames:
+        raise UsageError(
+            f"Windows of {frames} frames: clips of {folder} have {clip_frames}; choose 1 to {clip_frames}."
+        )
+    return frames
+
+
+def _chosen_views(views: int | Sequence[int] | None, available: int, folder: str | Path) -> list[int] | None:
+    if views is None:
+        return None
+    chosen = list(range(views)) if isinstance(views, int) else list(views)
+    if not chosen or not all(_is_whole(view) and 0 <= view < available for view in chosen):
+        raise UsageError(f"Views {views}: clips of {folder} have {available}, counted from 0; choose among them.")
+    return chosen
+
+
+def _numeric_fields(groups: Sequence[str]) -> list[str]:
+    return [field.name for field in schema.FIELDS.values() if field.dtype != "S" and field.group in groups]
+
+
+def _known_fields(names: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
+    if isinstance(names, str):
+        raise UsageError(f"extra={names!r} is a text; expected a list of names, such as [{names!r}].")
+    return tuple(_one_of(name, known, "field") for name in names)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _not_negative(value: int, name: str) -> int:
+    if not _is_whole(value) or value < 0:
+        raise UsageError(f"{name}={value!r}: expected a whole number of 0 or more.")
+    return int(value)
+
+
+def _one_of(name: str, names: Sequence[str], kind: str) -> str:
+    if name not in names:
+        raise unknown_name(kind, name, names)
+    return name

@@ -1,0 +1,1 @@
+"""The ObPose model and its parts."""

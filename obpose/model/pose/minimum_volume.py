@@ -1,0 +1,216 @@
+"""How an object is turned: the orientation of the tightest box around its points, followed through the frames.
+
+The paper's *minimum volume principle* (section Object Location and Orientation Conditioned Encoding): of many rotations
+those are kept whose axis-aligned box around the turned points is nearly the smallest, and of these that nearest to the
+orientation in the frame before. Nothing here has a gradient.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from einops import rearrange, repeat
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from obpose.model.layers.numerics import all_digits
+from obpose.model.pose.rotations import (
+    box_grid,
+    box_rotations,
+    healpix_directions,
+    rotation_from_vector,
+    small_rotations,
+)
+
+_STARTS = 8
+"""Best rotations of the grid that are refined."""
+
+_SCATTERED = 9
+"""Rotations tried around each of them in a round, beside those about the axes of its box."""
+
+_REACH = math.radians(40)
+"""How far from it they lie in the first round, at level 0 of the grid; half at each further level."""
+
+_SHRINK = 0.6
+"""Of the reach, from round to round."""
+
+_THICKNESS = 1e-2
+"""Added to the edges of a box, in units of the cloud's radius: else all boxes flush with a flat cloud are alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clouds:
+    """The points that boxes are put around. Points come first, which is what makes their extremes cheap to find."""
+
+    points: Float[Tensor, "point *box 3"]
+    """From the middle of the cloud, along the world's axes, metres. What was not valid lies on a point that was."""
+    thickness: Float[Tensor, "*box"]
+    """Metres to add to each edge of a box."""
+
+
+@torch.no_grad()
+@all_digits
+def orient(
+    points: Float[Tensor, "batch frame slot point 3"],
+    valid: Bool[Tensor, "batch frame slot point"],
+    *,
+    grid_level: int,
+    refinements: int,
+    tolerance: float,
+    min_points: int,
+) -> Float[Tensor, "batch frame slot 3 3"]:
+    """R, world from object, of every object in every frame, from its observed points in the world frame.
+
+    Columns are the axes of its box. See `find_candidates` for `grid_level` and `refinements`, `follow` for `tolerance`.
+    With fewer than `min_points` points an object keeps the orientation of the frame before, at first the identity.
+    """
+    batch, frames = points.shape[:2]
+    clouds = gather_clouds(
+        rearrange(points.float(), "b f s point xyz -> (f b s) point xyz"),
+        rearrange(valid, "b f s point -> (f b s) point"),
+    )
+    candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
+    rotation = follow(
+        Clouds(
+            rearrange(clouds.points, "point (f box) xyz -> point f box xyz", f=frames),
+            rearrange(clouds.thickness, "(f box) -> f box", f=frames),
+        ),
+        rearrange(candidates, "(f box) c i j -> f box c i j", f=frames),
+        rearrange(valid.sum(dim=-1) >= min_points, "b f s -> f (b s)"),
+        tolerance=tolerance,
+    )
+    return rearrange(rotation, "f (b s) i j -> b f s i j", b=batch)
+
+
+@torch.no_grad()
+@all_digits
+def minimum_volume_rotation(
+    points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box point"], *, grid_level: int, refinements: int
+) -> Float[Tensor, "box 3 3"]:
+    """World from box, for the tightest box around each cloud; which of its 24 names it has is left open."""
+    clouds = gather_clouds(points.float(), valid)
+    candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
+    best = _volumes(clouds, candidates).argmin(dim=-1)
+    return candidates[torch.arange(len(candidates), device=best.device), best]
+
+
+def gather_clouds(points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box point"]) -> Clouds:
+    """Points from the middle of what they span, invalid ones moved to where they have no say."""
+    first = repeat(valid.int().argmax(dim=-1), "box -> box 1 xyz", xyz=3)
+    there = torch.where(valid[..., None], points, points.gather(1, first))
+    middle = (there.amin(dim=1, keepdim=True) + there.amax(dim=1, keepdim=True)) / 2
+    centred = rearrange(there - middle, "box point xyz -> point box xyz").contiguous()
+    return Clouds(centred, _THICKNESS * centred.norm(dim=-1).amax(dim=0))
+
+
+def find_candidates(clouds: Clouds, *, grid_level: int, refinements: int) -> Float[Tensor, "box candidate 3 3"]:
+    """Orientations of small boxes around each cloud.
+
+    The paper takes them from an equivolumetric grid, HEALPix directions times turns. Deviations: of each 24 rotations
+    of the grid (of level `grid_level`) that give the same box we look at one, and we refine the best in `refinements`
+    rounds, because even the best of 36,864 rotations has a box larger by 17 % than the tightest. Meanwhile only the
+    outermost points are looked at.
+    """
+    corners = _outermost(clouds)
+    grid = box_grid(grid_level).to(corners.points)
+    smallest = _shared_volumes(corners, grid).topk(min(_STARTS, len(grid)), dim=-1, largest=False)
+    rotation = grid[smallest.indices]
+    for turn in range(refinements):
+        rotation = _improve(corners, rotation, _tried_around(_REACH / 2**grid_level * _SHRINK**turn).to(rotation))
+    return rotation
+
+
+def follow(
+    clouds: Clouds,
+    candidates: Float[Tensor, "frame box candidate 3 3"],
+    seen: Bool[Tensor, "frame box"],
+    *,
+    tolerance: float,
+) -> Float[Tensor, "frame box 3 3"]:
+    """In each frame, of the nearly smallest boxes that nearest to the frame before (paper, same section).
+
+    Those are the boxes whose volume is in [V_min, (1 + beta) V_min] with `tolerance` as beta. Each has 24 orientations;
+    taken is that at the least geodesic distance from the frame before, or from the identity in the first frame. The
+    orientation of the frame before is itself a candidate, as it would be in a fine enough grid, and stays where an
+    object is not `seen`.
+    """
+    before = repeat(torch.eye(3).to(candidates), "i j -> box i j", box=candidates.shape[1])
+    orientations = []
+    for frame, found in enumerate(candidates):
+        rotation = torch.cat([found, before[:, None]], dim=1)
+        volume = _volumes(Clouds(clouds.points[:, frame], clouds.thickness[frame]), rotation)
+        small = volume <= (1 + tolerance) * volume.amin(dim=-1, keepdim=True)
+        before = torch.where(seen[frame, :, None, None], _nearest(rotation, small, before), before)
+        orientations.append(before)
+    return torch.stack(orientations)
+
+
+def _volumes(clouds: Clouds, rotation: Float[Tensor, "box candidate 3 3"]) -> Float[Tensor, "box candidate"]:
+    """Of the boxes along the axes of these rotations."""
+    return _aligned_volume(_into(rotation, clouds.points), clouds.thickness[:, None])
+
+
+def _shared_volumes(clouds: Clouds, rotations: Float[Tensor, "rotation 3 3"]) -> Float[Tensor, "*box rotation"]:
+    """The same for rotations that all clouds share: one matrix product."""
+    every = rearrange(clouds.points, "point ... xyz -> (point ...) xyz")
+    along = every @ rearrange(rotations, "rotation xyz edge -> xyz (rotation edge)")
+    return _aligned_volume(along.reshape(*clouds.points.shape[:-1], -1, 3), clouds.thickness[..., None])
+
+
+def _aligned_volume(points: Tensor, thickness: Tensor) -> Tensor:
+    """Of the axis-aligned boxes around points, of which the first axis counts, and a little on each edge."""
+    return (points.amax(dim=0) - points.amin(dim=0) + thickness[..., None]).prod(dim=-1)
+
+
+def _into(
+    rotation: Float[Tensor, "box candidate 3 3"], points: Float[Tensor, "point box 3"]
+) -> Float[Tensor, "point box candidate 3"]:
+    """Coordinates in each rotated frame: R^-1 p."""
+    return torch.einsum("pbi,bcij->pbcj", points, rotation)
+
+
+def _outermost(clouds: Clouds) -> Clouds:
+    """Of each cloud the points farthest in 24 directions and their opposites: one near every corner of its hull."""
+    half = healpix_directions(1).chunk(2)[0].to(clouds.points)
+    along = clouds.points @ half.mT
+    index = torch.cat([along.max(dim=0).indices, along.min(dim=0).indices], dim=-1)
+    corners = clouds.points.gather(0, repeat(index, "box corner -> corner box xyz", xyz=3))
+    return Clouds(corners, clouds.thickness)
+
+
+def _tried_around(reach: float) -> Float[Tensor, "tried 3 3"]:
+    """Turns by at most `reach` radians.
+
+    None, so that no box grows; about the box's own axes, the only ones that keep it flush with a side; scattered ones.
+    """
+    own_axes = rotation_from_vector(reach * torch.cat([torch.eye(3), -torch.eye(3)]))
+    return torch.cat([torch.eye(3)[None], own_axes, small_rotations(_SCATTERED, reach)])
+
+
+def _improve(
+    corners: Clouds, rotation: Float[Tensor, "box start 3 3"], tried: Float[Tensor, "tried 3 3"]
+) -> Float[Tensor, "box start 3 3"]:
+    """Of the rotations R T with T `tried` those with the smallest boxes.
+
+    Points go into the frames R first: from there on the rotations tried are the same for all.
+    """
+    starts = rotation.shape[1]
+    turned = Clouds(_into(rotation, corners.points), repeat(corners.thickness, "box -> box start", start=starts))
+    return rotation @ tried[_shared_volumes(turned, tried).argmin(dim=-1)]
+
+
+def _nearest(
+    rotation: Float[Tensor, "box candidate 3 3"],
+    small: Bool[Tensor, "box candidate"],
+    before: Float[Tensor, "box 3 3"],
+) -> Float[Tensor, "box 3 3"]:
+    """Of the 24 orientations of each `small` box the one with the greatest trace of before^-1 R.
+
+    The paper's geodesic distance falls as the trace grows, so that its arccos is not needed.
+    """
+    named = box_rotations().to(rotation)
+    relative = before[:, None].mT @ rotation
+    traces = torch.einsum("bcij,eji->bce", relative, named).masked_fill(~small[..., None], -torch.inf)
+    best = traces.flatten(start_dim=1).argmax(dim=-1)
+    boxes = torch.arange(len(best), device=best.device)
+    return rotation[boxes, best // 24] @ named[best % 24]

@@ -1,0 +1,146 @@
+"""The world frame of a recording: the user's own, or one that stands on the table in view."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from datagen.storage.safe_io import (
+    npy_shape,
+    parse_json,
+    read_npy,
+    read_text,
+)
+from obpose.errors import CorruptFile, UsageError
+from obpose.rgbd.plane import Plane
+from obpose.rgbd.table import (
+    find_table,
+    table_points,
+)
+
+Pose = Float64[np.ndarray, "4 4"]
+
+GIVEN = "as given with --camera-pose"
+FITTED = (
+    "stands on the largest plane near the camera in the first frame, most likely the table: z = 0 is the plane and z "
+    "points up, x points horizontally towards the camera, and the origin is where the median of the plane's points is"
+)
+MOST_POSE_BYTES = 2**16
+"""Largest file of a pose."""
+MOST_TRANSLATION = 1000.0
+"""Largest distance in metres of the camera from the origin, along each axis; others come of wrong units."""
+
+
+def read_pose(path: Path) -> Pose:
+    """Read world_from_camera from a file: four rows of four numbers as text, JSON or NPY.
+
+    Raises:
+        UsageError: there is no such file, or it holds no rigid pose.
+        CorruptFile: it cannot be read.
+    """
+    try:
+        pose = _READERS.get(path.suffix.lower(), _read_rows)(path)
+    except FileNotFoundError:
+        raise UsageError(f"--camera-pose {path} does not exist.") from None
+    if pose is None or not _is_rigid(pose):
+        raise UsageError(
+            f"--camera-pose {path} holds no rigid pose; expected world_from_camera: 4x4, a rotation and a translation "
+            "in metres over the row 0 0 0 1, camera axes x right, y down, z forward."
+        )
+    if np.abs(pose[:3, 3]).max() > MOST_TRANSLATION:
+        raise UsageError(
+            f"--camera-pose {path} has the translation {', '.join(f'{value:g}' for value in pose[:3, 3])}; expected "
+            f"metres, at most {MOST_TRANSLATION:,.0f}. Move the world's origin onto the table."
+        )
+    return pose
+
+
+def pose_over_plane(
+    points: Float[np.ndarray, "point 3"], *, center: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0
+) -> Pose:
+    """Find world_from_camera in the frame that `FITTED` describes.
+
+    Args:
+        points: What the camera saw, camera frame, metres.
+        center: Where the median of the table's points is to be, world frame, metres; of this x and y count.
+        seed: Of the search for the table.
+
+    Raises:
+        UsageError: no plane is found.
+    """
+    plane = find_table(points, seed=seed)
+    if plane is None:
+        raise UsageError("No plane was found in the first frame, so that up is unknown; give --camera-pose.")
+    middle = np.median(table_points(points, plane), axis=0)
+    rotation = _axes(plane, middle)
+    x, y, _ = rotation @ middle
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = [center[0] - x, center[1] - y, -plane.offset]
+    return pose
+
+
+def _read_rows(path: Path) -> Pose | None:
+    """Read numbers between spaces or commas; `#` begins a comment."""
+    lines = (line.partition("#")[0].replace(",", " ").split() for line in read_text(path, MOST_POSE_BYTES).splitlines())
+    try:
+        return _matrix([[float(number) for number in line] for line in lines if line])
+    except ValueError as error:
+        raise _unreadable(path, error) from None
+
+
+def _read_json(path: Path) -> Pose | None:
+    try:
+        return _matrix(parse_json(read_text(path, MOST_POSE_BYTES)))
+    except ValueError as error:
+        raise _unreadable(path, error) from None
+
+
+def _read_array(path: Path) -> Pose | None:
+    shape, dtype = npy_shape(path)
+    if shape != (4, 4) or dtype.kind not in "uif":
+        return None
+    with np.errstate(over="ignore"):
+        return read_npy(path).astype(np.float64)
+
+
+_READERS = {".json": _read_json, ".npy": _read_array}
+"""Readers of a pose by file ending; all other files are text."""
+
+
+def _matrix(value: Any) -> Pose | None:
+    """Convert four lists of four numbers to a 4x4 array; None for anything else."""
+    if not isinstance(value, list) or not all(isinstance(row, list) and len(row) == 4 for row in value):
+        return None
+    numbers = [number for row in value for number in row]
+    if len(numbers) != 16 or not all(type(number) in (int, float) for number in numbers):
+        return None
+    return np.array([float(number) if abs(number) < 1e300 else np.inf for number in numbers]).reshape(4, 4)
+
+
+def _unreadable(path: Path, error: ValueError) -> CorruptFile:
+    said = " ".join(str(error).split())
+    return CorruptFile(f"--camera-pose {path} cannot be read ({said:.100}); expected four rows of four numbers.")
+
+
+def _is_rigid(pose: Pose) -> bool:
+    """Whether all numbers are finite, and the matrix is a rotation and a translation."""
+    rotation = pose[:3, :3]
+    if not np.isfinite(pose).all() or np.abs(rotation).max() > 2:
+        return False
+    orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
+    return bool(orthonormal and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6))
+
+
+def _axes(plane: Plane, middle: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """World axes as rows, in the camera's frame: x from the table's middle towards the camera, z off the plane."""
+    z = plane.normal
+    towards = -middle
+    x = towards - z * (z @ towards)
+    if np.linalg.norm(x) < 0.1 * np.linalg.norm(towards):
+        # From straight above there is no such direction: use the direction to the lower side of the image.
+        x = np.array([0.0, 1.0, 0.0])
+        x = x - z * (z @ x)
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])

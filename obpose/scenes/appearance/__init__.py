@@ -1,0 +1,1 @@
+"""Light and table texture of a scene."""

@@ -1,0 +1,201 @@
+"""The light of a scene, found by the shadows that its objects cast; no label says where it is.
+
+Whatever is dense of the objects is projected onto the table along a direction that the light may come from, in several
+frames at once. The better that tells where the frames are darker than the scene's own background, the likelier is the
+direction. The fields have to be good, so scenes are fitted to their frames before (`obpose.scenes.refine`).
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from obpose.geometry import from_box
+from obpose.model.obpose import ObPose
+from obpose.scenes.appearance.background_pixels import (
+    Shown,
+    occlusion_where_shown,
+    shown_background,
+)
+from obpose.scenes.appearance.light import (
+    Light,
+    no_light,
+)
+from obpose.scenes.extent import (
+    CELLS,
+    occupied,
+)
+from obpose.scenes.rendering import (
+    Renderer,
+    object_codes,
+)
+from obpose.scenes.scene import Scene
+from obpose.types import Observation
+
+LEAST_STRENGTH = 0.1
+"""What takes less of the background's colour is no shadow, or one that is not missed."""
+LEAST_EXPLAINED = 0.02
+"""Share of the variance of how dark the background is in the frames that shadows explain at least."""
+MOST_OVERHEAD = 0.8
+"""Share of it that a light straight above explains at most: there is no telling its shadows from the dimness around the
+foot of whatever stands in diffuse light."""
+_WEIGHTS = (0.3, 0.6, 0.1)
+"""Of red, green and blue in luminance."""
+_DARK, _DARKEST, _BRIGHTEST = 0.02, -1.5, 0.3
+"""Least luminance of which a log is taken; logs beyond the others are of other things than shadows."""
+_OPACITY = 0.3
+"""Optical thickness of a voxel: low, as objects' fields are fatter than they are."""
+_ELEVATIONS, _AZIMUTHS = range(22, 86, 9), range(0, 360, 20)
+_LOWEST, _HIGHEST = 15.0, 88.0
+"""Degrees above the horizon."""
+_ROUNDS, _PART = 8, 4
+"""Steps of the search around the best of these directions; of those themselves every so-manieth pixel is judged."""
+_PIXELS = 4096
+"""That the strength is taken from."""
+
+
+class _Judged(NamedTuple):
+    """Pixels that show the background."""
+
+    point: Float[Tensor, "pixel 3"]
+    """World frame, metres."""
+    frame: Int[Tensor, " pixel"]
+    darkness: Float[Tensor, " pixel"]
+    """Log of how much brighter than in the scene it is, around 0."""
+
+
+class _Voxels(NamedTuple):
+    """Of the objects above the table."""
+
+    point: Float[Tensor, "voxel 3"]
+    frame: Int[Tensor, " voxel"]
+
+
+@torch.no_grad()
+def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
+    """The light whose shadows are seen in the frames, or none where there hardly are any.
+
+    What comes out depends on the arguments alone. It costs about as much as twenty steps of fitting.
+
+    Args:
+        model: That the scene is of.
+        observation: A batch of the clip that the scene is fitted to.
+        scene: As it is without shadows.
+    """
+    shown = shown_background(model, observation, scene)
+    voxels = _voxels(model, scene)
+    if not len(voxels.point) or not len(shown.point):
+        return no_light(scene.center)
+    grid = (scene.frames, model.config.model.pose.box_size / CELLS)
+    judged = _Judged(shown.point, shown.frame, _darkness(shown))
+    toward, explained = _search(judged, voxels, *grid)
+    overhead = _explained(judged, voxels, _toward(0.0, 90.0), *grid)
+    if explained < LEAST_EXPLAINED or overhead > MOST_OVERHEAD * explained:
+        return no_light(scene.center)
+    strength = _strength(Renderer(model), shown, scene, toward)
+    return torch.cat([toward, toward.new_tensor([strength])]) if strength >= LEAST_STRENGTH else no_light(scene.center)
+
+
+def _voxels(model: ObPose, scene: Scene) -> _Voxels:
+    points, owners, size, table = [], [], model.config.model.pose.box_size, model.config.model.table or 0.0
+    for frame in range(scene.frames):
+        for place in range(len(scene.ids)):
+            codes = object_codes(model, scene, frame, place)
+            pose = scene.center[frame, place], scene.rotation[frame, place]
+            found = from_box(occupied(model, codes), *pose, size)
+            found = found[found[:, 2] > table]
+            points.append(found)
+            owners.append(torch.full((len(found),), frame))
+    if not points:
+        return _Voxels(scene.center.new_zeros(0, 3), torch.zeros(0, dtype=torch.long))
+    return _Voxels(torch.cat(points), torch.cat(owners))
+
+
+def _search(judged: _Judged, voxels: _Voxels, frames: int, cell: float) -> tuple[Float[Tensor, "3"], float]:
+    """The best direction, and the share of the variance that its shadows explain: coarse, then around the best."""
+    part, whole = _Judged(*(values[::_PART] for values in judged)), judged
+    grid = [(float(azimuth), float(elevation)) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS]
+    best = max(grid, key=lambda angles: _explained(part, voxels, _toward(*angles), frames, cell))
+    explained = _explained(whole, voxels, _toward(*best), frames, cell)
+    across, up = _AZIMUTHS.step / 2, _ELEVATIONS.step / 2
+    for _ in range(_ROUNDS):
+        azimuth, elevation = best
+        higher, lower = min(_HIGHEST, elevation + up), max(_LOWEST, elevation - up)
+        around = [(azimuth - across, elevation), (azimuth + across, elevation), (azimuth, higher), (azimuth, lower)]
+        scores = [_explained(whole, voxels, _toward(*angles), frames, cell) for angles in around]
+        if max(scores) > explained:
+            explained = max(scores)
+            best = around[scores.index(explained)]
+        else:
+            across, up = across / 2, up / 2
+    return _toward(*best), explained
+
+
+def _toward(azimuth: float, elevation: float) -> Float[Tensor, "3"]:
+    """Direction from angles in degrees."""
+    turn, rise = math.radians(azimuth), math.radians(elevation)
+    return torch.tensor([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
+
+
+def _darkness(shown: Shown) -> Float[Tensor, " pixel"]:
+    ratio = _luminance(shown.seen).clamp(min=_DARK).log() - _luminance(shown.drawn).clamp(min=_DARK).log()
+    return (ratio - ratio.median()).clamp(_DARKEST, _BRIGHTEST)
+
+
+def _luminance(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, " pixel"]:
+    return colour @ colour.new_tensor(_WEIGHTS)
+
+
+def _explained(judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
+    """Share of the variance of the pixels' darkness that is that of shadows of a light there; 0 if they are bright."""
+    shadow, darkness = _projected(judged, voxels, toward, frames, cell), judged.darkness
+    shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
+    common = float(shadow @ darkness)
+    spread = float(shadow.square().sum() * darkness.square().sum())
+    return common**2 / spread if common < 0 and spread > 0 else 0.0
+
+
+def _projected(
+    judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
+) -> Float[Tensor, " pixel"]:
+    """Share of the light that voxels keep from the pixels' points, roughly: on a grid of the table, metres a cell."""
+    receivers, blockers = (_cast(points, toward) for points in (judged.point, voxels.point))
+    low = receivers.amin(dim=0)
+    size = ((receivers.amax(dim=0) - low) / cell).long() + 1
+    inside, at = _cell(blockers, low, cell, size)
+    across, along = size.tolist()
+    count = receivers.new_zeros(frames * across * along)
+    count.index_add_(0, (voxels.frame * across * along + at)[inside], count.new_ones(int(inside.sum())))
+    thickness = F.avg_pool2d(count.view(frames, 1, across, along), 3, stride=1, padding=1).flatten(1)
+    _, at = _cell(receivers, low, cell, size)
+    return -torch.expm1(-_OPACITY * thickness[judged.frame, at])
+
+
+def _cast(points: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]) -> Float[Tensor, "point 2"]:
+    """Where on z = 0 the light from there, through these points, falls."""
+    return points[:, :2] - points[:, 2:] * (toward[:2] / toward[2])
+
+
+def _cell(
+    places: Float[Tensor, "point 2"], low: Float[Tensor, "2"], cell: float, size: Int[Tensor, "2"]
+) -> tuple[Bool[Tensor, " point"], Int[Tensor, " point"]]:
+    """Whether places are on the grid, and in which of its cells."""
+    at = ((places - low) / cell).floor().long()
+    return ((at >= 0) & (at < size)).all(dim=-1), at[:, 0] * size[1] + at[:, 1]
+
+
+def _strength(renderer: Renderer, shown: Shown, scene: Scene, toward: Float[Tensor, "3"]) -> float:
+    """Share of the background's colour that shadows as they are rendered should take, by least squares; 0..1.
+
+    The background may be brighter in the frames by some factor, which is no light's.
+    """
+    shown = shown.at(slice(None, None, max(1, len(shown.point) // _PIXELS)))
+    occluded = occlusion_where_shown(renderer, scene, shown, toward)
+    drawn, seen = _luminance(shown.drawn), _luminance(shown.seen)
+    parts = torch.stack([drawn, -drawn * occluded], dim=-1)
+    products = parts.T @ parts + 1e-6 * torch.eye(2)
+    level, lost = torch.linalg.solve(products, parts.T @ seen).tolist()
+    return min(1.0, max(0.0, lost / max(level, 1e-6)))

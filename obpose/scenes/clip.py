@@ -1,0 +1,42 @@
+"""Clips of datasets, to infer scenes from, and their names."""
+
+from pathlib import Path
+
+from obpose.data.clips import observation_of
+from obpose.data.datasets import SceneDataset
+from obpose.errors import UsageError
+from obpose.scenes.scene import ClipName
+from obpose.types import Observation
+
+
+def read_clip(data: Path, split: str, index: int) -> Observation:
+    """A clip of a dataset as a batch of one.
+
+    Raises:
+        UsageError: there is no such dataset, split or scene, as `obpose.data.datasets.SceneDataset`.
+        CorruptFile: a file is damaged.
+    """
+    scenes = SceneDataset(data, split)
+    if not len(scenes):
+        raise UsageError(f"The split {split} of {data} has no scenes; give another --split.")
+    return observation_of([scenes[one_of("--scene", index, len(scenes))]])
+
+
+def name_clip(data: Path, split: str, index: int) -> ClipName:
+    """The name of a clip, by which scenes know that they are of it.
+
+    Raises:
+        UsageError: there is no such dataset or split.
+    """
+    return ClipName(SceneDataset(data, split).settings_hash, split, index)
+
+
+def one_of(flag: str, value: int, count: int) -> int:
+    """A number of something, counted from 0.
+
+    Raises:
+        UsageError: there are not so many.
+    """
+    if not 0 <= value < count:
+        raise UsageError(f"{flag} {value}: expected {'0' if count == 1 else f'0 to {count - 1}'}.")
+    return value

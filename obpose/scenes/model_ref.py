@@ -1,0 +1,90 @@
+"""Which model a scene's latents are of."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from obpose.config import Config
+from obpose.errors import CorruptFile, UsageError
+from obpose.model.obpose import ObPose
+from obpose.scenes.scene import Scene
+from obpose.storage.checkpoint import (
+    MODEL,
+    load_obpose,
+    read_config,
+)
+from obpose.storage.pretrained import find_checkpoint
+from obpose.systems import OBPOSE, architecture_of
+from obpose.trainable import Configuration
+
+
+@dataclass(frozen=True, eq=False)
+class Origin:
+    """A model whose objects have poses, and its names."""
+
+    model: ObPose
+    folder: Path
+    name: str
+    """As it was called."""
+    hash: str
+    """SHA-256 of the file of its weights."""
+
+
+def load_origin(checkpoint: str) -> Origin:
+    """The model of a folder, or of weights that ship under this name.
+
+    Raises:
+        UsageError: there is none, or its objects have no poses that could be edited.
+        CorruptFile: a file is damaged.
+    """
+    folder = find_checkpoint(Path(checkpoint))
+    check_poses(read_config(folder), checkpoint)
+    model = load_obpose(folder)
+    return Origin(model, folder, checkpoint, hashlib.sha256((folder / MODEL).read_bytes()).hexdigest())
+
+
+def check_poses(config: Configuration, place: str) -> None:
+    """Check that the objects of a model of this configuration can be edited.
+
+    Raises:
+        UsageError: they have no poses.
+    """
+    architecture = architecture_of(config)
+    if isinstance(config, Config) and architecture is OBPOSE:
+        if config.model.pose.conditioning in ("location", "full"):
+            return
+        what = f"with model.pose.conditioning={config.model.pose.conditioning}"
+    else:
+        what = f"of the architecture {architecture.name}"
+    raise UsageError(
+        f"{place} holds a model {what}, whose objects have no pose that could be edited; give one of obpose or "
+        "obpose-loc."
+    )
+
+
+def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
+    """The model that the scene is of, from where it was or from `checkpoint`.
+
+    Raises:
+        UsageError: as `load_origin`, or the weights there are others.
+        CorruptFile: a file is damaged, or the scene is.
+    """
+    place = checkpoint or scene.checkpoint
+    try:
+        found = load_origin(place)
+    except UsageError as error:
+        if checkpoint is not None:
+            raise
+        raise UsageError(f"The scene's model is not where it was: {error} Say with --checkpoint where it is.") from None
+    if found.hash != scene.model:
+        raise UsageError(
+            f"The scene was made with other weights than those in {place}, to which its objects mean nothing. Give "
+            "--checkpoint with the right ones, or infer the scene again."
+        )
+    latent = found.model.config.model.latent
+    if (scene.what.shape[-1], scene.background.shape[-1]) != (latent.what, latent.background):
+        raise CorruptFile(
+            f"The scene is damaged: its latents have {scene.what.shape[-1]} and {scene.background.shape[-1]} values, "
+            f"those of its model {latent.what} and {latent.background}; make it again, into another folder."
+        )
+    return found

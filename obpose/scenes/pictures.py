@@ -1,0 +1,75 @@
+"""Pictures of rendered scenes: colour, depth and objects side by side, and turns around the scene."""
+
+import io
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import UInt8
+from PIL import Image as Pillow
+from torch import Tensor
+
+from obpose.pictures import PALETTE
+from obpose.scenes.rendering import Image
+from obpose.scenes.scene import (
+    Camera,
+    upright,
+)
+from obpose.storage.files import write_whole
+
+PICTURE = "picture.png"
+"""In the folder of a saved scene."""
+_TILE = 256
+"""Images are enlarged by a whole number to about so many pixels."""
+
+Picture = UInt8[np.ndarray, "height width 3"]
+"""sRGB."""
+
+
+def strip(image: Image, names: Sequence[int]) -> Picture:
+    """Colour, depth (near is bright) and objects in their labels' colours, enlarged."""
+    depth = image.depth
+    low, high = float(depth.min()), float(depth.max())
+    grey = ((high - depth) / max(high - low, 1e-6))[..., None].expand(-1, -1, 3)
+    labels = np.array([0, *names])[image.nearest.numpy()]
+    colours = np.where(labels == 0, 0, (labels - 1) % (len(PALETTE) - 1) + 1)
+    parts = [_bytes(image.rgb), _bytes(grey), PALETTE[colours]]
+    return enlarged(np.concatenate(parts, axis=1), max(1, _TILE // image.rgb.shape[0]))
+
+
+def enlarged(picture: Picture, times: int) -> UInt8[np.ndarray, "rows columns 3"]:
+    """Each pixel as a square of pixels."""
+    return picture.repeat(times, axis=0).repeat(times, axis=1)
+
+
+def write_png(path: Path, picture: Picture) -> None:
+    """Write a picture whole or not at all."""
+    data = io.BytesIO()
+    Pillow.fromarray(picture).save(data, "PNG")
+    write_whole(path, data.getvalue())
+
+
+def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
+    """Write an animation that runs for ever, whole or not at all."""
+    first, *rest = (Pillow.fromarray(picture) for picture in pictures)
+    data = io.BytesIO()
+    first.save(data, "GIF", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0)
+    write_whole(path, data.getvalue())
+
+
+def turntable(camera: Camera, center: Tensor, count: int) -> list[Camera]:
+    """The camera carried around the vertical through `center`, in equal steps, looking as it did."""
+    cameras = []
+    for step in range(count):
+        turn = upright(2 * math.pi * step / count, camera.k)
+        pose = camera.world_from_camera.clone()
+        pose[:3, :3] = turn @ pose[:3, :3]
+        pose[:3, 3] = center + turn @ (pose[:3, 3] - center)
+        cameras.append(Camera(camera.k, pose, camera.width, camera.height))
+    return cameras
+
+
+def _bytes(values: Tensor) -> Picture:
+    return (values.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

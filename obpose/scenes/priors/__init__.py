@@ -1,0 +1,1 @@
+"""Priors over scenes, and sampling from them."""

@@ -1,0 +1,166 @@
+"""A flow from noise to objects: a distribution of whole objects, with all that their codes leave out.
+
+An addition. It is a rectified flow (Liu, Gong and Liu 2023; Lipman et al. 2023) on the principal components of grids of
+objects that a model found, and predicts, as in Li and He (2025), the object and not the velocity. Components are those
+of whole grids: parts of a sampled object fit together, where a network that sees blocks of a grid has to learn that
+they do. No labels are used.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from obpose.model.nerf.detail import EDGE
+from obpose.scenes.priors.components import Components
+from obpose.scenes.priors.grids import (
+    COLOUR_LIMIT,
+    DENSITY_LIMIT,
+    Grids,
+    mean_colour,
+)
+
+SHAPES, COLOURS = 128, 64
+"""Components of densities, and of colours as far as they differ from the object's mean."""
+PLAIN = 4
+"""Numbers that are told as they are: the mean colour and the size."""
+VALUES = SHAPES + COLOURS + PLAIN
+"""Of an object."""
+WIDTH, DEPTH, TIME_WIDTH = 384, 5, 128
+DROPOUT = 0.1
+TIME_MEAN, TIME_STD = -0.4, 1.0
+"""Of the logit of the share of the object in what is looked at in training."""
+LEAST_NOISE = 0.1
+"""Where less of it is left, errors weigh no more: they are divided by the squared share of the noise."""
+PLAIN_WEIGHT = 8.0
+"""Of the errors of mean colour and size, beside those of components, of which there are many more."""
+SAMPLE_STEPS = 40
+_FREQUENCIES = 16
+_SLOWEST = 0.1
+_FASTEST = 100.0
+"""Of the sines that say the time, radians over all of it."""
+
+
+class Layer(nn.Module):
+    """Of a residual network; what enters is scaled and shifted by the time, and so is the size of what is added."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.inner, self.outer = nn.Linear(WIDTH, WIDTH), nn.Linear(WIDTH, WIDTH)
+        self.drop = nn.Dropout(DROPOUT)
+        self.modulation = nn.Linear(TIME_WIDTH, 3 * WIDTH)
+        nn.init.zeros_(self.modulation.weight)
+        nn.init.zeros_(self.modulation.bias)
+
+    def forward(
+        self, hidden: Float[Tensor, "object width"], time: Float[Tensor, "object time"]
+    ) -> Float[Tensor, "object width"]:
+        """The hidden values of the next layer."""
+        scale, shift, gate = self.modulation(time).chunk(3, dim=-1)
+        entered = F.layer_norm(hidden, hidden.shape[-1:]) * (1 + scale) + shift
+        return hidden + (1 + gate) * self.outer(self.drop(F.gelu(self.inner(entered))))
+
+
+class Flow(nn.Module):
+    """What an object is in few numbers, and a network that tells it from noise."""
+
+    code: Float[Tensor, "what"]
+    """Of objects that have none of their own, as sampled ones."""
+    plain_mean: Float[Tensor, "4"]
+    plain_std: Float[Tensor, "4"]
+
+    def __init__(self, latent: int) -> None:
+        super().__init__()
+        self.shapes, self.colours = Components(EDGE**3, SHAPES), Components(3 * EDGE**3, COLOURS)
+        self.enter, self.leave = nn.Linear(VALUES, WIDTH), nn.Linear(WIDTH, VALUES)
+        self.time = nn.Sequential(
+            nn.Linear(2 * _FREQUENCIES, TIME_WIDTH), nn.SiLU(), nn.Linear(TIME_WIDTH, TIME_WIDTH), nn.SiLU()
+        )
+        self.layers = nn.ModuleList(Layer() for _ in range(DEPTH))
+        self.norm = nn.LayerNorm(WIDTH)
+        self.register_buffer("code", torch.zeros(latent))
+        self.register_buffer("plain_mean", torch.zeros(PLAIN))
+        self.register_buffer("plain_std", torch.ones(PLAIN))
+
+    def forward(
+        self, noisy: Float[Tensor, "object value"], time: Float[Tensor, "object"]
+    ) -> Float[Tensor, "object value"]:
+        """The object that is likely in `time` of it and the rest noise."""
+        rates = torch.logspace(math.log10(_SLOWEST), math.log10(_FASTEST), _FREQUENCIES)
+        angles = time[:, None] * rates
+        when = self.time(torch.cat([angles.sin(), angles.cos()], dim=-1))
+        hidden = self.enter(noisy)
+        for layer in self.layers:
+            hidden = layer(hidden, when)
+        return self.leave(self.norm(hidden))
+
+    def encode(self, grids: Grids) -> Float[Tensor, "object value"]:
+        """Grids in few numbers, about as large as standard normal noise."""
+        density, colour, plain = _apart(grids)
+        return torch.cat(
+            [self.shapes.encode(density), self.colours.encode(colour), (plain - self.plain_mean) / self.plain_std],
+            dim=1,
+        )
+
+    def decode(self, values: Float[Tensor, "object value"]) -> Grids:
+        """Grids that have these numbers, within the limits of logits."""
+        shape, colour, plain = values.split([SHAPES, COLOURS, PLAIN], dim=1)
+        plain = plain * self.plain_std + self.plain_mean
+        density = self.shapes.decode(shape).view(-1, EDGE, EDGE, EDGE, 1)
+        colour = self.colours.decode(colour).view(-1, EDGE, EDGE, EDGE, 3) + plain[:, None, None, None, :3]
+        limits = values.new_tensor([DENSITY_LIMIT] + 3 * [COLOUR_LIMIT])
+        return Grids(torch.cat([density, colour], dim=-1).clamp(-limits, limits), plain[:, 3].exp())
+
+
+def _apart(
+    grids: Grids,
+) -> tuple[Float[Tensor, "object density"], Float[Tensor, "object colour"], Float[Tensor, "object 4"]]:
+    """Densities, colours as they differ from the object's mean colour, and that with the log of the size."""
+    density, colour = grids.values[..., :1], grids.values[..., 1:]
+    mean = mean_colour(density, colour)
+    difference = colour - mean[:, None, None, None]
+    return density.flatten(1), difference.flatten(1), torch.cat([mean, grids.half.log()[:, None]], dim=1)
+
+
+def describe(flow: Flow, grids: Grids, what: Float[Tensor, "object what"]) -> None:
+    """Keep the mean code and the components, colours and sizes of the objects that a flow is to learn."""
+    density, colour, plain = _apart(grids)
+    flow.shapes.fit(density)
+    flow.colours.fit(colour)
+    flow.plain_mean.copy_(plain.mean(dim=0))
+    flow.plain_std.copy_(plain.std(dim=0).clamp(min=1e-3))
+    flow.code.copy_(what.mean(dim=0))
+
+
+def flow_loss(flow: Flow, objects: Float[Tensor, "object value"], noise: torch.Generator) -> Float[Tensor, ""]:
+    """Mean squared error of the velocity from noise to encoded objects (rectified flow), at one time for each."""
+    time = torch.sigmoid(torch.randn(len(objects), generator=noise) * TIME_STD + TIME_MEAN)
+    share = time[:, None]
+    noisy = share * objects + (1 - share) * torch.randn(objects.shape, generator=noise)
+    errors = (flow(noisy, time) - objects).square()
+    weights = torch.cat([errors.new_ones(VALUES - PLAIN), errors.new_full((PLAIN,), PLAIN_WEIGHT)])
+    return ((1 - share).clamp(min=LEAST_NOISE) ** -2 * errors * weights).mean()
+
+
+@torch.no_grad()
+def sample_grids(flow: Flow, count: int, generator: torch.Generator) -> Grids:
+    """Objects from noise, by Heun's method."""
+    state = torch.randn(count, VALUES, generator=generator)
+
+    def velocity(state: Float[Tensor, "object value"], time: float) -> Float[Tensor, "object value"]:
+        return (flow(state, torch.full((count,), time)) - state) / (1 - time)
+
+    step = 1 / SAMPLE_STEPS
+    for place in range(SAMPLE_STEPS):
+        first = velocity(state, place * step)
+        ahead = state + step * first
+        last = place == SAMPLE_STEPS - 1
+        state = ahead if last else state + step / 2 * (first + velocity(ahead, (place + 1) * step))
+    return flow.decode(state)
+
+
+def mirrored(grids: Grids) -> Grids:
+    """Left and right exchanged, which leaves an object's place, and what is up, as they are."""
+    return Grids(grids.values.flip(2), grids.half)

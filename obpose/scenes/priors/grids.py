@@ -1,0 +1,130 @@
+"""An object as it lies, seen from where the camera is: densities and colours on a grid that is just as large.
+
+An addition, for `obpose.scenes.priors.flow`. Objects differ less in this frame than in their boxes: up is up, and the
+unseen side is the far side.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from obpose.geometry import to_box
+from obpose.model.nerf.detail import EDGE
+from obpose.model.nerf.field import Conditioning
+from obpose.model.nerf.voxels import occupancy
+from obpose.model.obpose import ObPose
+from obpose.scenes.extent import (
+    LEAST_VOXELS,
+    above_table,
+    shape_extent,
+)
+from obpose.scenes.rendering import object_codes
+from obpose.scenes.scene import (
+    Scene,
+    upright,
+)
+
+MARGIN = 0.015
+"""Around the middles of occupied voxels, metres: more than a voxel, as the surface may be as far."""
+DENSITY_LIMIT, COLOUR_LIMIT = 6.0, 4.0
+"""Logits are at most so far from 0; densities at least are where nothing is."""
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Grids:
+    """Of one or more objects. The grids' axes point to the camera, to its right, both level, and up."""
+
+    values: Float[Tensor, "object edge edge edge 4"]
+    """Logits of density and colours, the latter seen from the camera; `edge` is that of details."""
+    half: Float[Tensor, "object"]
+    """Half an edge, metres."""
+
+    def take(self, places: Int[Tensor, " n"]) -> "Grids":
+        """Of some of the objects."""
+        return Grids(self.values[places], self.half[places])
+
+    def apart(self) -> "list[Grids]":
+        """Of each object."""
+        return [self.take(place) for place in torch.arange(len(self.half)).split(1)]
+
+
+def together(grids: Sequence[Grids], like: Tensor) -> Grids:
+    """Of all objects; numbers are of the kind of `like` where there are none."""
+    none = Grids(like.new_zeros(0, EDGE, EDGE, EDGE, 4), like.new_zeros(0))
+    parts = [none, *grids]
+    return Grids(torch.cat([part.values for part in parts]), torch.cat([part.half for part in parts]))
+
+
+@torch.no_grad()
+def grids_of(model: ObPose, scene: Scene, frame: int) -> Grids:
+    """Of a frame's objects, but for those that are hardly anywhere dense above the table."""
+    found = [grid for place in range(len(scene.ids)) if (grid := _grid(model, scene, frame, place))]
+    return together(found, like=scene.what)
+
+
+def facing(place: Float[Tensor, "3"], camera: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """World from grid where an object is at this place, and the camera there; below a camera any way will do."""
+    x, y = (camera - place)[:2].tolist()
+    return upright(math.atan2(y, x), place)
+
+
+def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
+    """As large as what is dense on a grid that is as large as the voxels that the object is in."""
+    center, camera = scene.center[frame, place], scene.cameras[0].world_from_camera[:3, 3]
+    world_from_grid = facing(center, camera)
+    grid_from_box = world_from_grid.T @ scene.rotation[frame, place]
+    codes = object_codes(model, scene, frame, place)
+    sight = F.normalize(center - camera, dim=0) @ scene.rotation[frame, place]
+
+    def around(dense: Float[Tensor, "n 3"], margin: float) -> tuple[Float[Tensor, "point 3"], Tensor, Tensor]:
+        """Points, and logits of density and colours there."""
+        low, high = dense.amin(dim=0), dense.amax(dim=0)
+        points = _points() * ((high - low).max() / 2 + margin) + (low + high) / 2
+        inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
+        density, colour = _logits(model, codes, inside, sight)
+        nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + center[2] < 0)
+        return points, density.where(~nowhere, -DENSITY_LIMIT).clamp(-DENSITY_LIMIT, DENSITY_LIMIT), colour
+
+    extent = above_table(shape_extent(model, codes, grid_from_box), float(center[2]))
+    if len(extent) < LEAST_VOXELS:
+        return None
+    points, density, _ = around(extent, MARGIN)
+    dense = points[occupancy(density) > model.config.model.voxel_threshold]
+    if len(dense) < LEAST_VOXELS:
+        return None
+    points, density, colour = around(dense, margin=float(points[1, 2] - points[0, 2]))
+    # Where nothing is the field's colours mean nothing.
+    density = density[:, None]
+    share = torch.sigmoid(2 * density + 2)
+    colour = share * colour + (1 - share) * mean_colour(density[None], colour[None])
+    values = torch.cat([density, colour.clamp(-COLOUR_LIMIT, COLOUR_LIMIT)], dim=-1).view(1, EDGE, EDGE, EDGE, 4)
+    return Grids(values, (points[-1, 2] - points[0, 2])[None] / 2)
+
+
+def mean_colour(
+    density: Float[Tensor, "object *point 1"], colour: Float[Tensor, "object *point 3"]
+) -> Float[Tensor, "object 3"]:
+    """Logits of colours, weighed by how dense it is where they are."""
+    weight = torch.sigmoid(2 * density).flatten(1, -2)
+    return (colour.flatten(1, -2) * weight).sum(dim=1) / weight.sum(dim=1)
+
+
+def _logits(
+    model: ObPose, codes: Conditioning, points: Float[Tensor, "point 3"], sight: Float[Tensor, "3"]
+) -> tuple[Float[Tensor, "point"], Float[Tensor, "point 3"]]:
+    """Of density and colours at points of the box -1..1; `sight` is in the box's axes."""
+    density, hidden = model.object_field.density(points, codes)
+    colour = model.object_field.colour(hidden, sight.expand_as(points), codes)
+    return density, torch.logit(colour, eps=1e-3)
+
+
+def _points() -> Float[Tensor, "point 3"]:
+    """-1..1, the outermost on the faces."""
+    steps = torch.linspace(-1, 1, EDGE)
+    return torch.cartesian_prod(steps, steps, steps)

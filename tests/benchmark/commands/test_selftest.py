@@ -1,0 +1,41 @@
+import json
+import math
+from importlib.resources import files
+
+import numpy as np
+import pytest
+
+from benchmark.commands import selftest
+from benchmark.metrics import score
+
+
+def test_the_metrics_pass():
+    assert selftest.run() == []
+
+
+def test_the_cases_ship_with_the_package():
+    assert json.loads((files("benchmark.metrics") / "golden_cases.json").read_text()) == selftest.golden()
+
+
+def test_a_wrong_metric_is_reported(monkeypatch: pytest.MonkeyPatch):
+    def sloppy(*maps: np.ndarray, ignore: np.ndarray | None = None) -> dict[str, float]:
+        scores = score(*maps, ignore=ignore)
+        return scores | {"msc_fg": scores["msc_fg_allslots"]}
+
+    monkeypatch.setattr(selftest, "score", sloppy)
+    failures = selftest.run()
+    assert "one_object_in_bg: msc_fg is 0.5714286, expected 0.5000000" in failures
+
+
+@pytest.mark.parametrize(
+    ("expected", "found", "passed"),
+    [
+        (0.5, 0.5 + 1e-6, True),
+        (0.5, 0.5 + 3e-6, False),
+        (math.nan, math.nan, True),
+        (1.0, math.nan, False),
+        (math.nan, 1.0, False),
+    ],
+)
+def test_what_passes(expected: float, found: float, passed: bool):
+    assert selftest.Check("case", "ari", expected, found, tolerance=2e-6).passed is passed

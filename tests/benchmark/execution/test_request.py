@@ -1,0 +1,108 @@
+"""Datasets that cannot be scored on are refused before anything runs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from assets import CHECKPOINTS
+from benchmark.commands.arguments import Run
+from benchmark.execution.request import request_of
+from benchmark.models.registry import (
+    GROUPS,
+    Group,
+)
+from datagen import config
+from datagen.errors import UsageError
+from datagen.storage import spec
+from obpose.config_text import to_plain
+from obpose.systems import find_system
+from tests.worlds.traced import (
+    spheres_recipe,
+    write_dataset,
+)
+
+
+def request(folder: Path) -> None:
+    request_of(Run(model=("plane-dbscan",), data=folder, out=folder.parent / "out"))
+
+
+def test_a_dataset_of_images_is_accepted(tmp_path: Path):
+    request(write_dataset(tmp_path / "data", scenes=1, frames=1))
+
+
+def test_a_dataset_without_images_is_refused(tmp_path: Path):
+    recipe = config.recipe_to_dict(spheres_recipe())
+    facts = spec.make_spec(recipe, seed=0, splits={"test": 1}, resolution=None, renderer=None)
+    (tmp_path / spec.SPEC_FILE).write_text(json.dumps(facts))
+    with pytest.raises(UsageError, match=r"holds no images; make them with: obpose-datagen render --from"):
+        request(tmp_path)
+
+
+def test_an_equal_budget_goes_with_a_group_unless_another_is_given(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(GROUPS, "few", Group(("obpose", "obpose-loc"), budget=720.0))
+    assert request_of(Run(model=("few",))).seconds == 720.0
+    assert request_of(Run(model=("few",), budget=30.0)).seconds == 30.0
+    assert request_of(Run(model=("obpose",))).seconds is None
+
+
+def test_the_group_of_tracks_and_the_profile_are_those_of_the_command():
+    asked = request_of(Run(model=("plane-dbscan",), track=("paper",), fit_track="mixed", profile="gpu"))
+    assert asked.fit_source
+    assert [source.name for source in asked.sources] == ["moving", "static", "clevr3d", "multishape"]
+    assert {source.resolution for source in (*asked.sources, asked.fit_source)} == {(128, 128), (128, 96)}
+    assert asked.profile == "gpu"
+
+
+def test_slots_are_those_of_objects_and_one_for_the_background():
+    assert request_of(Run(model=("obpose",), slots=(3, 6, 3))).slots == (4, 7)
+
+
+def test_weights_of_a_folder_say_what_they_are_of(tmp_path: Path):
+    shipped = Path("obpose--moving--64x64")
+    (found,) = request_of(Run(checkpoint=(shipped,))).weights
+    assert (found.model, found.name, found.folder) == ("obpose", shipped.name, CHECKPOINTS / shipped)
+    both = request_of(Run(model=("plane-dbscan",), checkpoint=(shipped,), name="mine"))
+    assert (both.models, [weights.name for weights in both.weights]) == (("plane-dbscan",), ["mine"])
+    with pytest.raises(UsageError, match=r"holds no model: there is no config\.json"):
+        request_of(Run(checkpoint=(tmp_path,)))
+    with pytest.raises(UsageError, match=r"Two of --checkpoint are called 'obpose--moving--64x64'"):
+        request_of(Run(checkpoint=(shipped, CHECKPOINTS / shipped)))
+    for taken in ("references", "obpose-pretrained", "mine-att"):
+        with pytest.raises(UsageError, match=rf"'{taken}' is a name that the benchmark gives itself"):
+            request_of(Run(checkpoint=(shipped,), name=taken))
+    with pytest.raises(UsageError, match=r"'obpose' is the name of a model; give what is in .* another with --name"):
+        request_of(Run(checkpoint=(shipped,), name="obpose"))
+
+
+@pytest.mark.parametrize("system", ["obpose-none", "slot-attention", "obsurf", "supervised"])
+def test_weights_whose_objects_have_no_poses_are_refused_for_editing(tmp_path: Path, system: str):
+    found = find_system(system)
+    facts = {"version": 1, "architecture": found.architecture.name, "config": to_plain(found.config())}
+    (tmp_path / "config.json").write_text(json.dumps(facts))
+    assert request_of(Run(checkpoint=(tmp_path,))).weights[0].model == system
+    with pytest.raises(UsageError, match="have no pose that could be edited; give one of obpose or obpose-loc"):
+        request_of(Run(task="editing", checkpoint=(tmp_path,)))
+
+
+@pytest.mark.parametrize(
+    ("facts", "reason"),
+    [
+        ({"name": "mine"}, "--name is for --predictions or one --checkpoint"),
+        ({"checkpoint": (Path("nowhere"),)}, "--checkpoint nowhere: no such folder"),
+        ({"checkpoint": (Path("obpose--moving--64x64"),), "slots": (4,)}, "--slots is for models that are made here"),
+        ({"slots": (0,)}, "--slots is 0; expected 1 to 255"),
+        ({"slots": (4, 256)}, "--slots is 256"),
+        ({"slots": (4,), "pretrained": True}, "--slots is for models that are made here"),
+        ({"steps": 0}, "--steps is 0"),
+    ],
+)
+def test_numbers_that_cannot_be_are_refused(facts: dict[str, Any], reason: str):
+    with pytest.raises(UsageError, match=reason):
+        request_of(Run(model=("obpose",), **facts))
+
+
+def test_a_dataset_without_test_scenes_is_refused(tmp_path: Path):
+    with pytest.raises(UsageError, match="has no test scenes to score on"):
+        request(write_dataset(tmp_path / "data", scenes=0))

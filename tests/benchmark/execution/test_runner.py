@@ -1,0 +1,350 @@
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import jaxtyping
+import numpy as np
+import pytest
+
+from benchmark.execution.runner import (
+    Job,
+    Target,
+    run_job,
+)
+from benchmark.execution.scoring import BadPrediction
+from benchmark.models import registry
+from benchmark.models.interface import (
+    Clip,
+    Prediction,
+)
+from benchmark.models.model_spec import (
+    ModelSpec,
+    Options,
+    Views,
+)
+from benchmark.models.registry import find_model
+from benchmark.results.labels import read_labels
+from benchmark.results.run_folder import (
+    LABELS,
+    RunKey,
+    load_runs,
+    load_scenes,
+    pooled,
+)
+from datagen.errors import UsageError
+from datagen.storage import reader
+from tests.worlds.traced import write_dataset
+
+Answer = Callable[[Clip], Prediction]
+
+
+class Scripted:
+    """A model that answers as it is told, and remembers what it was given."""
+
+    fits: list[tuple[int, int, int, float]]
+
+    def __init__(self, answer: Answer):
+        self.answer = answer
+        self.options: list[Options] = []
+        self.fits = []
+
+    def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
+        self.fits.append((len(train), len(val), seed, budget))
+
+    def segment(self, clip: Clip) -> Prediction:
+        return self.answer(clip)
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return write_dataset(tmp_path / "data", scenes=2, frames=3, views=2, sensor=True)
+
+
+@pytest.fixture
+def register(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Scripted]:
+    def add(answer: Answer, **facts: object) -> Scripted:
+        model = Scripted(answer)
+
+        def build(options: Options) -> Scripted:
+            model.options.append(dict(options))
+            return model
+
+        monkeypatch.setitem(registry.MODELS, "scripted", ModelSpec(build=build, version=3, description="", **facts))
+        return model
+
+    return add
+
+
+def job(data: Path, out: Path, *more: Path, **changes: object) -> Job:
+    targets = [
+        Target(RunKey(folder.name, data.name, "scripted", 4, 3, "c", "f", str(folder)), folder, slots=5 + number)
+        for number, folder in enumerate((data, *more))
+    ]
+    made = Job("scripted", 4, fit_data=data, fit_slots=5, targets=tuple(targets), out=out, seconds=10.0)
+    return dataclasses.replace(made, **changes)
+
+
+def background(clip: Clip) -> Prediction:
+    return Prediction(np.zeros(clip.depth.shape, np.int64), 0)
+
+
+def test_a_model_that_knows_the_truth_scores_one(data: Path, tmp_path: Path, register):
+    truths = iter([reader.Dataset(data).split("test")[i]["segmentation"] for i in range(2)])
+    model = register(lambda clip: Prediction(next(truths).astype(np.int64), 0))
+    events = []
+    run_job(job(data, tmp_path / "out"), events.append)
+    (row,) = load_runs(tmp_path / "out")
+    assert events == ["fitted", row.key.name]
+    assert model.fits == [(2, 2, 4, 10.0)]
+    assert (row.status, row.reason, row.n_scenes, row.tuned, row.trials) == ("ok", "", 2, False, 0)
+    assert row.config == {"slots": 5}
+    assert row.measured.seconds_per_frame > 0
+    table = load_scenes(tmp_path / "out", row)
+    assert table["n_frames"].tolist() == [6, 6]
+    assert all(pooled(table, name) == 1 for name in ("ari", "ari_fg", "msc_fg", "miou_bg"))
+
+
+def test_pixels_without_depth_do_not_count(data: Path, tmp_path: Path, register):
+    scenes = reader.Dataset(data).split("test")
+    truths = iter([scenes[i]["segmentation"] for i in range(2)])
+    register(lambda clip: Prediction(np.where(clip.valid, next(truths), 9).astype(np.int64), 0))
+    run_job(job(data, tmp_path / "out"))
+    table = load_scenes(tmp_path / "out", load_runs(tmp_path / "out")[0])
+    assert pooled(table, "ari") == pooled(table, "msc_fg") == 1
+    assert table["ignored"].tolist() == [np.sum(scenes[i]["sensor_valid"] == 0) for i in range(2)]
+
+
+def test_label_maps_are_kept(data: Path, tmp_path: Path, register):
+    register(lambda clip: Prediction(np.full(clip.depth.shape, 200), 200))
+    run_job(job(data, tmp_path / "out"))
+    (path,) = (tmp_path / "out" / LABELS).iterdir()
+    maps = list(read_labels(path))
+    assert len(maps) == 2
+    assert maps[0][0].dtype == np.uint8
+    assert (set(np.unique(maps[0][0])), maps[0][1]) == ({200}, 200)
+
+
+def test_the_largest_slot_stands_in_for_an_undeclared_background(data: Path, tmp_path: Path, register):
+    register(
+        lambda clip: Prediction(np.where(np.arange(clip.depth.shape[-1]) < 8, 1, 6) + 0 * clip.depth.astype(int), None)
+    )
+    run_job(job(data, tmp_path / "out"))
+    (path,) = (tmp_path / "out" / LABELS).iterdir()
+    assert {slot for _, slot in read_labels(path)} == {6}
+
+
+@pytest.mark.parametrize(("uses_labels", "kind"), [(False, "learned"), (True, "oracle"), (True, "learned")])
+def test_clips_carry_labels_for_those_only_who_say_so(
+    data: Path, tmp_path: Path, register, uses_labels: bool, kind: str
+):
+    seen = []
+
+    def answer(clip: Clip) -> Prediction:
+        seen.append(clip.truth is not None)
+        return background(clip)
+
+    register(answer, uses_labels=uses_labels, kind=kind)
+    run_job(job(data, tmp_path / "out"))
+    assert seen == [uses_labels] * 2
+    assert load_runs(tmp_path / "out")[0].uses_labels is uses_labels
+
+
+def test_what_is_seen_of_a_model_while_it_learns_stands_in_its_curve(
+    data: Path, tmp_path: Path, register, monkeypatch: pytest.MonkeyPatch
+):
+    truth = reader.Dataset(data).split("val")[0]["segmentation"].astype(np.int64)
+    model = register(background)
+
+    def fit(train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
+        assert all(clip.truth is None for clip in val)
+        model.options[-1]["watch"](lambda clip: Prediction(truth, 0), step=7, seconds=30.0)
+        model.learning_curve = [{"step": 3, "loss": np.float32(2.0)}, {"step": 7, "loss": np.float32(1.0)}]
+
+    monkeypatch.setattr(model, "fit", fit)
+    run_job(job(data, tmp_path / "out", folder=tmp_path / "out" / "training" / "own"))
+    first, last = load_runs(tmp_path / "out")[0].learning_curve or []
+    assert first == {"step": 3.0, "loss": 2.0}
+    assert last.keys() == {"step", "seconds", "loss", "ari_fg", "msc_fg"}
+    assert last["msc_fg"] > 0
+
+
+def test_a_row_says_how_many_views_its_model_uses(data: Path, tmp_path: Path, register):
+    register(background, views=Views("one", "all"))
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].views == "1 in, 2 supervise"
+
+
+def test_the_profile_is_an_option_where_it_is_not_the_usual_one(data: Path, tmp_path: Path, register):
+    model = register(background, settings={"width": 1}, profiles={"gpu": {"width": 2}})
+    run_job(job(data, tmp_path / "out", profile="gpu"))
+    assert model.options == [{"slots": 5, "profile": "gpu"}]
+    assert load_runs(tmp_path / "out")[0].config == {"width": 2, "slots": 5, "profile": "gpu"}
+
+
+def test_models_that_learn_nothing_get_no_training_clips(data: Path, tmp_path: Path, register):
+    for path in data.glob("train-*.h5"):
+        path.unlink()
+    model = register(background, kind="classical")
+    run_job(job(data, tmp_path / "out"))
+    assert model.fits == [(0, 2, 4, 10.0)]
+
+
+def test_tuning_takes_half_of_the_budget_and_is_recorded(data: Path, tmp_path: Path, register):
+    model = register(background, grid=({"reach": 1}, {"reach": 2}))
+    run_job(job(data, tmp_path / "out"))
+    (row,) = load_runs(tmp_path / "out")
+    assert (row.tuned, row.trials) == (True, 2)
+    assert row.config == {"slots": 5, "reach": 1}
+    assert [budget for *_, budget in model.fits] == [2.5, 2.5, 5.0]
+
+
+def test_one_fit_serves_all_targets(data: Path, tmp_path: Path, register):
+    other = write_dataset(tmp_path / "other", scenes=1, frames=1)
+    model = register(background, kind="learned")
+    run_job(job(data, tmp_path / "out", other))
+    assert len(model.fits) == 1
+    assert {row.key.track: row.n_scenes for row in load_runs(tmp_path / "out")} == {"data": 2, "other": 1}
+
+
+def test_models_that_learn_nothing_get_each_track_s_slots(data: Path, tmp_path: Path, register):
+    other = write_dataset(tmp_path / "other", scenes=1, frames=1)
+    model = register(background, kind="classical")
+    run_job(job(data, tmp_path / "out", other))
+    assert [options["slots"] for options in model.options] == [5, 6]
+
+
+def test_steps_are_offered_where_budgets_are_counted_in_them(data: Path, tmp_path: Path, register):
+    model = register(background)
+    run_job(job(data, tmp_path / "out", steps=12))
+    assert model.options == [{"slots": 5, "steps": 12}]
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda clip: Prediction(np.zeros(clip.depth.shape[1:], int), 0), "of shape"),
+        (lambda clip: Prediction(np.full(clip.depth.shape, np.nan), 0), "with nan"),
+        (lambda clip: Prediction(np.full(clip.depth.shape, -1), 0), "slot -1"),
+        (lambda clip: Prediction(np.full(clip.depth.shape, 256), 0), "slot 256"),
+        (lambda clip: Prediction(np.zeros(clip.depth.shape, int), -1), "slot -1"),
+        (lambda clip: None, "NoneType"),
+    ],
+)
+def test_a_model_that_breaks_the_contract_is_named(data: Path, tmp_path, register, monkeypatch, answer, message: str):
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    register(answer)
+    with pytest.raises(BadPrediction, match=message):
+        run_job(job(data, tmp_path / "out"))
+    assert [path for path in (tmp_path / "out").rglob("*") if path.is_file()] == []
+
+
+def test_an_empty_split_is_refused(tmp_path: Path, register):
+    register(background)
+    empty = write_dataset(tmp_path / "empty", scenes=0)
+    with pytest.raises(UsageError, match="has no scenes"):
+        run_job(job(empty, tmp_path / "out"))
+    register(background, grid=({"reach": 1}, {"reach": 2}))
+    with pytest.raises(UsageError, match="no validation scenes"):
+        run_job(job(empty, tmp_path / "out"))
+
+
+def both(clip: Clip) -> Prediction:
+    labels = np.zeros(clip.depth.shape, np.int64)
+    return Prediction(labels, 0, {"att": labels + 1})
+
+
+def with_extra(made: Job) -> Job:
+    targets = [
+        dataclasses.replace(target, extra={"att": dataclasses.replace(target.key, model="scripted-att")})
+        for target in made.targets
+    ]
+    return dataclasses.replace(made, targets=tuple(targets))
+
+
+def test_further_segmentations_have_rows_of_their_own(data: Path, tmp_path: Path, register):
+    model = register(both, extra=("att",))
+    model.learning_curve = [{"step": 1, "loss": 0.5}]
+    events = []
+    run_job(with_extra(job(data, tmp_path / "out")), events.append)
+    main, other = load_runs(tmp_path / "out")
+    assert (main.key.model, other.key.model) == ("scripted", "scripted-att")
+    assert events == ["fitted", main.key.name]
+    assert (main.learning_curve, other.learning_curve) == ([{"step": 1.0, "loss": 0.5}], None)
+    assert len(model.fits) == 1
+    maps = {path.name.split("--")[1]: path for path in (tmp_path / "out" / LABELS).iterdir()}
+    assert {name: {int(labels.max()) for labels, _ in read_labels(path)} for name, path in maps.items()} == {
+        "scripted": {0},
+        "scripted-att": {1},
+    }
+    tables = [load_scenes(tmp_path / "out", row) for row in (main, other)]
+    assert pooled(tables[0], "miou_bg") > pooled(tables[1], "miou_bg")
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"), [({}, "no 'att' in `extra`"), ({"att": np.full((3, 2, 4, 4), 0)}, "of shape")]
+)
+def test_a_further_segmentation_that_is_missing_or_wrong_is_named(
+    data: Path, tmp_path: Path, register, monkeypatch, extra, message: str
+):
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    register(lambda clip: Prediction(background(clip).labels, 0, extra), extra=("att",))
+    with pytest.raises(BadPrediction, match=message):
+        run_job(with_extra(job(data, tmp_path / "out")))
+
+
+def test_a_folder_is_offered_for_the_fit_that_counts_and_kept_out_of_the_row(data: Path, tmp_path: Path, register):
+    model = register(background, grid=({"reach": 1}, {"reach": 2}))
+    run_job(job(data, tmp_path / "out", folder=tmp_path / "own"))
+    assert ["folder" in options for options in model.options] == [False, False, True]
+    assert model.options[-1]["folder"] == tmp_path / "own"
+    assert "folder" not in load_runs(tmp_path / "out")[0].config
+
+
+def test_a_run_that_went_on_says_how_long_fitting_took_in_all(data: Path, tmp_path: Path, register):
+    register(background).fit_seconds = 1000.0
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].measured.fit_seconds == 1000.0
+
+
+def test_the_constants_of_a_model_are_in_its_row(data: Path, tmp_path: Path, register):
+    register(background, settings={"model": {"width": 64}})
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].config == {"model": {"width": 64}, "slots": 5}
+
+
+def test_what_a_model_was_fitted_with_counts_more_than_what_it_declares(data: Path, tmp_path: Path, register):
+    register(background, settings={"minutes": 23}).fitted_settings = {"minutes": 12}
+    run_job(job(data, tmp_path / "out"))
+    assert load_runs(tmp_path / "out")[0].config == {"minutes": 12, "slots": 5}
+
+
+def test_weights_that_were_trained_before_need_no_clips(data: Path, tmp_path: Path, register):
+    for path in [*data.glob("train-*.h5"), *data.glob("val-*.h5")]:
+        path.unlink()
+    model = register(background)
+    run_job(job(data, tmp_path / "out", checkpoint=tmp_path / "scripted--data--64x48"))
+    assert model.options == [{"slots": 5, "checkpoint": tmp_path / "scripted--data--64x48"}]
+    assert model.fits == [(0, 0, 4, 0.0)]
+    assert load_runs(tmp_path / "out")[0].pretrained == "scripted--data--64x48"
+
+
+def test_rows_of_weights_state_what_these_were_trained_with(data: Path, tmp_path: Path, register):
+    def own(folder: Path) -> ModelSpec:
+        assert folder.name == "mine"
+        return dataclasses.replace(find_model("scripted"), priors=("slots",), views=Views("all", "all"))
+
+    register(background, priors=("plane",), views=Views("one", "all"), configured=own)
+    run_job(job(data, tmp_path / "out", checkpoint=tmp_path / "mine"))
+    (row,) = load_runs(tmp_path / "out")
+    assert (row.priors, row.views) == (("slots",), "2 in, 2 supervise")
+
+
+def test_what_a_model_changes_on_a_track_reaches_it_and_its_row(data: Path, tmp_path: Path, register):
+    elsewhere = register(background, kind="learned", on_tracks={"other": {"size": 2}})
+    run_job(job(data, tmp_path / "out"))
+    there = register(background, kind="learned", on_tracks={data.name: {"size": 2}})
+    run_job(job(data, tmp_path / "again"))
+    assert "changes" not in elsewhere.options[-1]
+    assert there.options[-1]["changes"] == {"size": 2}
+    (row,) = load_runs(tmp_path / "again")
+    assert row.config["changes"] == {"size": 2}

@@ -1,0 +1,154 @@
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmark.execution.validation_scores import Watch
+from benchmark.models.adapters.learned import LearnedSegmenter
+from benchmark.models.interface import (
+    Clip,
+    Segmenter,
+)
+from benchmark.models.registry import find_model
+from benchmark.ranking.failed_seeds import has_finite_loss
+from datagen.errors import UsageError
+from tests.chosen_scores import run_row
+from tests.worlds.sphere_clips import (
+    clip_and_truth,
+    with_holes,
+)
+
+SIZE = (32, 24)
+
+
+def clips(count: int, **recipe: object) -> list[Clip]:
+    return [clip_and_truth(seed, **{"frames": 2, "resolution": SIZE, **recipe})[0] for seed in range(count)]
+
+
+def fitted(options: dict[str, object], train: Sequence[Clip], *, seed: int = 0) -> LearnedSegmenter:
+    model = find_model("obpose-loc").build({"slots": 4, "steps": 2, **options})
+    model.fit(train, train[:1], seed=seed, budget=60.0)
+    assert isinstance(model, LearnedSegmenter)
+    return model
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("run") / "own"
+
+
+@pytest.fixture(scope="module")
+def model(folder: Path) -> LearnedSegmenter:
+    return fitted({"folder": folder}, clips(2))
+
+
+def test_it_is_a_segmenter_of_as_many_slots_as_offered(model: LearnedSegmenter):
+    assert isinstance(model, Segmenter)
+    clip = with_holes(clips(1)[0], 0.2)
+    found = model.segment(clip)
+    assert found.background_slot == 0
+    for labels in (found.labels, found.extra["att"]):
+        assert labels.shape == clip.depth.shape
+        assert not labels[~clip.valid].any()
+        assert set(np.unique(labels)) <= set(range(4))
+
+
+def test_it_says_what_the_rows_need(model: LearnedSegmenter):
+    assert model.parameters > 10_000
+    assert model.fit_seconds > 0
+    assert model.learning_curve
+    assert {"step", "seconds", "loss"} <= set(model.learning_curve[0])
+    assert has_finite_loss(run_row(learning_curve=model.learning_curve))
+    assert not has_finite_loss(run_row(learning_curve=[{**model.learning_curve[0], "air loss": float("nan")}]))
+
+
+def test_equal_clips_get_equal_labels_whatever_came_between(model: LearnedSegmenter):
+    first, other = clips(2)
+    before = model.segment(first)
+    model.segment(other)
+    after = model.segment(first)
+    np.testing.assert_array_equal(before.labels, after.labels)
+    np.testing.assert_array_equal(before.extra["att"], after.extra["att"])
+
+
+def test_a_run_that_is_made_again_goes_on_in_its_folder(model: LearnedSegmenter, folder: Path):
+    again = fitted({"folder": folder}, clips(2))
+    assert again.fit_seconds == model.fit_seconds
+    assert again.learning_curve == model.learning_curve
+    np.testing.assert_array_equal(again.segment(clips(1)[0]).labels, model.segment(clips(1)[0]).labels)
+
+
+def test_it_states_what_it_was_fitted_with(model: LearnedSegmenter, folder: Path):
+    found = model.fitted_settings
+    assert found
+    assert (found["model"]["slots"], found["train"]["steps"], found["train"]["minutes"]) == (3, 2, 1.0)
+    assert found["model"]["workspace_center"] != find_model("obpose-loc").settings["model"]["workspace_center"]
+    assert fitted({"checkpoint": folder}, []).fitted_settings == found
+
+
+def test_a_checkpoint_stands_in_for_training(model: LearnedSegmenter, folder: Path):
+    loaded = LearnedSegmenter("obpose-loc", slots=9, checkpoint=folder)
+    loaded.fit([], [], seed=5, budget=0.0)
+    assert loaded.parameters == model.parameters
+    assert loaded.learning_curve is None
+    np.testing.assert_array_equal(loaded.segment(clips(1)[0]).labels, model.segment(clips(1)[0]).labels)
+
+
+def test_whoever_watches_sees_it_segment_while_it_learns(tmp_path: Path):
+    seen, truths = zip(*(clip_and_truth(seed, frames=2, resolution=SIZE) for seed in range(2)), strict=True)
+    watch = Watch(seen, truths, tmp_path / "seen.csv")
+    model = fitted({"watch": watch}, clips(2))
+    curve = watch.added_to(model.learning_curve or [])
+    assert [point["step"] for point in curve if "msc_fg" in point] == [1, 2]
+    watch(model.segment, step=2, seconds=0.0)
+    assert watch.added_to([{"step": 2.0}])[0]["msc_fg"] == curve[-1]["msc_fg"]
+
+
+def test_settings_are_changed_by_dotted_name():
+    model = fitted({"changes": {"model.object_field.width": 24}}, clips(2))
+    assert model.parameters < fitted({}, clips(2)).parameters
+
+
+def test_clips_of_other_sizes_lengths_and_views_are_segmented(model: LearnedSegmenter):
+    clip = clips(1, frames=1, views=2, resolution=(48, 36))[0]
+    assert model.segment(clip).labels.shape == clip.depth.shape
+
+
+def test_a_clip_without_any_depth_is_background(model: LearnedSegmenter):
+    found = model.segment(with_holes(clips(1)[0], 1.0))
+    assert not found.labels.any()
+
+
+def test_a_model_without_a_background_says_so_and_segments_each_view():
+    clip = with_holes(clips(1, views=2)[0], 0.2)
+    model = find_model("obsurf").build({"slots": 4, "steps": 2})
+    model.fit([clip], [clip], seed=0, budget=60.0)
+    found = model.segment(clip)
+    assert found.background_slot is None
+    assert found.labels.shape == found.extra["att"].shape == clip.depth.shape
+    assert not found.labels[~clip.valid].any()
+
+
+def test_a_model_that_learns_from_labels_gets_them_and_shows_no_masks_beside():
+    seen, truth = clip_and_truth(0, frames=2, resolution=SIZE)
+    clip = replace(seen, truth=truth)
+    model = find_model("supervised").build({"slots": 4, "steps": 2})
+    with pytest.raises(UsageError, match="learns from"):
+        model.fit([seen], [], seed=0, budget=60.0)
+    model.fit([clip], [clip], seed=0, budget=60.0)
+    assert model.segment(seen).extra == {}
+
+
+def test_a_dataset_without_training_scenes_is_named():
+    model = find_model("obpose-loc").build({"slots": 4, "steps": 2})
+    with pytest.raises(UsageError, match="no training scenes; expected some to learn from"):
+        model.fit([], clips(1), seed=0, budget=60.0)
+
+
+def test_the_seed_decides(model: LearnedSegmenter):
+    mine = model._model.state_dict()
+    others = [fitted({}, clips(2), seed=seed)._model.state_dict() for seed in (0, 1)]
+    assert [all(torch.equal(mine[name], other[name]) for name in mine) for other in others] == [True, False]

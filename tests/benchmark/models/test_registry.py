@@ -1,0 +1,139 @@
+import subprocess
+import sys
+
+import pytest
+
+from benchmark.models import plugins
+from benchmark.models.interface import Segmenter
+from benchmark.models.model_spec import (
+    KINDS,
+    PRIORS,
+    ModelSpec,
+)
+from benchmark.models.registry import (
+    GROUPS,
+    MODELS,
+    Group,
+    budget_of,
+    discover,
+    expand,
+    find_model,
+)
+from benchmark.results.run_folder import digest
+from datagen.errors import UsageError
+from tests.paths import ROOT
+
+
+def test_an_unknown_name_gets_the_nearest():
+    with pytest.raises(UsageError, match="Unknown model 'plane_dbscan'; did you mean 'plane-dbscan'"):
+        find_model("plane_dbscan")
+    with pytest.raises(UsageError, match="did you mean 'training-free'"):
+        expand(["plane-dbscan", "training_free"])
+
+
+def test_training_free_is_everything_that_learns_nothing():
+    assert expand(["training-free"]) == [*expand(["floors"]), *expand(["classical"]), *expand(["oracles"])]
+    assert {"one-cluster", "all-background", "random-slots", "constant-grid"} == set(expand(["floors"]))
+    assert len(expand(["oracles"])) == 3
+    assert not {MODELS[name].kind for name in expand(["training-free"])} - {"floor", "classical", "oracle"}
+
+
+@pytest.fixture
+def group(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(GROUPS, "few", Group(("one-cluster", "plane-dbscan", "kmeans-xyz-rgb"), budget=90.0))
+    monkeypatch.setitem(GROUPS, "fewer", Group(("plane-dbscan", "one-cluster"), budget=60.0))
+
+
+def test_what_is_in_two_groups_is_named_once(group):
+    assert expand(["few", "fewer"]) == ["one-cluster", "plane-dbscan", "kmeans-xyz-rgb"]
+
+
+def test_a_group_with_an_unknown_name_breaks_nothing_but_itself(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(GROUPS, "odd", Group(("plane-dbscan", "plane-dbscn")))
+    assert expand(["plane-dbscan"]) == ["plane-dbscan"]
+    with pytest.raises(UsageError, match="Unknown model 'plane-dbscn'"):
+        expand(["odd"])
+
+
+def test_an_equal_budget_goes_with_a_group(group):
+    assert budget_of(["few", "kmeans-xyz-rgb"]) == 90.0
+    assert budget_of(["few", "fewer"]) == 60.0
+    assert budget_of(["training-free", "obpose"]) is None
+
+
+def test_the_group_of_the_paper():
+    assert list(GROUPS["paper"].members) == [
+        "obpose-loc",
+        "obpose",
+        "ic-sbp",
+        "slot-attention",
+        "obsurf",
+        "obsurf-no-overlap",
+        "obsurf-no-overlap-depth",
+    ]
+    assert budget_of(["paper"]) == 12 * 60
+
+
+def test_a_model_named_twice_runs_once():
+    names = expand(["plane-dbscan", "classical", "plane-dbscan"])
+    assert names[0] == "plane-dbscan"
+    assert len(names) == len(set(names)) == len(expand(["classical"]))
+
+
+TRAINING_FREE = sorted(expand(["training-free"]))
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_every_model_says_what_the_tables_need(name: str):
+    spec = MODELS[name]
+    assert name not in GROUPS
+    assert spec.version >= 1
+    assert spec.kind in KINDS
+    assert set(spec.priors) <= set(PRIORS)
+    assert spec.uses_labels or spec.kind != "oracle"
+    assert len(spec.grid) <= 12
+    assert len({str(value) for value in spec.grid}) == len(spec.grid)
+    assert spec.default == (spec.grid[0] if spec.grid else {})
+    assert isinstance(spec.build({"slots": 5, **spec.default}), Segmenter)
+
+
+@pytest.mark.parametrize("name", TRAINING_FREE)
+def test_defaults_are_the_first_values_of_the_grid(name: str):
+    if name != "plane-dbscan-colour":  # It is plane-dbscan with the colour that it else leaves out.
+        spec = MODELS[name]
+        assert spec.build({"slots": 5}) == spec.build({"slots": 5, **spec.default}) or not spec.grid
+
+
+def test_our_own_models_cost_no_search_for_plugins(monkeypatch: pytest.MonkeyPatch):
+    def never(taken: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(plugins, "load", never)
+    assert isinstance(find_model("plane-dbscan"), ModelSpec)
+    assert expand(["training-free"])
+
+
+def test_every_variant_is_a_model_and_a_constant_of_it_that_changes_makes_new_rows():
+    names = ("obpose", "obpose-loc", "obpose-none", "obpose-l2", "obpose-sharp", "obpose-as-published")
+    specs = [MODELS[name] for name in names]
+    assert {spec.kind for spec in specs} == {"learned"}
+    assert {spec.extra for spec in specs} == {("att",)}
+    assert {spec.budget for spec in specs} == {23 * 60.0}
+    assert len({digest(spec.settings) for spec in specs}) == len(names)
+
+
+def test_training_free_models_need_no_torch():
+    code = (
+        "import sys; from benchmark.models.registry import MODELS\n"
+        "heavy = {'torch', 'numba', 'pybullet', 'pyrender', 'trimesh'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
+    )
+    root = ROOT
+    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_everything_is_discovered():
+    models, problems = discover()
+    assert set(MODELS) <= set(models)
+    assert problems == []

@@ -1,0 +1,108 @@
+import contextlib
+import importlib.util
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from datagen.errors import UsageError
+from datagen.inspect import preview
+from datagen.storage import spec
+from datagen.storage.shard import pack
+from tests.worlds import rendered
+
+
+def test_the_sheet_shows_the_pixels_of_first_middle_and_last_frame(tiny_dataset: Path, tmp_path: Path):
+    sheet, animation = preview.run(
+        tiny_dataset, scenes=(0, 2), out=tmp_path / "new" / "sheet.png", video=tmp_path / "clips.gif"
+    )
+    picture = np.asarray(Image.open(sheet))
+    chosen = preview._chosen(preview.Dataset(tiny_dataset).split("train"), [0, 2])
+    for record in chosen.values():
+        for frame in (0, 5, 9):
+            assert contains(picture, np.repeat(np.repeat(record["rgb"][frame, 0], 3, axis=0), 3, axis=1))
+    with Image.open(animation) as clip:
+        assert clip.n_frames == 10  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def contains(picture: np.ndarray, part: np.ndarray) -> bool:
+    starts = np.argwhere(np.all(picture[: -part.shape[0], : -part.shape[1]] == part[0, 0], axis=-1))
+    return any(np.array_equal(picture[y : y + part.shape[0], x : x + part.shape[1]], part) for y, x in starts)
+
+
+def test_views_stand_side_by_side_and_stills_have_no_animation(tmp_path: Path):
+    record = rendered.record(rendered.scene(views=3, frames=1), resolution=(160, 120), sensor=True)
+    folder = rendered.write_dataset(tmp_path / "stills", [record], sensor=True)
+    (sheet,) = preview.run(folder, scenes=(0,))
+    assert sheet == folder / "preview.png"
+    picture = np.asarray(Image.open(sheet))
+    for view in range(3):
+        assert contains(picture, record["rgb"][0, view])
+        assert contains(picture, preview.colored_labels(record["segmentation"][0, view]))
+    assert picture.shape[0] > 4 * 120
+
+
+def test_colours_tell_near_from_far_and_ids_apart():
+    depth = preview.colored_depth(np.array([[0, 1000, 1500, 2000]], np.uint16), 1000.0, 2000.0)[0].astype(int)
+    assert np.all(depth[0] == 0)
+    assert np.all(np.diff(np.sum(depth[1:], axis=1)) < 0)
+    colors = preview.label_colors(11).astype(int)
+    distances = np.abs(colors[:, None] - colors).sum(axis=-1) + 1000 * np.eye(11, dtype=int)
+    assert np.min(distances) > 60
+
+
+def test_requests_that_cannot_be_met_say_why(tiny_dataset: Path, tmp_path: Path):
+    with pytest.raises(UsageError, match="scenes 0 to 3"):
+        preview.run(tiny_dataset, scenes=(4,), out=tmp_path / "sheet.png")
+
+
+def test_the_default_is_what_is_there(tiny_dataset: Path, tmp_path: Path):
+    record = rendered.record(rendered.scene(frames=1), resolution=(48, 48))
+    few = rendered.write_dataset(tmp_path / "few", [record, record])
+    (sheet,) = preview.run(few)
+    assert np.array_equal(np.asarray(Image.open(sheet)), np.asarray(Image.open(preview.run(few, scenes=(0, 1))[0])))
+    copy = Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
+    only_val = spec.with_splits(spec.read_spec(copy), {"val": 2})
+    (copy / spec.SPEC_FILE).write_text(spec.spec_text(only_val))
+    sheets = [preview.run(copy, split=split, out=tmp_path / f"{split}.png")[0] for split in (None, "val")]
+    assert sheets[0].read_bytes() == sheets[1].read_bytes()
+    with pytest.raises(UsageError, match="no scene of split train; choose from val"):
+        preview.run(copy, split="train")
+
+
+def test_no_scenes_and_other_endings_are_refused_before_anything_is_drawn(tiny_dataset: Path, tmp_path: Path):
+    with pytest.raises(UsageError, match="No scene is named"):
+        preview.run(tiny_dataset, scenes=(), out=tmp_path / "sheet.png")
+    for name in ("sheet.xyz", "sheet", "sheet.gif"):
+        with pytest.raises(UsageError, match=r"\.png or \.jpg"):
+            preview.run(tiny_dataset, out=tmp_path / name)
+    with pytest.raises(UsageError, match=r"\.gif or \.mp4"):
+        preview.run(tiny_dataset, out=tmp_path / "sheet.png", video=tmp_path / "clip.avi")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_mp4_is_written_or_refused_with_the_remedy(tiny_dataset: Path, tmp_path: Path):
+    target = tmp_path / "clip.mp4"
+    has_codec = importlib.util.find_spec("imageio_ffmpeg") is not None
+    expected = contextlib.nullcontext() if has_codec else pytest.raises(UsageError, match="pip install")
+    with expected:
+        preview.run(tiny_dataset, scenes=(0,), out=tmp_path / "sheet.png", video=target)
+    assert target.exists() == has_codec
+
+
+def test_a_dataset_without_one_of_the_images_is_one_clear_error(tmp_path: Path):
+    record = rendered.record(rendered.scene(frames=2))
+    folder = rendered.write_dataset(tmp_path / "staged", [record])
+    del record["depth"]
+    rendered.write_shard(folder, spec.read_spec(folder), "train", 0, [pack(record)])
+    with pytest.raises(UsageError, match="no field 'depth'"):
+        preview.run(folder)
+
+
+@pytest.mark.parametrize(("fps", "frames"), [(0.001, 2), (0.001, 1), (1.0, 700)])
+def test_slow_and_long_clips_fit_into_a_gif(tmp_path: Path, fps: float, frames: int):
+    preview.save_animation(tmp_path / "slow.gif", [np.zeros((4, 4, 3), np.uint8)] * frames, fps)
+    with Image.open(tmp_path / "slow.gif") as clip:
+        assert clip.size == (4, 4)

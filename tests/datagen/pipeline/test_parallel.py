@@ -1,0 +1,142 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from dataclasses import dataclass
+
+import pytest
+
+from datagen.errors import DatagenError, UsageError
+from datagen.pipeline.parallel import make_all
+from datagen.storage.shard import PackedScene
+from tests.paths import ROOT
+from tests.processes import command_line, descendants, errors_at_end, wait_until
+
+SCENES = [("train", index) for index in range(12)]
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Scenes whose hash says which they are and where they were made; some take longer, one is fatal."""
+
+    fatal: int = -1
+    wrong: int = -1
+
+    def __call__(self, split: str, index: int) -> PackedScene:
+        if index == self.fatal:
+            os._exit(9)
+        if index == self.wrong:
+            raise UsageError(f"scene {index} is impossible")
+        time.sleep(0.02 * (index % 3))
+        return PackedScene({}, {}, f"{split} {index} {os.getpid()}")
+
+
+def places(scenes) -> list[str]:
+    return [scene.hash.rpartition(" ")[0] for scene in scenes]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_scenes_come_in_their_order(workers: int):
+    assert places(make_all(Maker(), SCENES, workers)) == [f"train {index}" for index in range(12)]
+
+
+def handler_of_interrupts(split: str, index: int) -> PackedScene:
+    return PackedScene({}, {}, f"{os.getpid()} {signal.getsignal(signal.SIGINT) == signal.SIG_IGN}")
+
+
+def test_workers_leave_interrupts_to_the_parent():
+    made = [scene.hash.split() for scene in make_all(handler_of_interrupts, SCENES, 2)]
+    assert {ignored == "True" for process, ignored in made if process != str(os.getpid())} == {True}
+    in_parent = {ignored == "True" for process, ignored in made if process == str(os.getpid())}
+    assert in_parent == {signal.getsignal(signal.SIGINT) == signal.SIG_IGN}
+
+
+def test_two_workers_both_work():
+    processes = {scene.hash.rpartition(" ")[2] for scene in make_all(Maker(), SCENES, 2)}
+    assert len(processes - {str(os.getpid())}) == 2
+
+
+@pytest.mark.parametrize("scenes", [[], SCENES[:1], SCENES[:2]])
+def test_few_scenes_need_no_workers(scenes):
+    made = list(make_all(Maker(), scenes, 2))
+    assert {scene.hash.rpartition(" ")[2] for scene in made} <= {str(os.getpid())}
+    assert len(made) == len(scenes)
+
+
+def test_what_is_wrong_with_a_scene_is_told_after_the_scenes_before_it():
+    made = []
+    with pytest.raises(UsageError, match="scene 5 is impossible"):
+        made.extend(make_all(Maker(wrong=5), SCENES, 1))
+    with pytest.raises(UsageError, match="scene 5 is impossible"):
+        list(make_all(Maker(wrong=5), SCENES, 2))
+
+
+def test_a_worker_that_dies_is_one_clear_error_and_the_next_run_works():
+    with pytest.raises(DatagenError, match=r"worker process died.*same command again"):
+        list(make_all(Maker(fatal=7), SCENES, 2))
+    assert len(list(make_all(Maker(), SCENES, 2))) == 12
+
+
+def test_whoever_needs_no_more_scenes_may_stop():
+    with closing(make_all(Maker(), SCENES, 2)) as scenes:
+        assert places([next(scenes), next(scenes)]) == ["train 0", "train 1"]
+
+
+PARENT = """
+import os, signal
+from datagen.pipeline.parallel import make_all
+
+class Maker:
+    def __call__(self, split, index):
+        return index
+
+    def __reduce__(self):  # called when the first task is sent, and the workers have been started
+        {when_sent}
+
+list(make_all(Maker(), [("train", index) for index in range(4)], 2))
+"""
+
+
+def start_parent(when_sent: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", PARENT.format(when_sent=when_sent)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=ROOT, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+
+
+def test_workers_whose_parent_was_killed_before_it_sent_a_task_do_not_outlive_it():
+    parent = start_parent("os.kill(os.getpid(), signal.SIGKILL)")
+    errors_at_end(parent)
+    assert parent.returncode == -signal.SIGKILL
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("milliseconds", [0, 2, 5, 10, 20, 40, 100, 200, 400])
+def test_workers_whose_parent_was_killed_while_it_started_them_do_not_outlive_it(milliseconds: int):
+    parent = start_parent("return Maker, ()")
+    wait_until(
+        lambda: any(b"LokyProcess" in command_line(child) for child in descendants(parent.pid)), what="the first worker"
+    )
+    time.sleep(milliseconds / 1000)
+    parent.kill()
+    errors_at_end(parent)
+
+
+LEAKING = """
+from joblib.externals.loky.backend import resource_tracker as loky
+from multiprocessing import resource_tracker
+from datagen.pipeline.parallel import make_all
+
+if __name__ == "__main__":
+    list(make_all(divmod, [(index, 1) for index in range(4)], 2))
+    loky.register("/nowhere/folder", "folder")
+    resource_tracker.register("/nowhere", "semaphore")
+"""
+
+
+def test_what_an_interrupt_leaves_behind_is_cleaned_up_without_a_word(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(LEAKING)
+    ran = subprocess.run([sys.executable, program], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stderr=-1)
+    assert (ran.returncode, ran.stderr) == (0, b"")

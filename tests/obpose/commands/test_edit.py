@@ -1,0 +1,489 @@
+"""The whole command, with the weights that ship."""
+
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+import assets
+from datagen.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
+from datagen.pipeline.generate import generate
+from datagen.schema import decode_depth
+from datagen.storage.reader import Dataset
+from obpose.commands import edit as edit_cli
+from obpose.commands.edit import main
+from obpose.data.datasets import SceneDataset
+from obpose.scenes.appearance.light import (
+    no_light,
+    strength,
+)
+from obpose.scenes.model_ref import (
+    load_origin,
+    origin_of,
+)
+from obpose.scenes.priors import (
+    examples,
+    train_flow,
+)
+from obpose.scenes.priors.flow_prior import (
+    load_flow,
+    save_flow,
+)
+from obpose.scenes.priors.gaussian import load_prior
+from obpose.scenes.rendering import Renderer
+from obpose.scenes.scene import ClipName
+from obpose.scenes.storage import load_scene
+from tests.obpose.scenes.small_scenes import (
+    alike,
+    dense_flow,
+    equal,
+)
+from tests.worlds import generated
+
+MODEL = "obpose--moving--64x64"
+
+
+@pytest.fixture(scope="module")
+def inferred(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("scenes") / "inferred"
+    flags = ["--checkpoint", MODEL, "--data", str(tiny_dataset), "--refine", "0"]
+    assert main(["infer", *flags, "--out", str(out)]) == EXIT_OK
+    return out
+
+
+def run(command: str, *arguments: object) -> int:
+    return main([command, *map(str, arguments)])
+
+
+def test_what_is_inferred_looks_like_the_clip(inferred: Path, tiny_dataset: Path, capsys):
+    scene = load_scene(inferred)
+    assert scene.frames == 10
+    assert scene.clip == ClipName(SceneDataset(tiny_dataset).settings_hash, "test", 0)
+    assert 1 <= len(scene.ids) <= 4
+    with Image.open(inferred / "picture.png") as picture:
+        assert picture.size == (768, 256)
+    clip = tiny_dataset_clip(tiny_dataset)
+    assert run("render", inferred, "--out", inferred.parent / "frame.png") == EXIT_OK
+    image = Renderer(origin_of(scene).model).render(scene)
+    assert (image.rgb - clip["rgb"][0, 0]).square().mean() < 0.02
+    table = clip["segmentation"][0, 0] == 0
+    assert (image.depth - clip["depth"][0, 0])[table].abs().median() < 0.01
+
+
+def tiny_dataset_clip(folder: Path) -> dict[str, torch.Tensor]:
+    return SceneDataset(folder, "test", extra=["segmentation"])[0]
+
+
+@pytest.fixture(scope="module")
+def frames(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """The same clip as files, and the flags that name them."""
+    folder, clip = tmp_path_factory.mktemp("frames"), Dataset(tiny_dataset).split("test")[0]
+    for kind in ("rgb", "depth"):
+        (folder / kind).mkdir()
+    for frame in range(len(clip["rgb"])):
+        Image.fromarray(clip["rgb"][frame, 0]).save(folder / "rgb" / f"{frame}.png")
+        np.save(folder / "depth" / f"{frame}.npy", decode_depth(clip["depth"][frame, 0]))
+    np.savetxt(folder / "pose.txt", clip["camera/world_from_camera"][0])
+    k = clip["camera/K"][0]
+    camera = ["--intrinsics", ",".join(str(value) for value in (k[0, 0], k[1, 1], k[0, 2], k[1, 2]))]
+    return ["--rgb", str(folder / "rgb"), "--depth", str(folder / "depth"), *camera, f"--camera-pose={folder}/pose.txt"]
+
+
+def test_frames_of_ones_own_give_the_scene_of_the_same_clip(inferred: Path, frames: list[str], tmp_path: Path, capsys):
+    assert run("infer", "--checkpoint", MODEL, *frames, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    assert "World: as given with --camera-pose." in capsys.readouterr().out
+    own, scene = load_scene(tmp_path / "own"), load_scene(inferred)
+    assert own.clip is None
+    assert own.ids == scene.ids
+    # Colours differ in their last digit, which frame after frame makes half a millimetre of.
+    torch.testing.assert_close(own.center, scene.center, atol=5e-3, rtol=0)
+    torch.testing.assert_close(own.what, scene.what, atol=0.1, rtol=0)
+
+
+def in_another_world(frames: list[str], folder: Path, *, axis: int, by: float) -> list[str]:
+    """The same flags with a camera that was moved along an axis, metres."""
+    *others, camera = frames
+    pose = np.loadtxt(camera.removeprefix("--camera-pose="))
+    pose[axis, 3] += by
+    np.savetxt(folder / "pose.txt", pose)
+    return [*others, f"--camera-pose={folder}/pose.txt"]
+
+
+def test_objects_of_frames_outside_the_workspace_are_refused(frames: list[str], tmp_path: Path, capsys):
+    flags = in_another_world(frames, tmp_path, axis=0, by=-0.8)
+    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_USAGE
+    told = capsys.readouterr()
+    assert (
+        "of it outside the 1.01 m around (-0.12, 0.00, 0.07) that the model was trained on: move the world's origin"
+        in told.out
+    )
+    assert "would be outside the workspace" in told.err
+    assert told.err.count("\n") == 1
+    assert not (tmp_path / "own").exists()
+
+
+def test_a_table_that_is_not_at_zero_is_pointed_out(frames: list[str], tmp_path: Path, capsys):
+    flags = in_another_world(frames, tmp_path, axis=2, by=-0.4)
+    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    assert "the table in view lies at z = -0.40 m: move the world's origin onto" in capsys.readouterr().out
+
+
+def test_a_scene_is_of_a_dataset_or_of_frames(tiny_dataset: Path, frames: list[str], tmp_path: Path, capsys):
+    for flags in ([], [*frames, "--data", tiny_dataset]):
+        assert run("infer", "--checkpoint", MODEL, *flags, "--out", tmp_path / "new") == EXIT_USAGE
+        assert "either --data DIR, or --rgb, --depth and --intrinsics" in capsys.readouterr().err
+    assert run("infer", "--checkpoint", MODEL, *frames[:4], "--out", tmp_path / "new") == EXIT_USAGE
+    assert "--intrinsics is missing" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_refined_scene_is_nearer_to_its_frames(inferred: Path, tiny_dataset: Path, tmp_path: Path, capsys):
+    flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--out", tmp_path / "refined", "--refine"]
+    assert run("infer", *flags, -1) == EXIT_USAGE
+    assert "--refine -1: expected 0 to 10000" in capsys.readouterr().err
+    assert run("infer", *flags, 30) == EXIT_OK
+    told = capsys.readouterr().out
+    assert "Resolution: neighbouring pixels are" in told
+    before, after = load_scene(inferred), load_scene(tmp_path / "refined")
+    renderer, clip = Renderer(origin_of(after).model), tiny_dataset_clip(tiny_dataset)
+    without = replace(after, detail=torch.zeros_like(after.detail))
+    errors = [(renderer.render(scene).rgb - clip["rgb"][0, 0]).square().mean() for scene in (before, without, after)]
+    assert errors[2] < errors[1]
+    assert errors[2] < 0.9 * errors[0]
+    assert after.ids == before.ids
+    assert ("No light was found" in told) == (strength(after.light) == 0)
+
+
+def test_it_is_said_that_no_light_was_found(tiny_dataset: Path, tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.setattr("obpose.scenes.infer.find_light", lambda *_: no_light())
+    for steps, told in ((0, False), (1, True)):
+        flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--refine", steps, "--out", tmp_path / f"{steps}"]
+        assert run("infer", *flags) == EXIT_OK
+        assert ("No light was found" in capsys.readouterr().out) == told
+
+
+def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):
+    before = load_scene(inferred)
+    name = before.ids[0]
+    assert run("move", inferred, "--object", name, "--by", "0.05,0,0", "--out", tmp_path / "moved") == EXIT_OK
+    moved = load_scene(tmp_path / "moved")
+    torch.testing.assert_close(moved.center[:, 0, 0], before.center[:, 0, 0] + 0.05)
+    assert run("add", tmp_path / "moved", "--object", name, "--by=-0.1,0,0", "--out", tmp_path / "added") == EXIT_OK
+    assert load_scene(tmp_path / "added").ids == (*before.ids, max(before.ids) + 1)
+    assert run("remove", tmp_path / "added", "--object", name, "--out", tmp_path / "removed") == EXIT_OK
+    assert name not in load_scene(tmp_path / "removed").ids
+    assert run("rotate", inferred, "--object", name, "--degrees", 90, "--out", tmp_path / "turned") == EXIT_OK
+    pair = ["--objects", name, max(before.ids) + 1]
+    assert run("swap", tmp_path / "added", *pair, "--out", tmp_path / "swapped") == EXIT_OK
+    other = ["--object", name, "--from", inferred, "--to", "0,0,0.05"]
+    assert run("add", tmp_path / "removed", *other, "--out", tmp_path / "put") == EXIT_OK
+    torch.testing.assert_close(load_scene(tmp_path / "put").center[0, -1], torch.tensor([0.0, 0.0, 0.05]))
+
+
+@pytest.mark.parametrize("prior", ["learned", "fitted"])
+def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, tmp_path: Path, prior: str):
+    for out in ("one", "again"):
+        flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", prior, "--seed", 3, "--objects", 2]
+        assert run("sample", *flags, "--out", tmp_path / out) == EXIT_OK
+    one, again = load_scene(tmp_path / "one"), load_scene(tmp_path / "again")
+    assert one.ids == (1, 2)
+    assert torch.equal(one.what, again.what)
+    assert (tmp_path / "one" / "picture.png").read_bytes() == (tmp_path / "again" / "picture.png").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def own_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of weights that ship, beside which files may be written."""
+    folder = tmp_path_factory.mktemp("models") / "own"
+    shutil.copytree(assets.CHECKPOINTS / MODEL, folder)
+    return folder
+
+
+def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
+    inferred: Path, own_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    origin = load_origin(str(own_model))
+    flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 2]
+    assert run("sample", *flags, "--out", tmp_path / "before") == EXIT_OK
+    assert not load_scene(tmp_path / "before").detail.any()
+    save_flow(origin, dense_flow(origin.model.config.model.latent.what))
+    for out in ("one", "again"):
+        assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
+    assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK
+    one, again, default = (load_scene(tmp_path / name) for name in ("one", "again", "default"))
+    assert one.detail.flatten(1).any(dim=1).all()
+    assert equal(one, again)
+    assert equal(one, default)
+    assert run("sample", *flags, "--prior", "fitted", "--out", tmp_path / "fitted") == EXIT_OK
+    assert not load_scene(tmp_path / "fitted").detail.any()
+
+
+def test_a_prior_is_fitted_beside_the_weights_and_takes_no_other_one_s_place(
+    own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(edit_cli, "STEPS", 1)
+    data, folder = tmp_path / "data", tmp_path / "own"
+    generate(data, generated.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
+    shutil.copytree(own_model, folder)
+    before = (folder / "prior.safetensors").read_bytes()
+    assert run("fit", "--checkpoint", folder, "--data", data) == EXIT_USAGE
+    assert "prior.safetensors is there already; move it elsewhere" in capsys.readouterr().err
+    assert (folder / "prior.safetensors").read_bytes() == before
+    (folder / "prior.safetensors").unlink()
+    assert run("fit", "--checkpoint", folder, "--data", data, "--clips", 3) == EXIT_OK
+    told = capsys.readouterr().out
+    assert "has 2 training clips, fewer than --clips 3" in told
+    assert "Fitted to 2 clips" in told
+    assert len(load_prior(load_origin(str(folder))).tables.lights) == 2
+
+
+def test_a_flow_is_learned_beside_the_weights(
+    own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(examples, "STEPS", 1)
+    monkeypatch.setattr(train_flow, "COMPARED", 8)
+    monkeypatch.setattr(train_flow, "BATCH", 4)
+    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1)
+    data = tmp_path / "data"
+    generate(data, generated.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
+    folder = tmp_path / "own"
+    shutil.copytree(own_model, folder, ignore=shutil.ignore_patterns("flow.safetensors"))
+    flags = ["--checkpoint", folder, "--data", data, "--workers", 1]
+    assert run("learn", *flags, "--steps", 0) == EXIT_USAGE
+    assert "--steps 0: expected 1 to" in capsys.readouterr().err
+    assert run("learn", *flags, "--seed", -1) == EXIT_USAGE
+    assert "--seed -1: expected 0 to" in capsys.readouterr().err
+    assert run("learn", *flags, "--clips", 1) == EXIT_USAGE
+    assert "--clips 1: expected 2 or more, of the training split" in capsys.readouterr().err
+    assert run("learn", *flags[:4], "--workers", 0) == EXIT_USAGE
+    assert "--workers 0: expected at least 1" in capsys.readouterr().err
+    monkeypatch.setattr(train_flow, "flow_loss", interrupting)
+    assert run("learn", *flags, "--steps", 1) == EXIT_INTERRUPTED
+    assert "what was done is kept, and the same command goes on" in capsys.readouterr().err
+    monkeypatch.undo()
+    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1)
+    assert run("learn", *flags, "--steps", 1) == EXIT_OK
+    assert "Looking for objects in 0 clips" in (said := capsys.readouterr().out)
+    assert "Learned from 2 clips" in said
+    assert load_flow(load_origin(str(folder))).flow.code.any()
+    assert run("learn", *flags, "--steps", 1) == EXIT_USAGE
+    assert "flow.safetensors is there already" in capsys.readouterr().err
+    (folder / "prior.safetensors").unlink()
+    assert run("learn", *flags, "--steps", 1) == EXIT_USAGE
+    assert "make one with obpose-edit fit first" in capsys.readouterr().err
+
+
+def interrupting(*_: object) -> torch.Tensor:
+    raise KeyboardInterrupt
+
+
+def test_objects_of_training_clips_are_put_together_anew(
+    inferred: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(edit_cli, "STEPS", 2)
+    data = tmp_path / "data"
+    generate(data, generated.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
+    flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", "found", "--objects", 3]
+    assert run("sample", *flags, "--out", tmp_path / "none") == EXIT_USAGE
+    assert "--prior found needs --data DIR" in capsys.readouterr().err
+    assert run("sample", *flags[:4], "--data", data, "--out", tmp_path / "none") == EXIT_USAGE
+    assert "--data is for --prior found; other priors take nothing" in capsys.readouterr().err
+    bare = tmp_path / "bare"
+    generate(bare, generated.recipe(frames=2), splits={"test": 1}, resolution=(64, 64))
+    assert run("sample", *flags, "--data", bare, "--out", tmp_path / "none") == EXIT_USAGE
+    assert "bare has no training scenes to take objects from" in capsys.readouterr().err
+    assert run("sample", *flags, "--data", data, "--clips", 0, "--out", tmp_path / "none") == EXIT_USAGE
+    for out in ("one", "again"):
+        assert run("sample", *flags, "--data", data, "--clips", 2, "--out", tmp_path / out) == EXIT_OK
+    one, again = load_scene(tmp_path / "one"), load_scene(tmp_path / "again")
+    assert one.ids == (1, 2, 3)
+    assert one.detail.flatten(1).any(dim=1).all()
+    assert alike(one, again, by=0.01)
+
+
+def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path, capsys):
+    assert run("render", inferred, "--turntable", 3, "--resolution", "16x16", "--out", tmp_path / "turn.gif") == EXIT_OK
+    # The one camera of `moving` never looked from there.
+    assert re.search("In [12] of 3 pictures there is fog before the scene", capsys.readouterr().out)
+    assert run("render", inferred, "--clip", "--resolution", "16x16", "--out", tmp_path / "clip.gif") == EXIT_OK
+    for name, frames in (("turn.gif", 3), ("clip.gif", 10)):
+        with Image.open(tmp_path / name) as animation:
+            assert animation.n_frames == frames  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_clear_turn_is_not_said_to_have_fog(inferred: Path, tmp_path: Path, capsys):
+    assert run("render", inferred, "--turntable", 1, "--resolution", "16x16", "--out", tmp_path / "turn.gif") == EXIT_OK
+    assert "fog" not in capsys.readouterr().out
+
+
+def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
+    name = load_scene(inferred).ids[0]
+    assert run("mesh", inferred, "--object", name, "--out", tmp_path / "object.glb") == EXIT_OK
+    assert "triangles" in capsys.readouterr().out
+    assert trimesh.load(tmp_path / "object.glb", force="mesh").extents.max() < 0.4  # pyright: ignore
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["remove", "SCENE", "--object", "9", "--out", "new"], "no object 9. There are"),
+        (["move", "SCENE", "--object", "1", "--out", "new"], "Give either --by or --to"),
+        (["move", "SCENE", "--object", "1", "--by", "1,2", "--out", "new"], "expected x,y,z in metres"),
+        (
+            ["move", "SCENE", "--object", "FIRST", "--by", "0.8,0,0", "--out", "new"],
+            "FIRST would be outside the workspace",
+        ),
+        (["move", "SCENE", "--object", "FIRST", "--to", "0,0,-0.43", "--out", "new"], "z 0.00 to 0.57 m in all frames"),
+        (["add", "SCENE", "--object", "FIRST", "--to", "0,0.6,0.05", "--out", "new"], "would be outside the workspace"),
+        (["move", "SCENE", "--object", "1", "--by", "nan,0,0", "--out", "new"], "expected x,y,z in metres"),
+        (["move", "nowhere", "--object", "1", "--by", "0,0,0", "--out", "new"], "holds no scene"),
+        (["remove", "SCENE", "--object", "1", "--out", "SCENE"], "is there already and not empty"),
+        (["render", "SCENE", "--out", "SCENE/picture.png"], "is there already"),
+        (["render", "SCENE", "--out", "a.jpg"], "expected a name that ends with .png"),
+        (["render", "SCENE", "--turntable", "999", "--out", "a.gif"], "--turntable 999: expected 1 to 360"),
+        (["render", "SCENE", "--turntable", "0", "--out", "a.gif"], "--turntable 0: expected 1 to 360"),
+        (["render", "SCENE", "--frame", "10", "--out", "a.png"], "--frame 10: expected 0 to 9"),
+        (["render", "SCENE", "--view", "1", "--out", "a.png"], "--view 1: expected 0"),
+        (["render", "SCENE", "--out", "a.gif"], "ends with .png, or --turntable or --clip for an animation"),
+        (["render", "SCENE", "--clip", "--frame", "0", "--out", "a.gif"], "leave out --turntable and --frame, or it"),
+        (["render", "SCENE", "--clip", "--turntable", "3", "--out", "a.gif"], "--clip shows all frames from where"),
+        (["render", "SCENE", "--resolution", "9999x2", "--out", "a.png"], "expected WIDTHxHEIGHT"),
+        (
+            ["infer", "--checkpoint", "none", "--data", "d", "--resolution", "9", "--out", "new"],
+            "expected WIDTHxHEIGHT",
+        ),
+        (["sample", "--checkpoint", "none", "--camera", "c", "--resolution", "9", "--out", "new"], "expected WIDTHxHE"),
+        (["render", "SCENE", "--checkpoint", "obpose--mixed--64x64", "--out", "a.png"], "made with other weights"),
+        (["sample", "--checkpoint", "none", "--camera", "SCENE", "--out", "new"], "--checkpoint none: no such folder"),
+        (["mesh", "SCENE", "--object", "1", "--out", "a.obj"], "expected a name that ends with .ply or .glb"),
+        (["mesh", "SCENE", "--object", "1", "--cells", "1", "--out", "a.ply"], "--cells 1: expected 2 to 256"),
+        (
+            ["fit", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
+            "ships with the package, its prior too",
+        ),
+        (
+            ["learn", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
+            "ships with the package, its prior too",
+        ),
+        (
+            ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow", "--out", "new"],
+            "make one with obpose-edit learn, or give another --prior",
+        ),
+        (
+            ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--seed", str(2**64), "--out", "new"],
+            "less than 2^63",
+        ),
+        (["add", "SCENE", "--object", "FIRST", "--out", "new"], "would not be seen; give --by or --to"),
+        (
+            ["add", "SCENE", "--from", "SCENE", "--object", "FIRST", "--out", "new"],
+            "would not be seen; give --by or --to",
+        ),
+        (["paint", "SCENE"], "Unknown subcommand 'paint'"),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_written(
+    inferred: Path, tmp_path: Path, monkeypatch, capsys, command: list[str], message: str
+):
+    monkeypatch.chdir(tmp_path)
+    before = {path: path.read_bytes() for path in inferred.iterdir()}
+    places = {"SCENE": str(inferred), "FIRST": str(load_scene(inferred).ids[0])}
+    for name, place in places.items():
+        command = [part.replace(name, place) for part in command]
+        message = message.replace(name, place)
+    assert main(command) == EXIT_USAGE
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+    assert {path: path.read_bytes() for path in inferred.iterdir()} == before
+
+
+FRAMES = ["--rgb", "nowhere", "--depth", "nowhere", "--intrinsics", "60,60,32,32"]
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["infer", "--checkpoint", MODEL], "either --data DIR, or --rgb, --depth and --intrinsics"),
+        (["infer", "--checkpoint", MODEL, *FRAMES[:4]], "--intrinsics is missing"),
+        (["infer", "--checkpoint", MODEL, *FRAMES[:4], "--intrinsics", "1"], "--intrinsics 1: expected fx,fy,cx,cy"),
+        (["infer", "--checkpoint", MODEL, *FRAMES], "--rgb nowhere does not exist"),
+        (["infer", "--checkpoint", MODEL, *FRAMES, "--every", "0"], "--every 0: expected 1"),
+        (["infer", "--checkpoint", MODEL, "--data", "nowhere"], "nowhere"),
+        (["infer", "--checkpoint", "nowhere", "--data", "d"], "--checkpoint nowhere: no such folder"),
+        (["infer", "--checkpoint", MODEL, "--data", "DATA", "--scene", "9"], "--scene 9: expected"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--objects", "-1"], "--objects -1: expected 0 to"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "found"], "--prior found needs --data"),
+        (["sample", "--checkpoint", MODEL, "--camera", "nowhere"], "nowhere holds no scene"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow"], "obpose-edit learn"),
+        (["render", "SCENE", "--frame", "10"], "--frame 10: expected 0 to 9"),
+        (["render", "SCENE", "--resolution", "9"], "expected WIDTHxHEIGHT"),
+        (["render", "nowhere"], "nowhere holds no scene"),
+        (["mesh", "SCENE", "--object", "9"], "no object 9"),
+        (["mesh", "SCENE", "--object", "FIRST", "--cells", "1"], "--cells 1: expected 2 to 256"),
+        (["remove", "SCENE", "--object", "9"], "no object 9"),
+        (["move", "SCENE", "--object", "FIRST"], "Give either --by or --to"),
+        (["move", "SCENE", "--object", "FIRST", "--by", "0.8,0,0"], "would be outside the workspace"),
+        (["rotate", "SCENE", "--object", "FIRST", "--degrees", "nan"], "--degrees nan: expected a finite number"),
+        (["swap", "SCENE", "--objects", "FIRST", "9"], "no object 9"),
+        (["add", "SCENE", "--object", "FIRST"], "give --by or --to"),
+        (["remove", "SCENE", "--object", "FIRST", "--resolution", "9"], "expected WIDTHxHEIGHT"),
+    ],
+)
+def test_wrong_arguments_are_named_before_the_output_that_is_there(
+    inferred: Path, tiny_dataset: Path, tmp_path: Path, capsys, command: list[str], message: str
+):
+    ending = {"render": "/picture.png", "mesh": "/object.glb"}.get(command[0], "")
+    (tmp_path / "full").mkdir()
+    for name in ("picture.png", "object.glb"):
+        (tmp_path / "full" / name).write_text("mine")
+    places = {"SCENE": inferred, "FIRST": load_scene(inferred).ids[0], "DATA": tiny_dataset}
+    for name, place in places.items():
+        command = [part.replace(name, str(place)) for part in command]
+    assert main([*command, "--out", f"{tmp_path / 'full'}{ending}"]) == EXIT_USAGE
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert "is there already" not in errors
+
+
+@pytest.mark.parametrize(
+    ("command", "slow"),
+    [
+        (["infer", "--checkpoint", MODEL, "--data", "DATA"], "infer_scene"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "found", "--data", "DATA"], "find_objects"),
+        (["mesh", "SCENE", "--object", "FIRST"], "object_mesh"),
+        (["render", "SCENE"], "Renderer"),
+        (["remove", "SCENE", "--object", "FIRST"], "Renderer"),
+    ],
+)
+def test_an_output_that_is_there_is_named_before_anything_slow(
+    inferred: Path, tiny_dataset: Path, tmp_path: Path, capsys, monkeypatch, command: list[str], slow: str
+):
+    monkeypatch.setattr(edit_cli, slow, lambda *_, **__: pytest.fail(f"{slow} was called"))
+    for name in ("picture.png", "object.glb"):
+        (tmp_path / name).write_text("mine")
+    places = {"SCENE": inferred, "FIRST": load_scene(inferred).ids[0], "DATA": tiny_dataset}
+    for name, place in places.items():
+        command = [part.replace(name, str(place)) for part in command]
+    out = tmp_path / {"render": "picture.png", "mesh": "object.glb"}.get(command[0], ".")
+    assert main([*command, "--out", str(out)]) == EXIT_USAGE
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_a_scene_that_the_split_has_not_is_named(tiny_dataset: Path, tmp_path: Path, capsys):
+    flags = ["--checkpoint", MODEL, "--data", tiny_dataset, "--split", "val", "--out", tmp_path / "new"]
+    assert run("infer", *flags, "--scene", 2) == EXIT_USAGE
+    assert "--scene 2: expected 0 to 1" in capsys.readouterr().err
+
+
+def test_a_damaged_scene_is_named(inferred: Path, tmp_path: Path, capsys):
+    (tmp_path / "scene.json").write_bytes((inferred / "scene.json").read_bytes())
+    (tmp_path / "scene.safetensors").write_bytes(b"something else")
+    assert run("render", tmp_path, "--out", tmp_path / "a.png") != EXIT_OK
+    assert "scene.safetensors is damaged" in capsys.readouterr().err

@@ -1,0 +1,258 @@
+import csv
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from statistics import mean
+
+import pytest
+import torch
+
+from benchmark.commands.train import ari_fg
+from datagen.errors import EXIT_USAGE, UsageError
+from datagen.tracks import (
+    DataFolder,
+    Track,
+)
+from obpose.baselines.obsurf.config import ObsurfConfig
+from obpose.baselines.obsurf.model import Obsurf
+from obpose.commands.train import main
+from obpose.model.obpose import ObPose
+from obpose.storage.checkpoint import (
+    load,
+    read_config,
+)
+from tests.paths import ROOT
+from tests.processes import errors_at_end, wait_until
+from tests.worlds.traced import write_dataset
+
+SMALL = ("train.batch=1", "train.frames=2", "train.rays=32", "train.warmup=1", "model.voxels=4")
+SETTINGS = [part for change in SMALL for part in ("--set", change)]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data") / "spheres", scenes=2, frames=3, size=(24, 16))
+
+
+def test_a_dataset_becomes_a_run(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    run = tmp_path / "run"
+    code = main(
+        ["--data", str(data), "--variant", "obpose-loc", "--steps", "2", "--seed", "5", "--out", str(run), *SETTINGS],
+        score=ari_fg,
+    )
+    out, errors = capsys.readouterr()
+    assert code == 0
+    assert f"{run}: 2 steps" in out
+    assert "Training obpose-loc on spheres, 2 steps" in errors
+    assert "step 2, 0.0 minutes: validation loss" in errors
+    assert "ARI-FG" in errors
+    config = read_config(run)
+    assert (config.train.seed, config.train.steps, config.model.voxels) == (5, 2, 4)
+    assert config.model.pose.conditioning == "location"
+    assert config.model.slots == 4  # the recipe's largest number of objects
+    assert 0.01 < config.model.spacing < 0.1  # measured
+
+
+@pytest.mark.parametrize(("profile", "size"), [("cpu", "64x64"), ("gpu", "128x128"), ("paper", "128x128")])
+def test_larger_models_get_the_larger_images_of_a_track(
+    profile: str, size: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def tell(track: Track, *_splits: object, **_options: object) -> Path:
+        raise UsageError(f"{track.folder} would be made")
+
+    monkeypatch.setattr(Track, "prepare", tell)
+    assert main(["--track", "moving", "--profile", profile]) == EXIT_USAGE
+    assert re.search(rf"moving-{size}-\w+ would be made", "".join(capsys.readouterr().err.split("\n")))
+
+
+def test_the_last_word_is_that_of_set(data: Path, tmp_path: Path):
+    changes = ["--set", "model.spacing=0.5", "--set", "model.slots=2", "--set", "train.steps=1"]
+    assert main(["--data", str(data), "--steps", "7", "--out", str(tmp_path), *SETTINGS, *changes]) == 0
+    config = read_config(tmp_path)
+    assert (config.model.spacing, config.model.slots, config.train.steps) == (0.5, 2, 1)
+
+
+def test_another_architecture_is_trained_by_the_same_command(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    small = ["--set", "model.encoder.width=8", "--set", "model.decoder.width=8", "--set", "train.rays=32"]
+    command = ["--data", str(data), "--variant", "obsurf", "--out", str(tmp_path / "run"), *small]
+    assert main([*command, "--steps", "2"]) == 0
+    assert "Training obsurf on spheres, 2 steps" in capsys.readouterr().err
+    model, config, info = load(tmp_path / "run")
+    assert isinstance(model, Obsurf)
+    assert isinstance(config, ObsurfConfig)
+    assert (config.model.slots, info["step"]) == (4, 2)
+    assert config.model.workspace_center != ObsurfConfig().model.workspace_center  # measured
+    assert (tmp_path / "run" / "pictures").exists()
+    assert main([*command, "--steps", "2"]) == 0  # there is nothing left to do
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--track", "moving", "--variant", "obsurf", "--profile", "tpu"), "are: cpu, gpu, paper"),
+        (("--track", "moving", "--variant", "obsurf", "--set", "model.voxels=3"), "obpose/baselines/obsurf/config.py"),
+        ((), "either --track NAME or --data DIR"),
+        (("--track", "moving", "--data", "x"), "either --track NAME or --data DIR"),
+        (("--track", "mooving"), "did you mean 'moving'"),
+        (("--track", "moving", "--variant", "obpos"), "did you mean 'obpose'"),
+        (("--track", "moving", "--profile", "tpu"), "are: cpu, gpu, paper"),
+        (("--track", "moving", "--minutes", "1", "--steps", "2"), "contradict"),
+        (("--track", "moving", "--minutes", "0"), "--minutes 0.0: expected more than 0 and at most 5256000"),
+        (("--track", "moving", "--minutes", "-1"), "--minutes -1.0: expected more than 0"),
+        (("--track", "moving", "--minutes", "nan"), "--minutes nan: expected more than 0"),
+        (("--track", "moving", "--minutes", "inf"), "--minutes inf: expected more than 0"),
+        (("--track", "moving", "--minutes", "1e308"), "--minutes 1e+308: expected more than 0"),
+        (("--track", "moving", "--steps", "0"), "--steps 0: expected more than 0 and at most 1000000000"),
+        (("--track", "moving", "--steps", "1" + "0" * 30), "expected more than 0 and at most 1000000000"),
+        (("--track", "moving", "--workers", "0"), "--workers 0: expected more than 0 and at most 1024"),
+        (("--track", "moving", "--workers", "-1"), "--workers -1: expected more than 0"),
+        (("--track", "moving", "--threads", "0"), "--threads 0: expected more than 0"),
+        (("--track", "moving", "--set", "train.learning_rate=nan"), "--set train.learning_rate=nan: expected a number"),
+        (("--track", "moving", "--set", "loss.air=1e999"), "--set loss.air=1e999: expected a number"),
+        (("--track", ""), "--track is empty; expected a value"),
+        (("--data", ""), "--data is empty; expected a value"),
+        (("--track", "moving", "--out="), "--out is empty; expected a value"),
+        (("--track", "moving", "--variant", " "), "--variant is empty; expected a value"),
+        (("--track", "moving", "--seed", "-1"), "expected 0 or more"),
+        (("--track", "moving", "--seed", "1" + "0" * 30), "less than 2^63"),
+        (("--track", "moving", "--threads", "100000000000"), "expected more than 0 and at most 1024"),
+        (("--track", "moving", "--set", "train.bach=2"), "did you mean 'train.batch'"),
+        (("--data", "/nowhere"), "holds no dataset"),
+    ],
+)
+def test_impossible_requests_end_in_one_line(
+    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+):
+    assert main(list(arguments)) == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+def test_a_dataset_s_own_folder_is_no_place_for_a_run(
+    data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def prepare(*_arguments: object, **_options: object) -> Path:
+        raise AssertionError
+
+    monkeypatch.setattr(DataFolder, "prepare", prepare)
+    before = sorted(path.name for path in data.iterdir())
+    assert main(["--data", str(data), "--steps", "1", "--out", str(data), *SETTINGS]) == EXIT_USAGE
+    assert "holds a dataset; give another --out" in capsys.readouterr().err
+    assert sorted(path.name for path in data.iterdir()) == before
+
+
+def test_a_dataset_without_training_scenes_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    data = write_dataset(tmp_path / "spheres", scenes={"test": 1}, frames=2, size=(24, 16))
+    assert main(["--data", str(data), "--steps", "1", "--out", str(tmp_path / "run")]) == EXIT_USAGE
+    errors = capsys.readouterr().err
+    assert re.search(r"spheres has no training scenes; expected at least one\. .*--split train=", errors)
+    assert errors.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_dataset_without_validation_scenes_is_trained_on(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    data = write_dataset(tmp_path / "spheres", scenes={"train": 1}, frames=2, size=(24, 16))
+    assert main(["--data", str(data), "--steps", "1", "--out", str(tmp_path / "run"), *SETTINGS]) == 0
+    out, errors = capsys.readouterr()
+    assert "run: 1 step in 0.0 minutes." in out
+    assert "Training obpose on spheres, 1 step, into" in errors
+
+
+def test_a_run_of_another_configuration_is_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    command = ["--data", str(data), "--steps", "1", "--out", str(tmp_path), *SETTINGS]
+    assert main(command) == 0
+    assert main([*command, "--seed", "1"]) == 2
+    assert "train.seed: 0, 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
+def test_too_little_memory_ends_in_one_line(
+    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def fail(*_values: object) -> int:
+        raise error
+
+    monkeypatch.setattr("obpose.commands.train.run", fail)
+    assert main(["--track", "moving"]) == 3
+    assert capsys.readouterr().err.startswith("obpose-train: Out of memory; give smaller")
+
+
+def test_errors_of_ours_keep_their_trace(monkeypatch: pytest.MonkeyPatch):
+    def fail(*_values: object) -> int:
+        raise RuntimeError("tensors refer to a single memory location")
+
+    monkeypatch.setattr("obpose.commands.train.run", fail)
+    with pytest.raises(RuntimeError, match="single memory"):
+        main(["--track", "moving"])
+
+
+def test_values_of_which_nothing_can_be_made_leave_no_run(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    run = tmp_path / "run"
+    assert main(["--data", str(data), "--out", str(run), "--set", "train.steps=-3"]) == 2
+    assert capsys.readouterr().err == "obpose-train: train.steps is -3; expected 1 or more.\n"
+    assert not run.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_run_that_is_ended_goes_on_exactly(data: Path, tmp_path: Path):
+    assert "validation" in errors_at_end(training(data, tmp_path / "whole"))
+    table = tmp_path / "parts" / "training.csv"
+    process = training(data, tmp_path / "parts")
+    wait_until(lambda: table.exists() and table.read_text().count("\n") > 4, seconds=240, what="three steps")
+    process.send_signal(signal.SIGTERM)
+    assert "Stopped by SIGTERM after step" in errors_at_end(process)
+    assert process.returncode == 130
+    assert "validation" in errors_at_end(training(data, tmp_path / "parts"))
+    one, other = (load(tmp_path / name, ObPose)[0].state_dict() for name in ("whole", "parts"))
+    assert all(torch.equal(value, other[name]) for name, value in one.items())
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_two_processes_train_the_model_as_one_does_with_the_doubled_batch(tmp_path: Path):
+    """To a tolerance, as each process has noise of its own; exactly where there is none, in test_train.py."""
+    data = write_dataset(tmp_path / "spheres", scenes=4, frames=3, size=(24, 16))
+    launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
+    all_rays = ("--set", "train.rays=0", "--set", "train.warmup=8")
+    one = losses_of(training(data, tmp_path / "one", more=(*all_rays, "--set", "train.batch=2"), steps=40))
+    two = losses_of(training(data, tmp_path / "two", *launcher, more=all_rays, steps=40))
+    assert load(tmp_path / "two", ObPose)[2]["step"] == 40
+    assert len(one) == len(two) == 40
+    for name in ("total", "colour", "gradient_norm"):
+        assert two[0][name] == pytest.approx(one[0][name], rel=0.02)
+    for step in range(40):
+        assert two[step]["total"] == pytest.approx(one[step]["total"], rel=0.15)
+    late = [mean(row["total"] for row in rows[20:]) for rows in (one, two)]
+    assert late[1] == pytest.approx(late[0], rel=0.04)
+
+
+def losses_of(process: subprocess.Popen[str]) -> list[dict[str, float]]:
+    """Rows of its table, once it has ended."""
+    errors = errors_at_end(process)
+    assert process.returncode == 0, errors
+    out = Path(process.args[process.args.index("--out") + 1])  # pyright: ignore
+    with (out / "training.csv").open(newline="") as file:
+        return [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
+
+
+def training(data: Path, out: Path, *python: str, more: tuple[str, ...] = (), steps: int = 60) -> subprocess.Popen[str]:
+    """The command in a process of its own, with these options of Python's before its module."""
+    flags = ["--data", str(data), "--steps", str(steps), "--out", str(out), *SETTINGS, *more]
+    return subprocess.Popen(
+        [sys.executable, *python, "-m", "benchmark.commands.train", *flags],
+        cwd=ROOT,
+        env={"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"},
+        text=True,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )

@@ -1,0 +1,102 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from obpose.errors import UsageError
+from obpose.rgbd.frame_files import (
+    check_pairs,
+    list_frames,
+    sort_frames,
+)
+
+
+def files(names: str, folder: str = "") -> list[Path]:
+    return [Path(folder, f"{name}.png") for name in names.split()]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "1 2 10",
+        "0.25 0.5 0.75 1.0 1.125",
+        "1305031102.175304 1305031102.5 1305031102.75 1305031103.0",
+        "-10 -2 -0.5 0 0.25 3",
+        "t_-1.5 t_-1 t_0 t_2",
+        "1e-05 0.0001 0.02 1.5e+01 100",
+        "0001 002 3 0010",
+        "frame-1 frame-2 frame-10",
+        "run--1 run--2 run--10",
+        "2024-01-05 2024-01-10 2024-02-01",
+        "2024.1.5 2024.1.10 2024.2.1",
+        "frame0.color frame2.color frame10.color",
+        "0.25.depth 0.5.depth 10.depth",
+        "take1.1 take1.2 take1.9 take1.10",
+        "a2 A10 b1",
+        "a a1 a1b a2 b",
+        "x² x³ ²",
+    ],
+)
+def test_numbers_in_names_give_the_order(names: str):
+    expected = files(names)
+    assert sort_frames(expected[::-1]) == expected
+    assert sort_frames(sorted(expected)) == expected
+
+
+def test_equal_numbers_are_in_the_order_of_their_names():
+    assert sort_frames(files("1 01 001")) == files("001 01 1")
+
+
+def test_what_systems_leave_in_folders_is_no_frame(tmp_path: Path):
+    for name in ("0.png", "1.PNG", "._0.png", ".1.png", ".DS_Store", "Thumbs.db", "desktop.ini", "0.png~", "a.txt"):
+        (tmp_path / name).touch()
+    for name in ("2.png", "__MACOSX"):
+        (tmp_path / name).mkdir()
+    assert [path.name for path in list_frames([tmp_path], [".png"], "--rgb")] == ["0.png", "1.PNG"]
+
+
+def test_a_folder_with_nothing_but_hidden_files_holds_no_frames(tmp_path: Path):
+    (tmp_path / "._0.png").touch()
+    with pytest.raises(UsageError, match=r"--depth .*: the folder holds no \.png, \.npy"):
+        list_frames([tmp_path], [".png", ".npy"], "--depth")
+
+
+def test_a_frame_that_is_a_broken_link_is_named(tmp_path: Path):
+    (tmp_path / "0.png").touch()
+    (tmp_path / "1.png").symlink_to(tmp_path / "gone.png")
+    with pytest.raises(UsageError, match=r"1\.png does not exist, it is a broken link"):
+        list_frames([tmp_path], [".png"], "--rgb")
+
+
+def test_a_pipe_is_not_left_out_silently(tmp_path: Path):
+    os.mkfifo(tmp_path / "0.png")
+    assert list_frames([tmp_path], [".png"], "--rgb") == [tmp_path / "0.png"]
+
+
+@pytest.mark.parametrize(
+    ("colours", "depths"),
+    [
+        ("1 2 3", "1 2 3"),
+        ("frame1.color frame2.color", "1 2"),
+        ("0001 0002", "1 2"),
+        ("1.25 2.5", "1.26 2.49"),
+        ("cam0_1 cam0_2", "cam1_1 cam1_2"),
+        ("a b", "c d"),
+        ("1 2 3 4 5", "5 6 7 8 9"),
+    ],
+)
+def test_pairs_of_one_frame_are_let_through(colours: str, depths: str):
+    check_pairs(files(colours, "rgb"), files(depths, "depth"))
+
+
+@pytest.mark.parametrize(
+    ("colours", "depths", "said"),
+    [
+        ("1 2 3 4", "1 2 4 5", "rgb/3.png and depth/4.png would be one frame"),
+        ("0 1 2", "1 2 3", "rgb/0.png and depth/1.png would be one frame"),
+        ("0.25 0.5 0.75", "0.25 0.75 1.0", "rgb/0.5.png and depth/0.75.png"),
+    ],
+)
+def test_pairs_of_different_frames_are_refused(colours: str, depths: str, said: str):
+    with pytest.raises(UsageError, match=said):
+        check_pairs(files(colours, "rgb"), files(depths, "depth"))
