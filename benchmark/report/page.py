@@ -33,9 +33,9 @@ from benchmark.report.track_panel import (
     Limits,
     Painter,
 )
-from benchmark.results.files import write_whole
 from benchmark.results.run_folder import check_runs
 from datagen.console.text import counted
+from datagen.storage.atomic import write_atomically
 
 LARGEST = 14_000_000
 """Bytes that a page may have; reports with many models have fewer pictures."""
@@ -67,7 +67,7 @@ def write(folder: Path, entries: Sequence[Entry], find: Find) -> Path:
         page = _render(_with_pictures(common, folder, found, limits))
         if len(page) <= LARGEST:
             break
-    write_whole(folder / "report.html", page)
+    write_atomically(folder / "report.html", page)
     return folder / "report.html"
 
 

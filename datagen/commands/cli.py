@@ -154,10 +154,10 @@ def _render(values: Render) -> int:
 def _how(values: Generate | Render) -> Any:
     workers, share = options.parse_workers(values.workers), options.parse_share(values.shard)
 
-    from datagen.console.progress import progress_bar
+    from datagen.console.progress import scene_progress
     from datagen.pipeline.generate import Run
 
-    return Run(workers=workers, share=share, overwrite=values.overwrite, progress=progress_bar)
+    return Run(workers=workers, share=share, overwrite=values.overwrite, progress=scene_progress)
 
 
 def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> None:

@@ -2,7 +2,6 @@
 
 import os
 import re
-import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -12,8 +11,8 @@ from pathlib import Path
 from datagen.config import recipe_to_dict
 from datagen.errors import Busy, CorruptFile, DatagenError, UsageError
 from datagen.schema import GENERATOR, SPLITS
+from datagen.storage.atomic import remove_abandoned, target_name, write_atomically
 from datagen.storage.locks import FolderLock
-from datagen.storage.processes import is_running
 from datagen.storage.shard import (
     scenes_present,
     shard_settings,
@@ -32,11 +31,7 @@ from datagen.storage.spec import (
     with_splits,
 )
 
-_OURS = re.compile(
-    rf"({SPEC_FILE}|{MANIFEST_FILE}|{CARD_FILE}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.h5)(\.partial-.+)?"
-)
-_PARTIAL = re.compile(r".+\.partial-(?P<host>.+)-(?P<process>\d+)")
-_ABANDONED_SECONDS = 3600
+_OURS = re.compile(rf"({SPEC_FILE}|{MANIFEST_FILE}|{CARD_FILE}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.h5)")
 _WAIT_SECONDS = 0.05
 _PATIENCE_SECONDS = 600
 """How long to wait for another process to prepare the folder."""
@@ -124,13 +119,13 @@ def _enter(lock: FolderLock, wanted: Spec, begun: _Begun, overwrite: bool, prove
             f"Another {GENERATOR} is writing to {folder} with other settings ({'; '.join(changed)}). "
             "Wait for it, or give another folder with --out."
         )
-    _remove_abandoned(folder)
+    remove_abandoned(folder)
     return settle(folder, wanted)
 
 
 def _prepare(folder: Path, wanted: Spec, begun: _Begun, overwrite: bool, prove: Callable[[], object]) -> Spec:
     """Continue, rebuild or begin a dataset in a folder that this process has alone."""
-    _remove_abandoned(folder)
+    remove_abandoned(folder)
     if spec := _continued(folder, wanted, overwrite):
         return spec
     prove()
@@ -139,7 +134,7 @@ def _prepare(folder: Path, wanted: Spec, begun: _Begun, overwrite: bool, prove: 
         return spec
     _give_up(folder, settings_hash(wanted))
     begun.spec = True
-    write_whole(folder / SPEC_FILE, spec_text(wanted).encode())
+    write_atomically(folder / SPEC_FILE, spec_text(wanted).encode())
     return wanted
 
 
@@ -160,7 +155,7 @@ def _rebuild(folder: Path, wanted: Spec) -> Spec:
     except DatagenError as error:
         raise UsageError(f"{folder} has no {SPEC_FILE}, and it cannot be rebuilt for this command: {error}") from None
     spec = with_splits(wanted, _most(wanted["splits"], present))
-    write_whole(folder / SPEC_FILE, spec_text(spec).encode())
+    write_atomically(folder / SPEC_FILE, spec_text(spec).encode())
     return spec
 
 
@@ -191,7 +186,7 @@ def _most(first: Mapping[str, int], second: Mapping[str, int]) -> dict[str, int]
 
 
 def write_file(folder: Path, name: str, data: bytes, settings: str) -> None:
-    """Write a file of a dataset as `write_whole`, unless another dataset has taken its folder.
+    """Write a file of a dataset as `write_atomically`, unless another dataset has taken its folder.
 
     Args:
         folder: The dataset's folder.
@@ -210,36 +205,7 @@ def write_file(folder: Path, name: str, data: bytes, settings: str) -> None:
                 "Run the command again, perhaps with another --out."
             )
 
-    write_whole(folder / name, data, check=check_settings)
-
-
-def write_whole(path: Path, data: bytes, *, check: Callable[[], object] = lambda: None) -> None:
-    """Write a file such that whoever looks sees all of it or nothing, even after a crash.
-
-    Args:
-        path: The file.
-        data: Its content.
-        check: Called before the file takes its name; where it raises, what was there before stays.
-
-    Raises:
-        DatagenError: it cannot be written, for example because the disk is full; what was there before is intact.
-    """
-    partial = path.with_name(f"{path.name}.partial-{socket.gethostname()}-{os.getpid()}")
-    try:
-        with open(partial, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        check()
-        os.replace(partial, path)
-        _sync_folder(path.parent)
-    except OSError as error:
-        raise DatagenError(
-            f"Cannot write {path}: {error.strerror}. Finished files are intact; mend this and run the same command."
-        ) from error
-    finally:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
+    write_atomically(folder / name, data, check=check_settings)
 
 
 def _settings(folder: Path) -> str | None:
@@ -287,7 +253,7 @@ def _remove_begun(folder: Path, begun: _Begun) -> None:
 
 def _check_free(folder: Path) -> None:
     """Check that a folder without a spec holds nothing that is not ours."""
-    foreign = sorted(path.name for path in folder.iterdir() if path not in set(_partials(folder)))
+    foreign = sorted(path.name for path in folder.iterdir() if target_name(path) == path.name)
     if foreign and not any(shard_settings(path) for path in _shards(folder)):
         raise UsageError(
             f"{folder} holds no dataset but {len(foreign)} other files ({', '.join(foreign[:3])}); "
@@ -339,7 +305,7 @@ def _give_up(folder: Path, settings: str) -> None:
     """Delete our files, except for the spec, which someone may be writing right now, and shards of these settings."""
     kept = {path for path in _shards(folder) if shard_settings(path) == settings}
     for path in _own_files(folder):
-        if path not in kept and not path.name.startswith(SPEC_FILE):
+        if path not in kept and target_name(path) != SPEC_FILE:
             path.unlink(missing_ok=True)
 
 
@@ -348,35 +314,4 @@ def _shards(folder: Path) -> list[Path]:
 
 
 def _own_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if _OURS.fullmatch(path.name))
-
-
-def _partials(folder: Path) -> Iterator[Path]:
-    return (path for path in _own_files(folder) if _PARTIAL.fullmatch(path.name))
-
-
-def _remove_abandoned(folder: Path) -> None:
-    for path in _partials(folder):
-        with suppress(FileNotFoundError):
-            if _is_abandoned(path):
-                path.unlink()
-
-
-def _is_abandoned(partial: Path) -> bool:
-    """Whether its writer is gone; of a writer on another machine we only know how long it has been silent."""
-    match = _PARTIAL.fullmatch(partial.name)
-    assert match
-    if match["host"] != socket.gethostname():
-        return time.time() - partial.stat().st_mtime > _ABANDONED_SECONDS
-    process = int(match["process"])
-    return process == os.getpid() or not is_running(process)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make the new name last; file systems that cannot do it keep it as safe as they can."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with suppress(OSError):
-            os.fsync(handle)
-    finally:
-        os.close(handle)
+    return sorted(path for path in folder.iterdir() if _OURS.fullmatch(target_name(path)))

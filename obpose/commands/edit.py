@@ -24,6 +24,11 @@ from torch import Tensor
 import assets
 from datagen.console.command_line import given_arguments
 from datagen.console.text import counted
+from datagen.storage.atomic import (
+    check_new_file,
+    check_new_folder,
+    new_file,
+)
 from obpose.commands.edit_arguments import (
     Add,
     Fit,
@@ -109,11 +114,6 @@ from obpose.scenes.storage import (
     load_scene,
     save_scene,
 )
-from obpose.storage.files import (
-    check_free,
-    check_new,
-    new_file,
-)
 
 PROGRAM = "obpose-edit"
 FPS = 8.0
@@ -160,12 +160,12 @@ def _infer(values: Infer) -> None:
     if values.data is not None:
         place = (values.data, values.split, values.scene)
         clip = read_clip(*place)
-        check_free(values.out)
+        check_new_folder(values.out)
         print(f"Resolution: {spacing_note(origin.model, clip)}.")
         scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
     else:
         sight = look(values, origin.model)
-        check_free(values.out)
+        check_new_folder(values.out)
         print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
         scene = infer_scene(origin, sight.observation, refinements=values.refine)
     _show(scene, origin, values.out, values.resolution)
@@ -203,7 +203,7 @@ def _found(origin: Origin, values: Sample, generator: torch.Generator) -> FoundO
     number = len(SceneDataset(data, "train"))
     if not number:
         raise UsageError(f"{data} has no training scenes to take objects from; make some with --split train=N.")
-    check_free(values.out)
+    check_new_folder(values.out)
     chosen = torch.randperm(number, generator=generator)[: values.clips].tolist()
     print(
         f"Looking for objects in {counted(len(chosen), 'training clip')} of {data}; each takes some seconds.",
@@ -290,7 +290,7 @@ def _render(values: Render) -> None:
     frame = one_of("--frame", values.frame or 0, scene.frames)
     camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
     camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
-    check_new(values.out)
+    check_new_file(values.out)
     renderer = Renderer(origin.model)
     with new_file(values.out) as out:
         if values.turntable is not None:
@@ -325,7 +325,7 @@ def _mesh(values: Mesh) -> None:
     frame = one_of("--frame", values.frame, scene.frames)
     model = origin_of(scene, values.checkpoint).model
     scene.place(values.object)
-    check_new(values.out)
+    check_new_file(values.out)
     mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
     with new_file(values.out) as out:
         write_mesh(out, mesh)
@@ -391,7 +391,7 @@ def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> No
     """Check, render, write and describe a scene."""
     check_inside(scene, origin.model)
     camera = _sized(scene.cameras[0], resolution)
-    check_free(out)
+    check_new_folder(out)
     picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
     save_scene(out, scene, picture)
     print(f"{out}: {counted(scene.frames, 'frame')}, {counted(len(scene.ids), 'object')}; {out / PICTURE}")

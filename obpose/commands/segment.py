@@ -17,6 +17,7 @@ from jaxtyping import Float, Int
 
 from datagen.console.command_line import given_arguments
 from datagen.console.text import counted
+from datagen.storage.atomic import check_new_folder
 from obpose.data.resolution import fitting_model
 from obpose.errors import EXIT_OK, run_program
 from obpose.model.obpose import ObPose
@@ -29,7 +30,6 @@ from obpose.rgbd.writing import (
     write_results,
 )
 from obpose.storage.checkpoint import load_obpose
-from obpose.storage.files import check_free
 from obpose.storage.pretrained import find_checkpoint
 from obpose.types import SceneSegmentation, Segmentation
 
@@ -61,7 +61,7 @@ def run(values: Arguments) -> int:
     """Segment and write."""
     model = load_obpose(find_checkpoint(values.checkpoint))
     sight = look(values, model)
-    check_free(values.out)
+    check_new_folder(values.out)
     found = fitting_model(model, sight.observation).segment(sight.observation)
     labels = _enlarged(found, values.every, sight.whole.depth.shape)
     facts = {

@@ -9,6 +9,7 @@ torchrun --nproc-per-node 2 -m benchmark.commands.train --track moving       two
 import os
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,19 +17,19 @@ import tyro
 from rich.console import Console
 
 from datagen.console.command_line import given_arguments
+from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
+from datagen.storage.atomic import check_no_dataset
 from datagen.tracks import (
     DataFolder,
     Track,
     find_track,
 )
-from obpose.commands.scene_bar import scene_bar
 from obpose.commands.train_arguments import Train
 from obpose.config import TrainConfig
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program, unknown_name
-from obpose.storage.files import check_no_dataset
 from obpose.systems import System, find_system
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def run(values: Train, score: "Score | None" = None) -> int:
         )
     out = values.out or RUNS / f"{values.variant}-{values.profile}-{data.name}-seed{values.seed}"
     check_no_dataset(out)
-    console = Console(stderr=True, soft_wrap=True, highlight=False, quiet=_process() > 0)
+    console = status_console(quiet=_process() > 0)
     folder = _prepare(data, values, console)
 
     # Late, because PyTorch takes seconds to import.
@@ -125,7 +126,9 @@ def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
     splits = [split for split in ("train", "val") if data.size(split)]
     while _process() > 0 and data.missing(splits):
         time.sleep(1.0)
-    return data.prepare(splits, workers=values.workers, progress=lambda total: scene_bar(console, data.name, total))
+    return data.prepare(
+        splits, workers=values.workers, progress=partial(track_progress, console, data.name, data.folder)
+    )
 
 
 def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:

@@ -11,6 +11,10 @@ import torch
 from jaxtyping import Float
 from safetensors.torch import save
 
+from datagen.storage.atomic import (
+    new_folder,
+    write_atomically,
+)
 from datagen.storage.safe_io import (
     brief_reason,
     read_json,
@@ -35,10 +39,6 @@ from obpose.scenes.scene import (
     Camera,
     ClipName,
     Scene,
-)
-from obpose.storage.files import (
-    new_folder,
-    write_whole,
 )
 from obpose.storage.tensors import (
     Form,
@@ -132,8 +132,8 @@ def _write(folder: Path, scene: Scene) -> None:
     }
     if scene.clip is not None:
         facts["clip"] = dataclasses.asdict(scene.clip)
-    write_whole(folder / TENSORS, save({name: tensor.detach().contiguous() for name, tensor in tensors.items()}))
-    write_whole(folder / FACTS, (json.dumps(facts, indent=1) + "\n").encode())
+    write_atomically(folder / TENSORS, save({name: tensor.detach().contiguous() for name, tensor in tensors.items()}))
+    write_atomically(folder / FACTS, (json.dumps(facts, indent=1) + "\n").encode())
 
 
 def _wherever_from(checkpoint: str) -> str:

@@ -20,7 +20,6 @@ from benchmark.ranking.statistics import (
     draw,
     summarise,
 )
-from benchmark.results.files import write_whole
 from benchmark.tasks.editing.lines import load_all
 from benchmark.tasks.editing.scores import (
     LARGEST_PSNR,
@@ -28,6 +27,7 @@ from benchmark.tasks.editing.scores import (
 )
 from datagen.console.text import counted
 from datagen.schema import EDITS
+from datagen.storage.atomic import write_atomically
 
 FILES = ("editing.csv", "editing.md")
 
@@ -74,7 +74,7 @@ def write(folder: Path) -> list[Entry]:
     entries = summaries(load_all(folder))
     texts = (to_csv([_csv_line(entry) for entry in entries]), markdown(entries))
     for name, text in zip(FILES, texts, strict=True):
-        write_whole(folder / name, text.encode())
+        write_atomically(folder / name, text.encode())
     return entries
 
 

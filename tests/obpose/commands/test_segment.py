@@ -186,7 +186,7 @@ def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path:
 def test_what_is_in_the_folder_already_is_left_alone(scene: Path, tmp_path: Path, capsys):
     (tmp_path / "objects.json").write_text("mine")
     assert run(scene, tmp_path) == EXIT_USAGE
-    assert "is there already and not empty; give another --out" in capsys.readouterr().err
+    assert "already exists and is not empty; give another --out" in capsys.readouterr().err
     for flags, message in (
         (("--every", 0), "--every 0"),
         (("--intrinsics", "1,2,3"), "expected fx,fy,cx,cy"),
