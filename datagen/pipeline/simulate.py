@@ -15,12 +15,13 @@ from datagen.pipeline.visible_range import (
     near_object,
     table_fault,
 )
+from datagen.random_streams import scene_rng
 from datagen.render import make_renderer
 from datagen.render.renderer import NEAREST
 from datagen.sampling import Rejected, sample_scene
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Scene, Trajectory
-from datagen.schema import MAX_DEPTH, SPLITS
+from datagen.schema import MAX_DEPTH
 from datagen.shapes.shape import Shape
 
 _DENSEST = 0.6
@@ -77,7 +78,7 @@ def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulat
         ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws, or they came nowhere near.
         UsageError: the cameras cannot show the table, or PyBullet is not installed.
     """
-    rng = np.random.default_rng([seed, SPLITS.index(split), index, 0])
+    rng = scene_rng(seed, split, index, "scene")
     part = recipe.for_scene(index)
     check_room(part)
     check_rig(part)
