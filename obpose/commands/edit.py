@@ -16,13 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import tyro
 from jaxtyping import Float
 from joblib import cpu_count
 from torch import Tensor
 
 import assets
-from datagen.console.command_line import given_arguments
+from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
 from datagen.storage.atomic import (
     check_new_file,
@@ -45,7 +44,7 @@ from obpose.commands.edit_arguments import (
 from obpose.data.clips import clip_part
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
-from obpose.errors import EXIT_OK, Interrupted, UsageError, run_program
+from obpose.errors import Interrupted, UsageError
 from obpose.rgbd.frames import look
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
@@ -129,24 +128,14 @@ LARGEST = 2048
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and give its exit code."""
-    return run_program(
+    return run_command(
         PROGRAM,
-        lambda: _run(given_arguments(arguments)),
+        COMMANDS,
+        description=__doc__,
+        arguments=arguments,
         interrupted="Interrupted; nothing was changed.",
         out_of_memory="Out of memory; give a smaller --resolution.",
     )
-
-
-def _run(arguments: list[str]) -> int:
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"{__doc__}\nSubcommands, each with a --help of its own: {', '.join(COMMANDS)}.")
-        return EXIT_OK
-    name = arguments.pop(0)
-    if name not in COMMANDS:
-        raise UsageError(f"Unknown subcommand {name!r}; expected one of {', '.join(COMMANDS)}.")
-    kind, command = COMMANDS[name]
-    command(tyro.cli(kind, args=arguments, prog=f"{PROGRAM} {name}"))
-    return EXIT_OK
 
 
 def _infer(values: Infer) -> None:
@@ -427,20 +416,18 @@ def _size(resolution: str | None) -> tuple[int, int] | None:
     return width, height
 
 
-Command = tuple[type, Callable[[Any], None]]
-
-COMMANDS: dict[str, Command] = {
-    "infer": (Infer, _infer),
-    "sample": (Sample, _sample),
-    "fit": (Fit, _fit),
-    "learn": (Learn, _learn),
-    "render": (Render, _render),
-    "mesh": (Mesh, _mesh),
-    "remove": (Remove, _edited(_remove)),
-    "move": (Move, _edited(_move)),
-    "rotate": (Rotate, _edited(_rotate)),
-    "swap": (Swap, _edited(_swap)),
-    "add": (Add, _edited(_add)),
+COMMANDS = {
+    "infer": Command(Infer, _infer),
+    "sample": Command(Sample, _sample),
+    "fit": Command(Fit, _fit),
+    "learn": Command(Learn, _learn),
+    "render": Command(Render, _render),
+    "mesh": Command(Mesh, _mesh),
+    "remove": Command(Remove, _edited(_remove)),
+    "move": Command(Move, _edited(_move)),
+    "rotate": Command(Rotate, _edited(_rotate)),
+    "swap": Command(Swap, _edited(_swap)),
+    "add": Command(Add, _edited(_add)),
 }
 
 if __name__ == "__main__":

@@ -11,15 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 from einops import rearrange
 from jaxtyping import Float, Int
 
-from datagen.console.command_line import given_arguments
+from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
 from datagen.storage.atomic import check_new_folder
 from obpose.data.resolution import fitting_model
-from obpose.errors import EXIT_OK, run_program
+from obpose.errors import EXIT_OK
 from obpose.model.obpose import ObPose
 from obpose.rgbd.frames import (
     Frames,
@@ -46,15 +45,15 @@ class Arguments(Frames):
     """Folder for label images, overlays, and objects.json."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of the console script; leaves with an exit code of `obpose.errors`."""
-    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
-    code = run_program(
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Segment and return the exit code."""
+    return run_command(
         PROGRAM,
-        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=given_arguments(arguments), description=description)),
+        Command(Arguments, run),
+        description=__doc__,
+        arguments=arguments,
         out_of_memory="Out of memory; give fewer frames at a time, or a larger --every.",
     )
-    sys.exit(code)
 
 
 def run(values: Arguments) -> int:
@@ -114,4 +113,4 @@ def _array(values: Float[torch.Tensor, "1 frame slot ..."]) -> Float[np.ndarray,
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

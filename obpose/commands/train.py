@@ -13,10 +13,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.console import Console
 
-from datagen.console.command_line import given_arguments
+from datagen.console.command_line import Command, run_command
+from datagen.console.interrupts import interruptible_imports
 from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
 from datagen.storage.atomic import check_no_dataset
@@ -29,7 +29,7 @@ from obpose.commands.train_arguments import Train
 from obpose.config import TrainConfig
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
-from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program, unknown_name
+from obpose.errors import EXIT_OK, UsageError, unknown_name
 from obpose.systems import System, find_system
 
 if TYPE_CHECKING:
@@ -42,12 +42,12 @@ LIMITS = {"minutes": MOST_MINUTES, "steps": MOST_STEPS, "threads": 1024, "worker
 
 
 def main(arguments: Sequence[str] | None = None, *, score: "Score | None" = None) -> int:
-    """Train and give the exit code; `score` is logged at each validation, see `benchmark.commands.train`."""
-    # The help printer keeps empty lines only.
-    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
-    return run_program(
+    """Train and return the exit code; `score` is logged at each validation, see `benchmark.commands.train`."""
+    return run_command(
         PROGRAM,
-        lambda: run(tyro.cli(Train, prog=PROGRAM, args=given_arguments(arguments), description=description), score),
+        Command(Train, lambda values: run(values, score)),
+        description=__doc__,
+        arguments=arguments,
         interrupted="Interrupted; the same command goes on from the last checkpoint.",
         out_of_memory="Out of memory; give smaller --set train.batch, train.frames or train.rays.",
     )

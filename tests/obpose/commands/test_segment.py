@@ -45,9 +45,7 @@ def run(scene: Path, out: Path, *flags: object, **changes: object) -> int:
     given = {"checkpoint": scene / "model", "rgb": scene / "rgb", "depth": scene / "depth", **changes}
     command = [part for name, value in given.items() for part in (f"--{name}", str(value))]
     camera = ["--intrinsics", (scene / "intrinsics").read_text()]
-    with pytest.raises(SystemExit) as exit_:
-        main([*command, *camera, *map(str, flags), "--out", str(out)])
-    return int(exit_.value.code or 0)
+    return main([*command, *camera, *map(str, flags), "--out", str(out)])
 
 
 def facts_of(out: Path) -> dict[str, object]:
