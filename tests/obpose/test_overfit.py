@@ -52,7 +52,7 @@ def overfit(model: Trainable, clips: LabelledObservation, *, steps: int, batch: 
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(rates, step / steps)
         some = torch.randint(len(clips.depth), (batch,), generator=generator)
-        window = model.sees(**{field.name: getattr(clips, field.name)[some] for field in fields(model.sees)})
+        window = model.observation_type(**{field.name: getattr(clips, field.name)[some] for field in fields(model.observation_type)})
         total = model.losses(window, step=step, fraction=step / steps, generator=generator)["total"]
         optimizer.zero_grad()
         total.backward()

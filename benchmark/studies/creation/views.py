@@ -16,8 +16,8 @@ from datagen.storage.reader import (
     Split,
 )
 from obpose.data.clips import (
-    clip_part,
     observation_of,
+    select_part,
 )
 from obpose.data.datasets import SceneDataset
 from obpose.scenes.infer import (
@@ -93,7 +93,7 @@ def measure_views(
         observation = observation_of([source.window(index, 0, source.frames_of_clip)])
         cameras = cameras_of(observation)
         for seen in range(number):
-            one = clip_part(observation, views=slice(seen, seen + 1))
+            one = select_part(observation, views=slice(seen, seen + 1))
             scene = infer_scene(origin, one, refinements=refinements)
             for frame in spread(source.frames_of_clip, frames):
                 truth = read_views(records, index, frame)

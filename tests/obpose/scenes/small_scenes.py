@@ -31,7 +31,7 @@ CAMERA = Camera(
 def some_model(**changes: object) -> ObPose:
     """With fresh weights; all of its slots are in use."""
     torch.manual_seed(0)
-    sizes = {"model.workspace_size": 1.0, "model.background_size": 2.5, "model.attention.idle_points": 0}
+    sizes = {"model.workspace_size": 1.0, "model.background_size": 2.5, "model.attention.inactive_points": 0}
     return ObPose(make_config(**sizes, **changes)).eval()
 
 

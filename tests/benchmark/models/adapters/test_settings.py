@@ -65,7 +65,7 @@ def _another(name: str, value: object) -> object:
 
 
 def test_weights_state_their_own_priors_and_views(tmp_path: Path):
-    config = make_config(**{"model.floor": None, "model.table": None, "train.views": "together"})
+    config = make_config(**{"model.floor": None, "model.table": None, "train.views": "all"})
     (tmp_path / "config.json").write_text(json.dumps({"version": 1, "config": to_plain(config)}))
     declared = find_model("obpose")
     assert declared.configured

@@ -83,7 +83,7 @@ def test_a_round_puts_objects_where_fields_that_know_them_say_whatever_the_atten
 
     monkeypatch.setattr(ObPose, "decode", decode)
     torch.manual_seed(0)
-    changes = {"model.slots": 2, "model.attention.idle_points": 0, "model.attention.evaluation_rounds": 1}
+    changes = {"model.slots": 2, "model.attention.inactive_points": 0, "model.attention.posterior_refinements": 1}
     found = ObPose(make_config(**changes)).eval().segment(scene)
     means = torch.stack([points[labels == slot].mean(dim=0) for slot in (1, 2)])
     torch.testing.assert_close(found.inference.observed_center[0, 0], means)

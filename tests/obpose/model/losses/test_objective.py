@@ -57,7 +57,7 @@ def test_terms_are_told_without_gradient_and_the_total_has_one():
 def test_rays_of_views_that_are_not_encoded_count_as_much_as_the_others(monkeypatch: pytest.MonkeyPatch):
     seen: list[Evidence] = []
     monkeypatch.setattr("obpose.model.obpose.loss_terms", lambda evidence, *_, **__: seen.append(evidence) or {})
-    losses("obpose", views=2, **{"train.views": "one"})
+    losses("obpose", views=2, **{"train.views": "random"})
     both = seen[0]
     assert both.beyond is not None
     together, encoded, others = (
