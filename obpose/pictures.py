@@ -12,7 +12,7 @@ from torch import Tensor
 
 from datagen.storage.atomic import write_atomically
 from obpose.config import Views
-from obpose.data.clips import views_apart
+from obpose.data.clips import separate_views
 from obpose.geometry import all_rays, from_box
 from obpose.model.nerf.compose import mean_colour
 from obpose.trainable import Trainable
@@ -62,7 +62,7 @@ def write_picture(path: Path, model: Trainable, clips: Observation, views: Views
     was_training = model.training
     model.eval()
     try:
-        picture = draw(model, clips if views == "together" else views_apart(clips))
+        picture = draw(model, clips if views == "all" else separate_views(clips))
     finally:
         model.train(was_training)
     file = io.BytesIO()

@@ -17,14 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from benchmark.commands import actions
-from benchmark.commands.arguments import (
-    Compare,
-    Pack,
-    Report,
-    Rescore,
-    Run,
-    Selftest,
-)
+from benchmark.commands.arguments import Compare, Pack, Report, Rescore, Run, Selftest
 from datagen.console.command_line import Command, run_command
 
 PROGRAM = "obpose-bench"

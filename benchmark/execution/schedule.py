@@ -7,31 +7,12 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TypeVar
 
-from benchmark.execution.isolation import (
-    LOGS,
-    Limits,
-    run_isolated,
-)
-from benchmark.execution.plan import (
-    Plan,
-    repeats,
-)
-from benchmark.execution.runner import (
-    Job,
-    Target,
-    blank_row,
-)
+from benchmark.execution.isolation import LOGS, Limits, run_isolated
+from benchmark.execution.plan import Plan, repeats
+from benchmark.execution.runner import Job, Target, blank_row
 from benchmark.models.model_spec import ModelSpec
 from benchmark.models.registry import find_model
-from benchmark.results.run_folder import (
-    SCENES,
-    RunKey,
-    RunRow,
-    load_row,
-    load_runs,
-    row_path,
-    save_row,
-)
+from benchmark.results.run_folder import SCENES, RunKey, RunRow, load_row, load_runs, row_path, save_row
 from datagen.storage.atomic import write_atomically
 
 Heard = Callable[[RunRow], None]

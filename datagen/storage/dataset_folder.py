@@ -13,10 +13,7 @@ from datagen.errors import Busy, CorruptFile, DatagenError, UsageError
 from datagen.schema import GENERATOR, SPLITS
 from datagen.storage.atomic import remove_abandoned, target_name, write_atomically
 from datagen.storage.locks import FolderLock
-from datagen.storage.shard import (
-    scenes_present,
-    shard_settings,
-)
+from datagen.storage.shard import scenes_present, shard_settings
 from datagen.storage.spec import (
     CARD_FILE,
     MANIFEST_FILE,

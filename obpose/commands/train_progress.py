@@ -6,11 +6,7 @@ from contextlib import contextmanager
 from rich.console import Console
 
 from datagen.console.progress import training_bar
-from obpose.training.loop import (
-    CurvePoint,
-    Report,
-    Status,
-)
+from obpose.training.loop import CurvePoint, Report, Status
 
 SMOOTHING = 0.98
 """Share of the previous value in the running mean of each loss; single steps are too noisy to read."""

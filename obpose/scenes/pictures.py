@@ -14,10 +14,7 @@ from torch import Tensor
 from datagen.storage.atomic import write_atomically
 from obpose.pictures import PALETTE
 from obpose.scenes.rendering import Image
-from obpose.scenes.scene import (
-    Camera,
-    upright,
-)
+from obpose.scenes.scene import Camera, upright
 
 PICTURE = "picture.png"
 """In the folder of a saved scene."""

@@ -21,10 +21,7 @@ from obpose.trainable import Trainable
 from obpose.training.budget import learning_rate
 from obpose.types import LabelledObservation
 from obpose.variants import make_config
-from tests.worlds.observations import (
-    labels_by_colour,
-    table_scene,
-)
+from tests.worlds.observations import labels_by_colour, table_scene
 
 SIZE, OBJECTS = 48, 2
 SCENE = {
@@ -52,7 +49,9 @@ def overfit(model: Trainable, clips: LabelledObservation, *, steps: int, batch: 
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(rates, step / steps)
         some = torch.randint(len(clips.depth), (batch,), generator=generator)
-        window = model.sees(**{field.name: getattr(clips, field.name)[some] for field in fields(model.sees)})
+        window = model.observation_type(
+            **{field.name: getattr(clips, field.name)[some] for field in fields(model.observation_type)}
+        )
         total = model.losses(window, step=step, fraction=step / steps, generator=generator)["total"]
         optimizer.zero_grad()
         total.backward()

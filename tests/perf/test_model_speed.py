@@ -74,7 +74,7 @@ def test_the_same_clip_in_the_default_configuration():
 def test_inference():
     """Labels of all pixels of a clip of 10 frames, all slots in use, which those of a fresh model are not else."""
     torch.manual_seed(0)
-    in_use = {"model.attention.idle_points": 0}
+    in_use = {"model.attention.inactive_points": 0}
     model = ObPose(config_for_clips("obpose", "cpu", **{"model.spacing": 0.006}, **in_use)).eval()
     clip = table_scene(frames=10, height=128, width=128, spheres=4)
     times = []

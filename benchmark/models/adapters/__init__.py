@@ -10,11 +10,7 @@ from typing import Any
 
 from benchmark.models.adapters.settings import settings_of
 from benchmark.models.interface import Segmenter
-from benchmark.models.model_spec import (
-    ModelSpec,
-    Options,
-    Views,
-)
+from benchmark.models.model_spec import ModelSpec, Options, Views
 from obpose.systems import SYSTEMS, System, priors_of
 
 LABELLED_TRIALS: dict[str, int] = {"obpose": 70, "supervised": 70, "obsurf": 30}
@@ -56,7 +52,7 @@ def _configured(name: str, folder: Path) -> ModelSpec:
 
 
 def _views(config: Any) -> Views:
-    return {"together": Views("all", "all"), "one": Views("one", "all"), "apart": Views("one", "one")}[
+    return {"all": Views("all", "all"), "random": Views("one", "all"), "separate": Views("one", "one")}[
         config.train.views
     ]
 

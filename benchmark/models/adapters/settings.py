@@ -11,7 +11,7 @@ _OF_THE_BACKBONE: dict[str, Any] = {"model.backbone.scene_means": "given"}
 
 _OF_OBPOSE: dict[str, Any] = {
     "model.attention.kind": "icsbp",
-    "model.attention.mask_power": 3.0,
+    "model.attention.mask_exponent": 3.0,
     "model.background": "component",
     **_OF_THE_BACKBONE,
     "model.latent.colours": "given",

@@ -8,20 +8,10 @@ from pathlib import Path
 
 from benchmark.commands import arguments
 from benchmark.commands.console import prepare
-from benchmark.commands.outputs import (
-    print_path,
-    wide_console,
-)
+from benchmark.commands.outputs import print_path, wide_console
 from benchmark.execution.duration import GRACE_SECONDS
-from benchmark.execution.isolation import (
-    LOGS,
-    limits,
-    run_isolated,
-)
-from benchmark.execution.plan import (
-    Request,
-    trained,
-)
+from benchmark.execution.isolation import LOGS, limits, run_isolated
+from benchmark.execution.plan import Request, trained
 from benchmark.execution.runner import SPLIT
 from benchmark.execution.schedule import side_by_side
 from benchmark.models.registry import find_model
@@ -29,10 +19,7 @@ from benchmark.names import REFERENCES, REFINED
 from benchmark.ranking.escaping import terminal
 from benchmark.results.run_folder import digest
 from benchmark.tasks.editing import summary
-from benchmark.tasks.editing.job import (
-    VERSION,
-    EditJob,
-)
+from benchmark.tasks.editing.job import VERSION, EditJob
 from benchmark.tasks.editing.lines import FOLDER
 from benchmark.tasks.editing.truth import kinds_in
 from datagen.console.progress import progress_bar, status_console
@@ -41,10 +28,7 @@ from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
 from datagen.schema import EDITS
 from datagen.storage.atomic import remove_abandoned
 from datagen.storage.reader import Dataset
-from datagen.tracks import (
-    Source,
-    Track,
-)
+from datagen.tracks import Source, Track
 from obpose.storage.pretrained import content_hash
 
 

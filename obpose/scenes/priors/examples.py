@@ -14,27 +14,16 @@ from datagen.console.text import counted
 from datagen.pipeline.parallel import make_all
 from datagen.storage.atomic import write_atomically
 from obpose.errors import CorruptFile
+from obpose.model.layers.latent import LATENT
 from obpose.model.nerf.detail import EDGE
 from obpose.model.obpose import ObPose
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
-from obpose.scenes.priors.grids import (
-    Grids,
-    grids_of,
-    together,
-)
+from obpose.scenes.model_ref import Origin, load_origin
+from obpose.scenes.priors.grids import Grids, grids_of, together
 from obpose.scenes.refine import STEPS
 from obpose.scenes.scene import Scene
-from obpose.storage.tensors import (
-    Form,
-    Forms,
-    differences_of,
-    read_tensors,
-)
+from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
 
 FRAMES = 6
 """Largest number of frames used of a clip; moving objects show several sides."""
@@ -76,7 +65,7 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
         write_atomically(paths[index], contents)
         if number % 10 == 0:
             say(f"{number} of {counted(len(missing), 'clip')}")
-    latent = origin.model.config.model.latent.what
+    latent = LATENT
     return [_read(path, latent) for path in paths]
 
 

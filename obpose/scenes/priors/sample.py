@@ -12,32 +12,19 @@ from torch import Tensor
 from datagen.console.text import counted
 from obpose.errors import UsageError
 from obpose.model.nerf.detail import no_detail
-from obpose.model.nerf.voxels import occupancy
+from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.light import Light
 from obpose.scenes.appearance.table_texture import Pattern
-from obpose.scenes.extent import (
-    LEAST_VOXELS,
-    above_table,
-    occupied,
-    shape_extent,
-)
+from obpose.scenes.extent import LEAST_VOXELS, above_table, occupied, shape_extent
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import sample_grids
 from obpose.scenes.priors.flow_prior import FlowPrior
 from obpose.scenes.priors.gaussian import ScenePrior
-from obpose.scenes.priors.grids import (
-    Grids,
-    facing,
-    together,
-)
+from obpose.scenes.priors.grids import Grids, facing, together
 from obpose.scenes.priors.object_bank import FoundObjects
 from obpose.scenes.rendering import conditioning
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-    upright,
-)
+from obpose.scenes.scene import Camera, Scene, upright
 
 Source = ScenePrior | FlowPrior | FoundObjects
 """Source of sampled objects and backgrounds."""
@@ -184,7 +171,7 @@ def _draw_codes(
 
 def _draw_grids(model: ObPose, prior: FlowPrior, objects: int, generator: torch.Generator) -> Grids:
     """Draw grids of objects that have enough voxels; after too many attempts, any grids."""
-    threshold = model.config.model.voxel_threshold
+    threshold = THRESHOLD
     grids = _drawn_again(
         lambda count: sample_grids(prior.flow, count, generator).apart(),
         lambda grid: int((occupancy(grid.values[..., 0]) > threshold).sum()),

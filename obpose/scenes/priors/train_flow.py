@@ -13,46 +13,18 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from datagen.console.text import counted
-from datagen.storage.atomic import (
-    locked_folder,
-    write_atomically,
-)
-from datagen.storage.safe_io import (
-    brief_reason,
-    read_json,
-)
+from datagen.storage.atomic import locked_folder, write_atomically
+from datagen.storage.safe_io import brief_reason, read_json
 from obpose.data.datasets import SceneDataset
 from obpose.errors import CorruptFile, Diverged, UsageError
+from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.examples import (
-    Examples,
-    Say,
-    find_examples,
-    joined,
-)
-from obpose.scenes.priors.flow import (
-    Flow,
-    describe,
-    flow_loss,
-    mirrored,
-    sample_grids,
-)
-from obpose.scenes.priors.flow_prior import (
-    FILE,
-    has_flow,
-    save_flow,
-)
+from obpose.scenes.priors.examples import Examples, Say, find_examples, joined
+from obpose.scenes.priors.flow import Flow, describe, flow_loss, mirrored, sample_grids
+from obpose.scenes.priors.flow_prior import FILE, has_flow, save_flow
 from obpose.scenes.priors.grids import Grids
-from obpose.storage.optimizer_state import (
-    optimizer_state,
-    put_optimizer_state,
-)
-from obpose.storage.tensors import (
-    State,
-    differences_of,
-    forms_of,
-    read_tensors,
-)
+from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
+from obpose.storage.tensors import State, differences_of, forms_of, read_tensors
 
 PARTIAL = "flow.partial"
 """Folder of the unfinished flow, beside the weights."""
@@ -136,7 +108,7 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
 def _fresh(origin: Origin, lesson: Lesson) -> Flow:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(lesson.seed)
-        return Flow(origin.model.config.model.latent.what)
+        return Flow(LATENT)
 
 
 def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say: Say) -> Flow:

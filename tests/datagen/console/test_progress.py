@@ -1,9 +1,6 @@
 import pytest
 
-from datagen.console.progress import (
-    busy,
-    tracked,
-)
+from datagen.console.progress import busy, tracked
 
 
 @pytest.fixture(params=[True, False])

@@ -4,18 +4,9 @@ from dataclasses import fields
 import pytest
 import torch
 
-from obpose.baselines.supervised import (
-    Supervised,
-    matched_cross_entropy,
-)
+from obpose.baselines.supervised import Supervised, matched_cross_entropy
 from obpose.config import SupervisedConfig, override
-from obpose.data.clips import (
-    ArrayClips,
-    LabelledArrayClips,
-    observation_of,
-    stack,
-    views_apart,
-)
+from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views, stack
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
@@ -125,18 +116,18 @@ def test_labels_have_no_influence_on_a_segmentation():
 def test_nobody_else_sees_labels():
     others = {kind for kind in _kinds(Trainable) if kind.__module__.startswith("obpose.")} - {Supervised}
     assert ObPose in others
-    assert all(kind.sees is Observation for kind in others)
+    assert all(kind.observation_type is Observation for kind in others)
     assert "segmentation" not in {field.name for field in fields(Observation)}
     window = ToyClips(labels=True).window(0, 0, 2)
     assert "segmentation" not in stack([window])
-    assert "segmentation" in stack([window], Supervised.sees)
+    assert "segmentation" in stack([window], Supervised.observation_type)
 
 
 def test_without_labels_there_is_nothing_to_learn_from():
     with pytest.raises(TypeError, match="expected a LabelledObservation"):
         _model().losses(table_scene(), step=0)
     with pytest.raises(UsageError, match="no segmentation, which this model learns from"):
-        stack([ToyClips().window(0, 0, 2)], Supervised.sees)
+        stack([ToyClips().window(0, 0, 2)], Supervised.observation_type)
 
 
 def test_labels_of_arrays_come_only_from_the_source_that_is_named_for_them():
@@ -152,7 +143,7 @@ def test_labels_of_arrays_come_only_from_the_source_that_is_named_for_them():
 def test_views_apart_keep_their_labels():
     clip, truth = clip_and_truth(views=2)
     source = LabelledArrayClips([type(clip)(**{**vars(clip), "truth": truth})])
-    apart = views_apart(observation_of([source.window(0, 0, 2)], LabelledObservation))
+    apart = separate_views(observation_of([source.window(0, 0, 2)], LabelledObservation))
     assert torch.equal(apart.segmentation[1, :, 0], torch.from_numpy(truth[:2, 1]).long())
 
 

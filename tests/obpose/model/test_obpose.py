@@ -114,7 +114,7 @@ def test_rules_for_seeds_idle_slots_and_division_are_those_of_the_mode(training:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_weight_learns_from_a_step_after_the_warmup(variant: str):
-    model = _model(variant, **{"train.warmup": 3, "model.attention.idle_in_training": "never"}).train()
+    model = _model(variant, **{"train.warmup": 3, "model.attention.inactive_in_training": "never"}).train()
     losses = model.losses(
         _objects_alone(batch=2, frames=4, spheres=3), step=3, generator=torch.Generator().manual_seed(0)
     )
@@ -180,7 +180,7 @@ def test_fields_move_no_boxes():
 
 def test_views_are_one_cloud_whose_order_does_not_matter():
     # Posteriors of fields of which nothing is learned are ties, which rounding decides.
-    model = _model(**{"model.attention.evaluation_rounds": 0}).eval()
+    model = _model(**{"model.attention.posterior_refinements": 0}).eval()
     scene = table_scene(views=3, frames=1)
     order = torch.tensor([2, 0, 1])
     images = {name: getattr(scene, name)[:, :, order] for name in ("rgb", "depth", "valid")}
@@ -268,7 +268,7 @@ def test_the_air_weighs_more_towards_the_end_of_the_budget():
 
 def test_views_that_are_not_encoded_have_no_say_in_what_is_inferred():
     scene = table_scene(views=3, frames=1)
-    model = _model(**{"train.views": "one"})
+    model = _model(**{"train.views": "random"})
     terms = [
         model.losses(changed, step=1000, generator=_drawing_the_first_view())
         for changed in (scene, _other_colours(scene, view=slice(1, 3)))

@@ -6,17 +6,11 @@ import torch
 
 from obpose.model.nerf.detail import no_detail
 from obpose.model.obpose import ObPose
-from obpose.scenes.appearance.table_texture import (
-    EDGE,
-    SPOT,
-)
+from obpose.scenes.appearance.table_texture import EDGE, SPOT
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.grids import DENSITY_LIMIT
 from obpose.scenes.priors.tables import Tables
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.scene import Camera, Scene
 from obpose.variants import make_config
 
 CAMERA = Camera(
@@ -31,7 +25,7 @@ CAMERA = Camera(
 def some_model(**changes: object) -> ObPose:
     """With fresh weights; all of its slots are in use."""
     torch.manual_seed(0)
-    sizes = {"model.workspace_size": 1.0, "model.background_size": 2.5, "model.attention.idle_points": 0}
+    sizes = {"model.workspace_size": 1.0, "model.background_size": 2.5, "model.attention.inactive_points": 0}
     return ObPose(make_config(**sizes, **changes)).eval()
 
 

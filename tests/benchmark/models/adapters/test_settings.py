@@ -12,10 +12,7 @@ from benchmark.commands.arguments import Run
 from benchmark.execution.machine import ROOT
 from benchmark.execution.plan import make_plan
 from benchmark.execution.request import request_of
-from benchmark.models.adapters.settings import (
-    LATER,
-    settings_of,
-)
+from benchmark.models.adapters.settings import LATER, settings_of
 from benchmark.models.registry import find_model
 from benchmark.results.run_folder import load_runs
 from obpose.baselines.obsurf.config import ObsurfConfig
@@ -65,7 +62,7 @@ def _another(name: str, value: object) -> object:
 
 
 def test_weights_state_their_own_priors_and_views(tmp_path: Path):
-    config = make_config(**{"model.floor": None, "model.table": None, "train.views": "together"})
+    config = make_config(**{"model.floor": None, "model.table": None, "train.views": "all"})
     (tmp_path / "config.json").write_text(json.dumps({"version": 1, "config": to_plain(config)}))
     declared = find_model("obpose")
     assert declared.configured

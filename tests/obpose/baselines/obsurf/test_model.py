@@ -9,10 +9,7 @@ from torch import Tensor
 
 from obpose.baselines.obsurf.config import OBSURF_VARIANTS
 from obpose.baselines.obsurf.model import Encoded, Obsurf
-from obpose.data.clips import (
-    one_view,
-    views_apart,
-)
+from obpose.data.clips import random_view, separate_views
 from obpose.geometry import all_rays, sample_rays, unproject
 from obpose.systems import find_system
 from obpose.types import Observation
@@ -114,7 +111,7 @@ def test_more_rays_can_be_drawn_where_the_densest_slot_is_not(monkeypatch: pytes
     with torch.no_grad():  # slots that fresh weights tell apart but a little
         model.field.density_logit.weight.mul_(1e3)
         model.field.density_logit.bias.sub_(1e2)
-    encoded = model.encode(one_view(scene, noise()), model.attention.evaluation_noise[None].expand(2, -1, -1))
+    encoded = model.encode(random_view(scene, noise()), model.attention.evaluation_noise[None].expand(2, -1, -1))
     rays = all_rays(scene)
     logits, _ = model._densities(encoded, rays.origin + rays.direction * rays.depth[..., None])
     owners = logits.argmax(dim=2).masked_fill(~rays.valid, -1)
@@ -198,7 +195,7 @@ def test_a_scene_without_any_depth_is_background():
 def test_scenes_frames_and_views_do_not_depend_on_each_other(variant: str):
     model, scene = spread_out(variant), table_scene(batch=2, frames=2, views=3, holes=0.1)
     whole = model.segment(scene)
-    apart = model.segment(views_apart(scene))
+    apart = model.segment(separate_views(scene))
     for clip, view, frame in ((0, 0, 0), (1, 2, 1), (1, 0, 1)):
         alone = Observation(
             *(getattr(scene, name)[clip, frame, view][None, None, None] for name in ("rgb", "depth", "valid")),

@@ -12,10 +12,7 @@ from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.obpose import ObPose
 from obpose.types import Decoded, Masks
 from obpose.variants import make_config
-from tests.worlds.observations import (
-    labels_by_colour,
-    table_scene,
-)
+from tests.worlds.observations import labels_by_colour, table_scene
 
 POINTS, COMPONENTS = 5, 3
 
@@ -83,7 +80,7 @@ def test_a_round_puts_objects_where_fields_that_know_them_say_whatever_the_atten
 
     monkeypatch.setattr(ObPose, "decode", decode)
     torch.manual_seed(0)
-    changes = {"model.slots": 2, "model.attention.idle_points": 0, "model.attention.evaluation_rounds": 1}
+    changes = {"model.slots": 2, "model.attention.inactive_points": 0, "model.attention.posterior_refinements": 1}
     found = ObPose(make_config(**changes)).eval().segment(scene)
     means = torch.stack([points[labels == slot].mean(dim=0) for slot in (1, 2)])
     torch.testing.assert_close(found.inference.observed_center[0, 0], means)

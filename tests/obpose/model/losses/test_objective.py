@@ -7,11 +7,7 @@ import pytest
 import torch
 
 from obpose.config import LossConfig
-from obpose.model.losses.objective import (
-    Evidence,
-    growth,
-    loss_terms,
-)
+from obpose.model.losses.objective import Evidence, growth, loss_terms
 from obpose.model.obpose import ObPose
 from obpose.variants import make_config
 from tests.worlds.observations import table_scene
@@ -57,7 +53,7 @@ def test_terms_are_told_without_gradient_and_the_total_has_one():
 def test_rays_of_views_that_are_not_encoded_count_as_much_as_the_others(monkeypatch: pytest.MonkeyPatch):
     seen: list[Evidence] = []
     monkeypatch.setattr("obpose.model.obpose.loss_terms", lambda evidence, *_, **__: seen.append(evidence) or {})
-    losses("obpose", views=2, **{"train.views": "one"})
+    losses("obpose", views=2, **{"train.views": "random"})
     both = seen[0]
     assert both.beyond is not None
     together, encoded, others = (

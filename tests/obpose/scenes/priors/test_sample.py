@@ -13,30 +13,16 @@ from obpose.scenes.appearance.table_texture import pattern_like
 from obpose.scenes.extent import shape_extent
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.flow import (
-    Flow,
-    sample_grids,
-)
+from obpose.scenes.priors.flow import Flow, sample_grids
 from obpose.scenes.priors.flow_prior import FlowPrior
 from obpose.scenes.priors.gaussian import learned_prior
-from obpose.scenes.priors.grids import (
-    Grids,
-    facing,
-)
-from obpose.scenes.priors.object_bank import (
-    FoundObjects,
-    find_objects,
-)
+from obpose.scenes.priors.grids import Grids, facing
+from obpose.scenes.priors.object_bank import FoundObjects, find_objects
 from obpose.scenes.priors.sample import sample_scene
 from obpose.scenes.rendering import conditioning
 from obpose.scenes.scene import Scene
 from tests.obpose.analytic_fields import BallField
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    some_model,
-    some_scene,
-    some_tables,
-)
+from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene, some_tables
 from tests.worlds.observations import table_scene
 
 RADIUS = 0.4
@@ -248,7 +234,7 @@ def test_extents_are_those_of_fields_with_their_details():
 
 def test_objects_are_found_as_scenes_are_inferred():
     # Codes that do not depend on the field, so that it can be chosen by them.
-    of = Origin(some_model(**{"model.attention.evaluation_rounds": 0}), Path("folder"), "name", "hash")
+    of = Origin(some_model(**{"model.attention.posterior_refinements": 0}), Path("folder"), "name", "hash")
     clips = [table_scene(batch=1, frames=2, height=16, width=16, seed=seed) for seed in (0, 1)]
     scenes = [infer_scene(of, clip) for clip in clips]
     middle = float(torch.stack([scene.what[-1, :, 0] for scene in scenes]).median())
