@@ -8,16 +8,7 @@ import numpy as np
 
 from datagen.errors import UsageError
 from datagen.scene import ShapeSpec
-from datagen.shapes.families import (
-    composite,
-    extrusion,
-    furniture,
-    lathe,
-    mug,
-    primitives,
-    seating,
-    superquadric,
-)
+from datagen.shapes.families import composite, extrusion, furniture, lathe, mug, primitives, seating, superquadric
 
 Sampler = Callable[[np.random.Generator, tuple[float, float]], dict[str, Any]]
 

@@ -105,10 +105,7 @@ class Track:
         """
         names = tuple(splits)
         if self.missing(names):
-            from datagen.pipeline.generate import (
-                Run,
-                generate,
-            )
+            from datagen.pipeline.generate import Run, generate
 
             run = Run(workers=workers, splits=names, progress=progress)
             generate(self.folder, load_recipe(self.name), run=run, **self._sizes())

@@ -14,10 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.clips import ClipSequence
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.interface import Clip, Prediction
 from datagen.storage.reader import Dataset
 
 

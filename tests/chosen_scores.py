@@ -7,14 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmark.metrics import CLIP_METRICS, METRICS
-from benchmark.results.run_folder import (
-    Measured,
-    RunKey,
-    RunRow,
-    SceneTable,
-    save_row,
-    save_scenes,
-)
+from benchmark.results.run_folder import Measured, RunKey, RunRow, SceneTable, save_row, save_scenes
 
 SPEC = "5bec" * 16
 

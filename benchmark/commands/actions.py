@@ -5,67 +5,28 @@ import math
 from rich.console import Console
 from rich.table import Table
 
-from benchmark.commands import (
-    arguments,
-    outputs,
-)
+from benchmark.commands import arguments, outputs
 from benchmark.commands import selftest as golden_cases
-from benchmark.commands.console import (
-    prepare,
-    progress_bar,
-    status,
-    watched,
-)
-from benchmark.execution.duration import (
-    estimate,
-    in_words,
-    time_limit,
-)
-from benchmark.execution.isolation import (
-    Limits,
-    limits,
-)
-from benchmark.execution.plan import (
-    Plan,
-    Request,
-    check_places,
-    make_plan,
-    superseded,
-)
+from benchmark.commands.console import prepare, progress_bar, status, watched
+from benchmark.execution.duration import estimate, in_words, time_limit
+from benchmark.execution.isolation import Limits, limits
+from benchmark.execution.plan import Plan, Request, check_places, make_plan, superseded
 from benchmark.execution.request import request_of
-from benchmark.execution.runner import (
-    SPLIT,
-    Job,
-)
-from benchmark.execution.schedule import (
-    repeat_rows,
-    run_jobs,
-)
-from benchmark.models.registry import (
-    GROUPS,
-    discover,
-)
+from benchmark.execution.runner import SPLIT, Job
+from benchmark.execution.schedule import repeat_rows, run_jobs
+from benchmark.models.registry import GROUPS, discover
 from benchmark.ranking import compare as paired
 from benchmark.ranking.escaping import terminal
 from benchmark.results import pack as packing
 from benchmark.results import rescore as rescoring
 from benchmark.results.files import remove_abandoned
 from benchmark.results.packed_runs import refuse_packed
-from benchmark.results.run_folder import (
-    RunRow,
-    check_runs,
-    delete_rows,
-    load_runs,
-)
+from benchmark.results.run_folder import RunRow, check_runs, delete_rows, load_runs
 from benchmark.tasks.editing.command import score_edits
 from datagen import tracks
 from datagen.console.text import counted
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION
-from datagen.tracks import (
-    SIZES,
-    Profile,
-    all_tracks,
-)
+from datagen.tracks import SIZES, Profile, all_tracks
 
 
 def run(values: arguments.Run) -> int:

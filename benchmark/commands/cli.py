@@ -20,14 +20,7 @@ from typing import Any
 import tyro
 
 from benchmark.commands import actions
-from benchmark.commands.arguments import (
-    Compare,
-    Pack,
-    Report,
-    Rescore,
-    Run,
-    Selftest,
-)
+from benchmark.commands.arguments import Compare, Pack, Report, Rescore, Run, Selftest
 from datagen.console.command_line import given_arguments
 from datagen.errors import run_program
 

@@ -9,40 +9,19 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from benchmark import report
-from benchmark.commands.console import (
-    busy,
-    watched,
-)
+from benchmark.commands.console import busy, watched
 from benchmark.ranking import leaderboard
 from benchmark.ranking.escaping import terminal
 from benchmark.ranking.failed_seeds import HEADLINE
-from benchmark.ranking.pose_tables import (
-    COLUMNS,
-    HEADER,
-    pose_cells,
-    posed,
-)
-from benchmark.ranking.standings import (
-    Entry,
-    best_first,
-    fields,
-)
-from benchmark.ranking.table_text import (
-    free_of_slots,
-    rank_in_words,
-    run_once,
-    seeds_covered,
-    without_floor,
-)
+from benchmark.ranking.pose_tables import COLUMNS, HEADER, pose_cells, posed
+from benchmark.ranking.standings import Entry, best_first, fields
+from benchmark.ranking.table_text import free_of_slots, rank_in_words, run_once, seeds_covered, without_floor
 from benchmark.report import learning
 from benchmark.report.leaderboard_view import marks
 from benchmark.results.dataset_lookup import locate
 from benchmark.results.manifest import write_manifest
 from benchmark.results.packed_runs import is_packed
-from benchmark.results.run_folder import (
-    RunRow,
-    load_runs,
-)
+from benchmark.results.run_folder import RunRow, load_runs
 
 HEADLINE_OF_POSES = ("posed", "translation_median", "orientation_median", "box_iou")
 

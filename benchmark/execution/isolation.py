@@ -15,12 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol, runtime_checkable
 
-from benchmark.execution.machine import (
-    ROOT,
-    cores,
-    machine_mib,
-    resident_mib,
-)
+from benchmark.execution.machine import ROOT, cores, machine_mib, resident_mib
 from datagen.console.text import counted
 from datagen.errors import EXIT_INTERRUPTED, Busy
 

@@ -7,30 +7,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.execution.runner import (
-    SPLIT,
-    Job,
-    Target,
-)
+from benchmark.execution.runner import SPLIT, Job, Target
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.model_spec import ModelSpec
 from benchmark.models.registry import find_model
 from benchmark.names import PRETRAINED, SLOTS
-from benchmark.results.run_folder import (
-    TRAINING,
-    RunKey,
-    RunRow,
-    digest,
-)
+from benchmark.results.run_folder import TRAINING, RunKey, RunRow, digest
 from datagen.errors import UsageError
-from datagen.tracks import (
-    Profile,
-    Source,
-)
-from obpose.storage.pretrained import (
-    content_hash,
-    find_shipped,
-)
+from datagen.tracks import Profile, Source
+from obpose.storage.pretrained import content_hash, find_shipped
 
 
 @dataclass(frozen=True)

@@ -4,28 +4,12 @@ from pathlib import Path
 
 from benchmark.commands import arguments
 from benchmark.commands.flag_limits import check_flag
-from benchmark.execution.plan import (
-    Request,
-    Weights,
-)
+from benchmark.execution.plan import Request, Weights
 from benchmark.models.adapters.predictions import PredictionFolder
-from benchmark.models.registry import (
-    budget_of,
-    discover,
-    expand,
-    find_model,
-    row_names,
-)
+from benchmark.models.registry import budget_of, discover, expand, find_model, row_names
 from benchmark.names import check_model_name, find_twin
 from datagen.errors import UsageError
-from datagen.tracks import (
-    DEFAULT,
-    DataFolder,
-    Source,
-    find_data_folder,
-    find_track,
-    find_tracks,
-)
+from datagen.tracks import DEFAULT, DataFolder, Source, find_data_folder, find_track, find_tracks
 from obpose.storage.pretrained import find_checkpoint
 from obpose.systems import system_of
 

@@ -8,44 +8,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, TruthSequence
-from benchmark.execution.machine import (
-    commit,
-    peak_mib,
-)
-from benchmark.execution.scoring import (
-    Predict,
-    score_labels,
-    segment_split,
-)
-from benchmark.execution.validation_scores import (
-    WATCHED,
-    Watch,
-)
+from benchmark.execution.machine import commit, peak_mib
+from benchmark.execution.scoring import Predict, score_labels, segment_split
+from benchmark.execution.validation_scores import WATCHED, Watch
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.interface import Segmenter
-from benchmark.models.model_spec import (
-    ModelSpec,
-    Options,
-)
+from benchmark.models.model_spec import ModelSpec, Options
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
-from benchmark.ranking.escaping import (
-    brief,
-    one_line,
-)
+from benchmark.ranking.escaping import brief, one_line
 from benchmark.results.curves import Curve
-from benchmark.results.run_folder import (
-    LABELS,
-    Measured,
-    RunKey,
-    RunRow,
-    save_row,
-)
+from benchmark.results.run_folder import LABELS, Measured, RunKey, RunRow, save_row
 from datagen.errors import UsageError
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.reader import Dataset, Split
 from datagen.tracks import Profile
 
 SPLIT = "test"

@@ -7,32 +7,13 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import TypeVar
 
-from benchmark.execution.isolation import (
-    LOGS,
-    Limits,
-    run_isolated,
-)
-from benchmark.execution.plan import (
-    Plan,
-    repeats,
-)
-from benchmark.execution.runner import (
-    Job,
-    Target,
-    blank_row,
-)
+from benchmark.execution.isolation import LOGS, Limits, run_isolated
+from benchmark.execution.plan import Plan, repeats
+from benchmark.execution.runner import Job, Target, blank_row
 from benchmark.models.model_spec import ModelSpec
 from benchmark.models.registry import find_model
 from benchmark.results.files import write_whole
-from benchmark.results.run_folder import (
-    SCENES,
-    RunKey,
-    RunRow,
-    load_row,
-    load_runs,
-    row_path,
-    save_row,
-)
+from benchmark.results.run_folder import SCENES, RunKey, RunRow, load_row, load_runs, row_path, save_row
 
 Heard = Callable[[RunRow], None]
 """Is told of every target's row that a job made or failed to make."""

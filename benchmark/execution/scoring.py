@@ -10,26 +10,11 @@ import numpy as np
 from benchmark.clips import ClipSequence, read_truth
 from benchmark.metrics import clip_scores
 from benchmark.metrics.poses import pose_scores
-from benchmark.models.interface import (
-    Clip,
-    Poses,
-    Prediction,
-)
-from benchmark.results.labels import (
-    LARGEST,
-    check_labels_fit,
-    read_labels,
-    write_labels,
-)
+from benchmark.models.interface import Clip, Poses, Prediction
+from benchmark.results.labels import LARGEST, check_labels_fit, read_labels, write_labels
 from benchmark.results.pose_files import read_poses
-from benchmark.results.pose_rules import (
-    ARRAYS,
-    pose_fault,
-)
-from benchmark.results.run_folder import (
-    save_scenes,
-    scene_line,
-)
+from benchmark.results.pose_rules import ARRAYS, pose_fault
+from benchmark.results.run_folder import save_scenes, scene_line
 from benchmark.tasks.true_poses import read_true_poses
 from datagen.errors import DatagenError
 from datagen.storage.reader import Split

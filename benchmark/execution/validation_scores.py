@@ -12,15 +12,8 @@ import numpy as np
 from jaxtyping import Integer
 
 from benchmark.metrics import clip_scores
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
-from benchmark.results.curves import (
-    Curve,
-    load_curve,
-    save_curve,
-)
+from benchmark.models.interface import Clip, Prediction
+from benchmark.results.curves import Curve, load_curve, save_curve
 
 WATCHED = "watched"
 CLIPS, FRAMES = 16, 5

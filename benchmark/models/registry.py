@@ -15,12 +15,7 @@ from dataclasses import dataclass
 
 from benchmark.models import plugins
 from benchmark.models.adapters import LEARNED
-from benchmark.models.classical import (
-    CLASSICAL,
-    FLOORS,
-    ORACLES,
-    POSED,
-)
+from benchmark.models.classical import CLASSICAL, FLOORS, ORACLES, POSED
 from benchmark.models.model_spec import ModelSpec
 from benchmark.models.plugins import Problem
 from datagen.errors import UsageError, unknown_name

@@ -7,14 +7,8 @@ import numpy as np
 from jaxtyping import Integer
 
 from benchmark.metrics import clip_scores
-from benchmark.models.interface import (
-    Clip,
-    Segmenter,
-)
-from benchmark.models.model_spec import (
-    ModelSpec,
-    Options,
-)
+from benchmark.models.interface import Clip, Segmenter
+from benchmark.models.model_spec import ModelSpec, Options
 
 CRITERION = "msc_fg"
 FRAMES = 300

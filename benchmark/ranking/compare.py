@@ -14,14 +14,7 @@ from rich.text import Text
 from benchmark.ranking import statistics
 from benchmark.ranking.escaping import one_line
 from benchmark.ranking.number_text import decimals_that_show
-from benchmark.ranking.standings import (
-    ALL_METRICS,
-    Entry,
-    Progress,
-    compare_entries,
-    load_entries,
-    silent,
-)
+from benchmark.ranking.standings import ALL_METRICS, Entry, Progress, compare_entries, load_entries, silent
 from benchmark.ranking.statistics import Difference
 from benchmark.ranking.table_text import without_floor
 from benchmark.results.run_folder import check_runs

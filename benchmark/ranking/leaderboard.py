@@ -20,24 +20,12 @@ import numpy as np
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking import tables
 from benchmark.ranking.escaping import printable
-from benchmark.ranking.standings import (
-    ALL_METRICS,
-    RANKED_METRICS,
-    SWITCHES,
-    Entry,
-    Progress,
-    load_standings,
-    silent,
-)
+from benchmark.ranking.standings import ALL_METRICS, RANKED_METRICS, SWITCHES, Entry, Progress, load_standings, silent
 from benchmark.ranking.statistics import Summary
 from benchmark.ranking.table_text import rank_in_words
 from benchmark.results.files import write_whole
 from benchmark.results.packed_runs import is_packed
-from benchmark.results.run_folder import (
-    COUNTS,
-    RunRow,
-    SceneTable,
-)
+from benchmark.results.run_folder import COUNTS, RunRow, SceneTable
 
 Cell = str | int | float
 Line = Mapping[str, Cell]

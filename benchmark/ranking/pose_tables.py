@@ -4,14 +4,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from benchmark.ranking import escaping
-from benchmark.ranking.standings import (
-    Entry,
-    best_first,
-)
-from benchmark.ranking.table_text import (
-    mean_and_std,
-    seeds_covered,
-)
+from benchmark.ranking.standings import Entry, best_first
+from benchmark.ranking.table_text import mean_and_std, seeds_covered
 
 
 @dataclass(frozen=True)

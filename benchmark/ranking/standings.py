@@ -17,22 +17,9 @@ from jaxtyping import Bool, Float64
 from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking import statistics
-from benchmark.ranking.failed_seeds import (
-    HEADLINE,
-    cause_of_failure,
-    has_finite_loss,
-)
-from benchmark.ranking.statistics import (
-    Difference,
-    Resamples,
-    Summary,
-)
-from benchmark.results.run_folder import (
-    RunRow,
-    SceneTable,
-    load_runs,
-    load_scenes,
-)
+from benchmark.ranking.failed_seeds import HEADLINE, cause_of_failure, has_finite_loss
+from benchmark.ranking.statistics import Difference, Resamples, Summary
+from benchmark.results.run_folder import RunRow, SceneTable, load_runs, load_scenes
 from datagen.console.text import counted
 from datagen.errors import CorruptFile
 

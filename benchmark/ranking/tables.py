@@ -14,12 +14,7 @@ from benchmark.ranking import pose_tables
 from benchmark.ranking.escaping import latex as latex_text
 from benchmark.ranking.escaping import markdown as markdown_text
 from benchmark.ranking.escaping import one_line
-from benchmark.ranking.published import (
-    PAPER_MODELS,
-    PAPER_TRACKS,
-    paper_cells,
-    paper_metrics,
-)
+from benchmark.ranking.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
 from benchmark.ranking.standings import (
     ORACLE_METRICS,
     PRETRAINED,

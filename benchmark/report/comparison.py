@@ -10,40 +10,19 @@ from typing import Any
 from benchmark.execution.runner import SPLIT
 from benchmark.execution.validation_scores import SCORES
 from benchmark.ranking.number_text import MOST_DECIMALS
-from benchmark.ranking.pose_tables import (
-    pose_cells,
-    posed,
-)
-from benchmark.ranking.published import (
-    PAPER_MODELS,
-    paper_cells,
-)
-from benchmark.ranking.standings import (
-    PRETRAINED,
-    Entry,
-    best_first,
-    compare_entries,
-)
-from benchmark.ranking.table_text import (
-    free_of_slots,
-    views_explained,
-    without_floor,
-)
+from benchmark.ranking.pose_tables import pose_cells, posed
+from benchmark.ranking.published import PAPER_MODELS, paper_cells
+from benchmark.ranking.standings import PRETRAINED, Entry, best_first, compare_entries
+from benchmark.ranking.table_text import free_of_slots, views_explained, without_floor
 from benchmark.report import leaderboard_view
 from benchmark.report.analysis import Analysis, analyse
 from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
 from benchmark.report.observations import Objects, observe
-from benchmark.report.track_panel import (
-    error_rows,
-    slice_charts,
-)
+from benchmark.report.track_panel import error_rows, slice_charts
 from benchmark.results.curves import CLOCKS
 from datagen.console.text import counted
 from datagen.errors import DatagenError, UsageError
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.reader import Dataset, Split
 
 OWN = "the track itself"
 Find = Callable[[str, str], Path | None]

@@ -18,10 +18,7 @@ from benchmark.ranking.standings import (
     in_order_of_rank,
 )
 from benchmark.ranking.statistics import Summary
-from benchmark.ranking.table_text import (
-    rank_in_words,
-    seeds_covered,
-)
+from benchmark.ranking.table_text import rank_in_words, seeds_covered
 
 BLOCKS = {
     "learned": "Learned",

@@ -14,10 +14,7 @@ from jaxtyping import Float64
 from benchmark.execution.validation_scores import SCORES
 from benchmark.ranking.escaping import one_line
 from benchmark.ranking.number_text import plain_number
-from benchmark.ranking.standings import (
-    Entry,
-    fields,
-)
+from benchmark.ranking.standings import Entry, fields
 from benchmark.report.leaderboard_view import NAMES
 from benchmark.results.files import write_whole
 

@@ -8,31 +8,12 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from benchmark.metrics.errors_by_type import MEANINGS
-from benchmark.ranking.pose_tables import (
-    HEADER,
-    NOTES,
-)
-from benchmark.ranking.standings import (
-    Entry,
-    fields,
-)
+from benchmark.ranking.pose_tables import HEADER, NOTES
+from benchmark.ranking.standings import Entry, fields
 from benchmark.ranking.table_text import seeds_in_words
 from benchmark.report import leaderboard_view
-from benchmark.report.comparison import (
-    OWN,
-    Field,
-    Find,
-    Truths,
-    comparisons,
-    facts,
-    make_field,
-)
-from benchmark.report.track_panel import (
-    LIMITS,
-    Album,
-    Limits,
-    Painter,
-)
+from benchmark.report.comparison import OWN, Field, Find, Truths, comparisons, facts, make_field
+from benchmark.report.track_panel import LIMITS, Album, Limits, Painter
 from benchmark.results.files import write_whole
 from benchmark.results.run_folder import check_runs
 from datagen.console.text import counted

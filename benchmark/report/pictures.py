@@ -9,10 +9,7 @@ from jaxtyping import Int64, Integer, UInt8
 from PIL import Image
 from scipy.optimize import linear_sum_assignment
 
-from datagen.inspect.preview import (
-    colored_depth,
-    label_colors,
-)
+from datagen.inspect.preview import colored_depth, label_colors
 
 SIDE = 96
 """Pixels that the longer side of one image has at most; larger ones are thinned out."""

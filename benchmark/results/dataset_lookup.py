@@ -6,10 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from benchmark.results.labels import dataset_of
-from benchmark.results.run_folder import (
-    LABELS,
-    RunRow,
-)
+from benchmark.results.run_folder import LABELS, RunRow
 from datagen.errors import DatagenError
 from datagen.tracks import find_dataset
 

@@ -14,11 +14,7 @@ from benchmark.results.label_files import reading_labels
 from benchmark.results.pose_files import PoseRows
 from datagen.errors import CorruptFile
 from datagen.storage.reader import Split
-from datagen.storage.safe_io import (
-    hdf5_attribute,
-    hdf5_dataset,
-    read_hdf5,
-)
+from datagen.storage.safe_io import hdf5_attribute, hdf5_dataset, read_hdf5
 
 LARGEST = 255
 """Labels are bytes."""

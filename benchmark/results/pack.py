@@ -13,18 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.ranking import leaderboard
-from benchmark.ranking.leaderboard import (
-    leaderboard_lines,
-    seed_lines,
-    to_csv,
-)
+from benchmark.ranking.leaderboard import leaderboard_lines, seed_lines, to_csv
 from benchmark.ranking.standings import load_standings
 from benchmark.results.curves import Curve
 from benchmark.results.files import write_whole
-from benchmark.results.manifest import (
-    MANIFEST,
-    write_manifest,
-)
+from benchmark.results.manifest import MANIFEST, write_manifest
 from benchmark.results.packed_runs import (
     CURVES_FILE,
     ROWS_FILE,
@@ -41,15 +34,7 @@ from benchmark.results.packed_runs import (
     write_rows,
     write_scenes,
 )
-from benchmark.results.run_folder import (
-    RUNS,
-    RunRow,
-    check_runs,
-    digest,
-    load_runs,
-    load_scenes,
-    plain_values,
-)
+from benchmark.results.run_folder import RUNS, RunRow, check_runs, digest, load_runs, load_scenes, plain_values
 from datagen.errors import UsageError
 
 PACKED_FILES = (ROWS_FILE, SCENES_FILE, CURVES_FILE)

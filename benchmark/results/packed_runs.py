@@ -24,17 +24,10 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from benchmark.results.curves import (
-    Curve,
-    parse_curve,
-)
+from benchmark.results.curves import Curve, parse_curve
 from benchmark.results.files import write_whole
 from datagen.errors import CorruptFile, UsageError
-from datagen.storage.safe_io import (
-    MOST_TEXT_BYTES,
-    parse_json,
-    read_bytes,
-)
+from datagen.storage.safe_io import MOST_TEXT_BYTES, parse_json, read_bytes
 
 ROWS_FILE, SCENES_FILE, CURVES_FILE = "runs.jsonl.xz", "scenes.csv.xz", "curves.csv.xz"
 DECIMALS = 6

@@ -8,20 +8,11 @@ import h5py
 import numpy as np
 from jaxtyping import Float, Int64, Integer
 
-from benchmark.models.interface import (
-    LARGEST_LABEL,
-    Poses,
-)
+from benchmark.models.interface import LARGEST_LABEL, Poses
 from benchmark.results.label_files import reading_labels
-from benchmark.results.pose_rules import (
-    ARRAYS,
-    pose_fault,
-)
+from benchmark.results.pose_rules import ARRAYS, pose_fault
 from datagen.errors import UsageError
-from datagen.storage.safe_io import (
-    hdf5_dataset,
-    read_hdf5,
-)
+from datagen.storage.safe_io import hdf5_dataset, read_hdf5
 
 GROUP = "poses"
 INDEX = "index"

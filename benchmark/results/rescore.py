@@ -5,14 +5,8 @@ from pathlib import Path
 
 from benchmark.execution.runner import SPLIT
 from benchmark.execution.scoring import score_labels
-from benchmark.ranking.standings import (
-    Progress,
-    silent,
-)
-from benchmark.results.dataset_lookup import (
-    labels_path,
-    locate,
-)
+from benchmark.ranking.standings import Progress, silent
+from benchmark.results.dataset_lookup import labels_path, locate
 from benchmark.results.run_folder import RunRow
 from datagen.errors import DatagenError
 from datagen.storage.reader import Dataset

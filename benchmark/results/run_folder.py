@@ -26,25 +26,12 @@ import numpy as np
 from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.models.model_spec import Kind
 from benchmark.results.csv_files import read_csv
-from benchmark.results.curves import (
-    load_curve,
-    save_curve,
-)
+from benchmark.results.curves import load_curve, save_curve
 from benchmark.results.files import write_whole
-from benchmark.results.packed_runs import (
-    SCENES_FILE,
-    is_packed,
-    packed_rows,
-    packed_scenes,
-)
+from benchmark.results.packed_runs import SCENES_FILE, is_packed, packed_rows, packed_scenes
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
-from datagen.storage.safe_io import (
-    MOST_JSON_BYTES,
-    brief_reason,
-    parse_json,
-    read_text,
-)
+from datagen.storage.safe_io import MOST_JSON_BYTES, brief_reason, parse_json, read_text
 
 RUNS, SCENES, LABELS, CURVES, TRAINING = "runs", "scenes", "labels", "curves", "training"
 COUNTS = ("objects", "one_object", "undefined", "identity_switches", "ignored")

@@ -15,24 +15,12 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from datagen.commands import options
-from datagen.commands.arguments import (
-    Constants,
-    Generate,
-    Inspect,
-    Preview,
-    Regenerate,
-    Render,
-    Stats,
-    Verify,
-)
+from datagen.commands.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import given_arguments
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError, run_program
 from datagen.storage.reader import Dataset
-from datagen.storage.spec import (
-    read_spec,
-    rendered_recipe_of,
-)
+from datagen.storage.spec import read_spec, rendered_recipe_of
 
 if TYPE_CHECKING:
     from datagen.pipeline.generate import Report

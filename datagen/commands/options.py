@@ -8,10 +8,7 @@ from pathlib import Path
 from datagen.config import Recipe, constant_names, load_recipe
 from datagen.errors import UsageError
 from datagen.schema import EDITS, SPLITS, EditKind
-from datagen.storage.spec import (
-    MOST_SCENES,
-    split_sizes,
-)
+from datagen.storage.spec import MOST_SCENES, split_sizes
 
 LEAST_SIDE, MOST_SIDE = 8, 4096
 """Smallest and largest side of an image, pixels."""

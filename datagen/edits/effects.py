@@ -6,10 +6,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.edits.edit_context import Stage
-from datagen.pipeline.records import (
-    render_clip,
-    stack_images,
-)
+from datagen.pipeline.records import render_clip, stack_images
 from datagen.render.renderer import Renderer
 from datagen.schema import LEAST_EFFECT, SceneRecord
 

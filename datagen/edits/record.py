@@ -6,16 +6,9 @@ import numpy as np
 
 from datagen.config import Recipe
 from datagen.edits.choice import Edit, choose_edit
-from datagen.edits.edit_context import (
-    Stage,
-    without,
-)
+from datagen.edits.edit_context import Stage, without
 from datagen.edits.effects import changed, packed, touched
-from datagen.pipeline.records import (
-    render_clip,
-    stack_images,
-    stored_depth,
-)
+from datagen.pipeline.records import render_clip, stack_images, stored_depth
 from datagen.pipeline.visible_range import check_range
 from datagen.render.renderer import Renderer
 from datagen.schema import EditKind, SceneRecord

@@ -2,19 +2,12 @@
 
 from pathlib import Path
 
-from datagen.inspect.stats import (
-    Summary,
-    summary,
-)
+from datagen.inspect.stats import Summary, summary
 from datagen.schema import FIELDS
 from datagen.storage.dataset_folder import write_file
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import CONVENTIONS
-from datagen.storage.spec import (
-    CARD_FILE,
-    Spec,
-    settings_hash,
-)
+from datagen.storage.spec import CARD_FILE, Spec, settings_hash
 
 SIZES = [(10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M")]
 """The hub's words for numbers of images below a limit."""

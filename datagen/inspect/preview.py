@@ -9,10 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from datagen.errors import UsageError
 from datagen.schema import SceneRecord
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.reader import Dataset, Split
 from datagen.storage.spec import groups_of
 
 LEAST_TILE = 160

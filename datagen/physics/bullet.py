@@ -18,13 +18,7 @@ from jaxtyping import Float
 from datagen.config import Physics
 from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
-from datagen.physics.rigid_body import (
-    multiply,
-    principal_axes,
-    shrink,
-    wavefront_file,
-    xyzw,
-)
+from datagen.physics.rigid_body import multiply, principal_axes, shrink, wavefront_file, xyzw
 from datagen.scene import Scene, Trajectory
 from datagen.shapes.shape import Shape
 

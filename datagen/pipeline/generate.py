@@ -11,43 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from datagen.config import Recipe, recipe_to_dict
-from datagen.console.progress import (
-    Advance,
-    Progress,
-    no_progress,
-)
+from datagen.console.progress import Advance, Progress, no_progress
 from datagen.errors import UsageError
 from datagen.inspect.dataset_card import write_card
-from datagen.pipeline.make_scene import (
-    SceneMaker,
-    Source,
-    check_memory,
-    make_scene,
-    renderer_identity,
-)
+from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, array_hash
-from datagen.storage.dataset_folder import (
-    filling,
-    settle,
-    write_file,
-)
+from datagen.storage.dataset_folder import filling, settle, write_file
 from datagen.storage.manifest import make_manifest
 from datagen.storage.reader import Dataset
-from datagen.storage.shard import (
-    PackedScene,
-    Shard,
-    shard_image,
-)
-from datagen.storage.spec import (
-    MANIFEST_FILE,
-    Spec,
-    groups_of,
-    make_spec,
-    settings_hash,
-    shard_name,
-    shard_ranges,
-)
+from datagen.storage.shard import PackedScene, Shard, shard_image
+from datagen.storage.spec import MANIFEST_FILE, Spec, groups_of, make_spec, settings_hash, shard_name, shard_ranges
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,7 @@ from datagen.config import Recipe
 from datagen.edits import edits_record
 from datagen.edits.edit_context import stage_of
 from datagen.errors import CorruptFile, UsageError
-from datagen.pipeline.records import (
-    pixel_record,
-    scene_and_trajectory,
-    simulation_record,
-    with_scene,
-)
+from datagen.pipeline.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.pipeline.visible_range import check_range
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
@@ -25,21 +20,9 @@ from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Scene
 from datagen.schema import FIELDS, SPLITS, EditKind, SceneRecord
 from datagen.shapes import build
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
-from datagen.storage.shard import (
-    PackedScene,
-    pack,
-)
-from datagen.storage.spec import (
-    Spec,
-    edits_of,
-    recipe_of,
-    rendered_recipe_of,
-    views_of,
-)
+from datagen.storage.reader import Dataset, Split
+from datagen.storage.shard import PackedScene, pack
+from datagen.storage.spec import Spec, edits_of, recipe_of, rendered_recipe_of, views_of
 
 MOST_MEMORY = 4 * 2**30
 """Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""

@@ -11,10 +11,7 @@ from datagen import shapes as shape_families
 from datagen.config import Recipe
 from datagen.errors import ImpossibleScene, UsageError
 from datagen.physics.bullet import World
-from datagen.pipeline.visible_range import (
-    near_object,
-    table_fault,
-)
+from datagen.pipeline.visible_range import near_object, table_fault
 from datagen.render import make_renderer
 from datagen.render.renderer import NEAREST
 from datagen.sampling import Rejected, sample_scene

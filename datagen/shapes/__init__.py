@@ -6,16 +6,7 @@ from functools import lru_cache
 
 from datagen.errors import UsageError
 from datagen.scene import ShapeSpec
-from datagen.shapes.families import (
-    composite,
-    extrusion,
-    furniture,
-    lathe,
-    mug,
-    primitives,
-    seating,
-    superquadric,
-)
+from datagen.shapes.families import composite, extrusion, furniture, lathe, mug, primitives, seating, superquadric
 from datagen.shapes.shape import Shape
 from datagen.storage.safe_io import parse_json
 

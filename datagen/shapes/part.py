@@ -8,14 +8,8 @@ from jaxtyping import Float
 
 from datagen.shapes.geometry import mass as masses
 from datagen.shapes.geometry import mesh as meshes
-from datagen.shapes.geometry import (
-    round_mesh,
-    sdf,
-)
-from datagen.shapes.geometry.bounding import (
-    Outline,
-    minimum_box,
-)
+from datagen.shapes.geometry import round_mesh, sdf
+from datagen.shapes.geometry.bounding import Outline, minimum_box
 from datagen.shapes.geometry.convex import convex_hull
 from datagen.shapes.geometry.mass import Mass
 from datagen.shapes.geometry.mesh import Mesh

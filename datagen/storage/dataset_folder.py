@@ -14,10 +14,7 @@ from datagen.errors import Busy, CorruptFile, DatagenError, UsageError
 from datagen.schema import GENERATOR, SPLITS
 from datagen.storage.locks import FolderLock
 from datagen.storage.processes import is_running
-from datagen.storage.shard import (
-    scenes_present,
-    shard_settings,
-)
+from datagen.storage.shard import scenes_present, shard_settings
 from datagen.storage.spec import (
     CARD_FILE,
     MANIFEST_FILE,

@@ -12,11 +12,7 @@ from datagen.errors import CorruptFile
 from datagen.schema import SPLITS
 from datagen.storage.safe_io import read_json
 from datagen.storage.shard import Shard
-from datagen.storage.spec import (
-    MANIFEST_FILE,
-    Spec,
-    shard_ranges,
-)
+from datagen.storage.spec import MANIFEST_FILE, Spec, shard_ranges
 
 _PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender")
 

@@ -15,21 +15,8 @@ from typing import Any, SupportsIndex, overload
 
 from datagen.errors import DatagenError, UsageError
 from datagen.schema import SPLITS, EditKind, SceneRecord
-from datagen.storage.shard import (
-    PackedScene,
-    Shard,
-    scenes_present,
-)
-from datagen.storage.spec import (
-    Spec,
-    edits_of,
-    groups_of,
-    read_spec,
-    settings_hash,
-    shard_name,
-    shard_ranges,
-    views_of,
-)
+from datagen.storage.shard import PackedScene, Shard, scenes_present
+from datagen.storage.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges, views_of
 
 _MOST_OPEN_FILES = 64
 

@@ -19,16 +19,7 @@ import numpy as np
 from h5py import h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from datagen.errors import DatagenError, UsageError
-from datagen.schema import (
-    DEPTH_SCALE,
-    EDITS,
-    FIELDS,
-    FORMAT_VERSION,
-    GENERATOR,
-    SceneRecord,
-    check_field,
-    scene_hash,
-)
+from datagen.schema import DEPTH_SCALE, EDITS, FIELDS, FORMAT_VERSION, GENERATOR, SceneRecord, check_field, scene_hash
 from datagen.storage.safe_io import (
     MOST_CHUNK_BYTES,
     hdf5_attribute,
@@ -38,13 +29,7 @@ from datagen.storage.safe_io import (
     read_hdf5,
     reading_hdf5,
 )
-from datagen.storage.spec import (
-    Spec,
-    lengths_of,
-    settings_hash,
-    shard_name,
-    shard_numbers,
-)
+from datagen.storage.spec import Spec, lengths_of, settings_hash, shard_name, shard_numbers
 
 CONVENTIONS = (
     "Metres, seconds, kilograms, radians. World: right-handed, z up. Camera: OpenCV (x right, y down, z forward); "

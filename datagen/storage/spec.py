@@ -27,11 +27,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
 from datagen.schema import DATA_VERSION, EDITS, FORMAT_VERSION, GENERATOR, SPLITS, EditKind
-from datagen.storage.safe_io import (
-    MOST_ARRAY_BYTES,
-    brief_reason,
-    read_json,
-)
+from datagen.storage.safe_io import MOST_ARRAY_BYTES, brief_reason, read_json
 
 SPEC_FILE = "dataset.json"
 MANIFEST_FILE = "manifest.json"

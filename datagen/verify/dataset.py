@@ -16,22 +16,10 @@ from datagen import schema
 from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
 from datagen.pipeline.parallel import make_all
-from datagen.storage.manifest import (
-    make_manifest,
-    read_manifest,
-)
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.manifest import make_manifest, read_manifest
+from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import Shard
-from datagen.storage.spec import (
-    MANIFEST_FILE,
-    groups_of,
-    recipe_of,
-    shard_name,
-    shard_ranges,
-)
+from datagen.storage.spec import MANIFEST_FILE, groups_of, recipe_of, shard_name, shard_ranges
 from datagen.verify.finding import Finding
 from datagen.verify.scene_checks import verify_record
 

@@ -16,10 +16,7 @@ from datagen.shapes.shape import MESH_TOLERANCE
 from datagen.verify.finding import Finding
 from datagen.verify.precision import rounding
 from datagen.verify.scene_case import Case
-from datagen.verify.sphere_tracing import (
-    clip_to_box,
-    trace,
-)
+from datagen.verify.sphere_tracing import clip_to_box, trace
 
 SURFACE_STEPS, PLANE_STEPS = 0.7, 0.8
 """Steps of depth that stored depth may be off: half a step, and a reserve for arithmetic in float32."""

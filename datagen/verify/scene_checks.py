@@ -13,12 +13,7 @@ from datagen.verify.edits import check_edit, check_effects
 from datagen.verify.finding import Finding
 from datagen.verify.pixels import check_order, check_surfaces, check_table
 from datagen.verify.precision import OPENGL, PRECISION
-from datagen.verify.scene_case import (
-    DEFAULT,
-    Allowed,
-    Case,
-    make_case,
-)
+from datagen.verify.scene_case import DEFAULT, Allowed, Case, make_case
 from datagen.verify.views import check_views
 
 Check = Callable[[Case], Iterator[Finding]]

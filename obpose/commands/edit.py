@@ -24,19 +24,7 @@ from torch import Tensor
 import assets
 from datagen.console.command_line import given_arguments
 from datagen.console.text import counted
-from obpose.commands.edit_arguments import (
-    Add,
-    Fit,
-    Infer,
-    Learn,
-    Mesh,
-    Move,
-    Remove,
-    Render,
-    Rotate,
-    Sample,
-    Swap,
-)
+from obpose.commands.edit_arguments import Add, Fit, Infer, Learn, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.data.clips import clip_part
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
@@ -45,75 +33,23 @@ from obpose.rgbd.frames import look
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
 from obpose.scenes.bounds import check_inside
-from obpose.scenes.clip import (
-    name_clip,
-    one_of,
-    read_clip,
-)
-from obpose.scenes.infer import (
-    infer_scene,
-    views_as_trained,
-)
-from obpose.scenes.meshes import (
-    FORMATS,
-    object_mesh,
-    write_mesh,
-)
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-    origin_of,
-)
-from obpose.scenes.pictures import (
-    PICTURE,
-    strip,
-    turntable,
-    write_gif,
-    write_png,
-)
-from obpose.scenes.priors.flow_prior import (
-    has_flow,
-    named_prior,
-)
+from obpose.scenes.clip import name_clip, one_of, read_clip
+from obpose.scenes.infer import infer_scene, views_as_trained
+from obpose.scenes.meshes import FORMATS, object_mesh, write_mesh
+from obpose.scenes.model_ref import Origin, load_origin, origin_of
+from obpose.scenes.pictures import PICTURE, strip, turntable, write_gif, write_png
+from obpose.scenes.priors.flow_prior import has_flow, named_prior
 from obpose.scenes.priors.gaussian import FILE as PRIOR
-from obpose.scenes.priors.gaussian import (
-    fit_prior,
-    has_prior,
-    load_prior,
-    save_prior,
-)
-from obpose.scenes.priors.object_bank import (
-    FoundObjects,
-    find_objects,
-)
+from obpose.scenes.priors.gaussian import fit_prior, has_prior, load_prior, save_prior
+from obpose.scenes.priors.object_bank import FoundObjects, find_objects
 from obpose.scenes.priors.sample import sample_scene
-from obpose.scenes.priors.tables import (
-    MOST,
-    find_tables,
-)
-from obpose.scenes.priors.train_flow import (
-    Lesson,
-    learn_flow,
-)
+from obpose.scenes.priors.tables import MOST, find_tables
+from obpose.scenes.priors.train_flow import Lesson, learn_flow
 from obpose.scenes.refine import STEPS
-from obpose.scenes.rendering import (
-    Image,
-    Renderer,
-)
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-    axis_rotation,
-)
-from obpose.scenes.storage import (
-    load_scene,
-    save_scene,
-)
-from obpose.storage.files import (
-    check_free,
-    check_new,
-    new_file,
-)
+from obpose.scenes.rendering import Image, Renderer
+from obpose.scenes.scene import Camera, Scene, axis_rotation
+from obpose.scenes.storage import load_scene, save_scene
+from obpose.storage.files import check_free, check_new, new_file
 
 PROGRAM = "obpose-edit"
 FPS = 8.0

@@ -20,14 +20,8 @@ from datagen.console.text import counted
 from obpose.data.resolution import fitting_model
 from obpose.errors import EXIT_OK, run_program
 from obpose.model.obpose import ObPose
-from obpose.rgbd.frames import (
-    Frames,
-    look,
-)
-from obpose.rgbd.writing import (
-    Found,
-    write_results,
-)
+from obpose.rgbd.frames import Frames, look
+from obpose.rgbd.writing import Found, write_results
 from obpose.storage.checkpoint import load_obpose
 from obpose.storage.files import check_free
 from obpose.storage.pretrained import find_checkpoint

@@ -17,11 +17,7 @@ from rich.console import Console
 
 from datagen.console.command_line import given_arguments
 from datagen.console.text import counted
-from datagen.tracks import (
-    DataFolder,
-    Track,
-    find_track,
-)
+from datagen.tracks import DataFolder, Track, find_track
 from obpose.commands.scene_bar import scene_bar
 from obpose.commands.train_arguments import Train
 from obpose.config import TrainConfig

@@ -6,11 +6,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from obpose.training.loop import (
-    CurvePoint,
-    Report,
-    Status,
-)
+from obpose.training.loop import CurvePoint, Report, Status
 
 SMOOTHING = 0.98
 """Share of the old value in the losses that are shown; single steps differ too much to be read."""

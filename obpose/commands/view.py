@@ -17,10 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.console.command_line import (
-    answer_version,
-    given_arguments,
-)
+from datagen.console.command_line import answer_version, given_arguments
 from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program
 
 if TYPE_CHECKING:

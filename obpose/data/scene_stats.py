@@ -9,10 +9,7 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.data.clips import (
-    ClipSource,
-    observation_of,
-)
+from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.types import Observation

@@ -18,20 +18,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from obpose.config import BackboneConfig
-from obpose.model.layers.grid import (
-    Grid,
-    Windows,
-    all_places,
-    on_grid,
-    thin,
-    upsample,
-    windows,
-)
+from obpose.model.layers.grid import Grid, Windows, all_places, on_grid, thin, upsample, windows
 from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import (
-    KPConv,
-    influence,
-)
+from obpose.model.layers.kpconv import KPConv, influence
 from obpose.model.layers.mlp import Linear
 
 

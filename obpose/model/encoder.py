@@ -11,15 +11,8 @@ from obpose.geometry import unproject
 from obpose.model.attention.slot import SlotAttention
 from obpose.model.attention.summary import mean_under
 from obpose.model.background import BackgroundLatent
-from obpose.model.perception import (
-    Perception,
-    Points,
-    Prescope,
-)
-from obpose.model.pose.crop import (
-    BoxSamples,
-    gather_box,
-)
+from obpose.model.perception import Perception, Points, Prescope
+from obpose.model.pose.crop import BoxSamples, gather_box
 from obpose.model.pose.encoder import ObjectEncoder
 from obpose.model.pose.location import observed_center
 from obpose.model.pose.orientation import observed_rotation

@@ -17,26 +17,11 @@ from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
 from obpose.model.attention.posterior import posterior_masks
 from obpose.model.attention.summary import not_largest
 from obpose.model.backbone import plain_colours
-from obpose.model.encoder import (
-    SceneEncoder,
-    fixed,
-)
-from obpose.model.losses.objective import (
-    Evidence,
-    loss_terms,
-)
+from obpose.model.encoder import SceneEncoder, fixed
+from obpose.model.losses.objective import Evidence, loss_terms
 from obpose.model.losses.observation import log_likelihood
-from obpose.model.nerf.along import (
-    Decode,
-    FieldsAlongRays,
-    fields_along,
-)
-from obpose.model.nerf.components import (
-    Background,
-    Colours,
-    decode,
-    decode_background,
-)
+from obpose.model.nerf.along import Decode, FieldsAlongRays, fields_along
+from obpose.model.nerf.components import Background, Colours, decode, decode_background
 from obpose.model.nerf.field import Field
 from obpose.model.nerf.voxels import estimate_shape
 from obpose.model.nerf.world import decode_world

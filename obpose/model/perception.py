@@ -8,19 +8,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.config import Config
-from obpose.data.clips import (
-    Observed,
-    one_view,
-)
+from obpose.data.clips import Observed, one_view
 from obpose.model.attention.heads import Heads
-from obpose.model.attention.icsbp import (
-    ICSBP,
-    whole_scope,
-)
-from obpose.model.attention.slot import (
-    SlotAttention,
-    Slots,
-)
+from obpose.model.attention.icsbp import ICSBP, whole_scope
+from obpose.model.attention.slot import SlotAttention, Slots
 from obpose.model.attention.upsample import masks_at
 from obpose.model.backbone import Backbone
 from obpose.trainable import Trainable

@@ -9,31 +9,14 @@ import torch
 from einops import rearrange
 from jaxtyping import Float64
 
-from obpose.data.resolution import (
-    fitting_model,
-    spacing_note,
-    surface_spacing,
-)
+from obpose.data.resolution import fitting_model, spacing_note, surface_spacing
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
 from obpose.rgbd.plane import Plane
-from obpose.rgbd.reading import (
-    Recording,
-    parse_intrinsics,
-    read_recording,
-)
-from obpose.rgbd.table import (
-    find_table,
-    table_points,
-)
-from obpose.rgbd.world import (
-    FITTED,
-    GIVEN,
-    Pose,
-    pose_over_plane,
-    read_pose,
-)
+from obpose.rgbd.reading import Recording, parse_intrinsics, read_recording
+from obpose.rgbd.table import find_table, table_points
+from obpose.rgbd.world import FITTED, GIVEN, Pose, pose_over_plane, read_pose
 from obpose.types import Observation
 
 _COARSE = 5.0

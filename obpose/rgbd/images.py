@@ -9,11 +9,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
-from datagen.storage.safe_io import (
-    npy_shape,
-    open_image,
-    read_npy,
-)
+from datagen.storage.safe_io import npy_shape, open_image, read_npy
 from obpose.errors import UsageError
 
 Size = tuple[int, int]

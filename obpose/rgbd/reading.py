@@ -10,13 +10,7 @@ from jaxtyping import Float32, Float64, UInt8
 from obpose.errors import UsageError
 from obpose.rgbd.frame_files import check_pairs
 from obpose.rgbd.frame_files import list_frames as _expand
-from obpose.rgbd.images import (
-    Size,
-    colour_size,
-    depth_size,
-    read_colour,
-    read_depth,
-)
+from obpose.rgbd.images import Size, colour_size, depth_size, read_colour, read_depth
 
 COLOUR_ENDINGS = (".png", ".jpg", ".jpeg")
 DEPTH_ENDINGS = (".png", ".tif", ".tiff", ".npy")

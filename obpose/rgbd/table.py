@@ -3,13 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from obpose.rgbd.plane import (
-    FEWEST_POINTS,
-    SAMPLE,
-    TOLERANCE,
-    Plane,
-    fit_plane,
-)
+from obpose.rgbd.plane import FEWEST_POINTS, SAMPLE, TOLERANCE, Plane, fit_plane
 
 PLANES = 4
 """Planes that are compared."""

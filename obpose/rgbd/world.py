@@ -6,18 +6,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float64
 
-from datagen.storage.safe_io import (
-    npy_shape,
-    parse_json,
-    read_npy,
-    read_text,
-)
+from datagen.storage.safe_io import npy_shape, parse_json, read_npy, read_text
 from obpose.errors import CorruptFile, UsageError
 from obpose.rgbd.plane import Plane
-from obpose.rgbd.table import (
-    find_table,
-    table_points,
-)
+from obpose.rgbd.table import find_table, table_points
 
 Pose = Float64[np.ndarray, "4 4"]
 

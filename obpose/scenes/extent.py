@@ -6,10 +6,7 @@ from torch import Tensor
 
 from obpose.geometry import from_box
 from obpose.model.nerf.field import Conditioning
-from obpose.model.nerf.voxels import (
-    lattice_points,
-    occupancy,
-)
+from obpose.model.nerf.voxels import lattice_points, occupancy
 from obpose.model.obpose import ObPose
 
 LEAST_VOXELS = 8

@@ -14,10 +14,7 @@ from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.find_table_texture import find_pattern
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.scene import Camera, Scene
 from obpose.types import Inference, Observation
 
 LOOKED_AT = 10

@@ -8,11 +8,7 @@ from obpose.config import Config
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
 from obpose.scenes.scene import Scene
-from obpose.storage.checkpoint import (
-    MODEL,
-    load_obpose,
-    read_config,
-)
+from obpose.storage.checkpoint import MODEL, load_obpose, read_config
 from obpose.storage.pretrained import find_checkpoint
 from obpose.systems import OBPOSE, architecture_of
 from obpose.trainable import Configuration

@@ -13,10 +13,7 @@ from torch import Tensor
 
 from obpose.pictures import PALETTE
 from obpose.scenes.rendering import Image
-from obpose.scenes.scene import (
-    Camera,
-    upright,
-)
+from obpose.scenes.scene import Camera, upright
 from obpose.storage.files import write_whole
 
 PICTURE = "picture.png"

@@ -13,15 +13,8 @@ from torch import Tensor
 from obpose.geometry import all_rays, sample_rays_where
 from obpose.model.losses.objective import observation_terms
 from obpose.model.nerf.along import fields_along
-from obpose.model.nerf.components import (
-    Background,
-    Colours,
-    decode,
-)
-from obpose.model.nerf.detail import (
-    Detail,
-    roughness,
-)
+from obpose.model.nerf.components import Background, Colours, decode
+from obpose.model.nerf.detail import Detail, roughness
 from obpose.model.obpose import ObPose
 from obpose.scenes.scene import Scene
 from obpose.types import Boxes, Decoded, Observation

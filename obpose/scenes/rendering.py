@@ -13,24 +13,11 @@ from torch import Tensor
 from obpose.geometry import camera_rays
 from obpose.model.nerf.detail import Detail
 from obpose.model.nerf.field import Conditioning
-from obpose.model.nerf.marching import (
-    Component,
-    Picture,
-    make_component,
-    march,
-    moved,
-    thickness_towards,
-)
+from obpose.model.nerf.marching import Component, Picture, make_component, march, moved, thickness_towards
 from obpose.model.obpose import ObPose
-from obpose.scenes.appearance.light import (
-    beams,
-    strength,
-)
+from obpose.scenes.appearance.light import beams, strength
 from obpose.scenes.appearance.table_texture import pattern_at
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.scene import Camera, Scene
 
 _OPAQUE = 5.0
 """Optical thickness of as much of an opaque thing as lies between the surface points of neighbouring pixels. The

@@ -11,42 +11,15 @@ import torch
 from jaxtyping import Float
 from safetensors.torch import save
 
-from datagen.storage.safe_io import (
-    brief_reason,
-    read_json,
-)
+from datagen.storage.safe_io import brief_reason, read_json
 from obpose.errors import CorruptFile, UsageError
-from obpose.model.nerf.detail import (
-    EDGE,
-    no_detail,
-)
-from obpose.scenes.appearance.light import (
-    is_light,
-    no_light,
-)
+from obpose.model.nerf.detail import EDGE, no_detail
+from obpose.scenes.appearance.light import is_light, no_light
 from obpose.scenes.appearance.table_texture import no_pattern
-from obpose.scenes.pictures import (
-    PICTURE,
-    Picture,
-    write_png,
-)
-from obpose.scenes.scene import (
-    LARGEST_ID,
-    Camera,
-    ClipName,
-    Scene,
-)
-from obpose.storage.files import (
-    new_folder,
-    write_whole,
-)
-from obpose.storage.tensors import (
-    Form,
-    Forms,
-    State,
-    differences_of,
-    read_tensors,
-)
+from obpose.scenes.pictures import PICTURE, Picture, write_png
+from obpose.scenes.scene import LARGEST_ID, Camera, ClipName, Scene
+from obpose.storage.files import new_folder, write_whole
+from obpose.storage.tensors import Form, Forms, State, differences_of, read_tensors
 
 TENSORS, FACTS = "scene.safetensors", "scene.json"
 VERSION = 1

@@ -13,24 +13,12 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
-from datagen.storage.safe_io import (
-    brief_reason,
-    check_file,
-    parse_json,
-    read_json,
-)
+from datagen.storage.safe_io import brief_reason, check_file, parse_json, read_json
 from obpose.config_text import differences, from_plain, to_plain
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
 from obpose.storage.files import write_whole
-from obpose.storage.tensors import (
-    Check,
-    Forms,
-    State,
-    differences_of,
-    forms_of,
-    read_tensors,
-)
+from obpose.storage.tensors import Check, Forms, State, differences_of, forms_of, read_tensors
 from obpose.systems import ARCHITECTURES, OBPOSE, architecture_of, build_model
 from obpose.trainable import Configuration, Trainable
 

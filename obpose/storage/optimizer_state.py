@@ -5,13 +5,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from obpose.storage.tensors import (
-    Form,
-    Forms,
-    State,
-    differences_of,
-    forms_of,
-)
+from obpose.storage.tensors import Form, Forms, State, differences_of, forms_of
 
 _MOMENTS, _COUNT = ("exp_avg", "exp_avg_sq"), "step"
 

@@ -9,10 +9,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from datagen.storage.safe_io import (
-    brief_reason,
-    check_file,
-)
+from datagen.storage.safe_io import brief_reason, check_file
 from obpose.errors import CorruptFile
 from obpose.storage.pretrained import MOST_BYTES
 

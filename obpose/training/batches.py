@@ -14,10 +14,7 @@ from joblib import cpu_count
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from obpose.data.clips import (
-    ClipSource,
-    stack,
-)
+from obpose.data.clips import ClipSource, stack
 from obpose.errors import DatagenError
 from obpose.types import Observation
 

@@ -10,15 +10,8 @@ from torch import Tensor, nn
 
 from obpose.data.clips import views_apart
 from obpose.errors import UsageError
-from obpose.storage.checkpoint import (
-    Build,
-    TrainingState,
-    put_weights,
-)
-from obpose.storage.optimizer_state import (
-    optimizer_state,
-    put_optimizer_state,
-)
+from obpose.storage.checkpoint import Build, TrainingState, put_weights
+from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.storage.tensors import State
 from obpose.trainable import Configuration, Trainable
 from obpose.training.budget import is_skipped

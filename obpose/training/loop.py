@@ -20,11 +20,7 @@ from lightning_fabric import Fabric
 from datagen.console.text import counted
 from obpose.data.clips import ClipSource
 from obpose.errors import CorruptFile, Interrupted, UsageError
-from obpose.storage.checkpoint import (
-    TRAINING,
-    Build,
-    load_training,
-)
+from obpose.storage.checkpoint import TRAINING, Build, load_training
 from obpose.storage.files import claimed
 from obpose.systems import build_model
 from obpose.trainable import Configuration, Trainable

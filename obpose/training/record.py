@@ -11,18 +11,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from obpose.data.clips import (
-    ClipSource,
-    observation_of,
-)
+from obpose.data.clips import ClipSource, observation_of
 from obpose.pictures import write_picture
-from obpose.storage.checkpoint import (
-    STEPS,
-    VALIDATIONS,
-    TrainingState,
-    save_model,
-    save_training,
-)
+from obpose.storage.checkpoint import STEPS, VALIDATIONS, TrainingState, save_model, save_training
 from obpose.trainable import Configuration, Trainable
 from obpose.training.learner import Learned, Learner
 from obpose.training.logs import CsvLog, TensorBoardLog

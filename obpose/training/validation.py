@@ -8,15 +8,8 @@ import numpy as np
 import torch
 
 from obpose.config import TrainConfig
-from obpose.data.clips import (
-    ClipSource,
-    observation_of,
-    views_apart,
-)
-from obpose.data.labels import (
-    Labels,
-    segment_clip,
-)
+from obpose.data.clips import ClipSource, observation_of, views_apart
+from obpose.data.labels import Labels, segment_clip
 from obpose.trainable import Trainable
 from obpose.types import Observation
 

@@ -5,19 +5,10 @@ from dataclasses import dataclass
 
 import torch
 
-from obpose.scenes.rendering import (
-    Image,
-    Renderer,
-)
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.rendering import Image, Renderer
+from obpose.scenes.scene import Camera, Scene
 from obpose.types import Observation
-from obpose.viewer.point_clouds import (
-    Cloud,
-    observed_clouds,
-)
+from obpose.viewer.point_clouds import Cloud, observed_clouds
 from obpose.viewer.shapes import Shapes
 
 PREVIEW = 64

@@ -7,30 +7,13 @@ from typing import Literal
 from datagen.console.text import counted
 from obpose.data.datasets import SceneDataset
 from obpose.errors import UsageError
-from obpose.scenes.clip import (
-    name_clip,
-    read_clip,
-)
+from obpose.scenes.clip import name_clip, read_clip
 from obpose.scenes.infer import infer_scene
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-    origin_of,
-)
-from obpose.scenes.scene import (
-    ClipName,
-    Scene,
-)
-from obpose.scenes.storage import (
-    FACTS,
-    load_scene,
-)
+from obpose.scenes.model_ref import Origin, load_origin, origin_of
+from obpose.scenes.scene import ClipName, Scene
+from obpose.scenes.storage import FACTS, load_scene
 from obpose.storage.checkpoint import CONFIG
-from obpose.storage.pretrained import (
-    list_shipped,
-    shipped_names,
-    shipped_to_create,
-)
+from obpose.storage.pretrained import list_shipped, shipped_names, shipped_to_create
 from obpose.types import Observation
 
 Kind = Literal["scene", "model", "dataset"]

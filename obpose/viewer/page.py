@@ -32,10 +32,7 @@ from obpose.viewer.panel import Actions, Panel
 from obpose.viewer.panes import panes
 from obpose.viewer.sampling import Sampler, checked_count
 from obpose.viewer.saving import save_new
-from obpose.viewer.scene3d import (
-    Events,
-    Stage,
-)
+from obpose.viewer.scene3d import Events, Stage
 from obpose.viewer.serving import close_server
 from obpose.viewer.session import Session
 

@@ -8,10 +8,7 @@ import viser
 
 from obpose.viewer.point_clouds import slot_colour
 from obpose.viewer.sampling import COUNTS
-from obpose.viewer.scene3d import (
-    POINTS,
-    Layers,
-)
+from obpose.viewer.scene3d import POINTS, Layers
 from obpose.viewer.session import Session
 
 _MOVE, _HIDE, _SHOW, _COPY, _REMOVE = "move", "hide", "show", "copy", "remove"

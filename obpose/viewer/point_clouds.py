@@ -9,10 +9,7 @@ from torch import Tensor
 
 from obpose.geometry import unproject
 from obpose.model.nerf.compose import OUTSIDE
-from obpose.model.nerf.marching import (
-    Component,
-    in_box,
-)
+from obpose.model.nerf.marching import Component, in_box
 from obpose.pictures import PALETTE, TINT
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Scene

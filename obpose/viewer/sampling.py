@@ -4,20 +4,10 @@ import torch
 
 from obpose.errors import UsageError
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.flow_prior import (
-    FlowPrior,
-    has_flow,
-    named_prior,
-)
-from obpose.scenes.priors.gaussian import (
-    FILE,
-    ScenePrior,
-)
+from obpose.scenes.priors.flow_prior import FlowPrior, has_flow, named_prior
+from obpose.scenes.priors.gaussian import FILE, ScenePrior
 from obpose.scenes.priors.sample import sample_scene
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.scene import Camera, Scene
 
 MOST_SAMPLED = 8
 """Largest number of objects of a sampled scene."""

@@ -16,17 +16,9 @@ from viser import transforms
 
 from obpose.model.obpose import ObPose
 from obpose.pictures import box_edges
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-    upright,
-)
+from obpose.scenes.scene import Camera, Scene, upright
 from obpose.types import Boxes
-from obpose.viewer.point_clouds import (
-    Cloud,
-    slot_colour,
-    tinted,
-)
+from obpose.viewer.point_clouds import Cloud, slot_colour, tinted
 from obpose.viewer.session import Session
 
 _LOOK_FROM, _LOOK_FARTHER, _LOOK_ANGLE = math.radians(50), 1.5, math.radians(40)

@@ -8,15 +8,9 @@ import pytest
 
 from benchmark.clips import ClipSequence, TruthSequence, read_truth
 from benchmark.models.interface import Clip
-from datagen import (
-    config,
-    schema,
-)
+from datagen import config, schema
 from datagen.errors import UsageError
-from datagen.storage import (
-    reader,
-    spec,
-)
+from datagen.storage import reader, spec
 from tests.worlds.traced import write_dataset
 
 

@@ -9,11 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.results.run_folder import (
-    load_runs,
-    load_scenes,
-    pooled,
-)
+from benchmark.results.run_folder import load_runs, load_scenes, pooled
 from tests.paths import ROOT
 from tests.worlds.traced import write_dataset
 

@@ -16,18 +16,10 @@ import pytest
 from benchmark import report
 from benchmark.ranking import leaderboard
 from benchmark.report import page as page_module
-from benchmark.results.run_folder import (
-    load_runs,
-    save_row,
-)
+from benchmark.results.run_folder import load_runs, save_row
 from datagen.errors import UsageError
 from tests.chosen_scores import run_row, save_run, scene_table
-from tests.worlds.runs import (
-    MODELS,
-    TRACKS,
-    write_report,
-    write_runs,
-)
+from tests.worlds.runs import MODELS, TRACKS, write_report, write_runs
 
 HOSTILE = "<script>alert(1)<&script>'\""
 VOID = {"meta", "link", "img", "br", "input"}

@@ -8,12 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.worlds.runs import (
-    MODELS,
-    TRACKS,
-    write_report,
-    write_runs,
-)
+from tests.worlds.runs import MODELS, TRACKS, write_report, write_runs
 
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), "")
 FLAGS = [

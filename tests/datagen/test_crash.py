@@ -14,12 +14,7 @@ import pytest
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED, EXIT_OK
 from tests.processes import command_line, descendants, errors_at_end, wait_until, wait_until_gone
-from tests.worlds.generated import (
-    FLAGS,
-    ROOT,
-    hashes,
-    make,
-)
+from tests.worlds.generated import FLAGS, ROOT, hashes, make
 
 SIZES = {"train": 4, "val": 2, "test": 2}
 SPLIT = "train=4,val=2,test=2"

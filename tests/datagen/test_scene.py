@@ -4,18 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from datagen.scene import (
-    Body,
-    Camera,
-    Light,
-    Material,
-    Push,
-    Scene,
-    ShapeSpec,
-    Table,
-    scene_from_json,
-    scene_to_json,
-)
+from datagen.scene import Body, Camera, Light, Material, Push, Scene, ShapeSpec, Table, scene_from_json, scene_to_json
 
 RUBBER = Material("rubber", (0.8, 0.1, 0.1), color2=(0.1, 0.1, 0.8), pattern="stripes", axis=(0.0, 1.0, 0.0))
 BOX = Body(

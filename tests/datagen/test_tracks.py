@@ -6,14 +6,7 @@ from datagen import tracks
 from datagen.config import load_recipe
 from datagen.errors import DatagenError, UsageError
 from datagen.storage.reader import Dataset
-from datagen.tracks import (
-    DataFolder,
-    Track,
-    all_tracks,
-    find_dataset,
-    find_track,
-    find_tracks,
-)
+from datagen.tracks import DataFolder, Track, all_tracks, find_dataset, find_track, find_tracks
 from tests.worlds.traced import write_dataset
 
 ISSUE = [

@@ -85,10 +85,7 @@ def _view(arguments: list[str]) -> int:
     """What `obpose-view` does before it serves a page."""
     import tyro
 
-    from obpose.commands.view import (
-        PROGRAM,
-        Arguments,
-    )
+    from obpose.commands.view import PROGRAM, Arguments
     from obpose.viewer.opening import open_path
 
     def run() -> int:

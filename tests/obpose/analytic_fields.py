@@ -6,11 +6,7 @@ from torch import Tensor
 
 from obpose.config import FieldConfig
 from obpose.geometry import view_directions
-from obpose.model.nerf.field import (
-    Conditioning,
-    Field,
-    Hidden,
-)
+from obpose.model.nerf.field import Conditioning, Field, Hidden
 from obpose.types import Boxes, Observation
 
 SMALL = FieldConfig(width=16, depth=4, position_frequencies=2, direction_frequencies=1)

@@ -21,10 +21,7 @@ from obpose.trainable import Trainable
 from obpose.training.budget import learning_rate
 from obpose.types import LabelledObservation
 from obpose.variants import make_config
-from tests.worlds.observations import (
-    labels_by_colour,
-    table_scene,
-)
+from tests.worlds.observations import labels_by_colour, table_scene
 
 SIZE, OBJECTS = 48, 2
 SCENE = {

@@ -16,10 +16,7 @@ from obpose.systems import SYSTEMS
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import LabelledObservation
-from tests.worlds.observations import (
-    labels_by_colour,
-    table_scene,
-)
+from tests.worlds.observations import labels_by_colour, table_scene
 
 FRAMES, SIZE, OBJECTS = 5, 64, 4
 STEPS = 15

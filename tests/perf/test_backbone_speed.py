@@ -8,10 +8,7 @@ import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from obpose.config import BackboneConfig
-from obpose.model.backbone import (
-    Backbone,
-    BackboneOutput,
-)
+from obpose.model.backbone import Backbone, BackboneOutput
 
 GROUP = "backbone: 20 images at 64x64"
 SPACING = 0.012

@@ -12,14 +12,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from torch import Tensor
 
 from obpose.config import PoseConfig
-from obpose.model.pose.minimum_volume import (
-    minimum_volume_rotation,
-    orient,
-)
-from obpose.model.pose.rotations import (
-    equivalents,
-    geodesic_distance,
-)
+from obpose.model.pose.minimum_volume import minimum_volume_rotation, orient
+from obpose.model.pose.rotations import equivalents, geodesic_distance
 from tests.obpose.clouds import random_boxes, random_shapes
 
 OBJECTS, POINTS = 80, 300

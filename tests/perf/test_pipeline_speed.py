@@ -10,14 +10,8 @@ from typing import Any
 import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
-from datagen.pipeline.generate import (
-    Run,
-    generate,
-)
-from datagen.pipeline.make_scene import (
-    SceneMaker,
-    renderer_identity,
-)
+from datagen.pipeline.generate import Run, generate
+from datagen.pipeline.make_scene import SceneMaker, renderer_identity
 from datagen.storage.dataset_folder import write_whole
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import shard_image

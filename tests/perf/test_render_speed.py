@@ -15,11 +15,7 @@ from datagen.render import make_renderer
 from datagen.scene import Material, Scene
 from datagen.shapes import build
 from datagen.shapes.shape import Shape
-from tests.worlds.handmade import (
-    FRONT,
-    poses,
-    six_objects,
-)
+from tests.worlds.handmade import FRONT, poses, six_objects
 
 SIZE = 128
 RASTER = "raster, anti-aliased, soft shadow"

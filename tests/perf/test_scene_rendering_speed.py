@@ -13,10 +13,7 @@ import torch
 
 from benchmark.metrics.images import psnr
 from obpose.scenes.clip import read_clip
-from obpose.scenes.infer import (
-    fit_to_frames,
-    infer_scene,
-)
+from obpose.scenes.infer import fit_to_frames, infer_scene
 from obpose.scenes.model_ref import load_origin
 from obpose.scenes.refine import STEPS
 from obpose.scenes.rendering import Renderer

@@ -9,11 +9,7 @@ import numpy as np
 
 from datagen import schema
 from datagen.config import Recipe, load_recipe, recipe_to_dict
-from datagen.pipeline.generate import (
-    Report,
-    Run,
-    generate,
-)
+from datagen.pipeline.generate import Report, Run, generate
 from datagen.storage import spec
 from datagen.storage.reader import Dataset
 from tests.paths import ROOT

@@ -8,22 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from datagen import (
-    config,
-    shapes,
-)
+from datagen import config, shapes
 from datagen.edits import edits_record
 from datagen.edits.edit_context import stage_of
 from datagen.pipeline import records
 from datagen.render import Renderer, make_renderer
 from datagen.scene import Body, Camera, Light, Material, Scene, ShapeSpec, Table, Trajectory
 from datagen.schema import EditKind, SceneRecord
-from datagen.storage import (
-    manifest,
-    reader,
-    shard,
-    spec,
-)
+from datagen.storage import manifest, reader, shard, spec
 
 ROWS = 4
 GROUPS = ("simulation", "pixels")

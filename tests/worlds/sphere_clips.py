@@ -6,11 +6,7 @@ import numpy as np
 
 from benchmark.models.interface import Clip
 from datagen import geometry, schema
-from tests.worlds.traced import (
-    scene_record,
-    spheres_recipe,
-    trace,
-)
+from tests.worlds.traced import scene_record, spheres_recipe, trace
 
 
 def clip_of(record: schema.SceneRecord, *, uses_labels: bool = False) -> Clip:

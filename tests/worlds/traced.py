@@ -6,15 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from datagen import (
-    config,
-    geometry,
-    schema,
-)
-from datagen.storage import (
-    shard,
-    spec,
-)
+from datagen import config, geometry, schema
+from datagen.storage import shard, spec
 
 CAMERA_HEIGHT = 0.8
 RADIUS = 0.05

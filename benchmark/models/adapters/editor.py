@@ -10,20 +10,11 @@ from jaxtyping import Float, Integer
 from benchmark.models.interface import Clip
 from benchmark.tasks.editing.interface import Picture
 from datagen.schema import EditKind
-from obpose.data.clips import (
-    ArrayClips,
-    observation_of,
-)
+from obpose.data.clips import ArrayClips, observation_of
 from obpose.scenes import edit
-from obpose.scenes.infer import (
-    Inferred,
-    infer_labelled,
-)
+from obpose.scenes.infer import Inferred, infer_labelled
 from obpose.scenes.model_ref import load_origin
-from obpose.scenes.rendering import (
-    Image,
-    Renderer,
-)
+from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Scene
 
 

@@ -11,27 +11,16 @@ from einops import rearrange
 from benchmark.execution.validation_scores import Watch
 from benchmark.models.adapters.poses import poses_of
 from benchmark.models.adapters.settings import settings_of
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.interface import Clip, Prediction
 from datagen.errors import UsageError
-from obpose.data.clips import (
-    ArrayClips,
-    LabelledArrayClips,
-    observation_of,
-    views_apart,
-)
+from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, views_apart
 from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
 from obpose.model.obpose import ObPose
 from obpose.storage.checkpoint import load
 from obpose.systems import find_system
 from obpose.trainable import Trainable
-from obpose.training.loop import (
-    CurvePoint,
-    train,
-)
+from obpose.training.loop import CurvePoint, train
 
 ATTENTION = "att"
 """Name of the attention masks in `Prediction.extra`."""

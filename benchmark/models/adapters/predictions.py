@@ -21,29 +21,11 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
-from benchmark.models.interface import (
-    LARGEST_LABEL,
-    Clip,
-    Poses,
-    Prediction,
-)
-from benchmark.results.pose_files import (
-    GROUP,
-    poses_in,
-)
-from benchmark.results.pose_rules import (
-    ARRAYS,
-    pose_fault,
-)
+from benchmark.models.interface import LARGEST_LABEL, Clip, Poses, Prediction
+from benchmark.results.pose_files import GROUP, poses_in
+from benchmark.results.pose_rules import ARRAYS, pose_fault
 from datagen.errors import UsageError
-from datagen.storage.safe_io import (
-    hdf5_dataset,
-    npz_headers,
-    open_hdf5,
-    open_image,
-    read_hdf5,
-    read_npz,
-)
+from datagen.storage.safe_io import hdf5_dataset, npz_headers, open_hdf5, open_image, read_hdf5, read_npz
 
 SPLIT = "test"
 HDF5 = "labels.h5"

@@ -5,32 +5,15 @@ A grid holds few values, each with a reason to be the best on some data; labels 
 
 from itertools import product
 
-from benchmark.models.classical.boxes import (
-    OracleVisibleBoxes,
-    OracleVisibleMeans,
-    PlaneHdbscanBoxes,
-)
-from benchmark.models.classical.floors import (
-    AllBackground,
-    ConstantGrid,
-    OneCluster,
-    RandomSlots,
-)
+from benchmark.models.classical.boxes import OracleVisibleBoxes, OracleVisibleMeans, PlaneHdbscanBoxes
+from benchmark.models.classical.floors import AllBackground, ConstantGrid, OneCluster, RandomSlots
 from benchmark.models.classical.kmeans import KMeansXyzRgb
-from benchmark.models.classical.oracles import (
-    OracleKSlots,
-    OracleQuarterResolution,
-    OracleSplitBackground,
-)
+from benchmark.models.classical.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground
 from benchmark.models.classical.plane_components import PlaneComponents
 from benchmark.models.classical.plane_dbscan import PlaneDbscan
 from benchmark.models.classical.plane_dbscan_tracked import PlaneDbscanTracked
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
-from benchmark.models.model_spec import (
-    Builder,
-    ModelSpec,
-    Options,
-)
+from benchmark.models.model_spec import Builder, ModelSpec, Options
 
 
 def _grid(**values: tuple[float, ...]) -> tuple[Options, ...]:

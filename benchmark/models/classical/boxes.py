@@ -15,19 +15,9 @@ from benchmark.metrics.box_overlap import Box
 from benchmark.models.classical.oracles import truth_of
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
 from benchmark.models.classical.untrained import Untrained
-from benchmark.models.interface import (
-    Clip,
-    Poses,
-    Prediction,
-)
-from benchmark.tasks.true_poses import (
-    visible_centers,
-    world_points,
-)
-from datagen.shapes.geometry.bounding import (
-    Outline,
-    minimum_box,
-)
+from benchmark.models.interface import Clip, Poses, Prediction
+from benchmark.tasks.true_poses import visible_centers, world_points
+from datagen.shapes.geometry.bounding import Outline, minimum_box
 
 LEAST_POINTS = 4
 """Fewer have no box; their middle still is a place."""

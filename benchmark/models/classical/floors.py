@@ -7,10 +7,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from benchmark.models.classical.untrained import Untrained
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.interface import Clip, Prediction
 
 
 class OneCluster(Untrained):

@@ -9,10 +9,7 @@ from sklearn.cluster import KMeans
 
 from benchmark.models.classical.points import scene_points
 from benchmark.models.classical.untrained import Untrained
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.interface import Clip, Prediction
 
 SAMPLE = 4096
 """Points that move the centres; the others only join them."""

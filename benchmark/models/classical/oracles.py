@@ -6,14 +6,8 @@ import numpy as np
 from jaxtyping import Int64, UInt8
 
 from benchmark.models.classical.floors import grid_cells
-from benchmark.models.classical.untrained import (
-    Untrained,
-    keep_largest,
-)
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.interface import Clip, Prediction
 
 QUARTER = 4
 """Pixels a side that become one."""

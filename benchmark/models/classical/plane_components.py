@@ -8,18 +8,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from benchmark.models.classical.above_plane import standing
-from benchmark.models.classical.points import (
-    pixel_width,
-    scene_points,
-)
-from benchmark.models.classical.untrained import (
-    Untrained,
-    keep_largest,
-)
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.classical.points import pixel_width, scene_points
+from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.interface import Clip, Prediction
 
 HALF_NEIGHBOURHOOD = ((0, 1), (1, -1), (1, 0), (1, 1))
 """Rows and columns to four of a pixel's eight neighbours; the others see it as theirs. Eight, not four, because 20 % of

@@ -10,20 +10,9 @@ from jaxtyping import Float, Int64, UInt8
 from sklearn.cluster import DBSCAN
 
 from benchmark.models.classical.above_plane import standing
-from benchmark.models.classical.points import (
-    VOXEL_PIXELS,
-    pixel_width,
-    scene_points,
-    voxels,
-)
-from benchmark.models.classical.untrained import (
-    Untrained,
-    keep_largest,
-)
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.classical.points import VOXEL_PIXELS, pixel_width, scene_points, voxels
+from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.interface import Clip, Prediction
 
 LEAST_NEIGHBOURS = 3
 """DBSCAN's min_samples, pixels, the point's own included: objects of a few pixels still make a cluster."""

@@ -10,10 +10,7 @@ from scipy.spatial.distance import cdist
 from benchmark.models.classical.plane_dbscan import PlaneDbscan
 from benchmark.models.classical.points import scene_points
 from benchmark.models.classical.untrained import keep_largest
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.interface import Clip, Prediction
 
 LARGEST_MOVE = 0.15
 """Metres that a centroid may move in a frame: 1.1 m/s, the fastest that recipes throw, is 0.09 m at 12 frames/s; the

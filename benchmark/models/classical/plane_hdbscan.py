@@ -8,20 +8,9 @@ from scipy.spatial import KDTree
 from sklearn.cluster import HDBSCAN
 
 from benchmark.models.classical.above_plane import standing
-from benchmark.models.classical.points import (
-    VOXEL_PIXELS,
-    pixel_width,
-    scene_points,
-    voxels,
-)
-from benchmark.models.classical.untrained import (
-    Untrained,
-    keep_largest,
-)
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.models.classical.points import VOXEL_PIXELS, pixel_width, scene_points, voxels
+from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.interface import Clip, Prediction
 
 LEAST_NEIGHBOURS = 3
 """HDBSCAN's min_samples, cells."""

@@ -6,10 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Int64
 
-from benchmark.models.interface import (
-    LARGEST_LABEL,
-    Clip,
-)
+from benchmark.models.interface import LARGEST_LABEL, Clip
 
 
 @dataclass

@@ -13,36 +13,12 @@ from statistics import mean, median
 import torch
 
 from benchmark.studies.claims.command import run_command
-from benchmark.studies.claims.figures import (
-    appearances,
-    voxels_and_poses,
-)
-from benchmark.studies.claims.frames import (
-    FRAMINGS,
-    Framing,
-    code_spread,
-    codes_of,
-    variance,
-)
-from benchmark.studies.claims.scenes import (
-    Account,
-    Found,
-    Scene,
-    account,
-    read_scenes,
-)
-from benchmark.studies.claims.shapes import (
-    FINE,
-    estimate_voxels,
-    measure_times,
-    shape_errors,
-)
+from benchmark.studies.claims.figures import appearances, voxels_and_poses
+from benchmark.studies.claims.frames import FRAMINGS, Framing, code_spread, codes_of, variance
+from benchmark.studies.claims.scenes import Account, Found, Scene, account, read_scenes
+from benchmark.studies.claims.shapes import FINE, estimate_voxels, measure_times, shape_errors
 from datagen.errors import EXIT_OK, UsageError
-from datagen.tracks import (
-    DataFolder,
-    Track,
-    find_track,
-)
+from datagen.tracks import DataFolder, Track, find_track
 from obpose.model.obpose import ObPose
 from obpose.storage.checkpoint import load_obpose
 from obpose.storage.pretrained import find_shipped

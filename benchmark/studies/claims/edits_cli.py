@@ -18,10 +18,7 @@ from benchmark.models.adapters.editor import SceneEditor
 from benchmark.studies.claims.command import run_command
 from benchmark.tasks.editing.answers import match
 from benchmark.tasks.editing.interface import Picture
-from benchmark.tasks.editing.truth import (
-    kinds_in,
-    read_edits,
-)
+from benchmark.tasks.editing.truth import kinds_in, read_edits
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage.reader import Dataset
 from obpose.pictures import PALETTE

@@ -8,24 +8,9 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from benchmark.studies.claims.drawing import (
-    Cubes,
-    Eye,
-    Line,
-    draw,
-    look_at,
-)
-from benchmark.studies.claims.frames import (
-    FRAMINGS,
-    Cells,
-    Framing,
-    cells_of,
-    occupied,
-)
-from benchmark.studies.claims.scenes import (
-    Account,
-    Found,
-)
+from benchmark.studies.claims.drawing import Cubes, Eye, Line, draw, look_at
+from benchmark.studies.claims.frames import FRAMINGS, Cells, Framing, cells_of, occupied
+from benchmark.studies.claims.scenes import Account, Found
 from datagen.errors import UsageError
 from obpose.model.nerf.voxels import Voxels
 from obpose.pictures import PALETTE

@@ -13,17 +13,9 @@ from einops import rearrange
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from benchmark.studies.claims.scenes import (
-    Account,
-    Found,
-    Scene,
-)
+from benchmark.studies.claims.scenes import Account, Found, Scene
 from obpose.geometry import from_box
-from obpose.model.nerf.voxels import (
-    lattice_points,
-    observed_free,
-    occupancy,
-)
+from obpose.model.nerf.voxels import lattice_points, observed_free, occupancy
 
 Framing = Literal["none", "location", "full"]
 FRAMINGS: tuple[Framing, ...] = ("none", "location", "full")

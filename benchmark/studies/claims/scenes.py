@@ -12,10 +12,7 @@ from torch import Tensor
 
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset
-from datagen.verify.scene_case import (
-    Case,
-    make_case,
-)
+from datagen.verify.scene_case import Case, make_case
 from obpose.data.clips import observation_of
 from obpose.data.datasets import SceneDataset
 from obpose.model.obpose import ObPose

@@ -15,17 +15,10 @@ from torch import Tensor
 
 from benchmark.studies.claims.scenes import Account
 from obpose.geometry import all_rays
-from obpose.model.nerf.components import (
-    points_in_boxes,
-    spread,
-)
+from obpose.model.nerf.components import points_in_boxes, spread
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.render import render
-from obpose.model.nerf.voxels import (
-    Voxels,
-    occupied_voxels,
-    shape_of,
-)
+from obpose.model.nerf.voxels import Voxels, occupied_voxels, shape_of
 from obpose.types import Decoded
 
 SAMPLES = 64

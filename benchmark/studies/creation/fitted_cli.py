@@ -20,22 +20,12 @@ from datagen.errors import EXIT_OK, UsageError
 from datagen.tracks import find_track
 from obpose.scenes import edit
 from obpose.scenes.clip import read_clip
-from obpose.scenes.infer import (
-    fit_to_frames,
-    infer_labelled,
-)
+from obpose.scenes.infer import fit_to_frames, infer_labelled
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.pictures import (
-    Picture,
-    enlarged,
-    write_png,
-)
+from obpose.scenes.pictures import Picture, enlarged, write_png
 from obpose.scenes.refine import STEPS
 from obpose.scenes.rendering import Renderer
-from obpose.scenes.scene import (
-    Scene,
-    upright,
-)
+from obpose.scenes.scene import Scene, upright
 
 PROGRAM = "python -m benchmark.studies.creation.fitted_cli"
 TIMES = 3

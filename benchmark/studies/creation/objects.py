@@ -13,10 +13,7 @@ from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
 from datagen.schema import SceneRecord
 from datagen.storage.reader import Dataset
-from obpose.data.clips import (
-    clip_part,
-    observation_of,
-)
+from obpose.data.clips import clip_part, observation_of
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import fitting_model
 from obpose.scenes.model_ref import Origin

@@ -14,16 +14,8 @@ from jaxtyping import Float
 
 from benchmark.ranking.leaderboard import Line
 from benchmark.studies.claims.command import run_command
-from benchmark.studies.creation.objects import (
-    Objects,
-    infer_objects,
-)
-from benchmark.studies.creation.probes import (
-    Probe,
-    Sample,
-    probe_names,
-    probe_numbers,
-)
+from benchmark.studies.creation.objects import Objects, infer_objects
+from benchmark.studies.creation.probes import Probe, Sample, probe_names, probe_numbers
 from benchmark.studies.creation.subject import Subject
 from datagen.errors import EXIT_OK, UsageError
 

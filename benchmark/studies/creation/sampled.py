@@ -9,27 +9,14 @@ from jaxtyping import Float, Int
 
 from benchmark.clips import ClipSequence, TruthSequence
 from benchmark.metrics import score
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-    Segmenter,
-)
+from benchmark.models.interface import Clip, Prediction, Segmenter
 from benchmark.tasks.true_poses import world_points
 from datagen.storage.reader import Split
 from obpose.errors import UsageError
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.sample import (
-    Source,
-    sample_scene,
-)
-from obpose.scenes.rendering import (
-    Image,
-    Renderer,
-)
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.priors.sample import Source, sample_scene
+from obpose.scenes.rendering import Image, Renderer
+from obpose.scenes.scene import Camera, Scene
 
 OPAQUE = 0.5
 """Share of a ray's light that must come from something for the pixel to have a depth."""

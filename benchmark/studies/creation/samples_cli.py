@@ -14,37 +14,17 @@ from benchmark.models.adapters.learned import LearnedSegmenter
 from benchmark.models.interface import Segmenter
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
-from benchmark.ranking.leaderboard import (
-    Cell,
-    Line,
-)
+from benchmark.ranking.leaderboard import Cell, Line
 from benchmark.studies.claims.command import run_command
-from benchmark.studies.creation.sampled import (
-    Labelled,
-    Looks,
-    looks,
-    mean_ari_fg,
-    real_scenes,
-    sampled_scenes,
-)
+from benchmark.studies.creation.sampled import Labelled, Looks, looks, mean_ari_fg, real_scenes, sampled_scenes
 from benchmark.studies.creation.subject import Subject
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage.reader import Dataset
 from obpose.data.datasets import SceneDataset
 from obpose.scenes.clip import read_clip
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
-from obpose.scenes.pictures import (
-    enlarged,
-    write_png,
-)
-from obpose.scenes.priors.flow_prior import (
-    PriorName,
-    has_flow,
-    named_prior,
-)
+from obpose.scenes.model_ref import Origin, load_origin
+from obpose.scenes.pictures import enlarged, write_png
+from obpose.scenes.priors.flow_prior import PriorName, has_flow, named_prior
 from obpose.scenes.priors.object_bank import find_objects
 from obpose.scenes.priors.sample import Source
 from obpose.scenes.refine import STEPS

@@ -7,22 +7,12 @@ from typing import Literal
 
 import torch
 
-from benchmark.ranking.leaderboard import (
-    Line,
-    to_csv,
-)
+from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.results.files import write_whole
 from benchmark.studies.claims.command import check_csv
 from datagen.errors import UsageError
-from datagen.tracks import (
-    DataFolder,
-    Source,
-    find_track,
-)
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
+from datagen.tracks import DataFolder, Source, find_track
+from obpose.scenes.model_ref import Origin, load_origin
 from obpose.storage.pretrained import shipped_to_create
 from obpose.training.devices import keep_memory
 

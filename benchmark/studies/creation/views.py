@@ -11,19 +11,10 @@ from jaxtyping import Bool, Float, Integer
 from benchmark.metrics.images import depth_errors, psnr, ssim
 from datagen import schema
 from datagen.geometry import project, unproject
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
-from obpose.data.clips import (
-    clip_part,
-    observation_of,
-)
+from datagen.storage.reader import Dataset, Split
+from obpose.data.clips import clip_part, observation_of
 from obpose.data.datasets import SceneDataset
-from obpose.scenes.infer import (
-    cameras_of,
-    infer_scene,
-)
+from obpose.scenes.infer import cameras_of, infer_scene
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.rendering import Renderer
 

@@ -10,21 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmark.ranking.leaderboard import Line
-from benchmark.ranking.statistics import (
-    draw,
-    summarise,
-)
+from benchmark.ranking.statistics import draw, summarise
 from benchmark.studies.claims.command import run_command
 from benchmark.studies.creation.subject import Subject
-from benchmark.studies.creation.views import (
-    CARRIED,
-    COPIED,
-    FLAT,
-    MEAN,
-    MODEL,
-    Likeness,
-    measure_views,
-)
+from benchmark.studies.creation.views import CARRIED, COPIED, FLAT, MEAN, MODEL, Likeness, measure_views
 from datagen.errors import EXIT_OK
 from datagen.storage.reader import Dataset
 

@@ -6,15 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Integer
 
-from benchmark.tasks.editing.interface import (
-    EditableScene,
-    Picture,
-)
+from benchmark.tasks.editing.interface import EditableScene, Picture
 from benchmark.tasks.editing.scores import score
-from benchmark.tasks.editing.truth import (
-    EditedScene,
-    Pair,
-)
+from benchmark.tasks.editing.truth import EditedScene, Pair
 
 LEAST_IOU = 0.5
 """Of an object's pixels and a label's, from which on the label is the object's."""

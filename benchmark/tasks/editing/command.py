@@ -7,25 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmark.commands import arguments
-from benchmark.commands.console import (
-    prepare,
-    progress_bar,
-    status,
-)
-from benchmark.commands.outputs import (
-    print_path,
-    wide_console,
-)
+from benchmark.commands.console import prepare, progress_bar, status
+from benchmark.commands.outputs import print_path, wide_console
 from benchmark.execution.duration import GRACE_SECONDS
-from benchmark.execution.isolation import (
-    LOGS,
-    limits,
-    run_isolated,
-)
-from benchmark.execution.plan import (
-    Request,
-    trained,
-)
+from benchmark.execution.isolation import LOGS, limits, run_isolated
+from benchmark.execution.plan import Request, trained
 from benchmark.execution.runner import SPLIT
 from benchmark.execution.schedule import side_by_side
 from benchmark.models.registry import find_model
@@ -34,20 +20,14 @@ from benchmark.ranking.escaping import terminal
 from benchmark.results.files import remove_abandoned
 from benchmark.results.run_folder import digest
 from benchmark.tasks.editing import summary
-from benchmark.tasks.editing.job import (
-    VERSION,
-    EditJob,
-)
+from benchmark.tasks.editing.job import VERSION, EditJob
 from benchmark.tasks.editing.lines import FOLDER
 from benchmark.tasks.editing.truth import kinds_in
 from datagen.console.text import counted
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
 from datagen.schema import EDITS
 from datagen.storage.reader import Dataset
-from datagen.tracks import (
-    Source,
-    Track,
-)
+from datagen.tracks import Source, Track
 from obpose.storage.pretrained import content_hash
 
 

@@ -7,25 +7,10 @@ from pathlib import Path
 from benchmark.clips import ClipSequence
 from benchmark.execution.runner import SPLIT
 from benchmark.models.interface import Clip
-from benchmark.tasks.editing.answers import (
-    Answer,
-    answers_of,
-    reference_answers,
-)
+from benchmark.tasks.editing.answers import Answer, answers_of, reference_answers
 from benchmark.tasks.editing.interface import Editor
-from benchmark.tasks.editing.lines import (
-    line_of,
-    line_without_edit,
-    load_lines,
-    path_of,
-    save_lines,
-)
-from benchmark.tasks.editing.truth import (
-    EditedScene,
-    Pair,
-    kinds_in,
-    read_edits,
-)
+from benchmark.tasks.editing.lines import line_of, line_without_edit, load_lines, path_of, save_lines
+from benchmark.tasks.editing.truth import EditedScene, Pair, kinds_in, read_edits
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset
 

@@ -8,10 +8,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.ranking.leaderboard import (
-    Line,
-    to_csv,
-)
+from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.results.csv_files import read_csv
 from benchmark.results.files import write_whole
 from benchmark.tasks.editing.answers import Answer

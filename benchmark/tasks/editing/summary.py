@@ -11,21 +11,11 @@ from rich.table import Table
 
 from benchmark.ranking.escaping import markdown as markdown_text
 from benchmark.ranking.escaping import terminal
-from benchmark.ranking.leaderboard import (
-    Line,
-    to_csv,
-)
-from benchmark.ranking.statistics import (
-    Summary,
-    draw,
-    summarise,
-)
+from benchmark.ranking.leaderboard import Line, to_csv
+from benchmark.ranking.statistics import Summary, draw, summarise
 from benchmark.results.files import write_whole
 from benchmark.tasks.editing.lines import load_all
-from benchmark.tasks.editing.scores import (
-    LARGEST_PSNR,
-    METRICS,
-)
+from benchmark.tasks.editing.scores import LARGEST_PSNR, METRICS
 from datagen.console.text import counted
 from datagen.schema import EDITS
 

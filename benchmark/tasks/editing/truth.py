@@ -9,10 +9,7 @@ from jaxtyping import Bool, Float, Integer
 from benchmark.tasks.editing.interface import Picture
 from datagen.errors import UsageError
 from datagen.schema import LEAST_EFFECT, EditKind, SceneRecord, decode_depth
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.reader import Dataset, Split
 
 _IMAGES = ("rgb", "depth", "segmentation")
 

@@ -5,12 +5,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.shapes.geometry.mesh import (
-    CHORD_ERROR,
-    Mesh,
-    segments_of_circle,
-    unit,
-)
+from datagen.shapes.geometry.mesh import CHORD_ERROR, Mesh, segments_of_circle, unit
 from datagen.shapes.shape import Numbers
 
 

@@ -19,16 +19,10 @@ from obpose.baselines.obsurf.decoder import SlotField
 from obpose.baselines.obsurf.encoder import ImageEncoder
 from obpose.baselines.obsurf.projection import code_size, fourier_code, nearest_cells, project
 from obpose.baselines.obsurf.slots import SlotAttention, Slots
-from obpose.data.clips import (
-    one_view,
-    views_apart,
-)
+from obpose.data.clips import one_view, views_apart
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject, view_directions
 from obpose.model.attention.summary import not_largest
-from obpose.model.nerf.points import (
-    air_points,
-    surface_points,
-)
+from obpose.model.nerf.points import air_points, surface_points
 from obpose.trainable import Trainable
 from obpose.types import Observation, Rays, Segmentation
 

@@ -8,10 +8,7 @@ from torch import Tensor, nn
 from torch.nn.functional import log_softmax, pad
 
 from obpose.config import AttentionConfig, BackboneConfig
-from obpose.model.layers.mlp import (
-    Linear,
-    mlp,
-)
+from obpose.model.layers.mlp import Linear, mlp
 
 _HIDDEN = 32
 """Width of the heads' hidden layer, as in the authors' code."""

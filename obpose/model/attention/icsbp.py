@@ -18,14 +18,8 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from obpose.config import AttentionConfig
-from obpose.model.attention.kernels import (
-    initial_sigma,
-    log_alpha,
-)
-from obpose.model.layers.numerics import (
-    log1mexp,
-    sharpen,
-)
+from obpose.model.attention.kernels import initial_sigma, log_alpha
+from obpose.model.layers.numerics import log1mexp, sharpen
 from obpose.types import Masks
 
 Seeds = Literal["stochastic", "greedy", "densest"]

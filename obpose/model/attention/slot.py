@@ -18,10 +18,7 @@ from torch import Tensor, nn
 
 from obpose.config import SlotAttentionConfig, Weights
 from obpose.model.attention.icsbp import EXCLUDED
-from obpose.model.layers.mlp import (
-    mlp,
-    pass_on,
-)
+from obpose.model.layers.mlp import mlp, pass_on
 from obpose.model.nerf.field import positional_encoding
 from obpose.types import Masks
 

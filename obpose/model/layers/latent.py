@@ -12,14 +12,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from obpose.config import LatentConfig, Weights
-from obpose.model.layers.gaussian import (
-    draw_gaussian,
-    mean_and_std,
-)
-from obpose.model.layers.mlp import (
-    mlp,
-    pass_on,
-)
+from obpose.model.layers.gaussian import draw_gaussian, mean_and_std
+from obpose.model.layers.mlp import mlp, pass_on
 from obpose.types import Draw, Latent
 
 Start = Literal["zero", "learned"]

@@ -8,16 +8,8 @@ from torch import Tensor
 from obpose.config import LossConfig
 from obpose.model.attention.upsample import masks_at
 from obpose.model.losses import observation
-from obpose.model.losses.attention import (
-    attention_l2,
-    attention_mixture,
-    attention_warmup,
-)
-from obpose.model.losses.regularisers import (
-    kl,
-    remaining_scope,
-    translation,
-)
+from obpose.model.losses.attention import attention_l2, attention_mixture, attention_warmup
+from obpose.model.losses.regularisers import kl, remaining_scope, translation
 from obpose.model.nerf.along import FieldsAlongRays
 from obpose.model.nerf.compose import log_share
 from obpose.types import Embeddings, Inference, Latent, Shape

@@ -8,10 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.layers.numerics import log_sum_exp
-from obpose.model.nerf.compose import (
-    air_density,
-    log_density,
-)
+from obpose.model.nerf.compose import air_density, log_density
 
 _LEAST = 1e-6
 """Weights that sum to less count as this."""

@@ -9,10 +9,7 @@ from torch import Tensor
 
 from obpose.config import LossConfig
 from obpose.model.nerf.components import Colours
-from obpose.model.nerf.points import (
-    air_points,
-    surface_points,
-)
+from obpose.model.nerf.points import air_points, surface_points
 from obpose.types import Decoded, Rays
 
 

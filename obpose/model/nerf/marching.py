@@ -18,15 +18,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import to_box
-from obpose.model.nerf.compose import (
-    OUTSIDE,
-    log_density,
-    solid_share,
-)
-from obpose.model.nerf.field import (
-    Conditioning,
-    Field,
-)
+from obpose.model.nerf.compose import OUTSIDE, log_density, solid_share
+from obpose.model.nerf.field import Conditioning, Field
 from obpose.model.nerf.render import light_from
 from obpose.model.nerf.voxels import lattice_points
 

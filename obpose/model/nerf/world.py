@@ -5,10 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from obpose.model.nerf.components import (
-    Colours,
-    decode_background,
-)
+from obpose.model.nerf.components import Colours, decode_background
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.field import Field
 from obpose.types import Decoded

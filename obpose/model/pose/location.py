@@ -8,10 +8,7 @@ from einops import rearrange, repeat
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from obpose.model.layers.numerics import (
-    all_digits,
-    sharpen,
-)
+from obpose.model.layers.numerics import all_digits, sharpen
 
 
 @torch.no_grad()

@@ -14,19 +14,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.obpose import ObPose
-from obpose.scenes.appearance.background_pixels import (
-    Shown,
-    occlusion_where_shown,
-    shown_background,
-)
+from obpose.scenes.appearance.background_pixels import Shown, occlusion_where_shown, shown_background
 from obpose.scenes.appearance.light import strength
-from obpose.scenes.appearance.table_texture import (
-    EDGE,
-    Pattern,
-    no_pattern,
-    on_pattern,
-    pattern_at,
-)
+from obpose.scenes.appearance.table_texture import EDGE, Pattern, no_pattern, on_pattern, pattern_at
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Scene
 from obpose.types import Observation

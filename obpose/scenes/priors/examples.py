@@ -17,24 +17,12 @@ from obpose.model.nerf.detail import EDGE
 from obpose.model.obpose import ObPose
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
-from obpose.scenes.priors.grids import (
-    Grids,
-    grids_of,
-    together,
-)
+from obpose.scenes.model_ref import Origin, load_origin
+from obpose.scenes.priors.grids import Grids, grids_of, together
 from obpose.scenes.refine import STEPS
 from obpose.scenes.scene import Scene
 from obpose.storage.files import write_whole
-from obpose.storage.tensors import (
-    Form,
-    Forms,
-    differences_of,
-    read_tensors,
-)
+from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
 
 FRAMES = 6
 """Largest number of frames used of a clip; moving objects show several sides."""

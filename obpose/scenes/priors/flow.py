@@ -15,12 +15,7 @@ from torch import Tensor, nn
 
 from obpose.model.nerf.detail import EDGE
 from obpose.scenes.priors.components import Components
-from obpose.scenes.priors.grids import (
-    COLOUR_LIMIT,
-    DENSITY_LIMIT,
-    Grids,
-    mean_colour,
-)
+from obpose.scenes.priors.grids import COLOUR_LIMIT, DENSITY_LIMIT, Grids, mean_colour
 
 SHAPES, COLOURS = 128, 64
 """Components of densities, and of colours as far as they differ from the object's mean."""

@@ -12,21 +12,10 @@ from torch import Tensor
 from obpose.errors import CorruptFile, UsageError
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import Flow
-from obpose.scenes.priors.gaussian import (
-    Mixture,
-    ScenePrior,
-    learned_prior,
-    load_prior,
-)
+from obpose.scenes.priors.gaussian import Mixture, ScenePrior, learned_prior, load_prior
 from obpose.scenes.priors.tables import Tables
 from obpose.storage.files import write_whole
-from obpose.storage.tensors import (
-    Form,
-    Forms,
-    differences_of,
-    forms_of,
-    read_tensors,
-)
+from obpose.storage.tensors import Form, Forms, differences_of, forms_of, read_tensors
 
 PriorName = Literal["flow", "fitted", "learned"]
 

@@ -22,18 +22,9 @@ from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.table_texture import SPOT
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.tables import (
-    Tables,
-    are_tables,
-    no_tables,
-)
+from obpose.scenes.priors.tables import Tables, are_tables, no_tables
 from obpose.storage.files import write_whole
-from obpose.storage.tensors import (
-    Form,
-    Forms,
-    differences_of,
-    read_tensors,
-)
+from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
 from obpose.types import Observation
 
 if TYPE_CHECKING:  # it takes a second to import, which only fitting needs

@@ -18,16 +18,9 @@ from obpose.model.nerf.detail import EDGE
 from obpose.model.nerf.field import Conditioning
 from obpose.model.nerf.voxels import occupancy
 from obpose.model.obpose import ObPose
-from obpose.scenes.extent import (
-    LEAST_VOXELS,
-    above_table,
-    shape_extent,
-)
+from obpose.scenes.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.scenes.rendering import object_codes
-from obpose.scenes.scene import (
-    Scene,
-    upright,
-)
+from obpose.scenes.scene import Scene, upright
 
 MARGIN = 0.015
 """Around the middles of occupied voxels, metres: more than a voxel, as the surface may be as far."""

@@ -12,21 +12,11 @@ from torch import Tensor
 
 from datagen.console.text import counted
 from obpose.errors import UsageError
-from obpose.scenes.extent import (
-    LEAST_VOXELS,
-    above_table,
-    shape_extent,
-)
+from obpose.scenes.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.gaussian import (
-    learned_prior,
-    table_part,
-)
-from obpose.scenes.priors.tables import (
-    Tables,
-    tables_of,
-)
+from obpose.scenes.priors.gaussian import learned_prior, table_part
+from obpose.scenes.priors.tables import Tables, tables_of
 from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene
 from obpose.types import Observation

@@ -16,28 +16,15 @@ from obpose.model.nerf.voxels import occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.light import Light
 from obpose.scenes.appearance.table_texture import Pattern
-from obpose.scenes.extent import (
-    LEAST_VOXELS,
-    above_table,
-    occupied,
-    shape_extent,
-)
+from obpose.scenes.extent import LEAST_VOXELS, above_table, occupied, shape_extent
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import sample_grids
 from obpose.scenes.priors.flow_prior import FlowPrior
 from obpose.scenes.priors.gaussian import ScenePrior
-from obpose.scenes.priors.grids import (
-    Grids,
-    facing,
-    together,
-)
+from obpose.scenes.priors.grids import Grids, facing, together
 from obpose.scenes.priors.object_bank import FoundObjects
 from obpose.scenes.rendering import conditioning
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-    upright,
-)
+from obpose.scenes.scene import Camera, Scene, upright
 
 Source = ScenePrior | FlowPrior | FoundObjects
 """Source of sampled objects and backgrounds."""

@@ -7,18 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.scenes.appearance.light import (
-    Light,
-    is_light,
-    no_light,
-)
-from obpose.scenes.appearance.table_texture import (
-    SPOT,
-    Pattern,
-    no_pattern,
-    pattern_like,
-    spot_of,
-)
+from obpose.scenes.appearance.light import Light, is_light, no_light
+from obpose.scenes.appearance.table_texture import SPOT, Pattern, no_pattern, pattern_like, spot_of
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.scene import Scene

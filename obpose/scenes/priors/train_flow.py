@@ -13,46 +13,17 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from datagen.console.text import counted
-from datagen.storage.safe_io import (
-    brief_reason,
-    read_json,
-)
+from datagen.storage.safe_io import brief_reason, read_json
 from obpose.data.datasets import SceneDataset
 from obpose.errors import CorruptFile, Diverged, UsageError
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.examples import (
-    Examples,
-    Say,
-    find_examples,
-    joined,
-)
-from obpose.scenes.priors.flow import (
-    Flow,
-    describe,
-    flow_loss,
-    mirrored,
-    sample_grids,
-)
-from obpose.scenes.priors.flow_prior import (
-    FILE,
-    has_flow,
-    save_flow,
-)
+from obpose.scenes.priors.examples import Examples, Say, find_examples, joined
+from obpose.scenes.priors.flow import Flow, describe, flow_loss, mirrored, sample_grids
+from obpose.scenes.priors.flow_prior import FILE, has_flow, save_flow
 from obpose.scenes.priors.grids import Grids
-from obpose.storage.files import (
-    claimed,
-    write_whole,
-)
-from obpose.storage.optimizer_state import (
-    optimizer_state,
-    put_optimizer_state,
-)
-from obpose.storage.tensors import (
-    State,
-    differences_of,
-    forms_of,
-    read_tensors,
-)
+from obpose.storage.files import claimed, write_whole
+from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
+from obpose.storage.tensors import State, differences_of, forms_of, read_tensors
 
 PARTIAL = "flow.partial"
 """Folder of the unfinished flow, beside the weights."""

@@ -15,10 +15,7 @@ from benchmark.commands.cli import main
 from benchmark.execution import plan
 from benchmark.execution.isolation import Limits
 from benchmark.execution.schedule import run_jobs
-from benchmark.results.run_folder import (
-    RunRow,
-    load_runs,
-)
+from benchmark.results.run_folder import RunRow, load_runs
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
 from datagen.tracks import DataFolder
 from tests import fake_plugins

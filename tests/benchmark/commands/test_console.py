@@ -1,9 +1,6 @@
 import pytest
 
-from benchmark.commands.console import (
-    busy,
-    watched,
-)
+from benchmark.commands.console import busy, watched
 
 
 @pytest.fixture(params=[True, False])

@@ -3,10 +3,7 @@ import re
 
 import pytest
 
-from benchmark.commands.flag_limits import (
-    LIMITS,
-    check_flag,
-)
+from benchmark.commands.flag_limits import LIMITS, check_flag
 from datagen.errors import UsageError
 
 

@@ -8,23 +8,11 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from benchmark.commands.outputs import (
-    FILE_WIDTH,
-    means_table,
-    write,
-)
+from benchmark.commands.outputs import FILE_WIDTH, means_table, write
 from benchmark.ranking.standings import standings
-from benchmark.results.run_folder import (
-    RunRow,
-    SceneTable,
-    load_runs,
-    save_row,
-)
+from benchmark.results.run_folder import RunRow, SceneTable, load_runs, save_row
 from tests.chosen_scores import failed_row, run_row, scene_table
-from tests.worlds.runs import (
-    MODELS,
-    write_runs,
-)
+from tests.worlds.runs import MODELS, write_runs
 
 Run = tuple[RunRow, SceneTable | None]
 

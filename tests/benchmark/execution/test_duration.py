@@ -5,26 +5,12 @@ import pytest
 
 from benchmark.commands.arguments import Run
 from benchmark.execution import duration
-from benchmark.execution.duration import (
-    estimate,
-    estimate_trainings,
-    in_words,
-    time_limit,
-)
-from benchmark.execution.plan import (
-    Plan,
-    make_plan,
-)
+from benchmark.execution.duration import estimate, estimate_trainings, in_words, time_limit
+from benchmark.execution.plan import Plan, make_plan
 from benchmark.execution.request import request_of
-from benchmark.execution.runner import (
-    Job,
-    Target,
-)
+from benchmark.execution.runner import Job, Target
 from benchmark.results.run_folder import RunKey
-from datagen.tracks import (
-    SIZES,
-    find_track,
-)
+from datagen.tracks import SIZES, find_track
 
 KEY = RunKey("data", "data", "m", 0, 1, "c", "f", "t")
 

@@ -5,27 +5,13 @@ from pathlib import Path
 import pytest
 
 import assets
-from benchmark.execution.plan import (
-    Plan,
-    Request,
-    Weights,
-    check_places,
-    make_plan,
-    superseded,
-)
+from benchmark.execution.plan import Plan, Request, Weights, check_places, make_plan, superseded
 from benchmark.execution.runner import blank_row
 from benchmark.models import registry
 from benchmark.models.model_spec import ModelSpec
-from benchmark.results.run_folder import (
-    RunKey,
-    RunRow,
-    load_runs,
-)
+from benchmark.results.run_folder import RunKey, RunRow, load_runs
 from datagen.errors import UsageError
-from datagen.tracks import (
-    Track,
-    find_track,
-)
+from datagen.tracks import Track, find_track
 from tests.paths import ROOT
 
 MOVING, MIXED, TOUCHING, CLEVR = (find_track(name) for name in ("moving", "mixed", "touching", "clevr3d"))

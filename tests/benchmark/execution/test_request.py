@@ -9,19 +9,13 @@ import pytest
 from assets import CHECKPOINTS
 from benchmark.commands.arguments import Run
 from benchmark.execution.request import request_of
-from benchmark.models.registry import (
-    GROUPS,
-    Group,
-)
+from benchmark.models.registry import GROUPS, Group
 from datagen import config
 from datagen.errors import UsageError
 from datagen.storage import spec
 from obpose.config_text import to_plain
 from obpose.systems import find_system
-from tests.worlds.traced import (
-    spheres_recipe,
-    write_dataset,
-)
+from tests.worlds.traced import spheres_recipe, write_dataset
 
 
 def request(folder: Path) -> None:

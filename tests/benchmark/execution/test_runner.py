@@ -6,31 +6,14 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from benchmark.execution.runner import (
-    Job,
-    Target,
-    run_job,
-)
+from benchmark.execution.runner import Job, Target, run_job
 from benchmark.execution.scoring import BadPrediction
 from benchmark.models import registry
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
-from benchmark.models.model_spec import (
-    ModelSpec,
-    Options,
-    Views,
-)
+from benchmark.models.interface import Clip, Prediction
+from benchmark.models.model_spec import ModelSpec, Options, Views
 from benchmark.models.registry import find_model
 from benchmark.results.labels import read_labels
-from benchmark.results.run_folder import (
-    LABELS,
-    RunKey,
-    load_runs,
-    load_scenes,
-    pooled,
-)
+from benchmark.results.run_folder import LABELS, RunKey, load_runs, load_scenes, pooled
 from datagen.errors import UsageError
 from datagen.storage import reader
 from tests.worlds.traced import write_dataset

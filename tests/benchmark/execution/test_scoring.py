@@ -7,30 +7,15 @@ import numpy as np
 import pytest
 
 from benchmark.clips import ClipSequence
-from benchmark.execution.scoring import (
-    BadPrediction,
-    check_prediction,
-    score_labels,
-    segment_split,
-)
+from benchmark.execution.scoring import BadPrediction, check_prediction, score_labels, segment_split
 from benchmark.metrics.poses import POSE_METRICS
-from benchmark.models.classical.boxes import (
-    OracleVisibleBoxes,
-    OracleVisibleMeans,
-)
-from benchmark.models.interface import (
-    Clip,
-    Poses,
-    Prediction,
-)
+from benchmark.models.classical.boxes import OracleVisibleBoxes, OracleVisibleMeans
+from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.results.labels import write_labels
 from benchmark.results.pose_files import read_poses
 from benchmark.tasks.true_poses import read_true_poses
 from datagen.errors import CorruptFile, UsageError
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.reader import Dataset, Split
 from tests.worlds import rendered
 from tests.worlds.sphere_clips import arbitrary
 

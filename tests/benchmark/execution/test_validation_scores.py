@@ -3,15 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.execution.validation_scores import (
-    CLIPS,
-    FRAMES,
-    Watch,
-)
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
+from benchmark.execution.validation_scores import CLIPS, FRAMES, Watch
+from benchmark.models.interface import Clip, Prediction
 from benchmark.results.curves import load_curve
 from tests.worlds.sphere_clips import clip_and_truth
 

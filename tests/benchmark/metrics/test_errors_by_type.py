@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmark.metrics.errors_by_type import (
-    ERROR_TYPES,
-    errors_by_type,
-)
+from benchmark.metrics.errors_by_type import ERROR_TYPES, errors_by_type
 from benchmark.metrics.identity import identity_switches
 from benchmark.metrics.overlap import intersection_over_union
 

@@ -6,11 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.commands.selftest import (
-    checks,
-    golden,
-    label_maps,
-)
+from benchmark.commands.selftest import checks, golden, label_maps
 from benchmark.metrics import CLIP_METRICS, METRICS, clip_scores, frame_scores, score
 
 CASES = {case["name"]: case for case in golden()["cases"]}

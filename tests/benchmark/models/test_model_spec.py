@@ -2,15 +2,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
-from benchmark.models.model_spec import (
-    Builder,
-    ModelSpec,
-    Views,
-)
+from benchmark.models.interface import Clip, Prediction
+from benchmark.models.model_spec import Builder, ModelSpec, Views
 
 
 class Plain:

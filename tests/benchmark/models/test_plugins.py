@@ -6,16 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.models.model_spec import (
-    ModelSpec,
-    Views,
-)
+from benchmark.models.model_spec import ModelSpec, Views
 from benchmark.models.plugins import Problem
-from benchmark.models.registry import (
-    discover,
-    expand,
-    find_model,
-)
+from benchmark.models.registry import discover, expand, find_model
 from datagen.errors import UsageError
 from tests.worlds.sphere_clips import arbitrary
 

@@ -5,20 +5,8 @@ import pytest
 
 from benchmark.models import plugins
 from benchmark.models.interface import Segmenter
-from benchmark.models.model_spec import (
-    KINDS,
-    PRIORS,
-    ModelSpec,
-)
-from benchmark.models.registry import (
-    GROUPS,
-    MODELS,
-    Group,
-    budget_of,
-    discover,
-    expand,
-    find_model,
-)
+from benchmark.models.model_spec import KINDS, PRIORS, ModelSpec
+from benchmark.models.registry import GROUPS, MODELS, Group, budget_of, discover, expand, find_model
 from benchmark.results.run_folder import digest
 from datagen.errors import UsageError
 from tests.paths import ROOT

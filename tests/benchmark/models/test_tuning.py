@@ -5,23 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmark.models.interface import (
-    Clip,
-    Prediction,
-)
-from benchmark.models.model_spec import (
-    Builder,
-    ModelSpec,
-)
-from benchmark.models.tuning import (
-    Choice,
-    choose,
-    subsample,
-)
-from tests.worlds.sphere_clips import (
-    clip_and_truth,
-    with_holes,
-)
+from benchmark.models.interface import Clip, Prediction
+from benchmark.models.model_spec import Builder, ModelSpec
+from benchmark.models.tuning import Choice, choose, subsample
+from tests.worlds.sphere_clips import clip_and_truth, with_holes
 
 CLIP, TRUTH = clip_and_truth(frames=4)
 LOG: list[tuple[Any, ...]] = []

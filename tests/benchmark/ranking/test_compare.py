@@ -7,11 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from benchmark.ranking.compare import (
-    Comparison,
-    compare,
-    comparison_table,
-)
+from benchmark.ranking.compare import Comparison, compare, comparison_table
 from benchmark.ranking.statistics import Difference
 from datagen.errors import UsageError
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table

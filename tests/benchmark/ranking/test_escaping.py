@@ -14,22 +14,11 @@ from rich.console import Console
 
 from benchmark.commands.outputs import means_table
 from benchmark.ranking import leaderboard
-from benchmark.ranking.escaping import (
-    MOST_CHARACTERS,
-    brief,
-    latex,
-    markdown,
-    one_line,
-    printable,
-    terminal,
-)
+from benchmark.ranking.escaping import MOST_CHARACTERS, brief, latex, markdown, one_line, printable, terminal
 from benchmark.ranking.standings import standings
 from benchmark.ranking.tables import latex as latex_page
 from benchmark.ranking.tables import markdown as markdown_page
-from benchmark.results.run_folder import (
-    RunRow,
-    SceneTable,
-)
+from benchmark.results.run_folder import RunRow, SceneTable
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 from tests.worlds.runs import write_report
 

@@ -2,10 +2,7 @@ import math
 
 import pytest
 
-from benchmark.ranking.failed_seeds import (
-    cause_of_failure,
-    has_finite_loss,
-)
+from benchmark.ranking.failed_seeds import cause_of_failure, has_finite_loss
 from tests.chosen_scores import run_row
 
 

@@ -7,10 +7,7 @@ import pytest
 
 from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.ranking import leaderboard
-from benchmark.results.run_folder import (
-    RunRow,
-    SceneTable,
-)
+from benchmark.results.run_folder import RunRow, SceneTable
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 
 N = 20

@@ -4,10 +4,7 @@ import math
 
 import pytest
 
-from benchmark.ranking.number_text import (
-    decimals_that_show,
-    plain_number,
-)
+from benchmark.ranking.number_text import decimals_that_show, plain_number
 
 
 def test_the_examples_in_the_docstrings():

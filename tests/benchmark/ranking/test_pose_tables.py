@@ -9,10 +9,7 @@ from benchmark.commands.outputs import poses_table
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking import leaderboard
 from benchmark.ranking.standings import standings
-from benchmark.ranking.tables import (
-    latex,
-    markdown,
-)
+from benchmark.ranking.tables import latex, markdown
 from benchmark.results.run_folder import SceneTable
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 from tests.worlds.runs import write_report

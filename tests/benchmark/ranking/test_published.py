@@ -5,22 +5,10 @@ from typing import Any
 import numpy as np
 
 from benchmark.commands.selftest import golden
-from benchmark.ranking.published import (
-    PAPER_MODELS,
-    PAPER_TRACKS,
-    paper_cells,
-    paper_metrics,
-)
-from benchmark.ranking.standings import (
-    Entry,
-    standings,
-)
+from benchmark.ranking.published import PAPER_MODELS, PAPER_TRACKS, paper_cells, paper_metrics
+from benchmark.ranking.standings import Entry, standings
 from benchmark.ranking.table_text import mean_and_std
-from benchmark.ranking.tables import (
-    SHOWN,
-    Board,
-    boards,
-)
+from benchmark.ranking.tables import SHOWN, Board, boards
 from tests.chosen_scores import run_row, scene_table
 
 TRACKS = {"ycb_video": "moving", "ycb_static": "static"}

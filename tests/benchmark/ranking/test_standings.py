@@ -18,10 +18,7 @@ from benchmark.ranking.standings import (
     standings,
 )
 from benchmark.ranking.statistics import NO_DIFFERENCE
-from benchmark.results.run_folder import (
-    RunRow,
-    SceneTable,
-)
+from benchmark.results.run_folder import RunRow, SceneTable
 from datagen.errors import CorruptFile
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
 

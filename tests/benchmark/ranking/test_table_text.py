@@ -1,11 +1,5 @@
-from benchmark.ranking.standings import (
-    Entry,
-    standings,
-)
-from benchmark.ranking.table_text import (
-    run_once,
-    seeds_in_words,
-)
+from benchmark.ranking.standings import Entry, standings
+from benchmark.ranking.table_text import run_once, seeds_in_words
 from tests.chosen_scores import failed_row
 
 

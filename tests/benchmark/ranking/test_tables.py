@@ -3,18 +3,9 @@ import re
 import numpy as np
 import pytest
 
-from benchmark.ranking.standings import (
-    Entry,
-    standings,
-)
+from benchmark.ranking.standings import Entry, standings
 from benchmark.ranking.table_text import mean_and_std
-from benchmark.ranking.tables import (
-    Board,
-    Line,
-    boards,
-    latex,
-    markdown,
-)
+from benchmark.ranking.tables import Board, Line, boards, latex, markdown
 from benchmark.results.run_folder import RunRow
 from tests.chosen_scores import failed_row, run_row, scene_table
 

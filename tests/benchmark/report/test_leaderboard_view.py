@@ -1,13 +1,7 @@
 import pytest
 
 from benchmark.ranking.standings import standings
-from benchmark.report.leaderboard_view import (
-    blocks,
-    details,
-    duration,
-    failures,
-    number,
-)
+from benchmark.report.leaderboard_view import blocks, details, duration, failures, number
 from tests.chosen_scores import failed_row, run_row, scene_table
 
 

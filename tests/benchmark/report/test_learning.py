@@ -4,10 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.ranking.standings import (
-    Entry,
-    standings,
-)
+from benchmark.ranking.standings import Entry, standings
 from benchmark.report.learning import PANEL_HEIGHT, PANEL_WIDTH, mean_line, panels, write
 from tests.chosen_scores import run_row, scene_table
 

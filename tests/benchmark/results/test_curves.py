@@ -3,10 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.results.curves import (
-    load_curve,
-    save_curve,
-)
+from benchmark.results.curves import load_curve, save_curve
 from datagen.errors import CorruptFile
 
 

@@ -9,17 +9,9 @@ import numpy as np
 import pytest
 
 from benchmark.models.interface import Prediction
-from benchmark.results.labels import (
-    check_labels_fit,
-    dataset_of,
-    read_labels,
-    write_labels,
-)
+from benchmark.results.labels import check_labels_fit, dataset_of, read_labels, write_labels
 from datagen.errors import CorruptFile, UsageError
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.reader import Dataset, Split
 from tests.worlds.traced import write_dataset
 
 

@@ -9,10 +9,7 @@ import pytest
 from benchmark.results.rescore import rescore
 from benchmark.results.run_folder import load_runs
 from datagen.errors import CorruptFile
-from tests.worlds.runs import (
-    MODELS,
-    write_runs,
-)
+from tests.worlds.runs import MODELS, write_runs
 
 
 @pytest.fixture

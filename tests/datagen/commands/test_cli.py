@@ -7,13 +7,7 @@ from datagen.commands import cli
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, EXIT_VERIFICATION
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
-from tests.worlds.generated import (
-    FLAGS,
-    ROOT,
-    command,
-    hashes,
-    make,
-)
+from tests.worlds.generated import FLAGS, ROOT, command, hashes, make
 from tests.worlds.rendered import write_shard
 
 SMALL = (*FLAGS, "--workers", "1")

@@ -1,11 +1,6 @@
 import numpy as np
 
-from datagen.edits.edit_context import (
-    displaced,
-    stage_of,
-    with_copy,
-    without,
-)
+from datagen.edits.edit_context import displaced, stage_of, with_copy, without
 from datagen.geometry import transform
 from datagen.shapes import build
 from tests.worlds import rendered

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 
 from datagen import schema
-from datagen.pipeline.records import (
-    render_clip,
-    stack_images,
-)
+from datagen.pipeline.records import render_clip, stack_images
 from datagen.render import make_renderer
 from datagen.schema import EDITS, effect_mask
 from datagen.shapes import build

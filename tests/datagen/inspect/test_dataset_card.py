@@ -1,9 +1,6 @@
 from pathlib import Path
 
-from datagen.inspect import (
-    dataset_card,
-    stats,
-)
+from datagen.inspect import dataset_card, stats
 from datagen.schema import FIELDS
 from datagen.storage.reader import Dataset
 from tests.paths import ROOT

@@ -9,10 +9,7 @@ import pytest
 
 from datagen.config import Physics
 from datagen.geometry import rotation_from_quaternion
-from datagen.physics.bullet import (
-    GAP_RANGE,
-    simulate,
-)
+from datagen.physics.bullet import GAP_RANGE, simulate
 from datagen.scene import Body, Material, Push, Scene, ShapeSpec, Table, Trajectory
 from datagen.shapes import build
 from tests.paths import ROOT

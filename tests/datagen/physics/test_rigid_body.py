@@ -6,14 +6,7 @@ import pytest
 
 from datagen.errors import DatagenError
 from datagen.geometry import rotation_from_quaternion
-from datagen.physics.rigid_body import (
-    multiply,
-    principal_axes,
-    shrink,
-    wavefront,
-    wavefront_file,
-    xyzw,
-)
+from datagen.physics.rigid_body import multiply, principal_axes, shrink, wavefront, wavefront_file, xyzw
 
 
 def test_principal_axes_take_the_inertia_apart():

@@ -10,31 +10,14 @@ import pytest
 from datagen import schema
 from datagen.config import Rig
 from datagen.errors import DatagenError, UsageError
-from datagen.pipeline.generate import (
-    Run,
-    generate,
-    regenerate,
-    render,
-)
-from datagen.pipeline.make_scene import (
-    make_scene,
-    object_rows,
-)
+from datagen.pipeline.generate import Run, generate, regenerate, render
+from datagen.pipeline.make_scene import make_scene, object_rows
 from datagen.storage.dataset_folder import write_whole
 from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
-from datagen.storage.spec import (
-    SPEC_FILE,
-    spec_text,
-    with_splits,
-)
-from tests.worlds.generated import (
-    ROOT,
-    hashes,
-    make,
-    recipe,
-)
+from datagen.storage.spec import SPEC_FILE, spec_text, with_splits
+from tests.worlds.generated import ROOT, hashes, make, recipe
 from tests.worlds.rendered import write_shard
 
 SIZES = {"train": 5, "val": 1, "test": 1}

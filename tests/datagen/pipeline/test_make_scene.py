@@ -7,27 +7,13 @@ import pytest
 
 from datagen.config import Objects, Rig, Sensor, recipe_to_dict
 from datagen.errors import CorruptFile, UsageError
-from datagen.pipeline.make_scene import (
-    SceneMaker,
-    Source,
-    check_memory,
-    make_scene,
-    renderer_identity,
-)
+from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.schema import SPLITS, encode_depth
 from datagen.sensor import sense
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
-from datagen.storage.spec import (
-    make_spec,
-    settings_hash,
-)
-from tests.worlds.generated import (
-    RESOLUTION,
-    ROOT,
-    make,
-    recipe,
-)
+from datagen.storage.spec import make_spec, settings_hash
+from tests.worlds.generated import RESOLUTION, ROOT, make, recipe
 from tests.worlds.rendered import write_shard
 
 RASTER = {"name": "raster", "version": 1}

@@ -8,12 +8,7 @@ from datagen import schema
 from datagen.config import Sensor
 from datagen.errors import UsageError
 from datagen.geometry import project
-from datagen.pipeline.records import (
-    pixel_record,
-    scene_and_trajectory,
-    simulation_record,
-    with_scene,
-)
+from datagen.pipeline.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.render.renderer import Image
 from datagen.scene import Camera
 from datagen.shapes import build

@@ -11,13 +11,7 @@ from datagen import sampling
 from datagen.config import Layout, Objects, Recipe, load_recipe, recipe_names
 from datagen.errors import ImpossibleScene, UsageError
 from datagen.pipeline import simulate
-from datagen.pipeline.simulate import (
-    Simulated,
-    check_course,
-    check_room,
-    is_hopeless,
-    simulate_scene,
-)
+from datagen.pipeline.simulate import Simulated, check_course, check_room, is_hopeless, simulate_scene
 from datagen.pipeline.visible_range import near_object
 from datagen.render import make_renderer
 from datagen.scene import scene_to_json

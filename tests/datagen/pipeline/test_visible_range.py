@@ -5,12 +5,7 @@ import pytest
 
 from datagen.errors import UsageError
 from datagen.geometry import rigid
-from datagen.pipeline.visible_range import (
-    check_range,
-    clip,
-    near_object,
-    table_fault,
-)
+from datagen.pipeline.visible_range import check_range, clip, near_object, table_fault
 from datagen.render import kernels, make_renderer
 from datagen.render.renderer import NEAREST
 from datagen.scene import Camera, ShapeSpec

@@ -11,14 +11,7 @@ from datagen.render import Renderer, make_renderer
 from datagen.render.raster import RasterRenderer
 from datagen.scene import Camera, Material, Table
 from tests.rays import surface_distance, table_depth
-from tests.worlds.handmade import (
-    ABOVE_LEFT,
-    FRONT,
-    body,
-    render,
-    scene,
-    six_objects,
-)
+from tests.worlds.handmade import ABOVE_LEFT, FRONT, body, render, scene, six_objects
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 

@@ -15,16 +15,7 @@ from datagen.render.raster import RasterRenderer
 from datagen.scene import Camera, Material, Table
 from datagen.shapes import build
 from tests.rays import surface_distance, table_depth, trace
-from tests.worlds.handmade import (
-    ABOVE_LEFT,
-    FILL,
-    FRONT,
-    body,
-    poses,
-    render,
-    scene,
-    six_objects,
-)
+from tests.worlds.handmade import ABOVE_LEFT, FILL, FRONT, body, poses, render, scene, six_objects
 
 TENTH = 1e-4
 """Metres: the promised accuracy."""

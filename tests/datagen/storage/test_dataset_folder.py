@@ -12,25 +12,11 @@ import pytest
 
 from datagen.errors import Busy, CorruptFile, DatagenError, UsageError
 from datagen.storage import dataset_folder as folder_module
-from datagen.storage.dataset_folder import (
-    filling,
-    settle,
-    write_file,
-    write_whole,
-)
+from datagen.storage.dataset_folder import filling, settle, write_file, write_whole
 from datagen.storage.locks import FolderLock
 from datagen.storage.shard import pack
-from datagen.storage.spec import (
-    SPEC_FILE,
-    make_spec,
-    read_spec,
-    settings_hash,
-    spec_text,
-)
-from tests.worlds.generated import (
-    random_record,
-    random_spec,
-)
+from datagen.storage.spec import SPEC_FILE, make_spec, read_spec, settings_hash, spec_text
+from tests.worlds.generated import random_record, random_spec
 from tests.worlds.rendered import write_shard
 
 

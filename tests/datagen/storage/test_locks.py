@@ -14,13 +14,7 @@ from datagen.storage.locks import FolderLock
 from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
 from tests.processes import errors_at_end, wait_until
-from tests.worlds.generated import (
-    FLAGS,
-    ROOT,
-    command,
-    hashes,
-    make,
-)
+from tests.worlds.generated import FLAGS, ROOT, command, hashes, make
 
 SMALL = (*FLAGS, "--workers", "1")
 

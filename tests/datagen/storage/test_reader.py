@@ -12,16 +12,8 @@ from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.storage.dataset_folder import write_whole
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
-from datagen.storage.spec import (
-    SPEC_FILE,
-    spec_text,
-    with_splits,
-)
-from tests.worlds.generated import (
-    ROOT,
-    random_record,
-    random_spec,
-)
+from datagen.storage.spec import SPEC_FILE, spec_text, with_splits
+from tests.worlds.generated import ROOT, random_record, random_spec
 from tests.worlds.rendered import write_shard
 
 SPEC = with_splits({**random_spec(), "scenes_per_shard": 2}, {"train": 5, "val": 2})

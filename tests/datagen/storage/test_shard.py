@@ -4,18 +4,9 @@ import pytest
 
 from datagen import schema
 from datagen.errors import CorruptFile, DatagenError, UsageError
-from datagen.storage.shard import (
-    Shard,
-    pack,
-    scenes_present,
-    shard_image,
-    shard_settings,
-)
+from datagen.storage.shard import Shard, pack, scenes_present, shard_image, shard_settings
 from datagen.storage.spec import settings_hash
-from tests.worlds.generated import (
-    random_record,
-    random_spec,
-)
+from tests.worlds.generated import random_record, random_spec
 from tests.worlds.rendered import write_shard
 
 RECORDS = [random_record(seed) for seed in range(3)]

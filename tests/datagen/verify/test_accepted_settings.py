@@ -14,24 +14,12 @@ from hypothesis import strategies as st
 
 from datagen.config import load_recipe, recipe_from_dict, recipe_to_dict
 from datagen.errors import UsageError
-from datagen.pipeline.generate import (
-    Run,
-    generate,
-    render,
-)
-from datagen.pipeline.make_scene import (
-    make_scene,
-    renderer_identity,
-)
+from datagen.pipeline.generate import Run, generate, render
+from datagen.pipeline.make_scene import make_scene, renderer_identity
 from datagen.recipe_rules import LIMITS, RANGES
 from datagen.render import make_renderer
 from datagen.schema import EDITS, SceneRecord
-from datagen.storage.spec import (
-    Spec,
-    groups_of,
-    make_spec,
-    recipe_of,
-)
+from datagen.storage.spec import Spec, groups_of, make_spec, recipe_of
 from datagen.verify import Finding, verify_record
 from datagen.verify.dataset import find
 

@@ -11,11 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from datagen import (
-    schema,
-    shapes,
-    verify,
-)
+from datagen import schema, shapes, verify
 from datagen.config import Physics, load_recipe, recipe_names
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.pipeline import records
@@ -315,10 +311,7 @@ def test_every_recipe_is_verified(tmp_path: Path, name: str):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "scenes"), [("mixed", 300), ("moving", 100), ("touching", 100), ("cluttered", 100)])
 def test_of_hundreds_of_scenes_none_is_suspected(tmp_path: Path, name: str, scenes: int):
-    from datagen.pipeline.generate import (
-        Run,
-        generate,
-    )
+    from datagen.pipeline.generate import Run, generate
 
     generate(tmp_path / name, load_recipe(name), splits={"train": scenes}, resolution=(64, 64), run=Run(workers=2))
     assert find(tmp_path / name, workers=2) == []

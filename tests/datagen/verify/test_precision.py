@@ -3,18 +3,12 @@ import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
 from datagen.errors import UsageError
-from datagen.pipeline.make_scene import (
-    make_scene,
-    renderer_identity,
-)
+from datagen.pipeline.make_scene import make_scene, renderer_identity
 from datagen.schema import DEPTH_SCALE
 from datagen.storage.spec import make_spec
 from datagen.verify import pixels, verify_record
 from datagen.verify.precision import OPENGL, PRECISION, Precision, rounding
-from datagen.verify.scene_case import (
-    Allowed,
-    make_case,
-)
+from datagen.verify.scene_case import Allowed, make_case
 from tests.worlds import rendered
 
 

@@ -6,11 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from datagen import (
-    geometry,
-    schema,
-    shapes,
-)
+from datagen import geometry, schema, shapes
 from datagen.config import Physics, Sensor
 from datagen.pipeline import records
 from datagen.scene import Camera, Scene, ShapeSpec, scene_from_json

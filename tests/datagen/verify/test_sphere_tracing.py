@@ -2,10 +2,7 @@ import numpy as np
 import pytest
 
 from datagen.shapes.shape import OrientedBox
-from datagen.verify.sphere_tracing import (
-    clip_to_box,
-    trace,
-)
+from datagen.verify.sphere_tracing import clip_to_box, trace
 
 RADIUS = 0.05
 

@@ -9,10 +9,7 @@ from typing import Any
 import h5py
 from numpy.random import Generator
 
-from datagen.storage.spec import (
-    settings_hash,
-    with_splits,
-)
+from datagen.storage.spec import settings_hash, with_splits
 from tests.fuzz.mutations.draw import pick
 
 PLAIN = (

@@ -4,18 +4,9 @@ from dataclasses import fields
 import pytest
 import torch
 
-from obpose.baselines.supervised import (
-    Supervised,
-    matched_cross_entropy,
-)
+from obpose.baselines.supervised import Supervised, matched_cross_entropy
 from obpose.config import SupervisedConfig, override
-from obpose.data.clips import (
-    ArrayClips,
-    LabelledArrayClips,
-    observation_of,
-    stack,
-    views_apart,
-)
+from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, stack, views_apart
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.model.obpose import ObPose

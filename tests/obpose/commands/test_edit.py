@@ -19,31 +19,15 @@ from datagen.storage.reader import Dataset
 from obpose.commands import edit as edit_cli
 from obpose.commands.edit import main
 from obpose.data.datasets import SceneDataset
-from obpose.scenes.appearance.light import (
-    no_light,
-    strength,
-)
-from obpose.scenes.model_ref import (
-    load_origin,
-    origin_of,
-)
-from obpose.scenes.priors import (
-    examples,
-    train_flow,
-)
-from obpose.scenes.priors.flow_prior import (
-    load_flow,
-    save_flow,
-)
+from obpose.scenes.appearance.light import no_light, strength
+from obpose.scenes.model_ref import load_origin, origin_of
+from obpose.scenes.priors import examples, train_flow
+from obpose.scenes.priors.flow_prior import load_flow, save_flow
 from obpose.scenes.priors.gaussian import load_prior
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import ClipName
 from obpose.scenes.storage import load_scene
-from tests.obpose.scenes.small_scenes import (
-    alike,
-    dense_flow,
-    equal,
-)
+from tests.obpose.scenes.small_scenes import alike, dense_flow, equal
 from tests.worlds import generated
 
 MODEL = "obpose--moving--64x64"

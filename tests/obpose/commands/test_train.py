@@ -11,18 +11,12 @@ import torch
 
 from benchmark.commands.train import ari_fg
 from datagen.errors import EXIT_USAGE, UsageError
-from datagen.tracks import (
-    DataFolder,
-    Track,
-)
+from datagen.tracks import DataFolder, Track
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.commands.train import main
 from obpose.model.obpose import ObPose
-from obpose.storage.checkpoint import (
-    load,
-    read_config,
-)
+from obpose.storage.checkpoint import load, read_config
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 from tests.worlds.traced import write_dataset

@@ -2,14 +2,8 @@ import io
 
 from rich.console import Console
 
-from obpose.commands.train_progress import (
-    progress_bar,
-    validation_line,
-)
-from obpose.training.loop import (
-    CurvePoint,
-    Status,
-)
+from obpose.commands.train_progress import progress_bar, validation_line
+from obpose.training.loop import CurvePoint, Status
 
 POINT = CurvePoint(120, 90.0, {"total": 1.25, "air": 0.5}, 0.875)
 

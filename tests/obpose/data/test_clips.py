@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from obpose.data.clips import (
-    ArrayClips,
-    ClipSource,
-    observation_of,
-    one_view,
-    views_apart,
-)
+from obpose.data.clips import ArrayClips, ClipSource, observation_of, one_view, views_apart
 from obpose.data.datasets import SceneDataset
 from obpose.errors import UsageError
 from tests.obpose.toy import ToyClips

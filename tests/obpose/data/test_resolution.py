@@ -1,11 +1,7 @@
 import pytest
 import torch
 
-from obpose.data.resolution import (
-    TOLERANCE,
-    fitting_model,
-    surface_spacing,
-)
+from obpose.data.resolution import TOLERANCE, fitting_model, surface_spacing
 from obpose.model.obpose import ObPose
 from obpose.variants import make_config
 from tests.worlds.observations import table_scene

@@ -4,10 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from obpose.data.scene_stats import (
-    measure_scene,
-    neighbour_distances,
-)
+from obpose.data.scene_stats import measure_scene, neighbour_distances
 from obpose.errors import UsageError
 from obpose.types import Observation
 from obpose.variants import make_config

@@ -5,11 +5,7 @@ import torch
 from torch import Tensor
 
 from obpose.config import BackboneConfig
-from obpose.model.backbone import (
-    Backbone,
-    BackboneOutput,
-    standard_colours,
-)
+from obpose.model.backbone import Backbone, BackboneOutput, standard_colours
 
 SPACING = 0.015
 

@@ -4,11 +4,7 @@ from pathlib import Path
 import pytest
 
 from obpose.errors import UsageError
-from obpose.rgbd.frame_files import (
-    check_pairs,
-    list_frames,
-    sort_frames,
-)
+from obpose.rgbd.frame_files import check_pairs, list_frames, sort_frames
 
 
 def files(names: str, folder: str = "") -> list[Path]:

@@ -8,10 +8,7 @@ from obpose.config import override
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.obpose import ObPose
-from obpose.rgbd.frames import (
-    _given_note,
-    _middle_of_table,
-)
+from obpose.rgbd.frames import _given_note, _middle_of_table
 from obpose.rgbd.world import GIVEN
 from obpose.types import Observation
 from obpose.variants import make_config

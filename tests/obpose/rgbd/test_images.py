@@ -8,12 +8,7 @@ import pytest
 from PIL import Image
 
 from obpose.errors import CorruptFile, UsageError
-from obpose.rgbd.images import (
-    colour_size,
-    depth_size,
-    read_colour,
-    read_depth,
-)
+from obpose.rgbd.images import colour_size, depth_size, read_colour, read_depth
 
 SIZE = (6, 4)
 RGB = (200, 100, 50)

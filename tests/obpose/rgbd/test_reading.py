@@ -7,10 +7,7 @@ from PIL import Image
 from datagen.geometry import intrinsics, pixel_rays
 from obpose.errors import CorruptFile, UsageError
 from obpose.rgbd import reading
-from obpose.rgbd.reading import (
-    parse_intrinsics,
-    read_recording,
-)
+from obpose.rgbd.reading import parse_intrinsics, read_recording
 
 K = intrinsics(1.0, 6, 4)
 

@@ -3,10 +3,7 @@ import pytest
 
 from datagen.geometry import invert_rigid, look_at, transform
 from obpose.rgbd.plane import fit_plane
-from obpose.rgbd.table import (
-    find_table,
-    table_points,
-)
+from obpose.rgbd.table import find_table, table_points
 
 CAMERA = look_at(np.array([0.9, 0.0, 0.7]), np.zeros(3))
 

@@ -7,10 +7,7 @@ import pytest
 
 from datagen.geometry import invert_rigid, look_at, rigid, transform
 from obpose.errors import CorruptFile, UsageError
-from obpose.rgbd.world import (
-    pose_over_plane,
-    read_pose,
-)
+from obpose.rgbd.world import pose_over_plane, read_pose
 
 POSE = look_at(np.array([0.8, 0.1, 0.7]), np.array([0.1, 0.0, 0.0]))
 

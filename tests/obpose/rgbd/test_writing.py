@@ -6,13 +6,7 @@ from PIL import Image
 
 from datagen.geometry import intrinsics, look_at
 from obpose.rgbd.reading import Recording
-from obpose.rgbd.writing import (
-    Found,
-    colours,
-    label_image,
-    overlay,
-    write_results,
-)
+from obpose.rgbd.writing import Found, colours, label_image, overlay, write_results
 
 WIDTH, HEIGHT = 64, 48
 K = intrinsics(1.0, WIDTH, HEIGHT)

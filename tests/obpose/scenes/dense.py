@@ -4,19 +4,10 @@ import torch
 
 from obpose.geometry import camera_rays
 from obpose.model.nerf.compose import OUTSIDE
-from obpose.model.nerf.marching import (
-    Component,
-    in_box,
-)
-from obpose.model.nerf.render import (
-    Rendering,
-    render,
-)
+from obpose.model.nerf.marching import Component, in_box
+from obpose.model.nerf.render import Rendering, render
 from obpose.scenes.rendering import Renderer
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.scene import Camera, Scene
 from obpose.types import Decoded
 
 RAYS = 512

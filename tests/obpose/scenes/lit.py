@@ -7,25 +7,14 @@ import torch
 from torch import Tensor
 
 from obpose.geometry import camera_rays
-from obpose.model.nerf.field import (
-    Conditioning,
-    Field,
-    Hidden,
-)
+from obpose.model.nerf.field import Conditioning, Field, Hidden
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.table_texture import no_pattern
 from obpose.scenes.rendering import Renderer
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.scene import Camera, Scene
 from obpose.types import Observation
 from tests.obpose.analytic_fields import SMALL, BallField
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene
 
 RADIUS = 0.05
 """Of the balls, metres."""

@@ -6,17 +6,11 @@ import torch
 
 from obpose.model.nerf.detail import no_detail
 from obpose.model.obpose import ObPose
-from obpose.scenes.appearance.table_texture import (
-    EDGE,
-    SPOT,
-)
+from obpose.scenes.appearance.table_texture import EDGE, SPOT
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.grids import DENSITY_LIMIT
 from obpose.scenes.priors.tables import Tables
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.scene import Camera, Scene
 from obpose.variants import make_config
 
 CAMERA = Camera(

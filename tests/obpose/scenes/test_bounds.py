@@ -3,14 +3,8 @@ import torch
 
 from obpose.errors import UsageError
 from obpose.scenes import edit
-from obpose.scenes.bounds import (
-    check_inside,
-    workspace_bounds,
-)
-from tests.obpose.scenes.small_scenes import (
-    some_model,
-    some_scene,
-)
+from obpose.scenes.bounds import check_inside, workspace_bounds
+from tests.obpose.scenes.small_scenes import some_model, some_scene
 
 INSIDE = torch.tensor([0.1, -0.2, 0.05])
 

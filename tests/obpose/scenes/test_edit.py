@@ -8,14 +8,8 @@ from obpose.errors import UsageError
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import no_light
 from obpose.scenes.appearance.table_texture import no_pattern
-from obpose.scenes.scene import (
-    Scene,
-    upright,
-)
-from tests.obpose.scenes.small_scenes import (
-    equal,
-    some_scene,
-)
+from obpose.scenes.scene import Scene, upright
+from tests.obpose.scenes.small_scenes import equal, some_scene
 
 BY = torch.tensor([0.1, -0.2, 0.0])
 

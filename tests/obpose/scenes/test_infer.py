@@ -10,21 +10,12 @@ from obpose.model.obpose import ObPose
 from obpose.scenes import infer
 from obpose.scenes.appearance.light import no_light
 from obpose.scenes.appearance.table_texture import no_pattern
-from obpose.scenes.infer import (
-    LOOKED_AT,
-    fit_to_frames,
-    infer_labelled,
-    infer_scene,
-    views_as_trained,
-)
+from obpose.scenes.infer import LOOKED_AT, fit_to_frames, infer_labelled, infer_scene, views_as_trained
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
 from obpose.scenes.scene import Scene
 from obpose.types import Observation
-from tests.obpose.scenes.small_scenes import (
-    alike,
-    some_model,
-)
+from tests.obpose.scenes.small_scenes import alike, some_model
 from tests.worlds.observations import table_scene
 
 

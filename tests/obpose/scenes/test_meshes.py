@@ -7,23 +7,14 @@ import torch
 import trimesh
 
 from obpose.errors import UsageError
-from obpose.model.nerf.field import (
-    Conditioning,
-    Hidden,
-)
+from obpose.model.nerf.field import Conditioning, Hidden
 from obpose.model.obpose import ObPose
 from obpose.scenes import edit
-from obpose.scenes.meshes import (
-    object_mesh,
-    write_mesh,
-)
+from obpose.scenes.meshes import object_mesh, write_mesh
 from obpose.scenes.scene import Scene
 from obpose.viewer.shapes import Shapes
 from tests.obpose.analytic_fields import BallField
-from tests.obpose.scenes.small_scenes import (
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import some_model, some_scene
 
 
 def ball_scene(radius: float) -> tuple[ObPose, Scene]:

@@ -6,16 +6,10 @@ from safetensors.torch import load_file, save_file
 
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
-from obpose.scenes.model_ref import (
-    load_origin,
-    origin_of,
-)
+from obpose.scenes.model_ref import load_origin, origin_of
 from obpose.storage.checkpoint import save_model
 from obpose.variants import make_config
-from tests.obpose.scenes.small_scenes import (
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import some_model, some_scene
 
 
 def trained(folder: Path, variant: str = "obpose") -> str:

@@ -5,12 +5,7 @@ import torch
 from PIL import Image as Pillow
 
 from obpose.pictures import PALETTE
-from obpose.scenes.pictures import (
-    strip,
-    turntable,
-    write_gif,
-    write_png,
-)
+from obpose.scenes.pictures import strip, turntable, write_gif, write_png
 from obpose.scenes.rendering import Image
 from tests.obpose.scenes.small_scenes import CAMERA
 

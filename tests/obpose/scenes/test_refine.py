@@ -17,11 +17,7 @@ from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
 from obpose.scenes.scene import Scene
 from obpose.types import Observation, Rays
-from tests.obpose.scenes.small_scenes import (
-    alike,
-    equal,
-    some_model,
-)
+from tests.obpose.scenes.small_scenes import alike, equal, some_model
 from tests.worlds.observations import table_scene
 
 STEPS = 12

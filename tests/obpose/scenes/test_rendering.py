@@ -16,21 +16,11 @@ from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import load_origin
 from obpose.scenes.priors.gaussian import load_prior
-from obpose.scenes.rendering import (
-    Renderer,
-    outlines,
-)
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-)
+from obpose.scenes.rendering import Renderer, outlines
+from obpose.scenes.scene import Camera, Scene
 from obpose.storage.pretrained import shipped_names
 from tests.obpose.scenes.dense import densely
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene
 
 
 def test_an_image_has_the_cameras_size_and_a_share_for_each_component():

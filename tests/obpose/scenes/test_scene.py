@@ -6,15 +6,8 @@ import torch
 
 from obpose.errors import UsageError
 from obpose.geometry import camera_rays
-from obpose.scenes.scene import (
-    LARGEST_ID,
-    axis_rotation,
-    upright,
-)
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    some_scene,
-)
+from obpose.scenes.scene import LARGEST_ID, axis_rotation, upright
+from tests.obpose.scenes.small_scenes import CAMERA, some_scene
 
 
 def test_objects_keep_their_names_and_what_is_not_there_is_named():

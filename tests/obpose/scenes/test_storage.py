@@ -10,15 +10,8 @@ from safetensors.torch import load_file, save_file
 
 from obpose.errors import CorruptFile, DatagenError, UsageError
 from obpose.scenes.scene import ClipName
-from obpose.scenes.storage import (
-    load_scene,
-    save_scene,
-)
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    equal,
-    some_scene,
-)
+from obpose.scenes.storage import load_scene, save_scene
+from tests.obpose.scenes.small_scenes import CAMERA, equal, some_scene
 
 
 @pytest.mark.parametrize("objects", [0, 3])

@@ -8,14 +8,7 @@ from pathlib import Path
 import pytest
 
 from obpose.errors import Busy, DatagenError, UsageError
-from obpose.storage.files import (
-    check_free,
-    claimed,
-    new_file,
-    new_folder,
-    remove_abandoned,
-    write_whole,
-)
+from obpose.storage.files import check_free, claimed, new_file, new_folder, remove_abandoned, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path):

@@ -2,10 +2,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from obpose.storage.optimizer_state import (
-    optimizer_state,
-    put_optimizer_state,
-)
+from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 
 
 def trained(steps: int) -> tuple[nn.Linear, torch.optim.Adam]:

@@ -4,13 +4,7 @@ import pytest
 
 import assets
 from obpose.errors import UsageError
-from obpose.storage.pretrained import (
-    content_hash,
-    find_shipped,
-    list_shipped,
-    shipped_names,
-    shipped_to_create,
-)
+from obpose.storage.pretrained import content_hash, find_shipped, list_shipped, shipped_names, shipped_to_create
 
 
 @pytest.fixture

@@ -9,14 +9,7 @@ import torch
 from safetensors.torch import save_file
 
 from obpose.errors import CorruptFile, UsageError
-from obpose.storage.tensors import (
-    MOST_HEADER_BYTES,
-    Form,
-    Forms,
-    differences_of,
-    forms_of,
-    read_tensors,
-)
+from obpose.storage.tensors import MOST_HEADER_BYTES, Form, Forms, differences_of, forms_of, read_tensors
 
 ADVICE = "make it again."
 TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.zeros(2, dtype=torch.float16)}

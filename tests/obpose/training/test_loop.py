@@ -13,17 +13,9 @@ from torch import Tensor
 
 from benchmark.commands.train import ari_fg
 from obpose.errors import CorruptFile, Diverged, Interrupted, UsageError
-from obpose.storage.checkpoint import (
-    TrainingState,
-    load,
-    save_training,
-)
+from obpose.storage.checkpoint import TrainingState, load, save_training
 from obpose.trainable import Trainable
-from obpose.training.loop import (
-    Status,
-    Trained,
-    train,
-)
+from obpose.training.loop import Status, Trained, train
 from obpose.training.record import Record
 from obpose.types import Observation
 from tests.obpose.toy import QuietToy, ToyClips, ToyModel, toy_config

@@ -3,11 +3,7 @@ import torch
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Camera
 from obpose.viewer.drawing import Drawer, Picture, Shape, Unfinished, Wish, bands, joined, preview_camera
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene
 
 
 def test_bands_are_the_picture():

@@ -17,10 +17,7 @@ from obpose.scenes.storage import load_scene
 from obpose.viewer.opening import Opened, open_path
 from obpose.viewer.page import Page
 from obpose.viewer.serving import open_server
-from tests.obpose.scenes.small_scenes import (
-    alike,
-    equal,
-)
+from tests.obpose.scenes.small_scenes import alike, equal
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,7 @@ from obpose.geometry import unproject
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.rendering import Renderer
-from obpose.viewer.point_clouds import (
-    observed_clouds,
-    slot_colour,
-    tinted,
-)
+from obpose.viewer.point_clouds import observed_clouds, slot_colour, tinted
 from tests.obpose.scenes.small_scenes import some_model
 from tests.worlds.observations import table_scene
 

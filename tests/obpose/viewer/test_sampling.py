@@ -5,17 +5,9 @@ import torch
 
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow_prior import save_flow
-from obpose.scenes.priors.gaussian import (
-    Mixture,
-    learned_prior,
-    save_prior,
-)
+from obpose.scenes.priors.gaussian import Mixture, learned_prior, save_prior
 from obpose.viewer.sampling import Sampler
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    dense_flow,
-    some_model,
-)
+from tests.obpose.scenes.small_scenes import CAMERA, dense_flow, some_model
 
 
 def test_seeds_follow_each_other_and_begin_anew():

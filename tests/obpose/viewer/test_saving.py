@@ -8,11 +8,7 @@ from obpose.scenes import edit
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.storage import load_scene
 from obpose.viewer.saving import save_new
-from tests.obpose.scenes.small_scenes import (
-    equal,
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import equal, some_model, some_scene
 
 
 def test_every_save_is_a_new_folder_and_nothing_is_overwritten(tmp_path: Path):

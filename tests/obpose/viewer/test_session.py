@@ -7,11 +7,7 @@ from obpose.errors import UsageError
 from obpose.scenes.bounds import check_inside
 from obpose.scenes.scene import upright
 from obpose.viewer.session import Session
-from tests.obpose.scenes.small_scenes import (
-    equal,
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import equal, some_model, some_scene
 
 TURN = upright(math.pi / 3, torch.zeros(()))
 

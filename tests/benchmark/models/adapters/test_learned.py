@@ -8,18 +8,12 @@ import torch
 
 from benchmark.execution.validation_scores import Watch
 from benchmark.models.adapters.learned import LearnedSegmenter
-from benchmark.models.interface import (
-    Clip,
-    Segmenter,
-)
+from benchmark.models.interface import Clip, Segmenter
 from benchmark.models.registry import find_model
 from benchmark.ranking.failed_seeds import has_finite_loss
 from datagen.errors import UsageError
 from tests.chosen_scores import run_row
-from tests.worlds.sphere_clips import (
-    clip_and_truth,
-    with_holes,
-)
+from tests.worlds.sphere_clips import clip_and_truth, with_holes
 
 SIZE = (32, 24)
 

@@ -7,12 +7,7 @@ import torch
 from benchmark.models.adapters.poses import poses_of
 from obpose.geometry import unproject
 from obpose.types import Boxes
-from tests.benchmark.studies.claims.oracle_model import (
-    dataset,
-    only_scene,
-    true_account,
-    untrained,
-)
+from tests.benchmark.studies.claims.oracle_model import dataset, only_scene, true_account, untrained
 
 
 @pytest.fixture(scope="module")

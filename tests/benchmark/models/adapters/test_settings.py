@@ -12,10 +12,7 @@ from benchmark.commands.arguments import Run
 from benchmark.execution.machine import ROOT
 from benchmark.execution.plan import make_plan
 from benchmark.execution.request import request_of
-from benchmark.models.adapters.settings import (
-    LATER,
-    settings_of,
-)
+from benchmark.models.adapters.settings import LATER, settings_of
 from benchmark.models.registry import find_model
 from benchmark.results.run_folder import load_runs
 from obpose.baselines.obsurf.config import ObsurfConfig

@@ -7,22 +7,9 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import clip_scores
-from benchmark.models.interface import (
-    LARGEST_LABEL,
-    Clip,
-    Segmenter,
-)
-from benchmark.models.registry import (
-    MODELS,
-    expand,
-)
-from tests.worlds.sphere_clips import (
-    arbitrary,
-    clip_and_truth,
-    turned,
-    with_holes,
-    with_noise,
-)
+from benchmark.models.interface import LARGEST_LABEL, Clip, Segmenter
+from benchmark.models.registry import MODELS, expand
+from tests.worlds.sphere_clips import arbitrary, clip_and_truth, turned, with_holes, with_noise
 
 SLOTS = 4
 EVERY = expand(["training-free"])

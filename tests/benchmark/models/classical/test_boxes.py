@@ -5,18 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmark.metrics.box_overlap import box_corners, box_overlap
-from benchmark.models.classical.boxes import (
-    smallest_box,
-    visible_boxes,
-)
-from benchmark.models.registry import (
-    MODELS,
-    expand,
-)
-from tests.worlds.sphere_clips import (
-    arbitrary,
-    clip_and_truth,
-)
+from benchmark.models.classical.boxes import smallest_box, visible_boxes
+from benchmark.models.registry import MODELS, expand
+from tests.worlds.sphere_clips import arbitrary, clip_and_truth
 
 
 def box_points(size: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -2,13 +2,7 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import clip_scores
-from benchmark.models.classical.floors import (
-    AllBackground,
-    ConstantGrid,
-    OneCluster,
-    RandomSlots,
-    grid_cells,
-)
+from benchmark.models.classical.floors import AllBackground, ConstantGrid, OneCluster, RandomSlots, grid_cells
 from tests.worlds.sphere_clips import clip_and_truth
 
 

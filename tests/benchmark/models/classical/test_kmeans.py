@@ -4,11 +4,7 @@ import numpy as np
 
 from benchmark.metrics import clip_scores
 from benchmark.models.classical.kmeans import KMeansXyzRgb
-from tests.worlds.sphere_clips import (
-    arbitrary,
-    balls,
-    with_holes,
-)
+from tests.worlds.sphere_clips import arbitrary, balls, with_holes
 
 ROLL = np.stack([[[-0.2 + x, 0.15, 0.045], [0.2 - x, -0.15, 0.045]] for x in np.linspace(0, 0.4, 6)])
 

@@ -4,18 +4,10 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import clip_scores
-from benchmark.models.classical.oracles import (
-    OracleKSlots,
-    OracleQuarterResolution,
-    OracleSplitBackground,
-    coarsen,
-)
+from benchmark.models.classical.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground, coarsen
 from benchmark.models.classical.untrained import keep_largest
 from benchmark.models.interface import Prediction
-from tests.worlds.sphere_clips import (
-    arbitrary,
-    clip_and_truth,
-)
+from tests.worlds.sphere_clips import arbitrary, clip_and_truth
 
 
 def scores_of(prediction: Prediction, truth: np.ndarray) -> dict[str, np.ndarray]:

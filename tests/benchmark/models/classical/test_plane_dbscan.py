@@ -3,10 +3,7 @@ import numpy as np
 from benchmark.metrics import clip_scores
 from benchmark.models.classical.plane_dbscan import PlaneDbscan
 from benchmark.models.interface import Clip
-from tests.worlds.sphere_clips import (
-    balls,
-    clip_and_truth,
-)
+from tests.worlds.sphere_clips import balls, clip_and_truth
 
 NEAR = np.array([[[-0.075, 0, 0.045], [0.075, 0, 0.045]]])
 """Two balls, their surfaces 5 cm apart; a pixel is 2 cm wide."""

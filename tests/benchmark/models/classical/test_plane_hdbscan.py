@@ -2,10 +2,7 @@ import dataclasses
 
 import numpy as np
 
-from benchmark.models.classical.plane_hdbscan import (
-    PlaneHdbscan,
-    adopt_lone,
-)
+from benchmark.models.classical.plane_hdbscan import PlaneHdbscan, adopt_lone
 from tests.worlds.sphere_clips import balls
 
 ONE_BALL = np.array([[[0.0, 0.0, 0.045]]])

@@ -4,19 +4,9 @@ import numpy as np
 import pytest
 
 from benchmark.models.classical.above_plane import standing
-from benchmark.models.classical.points import (
-    cell_ids,
-    pixel_width,
-    scene_points,
-    viewpoints,
-    voxels,
-)
+from benchmark.models.classical.points import cell_ids, pixel_width, scene_points, viewpoints, voxels
 from datagen.geometry import transform
-from tests.worlds.sphere_clips import (
-    clip_and_truth,
-    turned,
-    with_noise,
-)
+from tests.worlds.sphere_clips import clip_and_truth, turned, with_noise
 
 
 def test_points_are_the_worlds_seen_from_the_first_camera():

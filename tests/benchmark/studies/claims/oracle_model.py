@@ -5,12 +5,7 @@ from pathlib import Path
 
 import torch
 
-from benchmark.studies.claims.scenes import (
-    Account,
-    Scene,
-    account,
-    read_scenes,
-)
+from benchmark.studies.claims.scenes import Account, Scene, account, read_scenes
 from obpose.model.obpose import ObPose
 from obpose.types import Boxes
 from obpose.variants import make_config

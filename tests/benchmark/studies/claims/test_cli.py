@@ -5,11 +5,7 @@ import pytest
 from PIL import Image
 
 from benchmark.studies.claims.cli import main
-from benchmark.studies.claims.figures import (
-    LINE,
-    MARGIN,
-    TILE,
-)
+from benchmark.studies.claims.figures import LINE, MARGIN, TILE
 from datagen.errors import EXIT_USAGE
 from obpose.config import override
 from obpose.storage.checkpoint import save_model

@@ -1,12 +1,6 @@
 import numpy as np
 
-from benchmark.studies.claims.drawing import (
-    Cubes,
-    Eye,
-    Line,
-    draw,
-    look_at,
-)
+from benchmark.studies.claims.drawing import Cubes, Eye, Line, draw, look_at
 
 SIZE = 40
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)

@@ -6,11 +6,7 @@ import pytest
 from benchmark.models.interface import Prediction
 from benchmark.results.labels import write_labels
 from benchmark.studies.claims import shadows_cli
-from benchmark.studies.claims.effects_cli import (
-    compare,
-    main,
-    shadow_owners,
-)
+from benchmark.studies.claims.effects_cli import compare, main, shadow_owners
 from datagen.errors import EXIT_USAGE
 from datagen.pipeline.generate import render
 from datagen.schema import effect_mask

@@ -5,10 +5,7 @@ import pytest
 
 from benchmark.models.interface import Prediction
 from benchmark.results.labels import write_labels
-from benchmark.studies.claims.errors_cli import (
-    dealt_with,
-    main,
-)
+from benchmark.studies.claims.errors_cli import dealt_with, main
 from datagen.errors import EXIT_USAGE
 from datagen.storage.reader import Dataset
 from tests.worlds.traced import write_dataset

@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.studies.claims.frames import (
-    code_spread,
-    spread,
-    variance,
-)
-from tests.benchmark.studies.claims.oracle_model import (
-    only_scene,
-    true_account,
-)
+from benchmark.studies.claims.frames import code_spread, spread, variance
+from tests.benchmark.studies.claims.oracle_model import only_scene, true_account
 
 
 def test_occupancy_that_stays_does_not_vary_and_one_that_leaves_varies_most():

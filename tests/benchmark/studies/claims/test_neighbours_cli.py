@@ -6,11 +6,7 @@ import pytest
 from benchmark.clips import ClipSequence
 from benchmark.models.interface import Prediction
 from benchmark.results.labels import write_labels
-from benchmark.studies.claims.neighbours_cli import (
-    images_of,
-    main,
-    objects_adjoin,
-)
+from benchmark.studies.claims.neighbours_cli import images_of, main, objects_adjoin
 from datagen.storage.reader import Dataset
 from tests.worlds import generated
 from tests.worlds.traced import write_dataset

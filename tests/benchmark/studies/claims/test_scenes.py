@@ -7,10 +7,7 @@ import torch
 from benchmark.studies.claims.scenes import read_scenes
 from datagen.errors import UsageError
 from obpose.geometry import all_rays
-from tests.benchmark.studies.claims.oracle_model import (
-    only_scene,
-    true_account,
-)
+from tests.benchmark.studies.claims.oracle_model import only_scene, true_account
 from tests.worlds.traced import write_dataset
 
 pytestmark = pytest.mark.usefixtures("short_clips")

@@ -6,11 +6,7 @@ import pytest
 
 from benchmark.models.interface import Prediction
 from benchmark.results.labels import write_labels
-from benchmark.studies.claims.shadows_cli import (
-    compare,
-    in_shadow,
-    main,
-)
+from benchmark.studies.claims.shadows_cli import compare, in_shadow, main
 from datagen.errors import EXIT_USAGE
 from datagen.pipeline.generate import generate
 from datagen.storage.reader import Dataset

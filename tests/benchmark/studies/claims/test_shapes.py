@@ -6,21 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from benchmark.studies.claims.shapes import (
-    measure_times,
-    shape_errors,
-)
+from benchmark.studies.claims.shapes import measure_times, shape_errors
 from datagen.shapes.shape import Shape
-from obpose.model.nerf.field import (
-    Conditioning,
-    Field,
-    Hidden,
-)
+from obpose.model.nerf.field import Conditioning, Field, Hidden
 from obpose.types import SceneSegmentation
-from tests.benchmark.studies.claims.oracle_model import (
-    only_scene,
-    true_account,
-)
+from tests.benchmark.studies.claims.oracle_model import only_scene, true_account
 from tests.obpose.analytic_fields import SMALL, empty_field
 
 pytestmark = pytest.mark.usefixtures("short_clips")

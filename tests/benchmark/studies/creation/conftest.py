@@ -4,16 +4,10 @@ import pytest
 import torch
 
 from obpose.model.obpose import ObPose
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
+from obpose.scenes.model_ref import Origin, load_origin
 from obpose.storage.checkpoint import save_model
 from obpose.variants import make_config
-from tests.worlds import (
-    generated,
-    rendered,
-)
+from tests.worlds import generated, rendered
 
 
 @pytest.fixture(scope="session")

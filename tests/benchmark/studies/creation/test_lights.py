@@ -6,12 +6,7 @@ import pytest
 import torch
 
 from benchmark.studies.creation import lights_cli
-from benchmark.studies.creation.lights_cli import (
-    Found,
-    angle,
-    main,
-    table,
-)
+from benchmark.studies.creation.lights_cli import Found, angle, main, table
 from datagen.storage.reader import Dataset
 from obpose.scenes.appearance.light import no_light
 

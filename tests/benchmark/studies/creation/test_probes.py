@@ -4,24 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.studies.creation.objects import (
-    Objects,
-    _middle_frames,
-    facts,
-)
-from benchmark.studies.creation.probes import (
-    Probe,
-    Sample,
-    probe_names,
-    probe_numbers,
-)
-from benchmark.studies.creation.probes_cli import (
-    height_beyond_shape,
-    lines,
-    main,
-    rows,
-    table,
-)
+from benchmark.studies.creation.objects import Objects, _middle_frames, facts
+from benchmark.studies.creation.probes import Probe, Sample, probe_names, probe_numbers
+from benchmark.studies.creation.probes_cli import height_beyond_shape, lines, main, rows, table
 from datagen.storage.reader import Dataset
 
 RNG = np.random.default_rng(0)

@@ -7,31 +7,13 @@ import torch
 from PIL import Image as Pillow
 
 from benchmark.models.interface import Prediction
-from benchmark.studies.creation.sampled import (
-    ari_fg,
-    labelled,
-    looks,
-    mean_ari_fg,
-    real_scenes,
-    sampled_scenes,
-)
-from benchmark.studies.creation.samples_cli import (
-    COLUMNS,
-    GAP,
-    main,
-    shipped_to_segment,
-)
+from benchmark.studies.creation.sampled import ari_fg, labelled, looks, mean_ari_fg, real_scenes, sampled_scenes
+from benchmark.studies.creation.samples_cli import COLUMNS, GAP, main, shipped_to_segment
 from datagen.storage.reader import Dataset
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import Flow
-from obpose.scenes.priors.flow_prior import (
-    named_prior,
-    save_flow,
-)
-from obpose.scenes.priors.gaussian import (
-    learned_prior,
-    save_prior,
-)
+from obpose.scenes.priors.flow_prior import named_prior, save_flow
+from obpose.scenes.priors.gaussian import learned_prior, save_prior
 from obpose.scenes.rendering import Image
 from obpose.storage.pretrained import shipped_to_create
 from tests.obpose.scenes.small_scenes import CAMERA

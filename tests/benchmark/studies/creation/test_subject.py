@@ -2,11 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.studies.creation import (
-    probes_cli,
-    samples_cli,
-    views_cli,
-)
+from benchmark.studies.creation import probes_cli, samples_cli, views_cli
 from datagen.errors import EXIT_USAGE
 
 

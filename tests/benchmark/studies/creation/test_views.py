@@ -22,14 +22,8 @@ from benchmark.studies.creation.views import (
     read_views,
     spread,
 )
-from benchmark.studies.creation.views_cli import (
-    lines,
-    main,
-)
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from benchmark.studies.creation.views_cli import lines, main
+from datagen.storage.reader import Dataset, Split
 from obpose.scenes.model_ref import Origin
 
 NOTHING = Picture(np.zeros((32, 32, 3)), np.zeros((32, 32)))

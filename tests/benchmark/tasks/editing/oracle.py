@@ -7,16 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.tasks.editing.interface import Picture
-from benchmark.tasks.editing.truth import (
-    EditedScene,
-    read_edits,
-)
+from benchmark.tasks.editing.truth import EditedScene, read_edits
 from datagen.pipeline.generate import generate
 from datagen.schema import EDITS, EditKind
-from datagen.storage.reader import (
-    Dataset,
-    Split,
-)
+from datagen.storage.reader import Dataset, Split
 from tests.worlds import generated
 
 SCENES = 2

@@ -3,11 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.tasks.editing.answers import (
-    answers_of,
-    match,
-    reference_answers,
-)
+from benchmark.tasks.editing.answers import answers_of, match, reference_answers
 from benchmark.tasks.editing.scores import LARGEST_PSNR
 from datagen.schema import EDITS
 from tests.benchmark.tasks.editing import oracle

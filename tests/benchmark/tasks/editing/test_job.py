@@ -6,15 +6,8 @@ import pytest
 
 from benchmark.names import REFERENCES
 from benchmark.tasks.editing.job import EditJob
-from benchmark.tasks.editing.lines import (
-    line_without_edit,
-    load_lines,
-    save_lines,
-)
-from benchmark.tasks.editing.truth import (
-    EditedScene,
-    read_edits,
-)
+from benchmark.tasks.editing.lines import line_without_edit, load_lines, save_lines
+from benchmark.tasks.editing.truth import EditedScene, read_edits
 from datagen.errors import UsageError
 from datagen.schema import EditKind
 from datagen.storage.reader import Split

@@ -5,13 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.tasks.editing.scores import (
-    LARGEST_PSNR,
-    METRICS,
-    depth_error,
-    psnr,
-    score,
-)
+from benchmark.tasks.editing.scores import LARGEST_PSNR, METRICS, depth_error, psnr, score
 from tests.benchmark.tasks.editing import oracle
 
 EVERYWHERE = np.ones((1, 1, 2, 2), bool)

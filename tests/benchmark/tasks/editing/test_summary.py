@@ -7,10 +7,7 @@ import pytest
 from rich.console import Console
 
 from benchmark.tasks.editing import summary
-from benchmark.tasks.editing.lines import (
-    path_of,
-    save_lines,
-)
+from benchmark.tasks.editing.lines import path_of, save_lines
 from benchmark.tasks.editing.scores import METRICS
 
 

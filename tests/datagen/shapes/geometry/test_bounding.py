@@ -5,10 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from datagen.catalog import CATEGORIES, sample_shape
 from datagen.shapes import build
-from datagen.shapes.geometry.bounding import (
-    Outline,
-    minimum_box,
-)
+from datagen.shapes.geometry.bounding import Outline, minimum_box
 from datagen.shapes.shape import MESH_TOLERANCE
 
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * [0.05, 0.03, 0.08]

@@ -1,11 +1,7 @@
 import numpy as np
 import pytest
 
-from datagen.shapes.geometry import (
-    mesh,
-    round_mesh,
-    sdf,
-)
+from datagen.shapes.geometry import mesh, round_mesh, sdf
 from datagen.shapes.shape import MESH_TOLERANCE
 
 CONE = np.array([[0.0, 0.0], [0.03, 0.0], [0.0, 0.08]])

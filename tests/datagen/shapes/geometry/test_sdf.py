@@ -5,11 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from datagen.shapes.geometry import (
-    mesh,
-    round_mesh,
-    sdf,
-)
+from datagen.shapes.geometry import mesh, round_mesh, sdf
 from datagen.shapes.shape import Solid
 
 L_SHAPE = np.array([[0.0, 0.0], [0.08, 0.0], [0.08, 0.02], [0.03, 0.02], [0.03, 0.06], [0.0, 0.06]])

@@ -9,10 +9,7 @@ from torch import Tensor
 
 from obpose.baselines.obsurf.config import OBSURF_VARIANTS
 from obpose.baselines.obsurf.model import Encoded, Obsurf
-from obpose.data.clips import (
-    one_view,
-    views_apart,
-)
+from obpose.data.clips import one_view, views_apart
 from obpose.geometry import all_rays, sample_rays, unproject
 from obpose.systems import find_system
 from obpose.types import Observation

@@ -18,10 +18,7 @@ from obpose.geometry import unproject
 from obpose.systems import find_system
 from obpose.training.loop import train
 from obpose.types import Observation
-from tests.worlds.observations import (
-    balls_in_depth,
-    pairs_of_balls,
-)
+from tests.worlds.observations import balls_in_depth, pairs_of_balls
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 

@@ -2,10 +2,7 @@ import pytest
 import torch
 
 from obpose.config import AttentionConfig, BackboneConfig
-from obpose.model.attention.heads import (
-    HeadOutputs,
-    Heads,
-)
+from obpose.model.attention.heads import HeadOutputs, Heads
 
 CENTER = torch.tensor([0.1, -0.2, 0.3])
 

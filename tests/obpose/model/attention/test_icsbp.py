@@ -6,15 +6,8 @@ import pytest
 import torch
 
 from obpose.config import AttentionConfig
-from obpose.model.attention.icsbp import (
-    EXCLUDED,
-    ICSBP,
-    whole_scope,
-)
-from obpose.model.attention.kernels import (
-    Kernel,
-    initial_sigma,
-)
+from obpose.model.attention.icsbp import EXCLUDED, ICSBP, whole_scope
+from obpose.model.attention.kernels import Kernel, initial_sigma
 from obpose.types import Masks
 
 KERNELS: tuple[Kernel, ...] = ("gaussian", "laplacian", "epanechnikov")

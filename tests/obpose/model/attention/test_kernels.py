@@ -3,13 +3,7 @@ import math
 import pytest
 import torch
 
-from obpose.model.attention.kernels import (
-    NEVER_ALL,
-    NEVER_NONE,
-    Kernel,
-    initial_sigma,
-    log_alpha,
-)
+from obpose.model.attention.kernels import NEVER_ALL, NEVER_NONE, Kernel, initial_sigma, log_alpha
 
 KERNELS: tuple[Kernel, ...] = ("gaussian", "laplacian", "epanechnikov")
 

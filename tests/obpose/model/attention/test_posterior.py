@@ -12,10 +12,7 @@ from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.obpose import ObPose
 from obpose.types import Decoded, Masks
 from obpose.variants import make_config
-from tests.worlds.observations import (
-    labels_by_colour,
-    table_scene,
-)
+from tests.worlds.observations import labels_by_colour, table_scene
 
 POINTS, COMPONENTS = 5, 3
 

@@ -3,10 +3,7 @@ import torch
 
 from obpose.config import SlotAttentionConfig
 from obpose.model.attention.icsbp import EXCLUDED
-from obpose.model.attention.slot import (
-    SlotAttention,
-    Slots,
-)
+from obpose.model.attention.slot import SlotAttention, Slots
 
 FEATURES, SLOTS, WIDTH = 5, 3, 8
 

@@ -1,10 +1,7 @@
 import pytest
 import torch
 
-from obpose.model.layers.gaussian import (
-    draw_gaussian,
-    mean_and_std,
-)
+from obpose.model.layers.gaussian import draw_gaussian, mean_and_std
 
 
 def test_samples_have_the_mean_and_the_standard_deviation():

@@ -1,10 +1,7 @@
 import pytest
 import torch
 
-from obpose.model.layers.kernel_points import (
-    SHELL,
-    kernel_points,
-)
+from obpose.model.layers.kernel_points import SHELL, kernel_points
 
 
 def test_one_at_the_centre_and_the_others_on_a_shell():

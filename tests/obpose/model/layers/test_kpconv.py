@@ -3,11 +3,7 @@ import torch
 from torch import Tensor
 
 from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import (
-    EXTENT,
-    KPConv,
-    influence,
-)
+from obpose.model.layers.kpconv import EXTENT, KPConv, influence
 
 
 def slow_kpconv(features: Tensor, offsets: Tensor, valid: Tensor, kernel: Tensor, weight: Tensor) -> Tensor:

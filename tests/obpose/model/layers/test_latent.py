@@ -7,11 +7,7 @@ from torch.nn import GRUCell
 from torch.nn.functional import layer_norm, softplus
 
 from obpose.config import LatentConfig
-from obpose.model.layers.latent import (
-    PRIOR_STD,
-    RecurrentLatent,
-    Start,
-)
+from obpose.model.layers.latent import PRIOR_STD, RecurrentLatent, Start
 from obpose.types import Latent
 
 ENCODING, LATENT, HIDDEN = 6, 4, 5

@@ -2,11 +2,7 @@ import pytest
 import torch
 from torch import nn
 
-from obpose.model.layers.mlp import (
-    Linear,
-    mlp,
-    pass_on,
-)
+from obpose.model.layers.mlp import Linear, mlp, pass_on
 
 
 def test_elu_stands_between_layers_and_not_after_the_last():

@@ -3,11 +3,7 @@ from decimal import Decimal, localcontext
 import pytest
 import torch
 
-from obpose.model.layers.numerics import (
-    log1mexp,
-    log_sum_exp,
-    sharpen,
-)
+from obpose.model.layers.numerics import log1mexp, log_sum_exp, sharpen
 
 ARGUMENTS = (-1e-30, -1e-7, -1e-3, -0.5, -0.6931, -0.6932, -1.0, -10.0, -40.0, -80.0)
 

@@ -3,15 +3,8 @@ import math
 import pytest
 import torch
 
-from obpose.model.losses.attention import (
-    attention_l2,
-    attention_mixture,
-    attention_warmup,
-)
-from obpose.model.losses.observation import (
-    ColourLikelihood,
-    log_likelihood,
-)
+from obpose.model.losses.attention import attention_l2, attention_mixture, attention_warmup
+from obpose.model.losses.observation import ColourLikelihood, log_likelihood
 
 STD = 0.1
 FLOOR = -18.0

@@ -7,11 +7,7 @@ import pytest
 import torch
 
 from obpose.config import LossConfig
-from obpose.model.losses.objective import (
-    Evidence,
-    growth,
-    loss_terms,
-)
+from obpose.model.losses.objective import Evidence, growth, loss_terms
 from obpose.model.obpose import ObPose
 from obpose.variants import make_config
 from tests.worlds.observations import table_scene

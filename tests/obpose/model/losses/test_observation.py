@@ -3,17 +3,8 @@ import math
 import pytest
 import torch
 
-from obpose.model.losses.observation import (
-    ColourLikelihood,
-    air,
-    colour_mixture,
-    log_likelihood,
-    surface,
-)
-from obpose.model.nerf.compose import (
-    OUTSIDE,
-    log_share,
-)
+from obpose.model.losses.observation import ColourLikelihood, air, colour_mixture, log_likelihood, surface
+from obpose.model.nerf.compose import OUTSIDE, log_share
 
 STD = 0.1
 SHAPE = (2, 2, 3, 40)

@@ -2,11 +2,7 @@ import pytest
 import torch
 from torch.distributions import Normal, kl_divergence
 
-from obpose.model.losses.regularisers import (
-    kl,
-    remaining_scope,
-    translation,
-)
+from obpose.model.losses.regularisers import kl, remaining_scope, translation
 from obpose.types import Latent
 
 

@@ -6,10 +6,7 @@ from obpose.config import LossConfig
 from obpose.model.nerf.along import fields_along
 from obpose.model.nerf.components import Colours
 from obpose.types import Decoded
-from tests.obpose.model.nerf.test_points import (
-    generator,
-    rays_of_depth,
-)
+from tests.obpose.model.nerf.test_points import generator, rays_of_depth
 
 JITTER = 0.01
 

@@ -6,11 +6,7 @@ import torch
 from einops import rearrange
 
 from obpose.geometry import to_box
-from obpose.model.nerf.components import (
-    Colours,
-    decode,
-    decode_background,
-)
+from obpose.model.nerf.components import Colours, decode, decode_background
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.field import Field
 from obpose.types import Boxes, Decoded

@@ -4,14 +4,7 @@ import pytest
 import torch
 
 from obpose.config import LossConfig
-from obpose.model.nerf.compose import (
-    OUTSIDE,
-    air_density,
-    log_density,
-    log_share,
-    mean_colour,
-    solid_share,
-)
+from obpose.model.nerf.compose import OUTSIDE, air_density, log_density, log_share, mean_colour, solid_share
 
 SATURATION = LossConfig().air_saturation
 assert SATURATION is not None

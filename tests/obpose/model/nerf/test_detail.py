@@ -4,12 +4,7 @@ import torch
 from scipy.interpolate import RegularGridInterpolator
 
 from obpose.model.nerf.compose import OUTSIDE
-from obpose.model.nerf.detail import (
-    EDGE,
-    Detail,
-    no_detail,
-    roughness,
-)
+from obpose.model.nerf.detail import EDGE, Detail, no_detail, roughness
 from obpose.model.nerf.field import Field
 from tests.obpose.analytic_fields import SMALL
 

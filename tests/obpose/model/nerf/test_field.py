@@ -4,10 +4,7 @@ import pytest
 import torch
 
 from obpose.config import FieldConfig
-from obpose.model.nerf.field import (
-    Field,
-    positional_encoding,
-)
+from obpose.model.nerf.field import Field, positional_encoding
 from tests.obpose.analytic_fields import SMALL
 
 

@@ -5,23 +5,9 @@ import torch
 
 from obpose.geometry import camera_rays
 from obpose.model.nerf.components import decode
-from obpose.model.nerf.field import (
-    Conditioning,
-    Field,
-    Hidden,
-)
-from obpose.model.nerf.marching import (
-    Component,
-    Picture,
-    make_component,
-    march,
-    moved,
-    thickness_towards,
-)
-from obpose.model.nerf.render import (
-    Rendering,
-    render,
-)
+from obpose.model.nerf.field import Conditioning, Field, Hidden
+from obpose.model.nerf.marching import Component, Picture, make_component, march, moved, thickness_towards
+from obpose.model.nerf.render import Rendering, render
 from obpose.types import Boxes
 from tests.obpose.analytic_fields import SMALL, BallField, empty_field
 

@@ -3,10 +3,7 @@ import math
 import pytest
 import torch
 
-from obpose.model.nerf.points import (
-    air_points,
-    surface_points,
-)
+from obpose.model.nerf.points import air_points, surface_points
 from obpose.types import Rays
 
 

@@ -4,14 +4,8 @@ import pytest
 import torch
 
 from obpose.config import FieldConfig
-from obpose.model.nerf.components import (
-    Colours,
-    decode_background,
-)
-from obpose.model.nerf.compose import (
-    OUTSIDE,
-    log_density,
-)
+from obpose.model.nerf.components import Colours, decode_background
+from obpose.model.nerf.compose import OUTSIDE, log_density
 from obpose.model.nerf.field import Field
 from obpose.model.nerf.world import decode_world
 from obpose.types import Decoded

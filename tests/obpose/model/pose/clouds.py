@@ -2,10 +2,7 @@
 
 import torch
 
-from obpose.model.pose.crop import (
-    BoxSamples,
-    gather_box,
-)
+from obpose.model.pose.crop import BoxSamples, gather_box
 from obpose.types import Boxes
 
 EDGE = 0.06

@@ -4,10 +4,7 @@ import torch
 from einops import repeat
 
 from obpose.geometry import to_box
-from obpose.model.pose.crop import (
-    BoxSamples,
-    gather_box,
-)
+from obpose.model.pose.crop import BoxSamples, gather_box
 from obpose.types import Boxes
 
 BATCH, FRAMES, SLOTS, POINTS, FEATURES = 2, 3, 2, 200, 4

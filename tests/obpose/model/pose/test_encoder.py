@@ -7,17 +7,8 @@ import torch
 from obpose.config import LatentConfig
 from obpose.model.layers.kpconv import EXTENT
 from obpose.model.pose.crop import BoxSamples
-from obpose.model.pose.encoder import (
-    NEIGHBOURS,
-    Neighbourhoods,
-    ObjectEncoder,
-    neighbourhoods,
-)
-from tests.obpose.model.pose.clouds import (
-    crop,
-    half_a_cube,
-    table,
-)
+from obpose.model.pose.encoder import NEIGHBOURS, Neighbourhoods, ObjectEncoder, neighbourhoods
+from tests.obpose.model.pose.clouds import crop, half_a_cube, table
 
 FEATURES, WIDTH = 4, 32
 RADIUS = LatentConfig().radius

@@ -2,10 +2,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from obpose.model.pose.location import (
-    count_points,
-    observed_center,
-)
+from obpose.model.pose.location import count_points, observed_center
 
 SLOTS = 3
 

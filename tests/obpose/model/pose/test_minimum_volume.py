@@ -13,12 +13,7 @@ from obpose.model.pose.minimum_volume import (
     minimum_volume_rotation,
     orient,
 )
-from obpose.model.pose.rotations import (
-    equivalents,
-    geodesic_distance,
-    random_rotations,
-    rotation_from_vector,
-)
+from obpose.model.pose.rotations import equivalents, geodesic_distance, random_rotations, rotation_from_vector
 from tests.obpose.clouds import as_tensor, box_surface, random_boxes, random_shapes, trimesh_volumes
 
 SEARCH = {"grid_level": 1, "refinements": 8}

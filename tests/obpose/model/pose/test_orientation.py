@@ -7,11 +7,7 @@ import torch
 
 from obpose.config import PoseConfig
 from obpose.model.pose.orientation import observed_rotation
-from obpose.model.pose.rotations import (
-    equivalents,
-    geodesic_distance,
-    rotation_from_vector,
-)
+from obpose.model.pose.rotations import equivalents, geodesic_distance, rotation_from_vector
 from tests.obpose.clouds import random_boxes
 
 POSE = PoseConfig()

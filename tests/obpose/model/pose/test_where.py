@@ -3,11 +3,7 @@ import torch
 from obpose.config import LatentConfig, PoseConfig
 from obpose.model.pose.encoder import ObjectEncoder
 from obpose.model.pose.where import Where
-from tests.obpose.model.pose.clouds import (
-    crop,
-    half_a_cube,
-    table,
-)
+from tests.obpose.model.pose.clouds import crop, half_a_cube, table
 
 LATENT = LatentConfig(where=6, hidden=8, encoder=10)
 CODE = ObjectEncoder(4, LATENT).size

@@ -9,15 +9,7 @@ from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.light import no_light
 from obpose.scenes.rendering import Renderer
 from tests.obpose.analytic_fields import BallField
-from tests.obpose.scenes.lit import (
-    GREY,
-    RADIUS,
-    VIEW,
-    balls_over_table,
-    moving_balls,
-    observed,
-    table_points,
-)
+from tests.obpose.scenes.lit import GREY, RADIUS, VIEW, balls_over_table, moving_balls, observed, table_points
 
 SOFT = 0.025
 """How far from the edge of a shadow it may be neither light nor dark, metres."""

@@ -8,22 +8,11 @@ from obpose.model.obpose import ObPose
 from obpose.scenes import edit
 from obpose.scenes.appearance.find_table_texture import find_pattern
 from obpose.scenes.appearance.light import no_light
-from obpose.scenes.appearance.table_texture import (
-    EDGE,
-    no_pattern,
-    on_pattern,
-    pattern_at,
-)
+from obpose.scenes.appearance.table_texture import EDGE, no_pattern, on_pattern, pattern_at
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Scene
 from obpose.types import Observation
-from tests.obpose.scenes.lit import (
-    GREY,
-    VIEW,
-    balls_over_table,
-    observed,
-    table_points,
-)
+from tests.obpose.scenes.lit import GREY, VIEW, balls_over_table, observed, table_points
 
 LIGHT = (0.6, 0.0, 0.8, 0.4)
 NONE = (0.0, 0.0, 0.0, 0.0)

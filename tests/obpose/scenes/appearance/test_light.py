@@ -1,11 +1,7 @@
 import pytest
 import torch
 
-from obpose.scenes.appearance.light import (
-    beams,
-    is_light,
-    no_light,
-)
+from obpose.scenes.appearance.light import beams, is_light, no_light
 
 
 @pytest.mark.parametrize("toward", [[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.48, -0.6, 0.64], [1.0, 0.0, 0.0]])

@@ -1,14 +1,6 @@
 import torch
 
-from obpose.scenes.appearance.table_texture import (
-    EDGE,
-    SPOT,
-    no_pattern,
-    on_pattern,
-    pattern_at,
-    pattern_like,
-    spot_of,
-)
+from obpose.scenes.appearance.table_texture import EDGE, SPOT, no_pattern, on_pattern, pattern_at, pattern_like, spot_of
 from tests.obpose.scenes.small_scenes import some_model
 
 

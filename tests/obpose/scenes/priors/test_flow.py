@@ -13,12 +13,7 @@ from obpose.scenes.priors.flow import (
     mirrored,
     sample_grids,
 )
-from obpose.scenes.priors.grids import (
-    COLOUR_LIMIT,
-    DENSITY_LIMIT,
-    Grids,
-    mean_colour,
-)
+from obpose.scenes.priors.grids import COLOUR_LIMIT, DENSITY_LIMIT, Grids, mean_colour
 
 
 def some_grids(count: int = 3, seed: int = 0) -> Grids:

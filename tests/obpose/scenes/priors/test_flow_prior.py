@@ -6,25 +6,12 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from obpose.errors import CorruptFile, UsageError
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
+from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.priors.flow import Flow
-from obpose.scenes.priors.flow_prior import (
-    has_flow,
-    load_flow,
-    save_flow,
-)
-from obpose.scenes.priors.gaussian import (
-    learned_prior,
-    save_prior,
-)
+from obpose.scenes.priors.flow_prior import has_flow, load_flow, save_flow
+from obpose.scenes.priors.gaussian import learned_prior, save_prior
 from obpose.storage.pretrained import shipped_names
-from tests.obpose.scenes.small_scenes import (
-    some_model,
-    some_tables,
-)
+from tests.obpose.scenes.small_scenes import some_model, some_tables
 
 
 @pytest.fixture

@@ -9,23 +9,10 @@ from torch import Tensor
 
 from obpose.errors import CorruptFile, UsageError
 from obpose.scenes.appearance.table_texture import SPOT
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
-from obpose.scenes.priors.gaussian import (
-    Mixture,
-    fit_mixture,
-    fit_prior,
-    learned_prior,
-    load_prior,
-    save_prior,
-)
+from obpose.scenes.model_ref import Origin, load_origin
+from obpose.scenes.priors.gaussian import Mixture, fit_mixture, fit_prior, learned_prior, load_prior, save_prior
 from obpose.storage.pretrained import shipped_names
-from tests.obpose.scenes.small_scenes import (
-    some_model,
-    some_tables,
-)
+from tests.obpose.scenes.small_scenes import some_model, some_tables
 from tests.worlds.observations import table_scene
 
 

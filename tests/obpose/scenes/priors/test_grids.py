@@ -5,26 +5,11 @@ import torch
 
 from obpose.model.nerf.detail import EDGE
 from obpose.model.obpose import ObPose
-from obpose.scenes.priors.grids import (
-    COLOUR_LIMIT,
-    DENSITY_LIMIT,
-    Grids,
-    facing,
-    grids_of,
-    together,
-)
+from obpose.scenes.priors.grids import COLOUR_LIMIT, DENSITY_LIMIT, Grids, facing, grids_of, together
 from obpose.scenes.rendering import conditioning
-from obpose.scenes.scene import (
-    Camera,
-    Scene,
-    upright,
-)
+from obpose.scenes.scene import Camera, Scene, upright
 from tests.obpose.analytic_fields import BallField
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    some_model,
-    some_scene,
-)
+from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene
 
 HIGH = 0.3
 """Metres above the table, out of its way."""

@@ -13,30 +13,16 @@ from obpose.scenes.appearance.table_texture import pattern_like
 from obpose.scenes.extent import shape_extent
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.flow import (
-    Flow,
-    sample_grids,
-)
+from obpose.scenes.priors.flow import Flow, sample_grids
 from obpose.scenes.priors.flow_prior import FlowPrior
 from obpose.scenes.priors.gaussian import learned_prior
-from obpose.scenes.priors.grids import (
-    Grids,
-    facing,
-)
-from obpose.scenes.priors.object_bank import (
-    FoundObjects,
-    find_objects,
-)
+from obpose.scenes.priors.grids import Grids, facing
+from obpose.scenes.priors.object_bank import FoundObjects, find_objects
 from obpose.scenes.priors.sample import sample_scene
 from obpose.scenes.rendering import conditioning
 from obpose.scenes.scene import Scene
 from tests.obpose.analytic_fields import BallField
-from tests.obpose.scenes.small_scenes import (
-    CAMERA,
-    some_model,
-    some_scene,
-    some_tables,
-)
+from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene, some_tables
 from tests.worlds.observations import table_scene
 
 RADIUS = 0.4

@@ -4,22 +4,11 @@ import pytest
 import torch
 
 from obpose.scenes.appearance.light import no_light
-from obpose.scenes.appearance.table_texture import (
-    no_pattern,
-    pattern_like,
-    spot_of,
-)
+from obpose.scenes.appearance.table_texture import no_pattern, pattern_like, spot_of
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors import tables
-from obpose.scenes.priors.tables import (
-    find_tables,
-    no_tables,
-)
-from tests.obpose.scenes.small_scenes import (
-    some_model,
-    some_scene,
-    some_tables,
-)
+from obpose.scenes.priors.tables import find_tables, no_tables
+from tests.obpose.scenes.small_scenes import some_model, some_scene, some_tables
 from tests.worlds.observations import table_scene
 
 

@@ -9,23 +9,12 @@ from safetensors.torch import load_file, save_file
 import assets
 from datagen.pipeline.generate import generate
 from obpose.errors import CorruptFile, Diverged, UsageError
-from obpose.scenes.model_ref import (
-    Origin,
-    load_origin,
-)
-from obpose.scenes.priors import (
-    examples,
-    train_flow,
-)
+from obpose.scenes.model_ref import Origin, load_origin
+from obpose.scenes.priors import examples, train_flow
 from obpose.scenes.priors.examples import find_examples
 from obpose.scenes.priors.flow import VALUES
 from obpose.scenes.priors.flow_prior import load_flow
-from obpose.scenes.priors.train_flow import (
-    PARTIAL,
-    Lesson,
-    learn_flow,
-    nearest,
-)
+from obpose.scenes.priors.train_flow import PARTIAL, Lesson, learn_flow, nearest
 from tests.worlds import generated
 
 MODEL = "obpose--moving--64x64"
