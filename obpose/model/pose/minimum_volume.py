@@ -178,7 +178,7 @@ def _into(
 
 
 def _outermost(clouds: Clouds) -> Clouds:
-    """Select the extreme points of each cloud in 24 directions and their opposites, which are near the hull's corners."""
+    """Select the extreme points of each cloud in 24 directions and their opposites, close to the hull's corners."""
     half = healpix_directions(1).chunk(2)[0].to(clouds.points)
     along = clouds.points @ half.mT
     index = torch.cat([along.max(dim=0).indices, along.min(dim=0).indices], dim=-1)

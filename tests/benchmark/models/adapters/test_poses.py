@@ -7,35 +7,35 @@ import torch
 from benchmark.models.adapters.poses import poses_of
 from obpose.geometry import unproject
 from obpose.types import Boxes
-from tests.benchmark.studies.claims.oracle_model import dataset, only_scene, true_account, untrained
+from tests.benchmark.studies.oracle_model import FRAMES, dataset, true_clip, untrained
 
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory):
-    return true_account(only_scene(dataset(tmp_path_factory.mktemp("poses") / "data")))
+    return true_clip(dataset(tmp_path_factory.mktemp("poses") / "data"))
 
 
 def test_boxes_are_the_smallest_around_their_middles_that_hold_what_is_seen(told):
-    observation = told.scene.observation
+    observation = told.observation
     poses = poses_of(told.model, told.segmentation, observation)
     assert poses is not None
-    assert poses.center.shape == (3, 1, 5, 3)
+    assert poses.center.shape == (FRAMES, 1, 5, 3)
     assert np.isnan(poses.center[:, :, 0]).all()
     points, labels = unproject(observation)[0, :, 0].double().numpy(), told.segmentation.labels[0, :, 0].numpy()
-    for frame, row in np.ndindex(3, told.scene.truth.count):
+    for frame, row in np.ndindex(FRAMES, told.truth.count):
         center, rotation, size = (array[frame, 0, row + 1] for array in (poses.center, poses.rotation, poses.size))
         mine = points[frame][labels[frame] == row + 1]
         if not len(mine):
             assert np.isnan(center).all()
             continue
-        assert center == pytest.approx(told.scene.truth.world_from_object[frame, row, :3, 3], abs=1e-6)
-        assert rotation == pytest.approx(told.scene.truth.world_from_object[frame, row, :3, :3], abs=1e-6)
+        assert center == pytest.approx(told.truth.world_from_object[frame, row, :3, 3], abs=1e-6)
+        assert rotation == pytest.approx(told.truth.world_from_object[frame, row, :3, :3], abs=1e-6)
         assert np.abs((mine - center) @ rotation).max(axis=0) == pytest.approx(size / 2, abs=1e-5)
 
 
 def test_slots_without_pixels_have_no_pose(told):
     nothing = replace(told.segmentation, labels=torch.zeros_like(told.segmentation.labels))
-    poses = poses_of(told.model, nothing, told.scene.observation)
+    poses = poses_of(told.model, nothing, told.observation)
     assert poses is not None
     assert all(np.isnan(array).all() for array in (poses.center, poses.rotation, poses.size))
 
@@ -51,16 +51,16 @@ def test_views_are_apart(told):
         attention=twice(told.segmentation.attention),
         inference=replace(inference, boxes=boxes),
     )
-    observation = told.scene.observation
+    observation = told.observation
     names = ("rgb", "depth", "valid", "k", "world_from_camera")
     doubled = replace(observation, **{name: twice(getattr(observation, name)) for name in names})
     poses = poses_of(told.model, both, doubled)
     assert poses is not None
-    assert poses.center.shape[:2] == (3, 2)
+    assert poses.center.shape[:2] == (FRAMES, 2)
     np.testing.assert_array_equal(poses.size[:, 0], poses.size[:, 1])
 
 
 def test_a_model_without_poses_gives_none(told):
     model = untrained("none")
-    found = model.segment(told.scene.observation)
-    assert poses_of(model, found, told.scene.observation) is None
+    found = model.segment(told.observation)
+    assert poses_of(model, found, told.observation) is None

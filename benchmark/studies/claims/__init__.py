@@ -1,1 +1,0 @@
-"""The paper's own claims, measured against what the generator knows (docs/results.md has the numbers)."""

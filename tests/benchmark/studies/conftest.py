@@ -1,0 +1,47 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from obpose.model.obpose import ObPose
+from obpose.scenes.model_ref import Origin, load_origin
+from obpose.storage.checkpoint import save_model
+from obpose.variants import make_config
+from tests.benchmark.studies import oracle_model
+from tests.worlds import generated, rendered
+
+
+@pytest.fixture(scope="session")
+def oracle_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return oracle_model.dataset(tmp_path_factory.mktemp("oracle") / "data")
+
+
+@pytest.fixture(scope="session")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clips of three frames in each split, one view, 32x32."""
+    folder = tmp_path_factory.mktemp("creation") / "clips"
+    generated.make(folder, {"train": 2, "val": 2, "test": 2})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scenes of one frame and two views, in the split for training alone."""
+    record = rendered.record(rendered.scene(frames=1, views=2), resolution=(32, 32))
+    return rendered.write_dataset(tmp_path_factory.mktemp("creation") / "stills", [record, record])
+
+
+@pytest.fixture(scope="session")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of an untrained model; its objects are small, so that there is room for some beside each other."""
+    folder = tmp_path_factory.mktemp("creation") / "model"
+    torch.manual_seed(0)
+    sizes = {"model.pose.box_size": 0.05, "model.workspace_size": 1.5, "model.attention.inactive_points": 0}
+    model = ObPose(make_config(**sizes)).eval()
+    save_model(folder, model.state_dict(), model.config, {})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def origin(checkpoint: Path) -> Origin:
+    return load_origin(str(checkpoint))
