@@ -11,6 +11,9 @@ from benchmark.results.run_folder import Measured, RunKey, RunRow, SceneTable, s
 
 SPEC = "5bec" * 16
 
+HOSTILE = "a|b`c`\n## x <script>alert(1)</script> [x](http://y) [/bold]*z*_~~w~~ & \\ \x1b[31m\u202e \udcff"
+"""A name or message that would be markup, a command or a control sequence if it were printed unescaped."""
+
 
 def run_row(model: str = "m", track: str = "moving", seed: int = 0, **changes: Any) -> RunRow:
     """A finished run of a model that learns, on three scenes; `changes` are other fields of row and key."""

@@ -16,7 +16,7 @@ from benchmark.execution.runner import SPLIT, Job
 from benchmark.execution.schedule import repeat_rows, run_jobs
 from benchmark.models.registry import GROUPS, discover
 from benchmark.ranking import compare as paired
-from benchmark.ranking.escaping import terminal
+from benchmark.ranking.text import terminal
 from benchmark.results import pack as packing
 from benchmark.results import rescore as rescoring
 from benchmark.results.packed_runs import refuse_packed

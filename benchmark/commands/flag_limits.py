@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from benchmark.models.interface import LARGEST_LABEL
-from benchmark.ranking.number_text import plain_number
+from benchmark.ranking.text import plain_number
 from datagen.errors import UsageError
 
 

@@ -1,7 +1,10 @@
 """Output of a run folder: tables, manifest and report, and a short table on the screen."""
 
 import math
-from collections.abc import Iterator, Sequence
+import shlex
+import sys
+from collections.abc import Sequence
+from datetime import date
 from functools import partial
 from pathlib import Path
 
@@ -10,20 +13,26 @@ from rich.table import Table
 
 from benchmark import report
 from benchmark.ranking import leaderboard
-from benchmark.ranking.escaping import terminal
-from benchmark.ranking.failed_seeds import HEADLINE
-from benchmark.ranking.pose_tables import COLUMNS, HEADER, pose_cells, posed
-from benchmark.ranking.standings import Entry, best_first, fields
-from benchmark.ranking.table_text import free_of_slots, rank_in_words, run_once, seeds_covered, without_floor
+from benchmark.ranking.columns import (
+    HEADLINE_POSES,
+    HEADLINE_SCORES,
+    RANK,
+    SEEDS,
+    Column,
+    Row,
+    Score,
+    caveats,
+    marks_explained,
+    with_poses,
+)
+from benchmark.ranking.standings import ModelResult, best_first, comparable_groups
+from benchmark.ranking.text import terminal
 from benchmark.report import learning
-from benchmark.report.leaderboard_view import marks
 from benchmark.results.dataset_lookup import locate
 from benchmark.results.manifest import write_manifest
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs
 from datagen.console.progress import busy, tracked
-
-HEADLINE_OF_POSES = ("posed", "translation_median", "orientation_median", "box_iou")
 
 FILE_WIDTH = 160
 """Characters per line if the output goes to a file or pipe."""
@@ -31,15 +40,17 @@ FILE_WIDTH = 160
 
 def write(folder: Path, data: Sequence[Path]) -> None:
     """Write all tables and reports of a run folder, and print the means and the paths of the files."""
-    entries = leaderboard.write(folder, tracked)
+    results = leaderboard.write(folder, tracked)
     if not is_packed(folder):
-        write_manifest(folder, entries)
+        write_manifest(folder, results)
     with busy("writing the report"):
-        page = report.write(folder, entries, partial(_dataset, folder, load_runs(folder), data))
-        curves = learning.write(folder, entries)
+        find = partial(_dataset, folder, load_runs(folder), data)
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        page = report.write(folder, results, find, command=command, date=date.today().isoformat())
+        curves = learning.write(folder, results)
     console = wide_console()
-    console.print(means_table(entries))
-    if poses := poses_table(entries):
+    console.print(means_table(results))
+    if poses := poses_table(results):
         console.print(poses)
     console.print()
     print_path(console, "Table:  ", folder / leaderboard.FILES[0])
@@ -49,7 +60,7 @@ def write(folder: Path, data: Sequence[Path]) -> None:
 
 
 def _dataset(folder: Path, rows: Sequence[RunRow], data: Sequence[Path], track: str, track_spec: str) -> Path | None:
-    """The dataset of that track and hash: rows that failed or have no label maps do not know where it is."""
+    """Find the dataset of that track and hash; failed rows and rows without label maps do not record it."""
     there = (locate(folder, row, data) for row in rows if (row.key.track, row.key.track_spec) == (track, track_spec))
     return next(filter(None, there), None)
 
@@ -60,54 +71,45 @@ def print_path(console: Console, title: str, path: Path) -> None:
 
 
 def wide_console() -> Console:
-    """Standard output; wide enough for every table where it is no terminal."""
+    """Create a console of standard output; if that is no terminal, wide enough for every table."""
     return Console(width=None if Console().is_terminal else FILE_WIDTH)
 
 
-def means_table(entries: Sequence[Entry]) -> Group:
-    """Mean over seeds of every model on every track, the best first, and beneath it what must be known."""
-    table = Table(box=None)
-    for name in ("track", "model", "", "seeds", "rank", *HEADLINE):
-        table.add_column(name, justify="left" if name in ("track", "model", "") else "right", no_wrap=True)
-    for field in fields(entries):
-        for entry in best_first(field):
-            table.add_row(*map(terminal, _cells(entry)))
+def means_table(results: Sequence[ModelResult]) -> Group:
+    """Mean over seeds of every model on every track, the best first, and explanations below."""
+    table = _empty_table("", RANK, SEEDS, *HEADLINE_SCORES)
+    for group in comparable_groups(results):
+        for row in map(Row, best_first(group)):
+            result = row.result
+            failed = min(result.n_failed, result.n_runs) - (result.n_runs - result.n_scored)
+            seeds = SEEDS.cell(row) + (f", {failed} failed" if failed else "")
+            means = [result.mean(score.name) for score in HEADLINE_SCORES]
+            cells = ["–" if math.isnan(mean) else f"{mean:z.3f}" for mean in means]
+            table.add_row(*map(terminal, (*_names(result), result.marks, RANK.cell(row), seeds, *cells)))
         table.add_section()
-    return Group(table, *map(terminal, _legend(entries)))
+    marks = [f"{mark} {meaning}." for mark, meaning in marks_explained(results)]
+    return Group(table, *map(terminal, (*marks, *caveats(results))))
 
 
-def poses_table(entries: Sequence[Entry]) -> Group | None:
-    """Scores of poses, track by track, where there are any: of the columns of the tables in files, the main ones."""
-    shown = [HEADER.index(column.title) for column in COLUMNS if column.name in HEADLINE_OF_POSES]
-    table = Table(box=None)
-    for name in ("track", "model", *(HEADER[place] for place in shown)):
-        table.add_column(name, justify="left" if name in ("track", "model") else "right", no_wrap=True)
-    for field in fields(entries):
-        for entry in posed(field):
-            cells = pose_cells(entry)
-            table.add_row(*map(terminal, (_track(entry), entry.row.key.model, *(cells[place] for place in shown))))
+def poses_table(results: Sequence[ModelResult]) -> Group | None:
+    """Scores of poses on every track; None if no model gives poses."""
+    table = _empty_table(*HEADLINE_POSES)
+    for group in comparable_groups(results):
+        for row in with_poses(group):
+            table.add_row(*map(terminal, (*_names(row.result), *(score.cell(row) for score in HEADLINE_POSES))))
         table.add_section()
     return Group("\nPoses", table) if table.row_count else None
 
 
-def _cells(entry: Entry) -> list[str]:
-    failed = min(entry.n_failed, entry.n_runs) - (entry.n_runs - entry.n_scored)
-    seeds = seeds_covered(entry) + (f", {failed} failed" if failed else "")
-    means = [entry.best_known(name) for name in HEADLINE]
-    values = ["–" if math.isnan(mean) else f"{mean:z.3f}" for mean in means]
-    return [_track(entry), entry.row.key.model, entry.marks, seeds, rank_in_words(entry), *values]
+def _empty_table(*columns: Column | Score | str) -> Table:
+    """Create a table with columns for track and model and these columns."""
+    table = Table(box=None)
+    for heading in ("track", "model", *(column if isinstance(column, str) else column.heading for column in columns)):
+        table.add_column(heading, justify="left" if heading in ("track", "model", "") else "right", no_wrap=True)
+    return table
 
 
-def _track(entry: Entry) -> str:
-    track, fit_track, _ = entry.place
-    return (
-        track if fit_track == track else f"{track} ({'trained' if entry.row.pretrained else 'fitted'} on {fit_track})"
-    )
-
-
-def _legend(entries: Sequence[Entry]) -> Iterator[str]:
-    if once := run_once(entries):
-        yield f"Seeds make no difference to these, which were run once: {once}."
-    for mark, meaning in marks(entries):
-        yield f"{mark} {meaning}."
-    yield from filter(None, (free_of_slots(entries), without_floor(entries)))
+def _names(result: ModelResult) -> tuple[str, str]:
+    track, fit_track, model = result.place
+    fitted = f"{track} ({'trained' if result.row.pretrained else 'fitted'} on {fit_track})"
+    return track if fit_track == track else fitted, model

@@ -16,7 +16,7 @@ from benchmark.models.interface import Segmenter
 from benchmark.models.model_spec import ModelSpec, Options
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
-from benchmark.ranking.escaping import brief, one_line
+from benchmark.ranking.text import brief, one_line
 from benchmark.results.curves import Curve
 from benchmark.results.run_folder import LABELS, Measured, RunKey, RunRow, save_row
 from datagen.errors import UsageError

@@ -1,4 +1,4 @@
-"""How like two pictures of one thing are: colours (0 to 1) and depths (metres)."""
+"""Similarity of two images of one scene: colours (0 to 1) and depths (metres)."""
 
 import math
 
@@ -7,15 +7,17 @@ from jaxtyping import Bool, Float
 from skimage.metrics import structural_similarity
 
 _GAUSSIAN = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-"""The window of Wang et al. (2004)."""
+"""Window of Wang et al. (2004)."""
 
 
 def psnr(
-    image: Float[np.ndarray, "height width 3"],
-    truth: Float[np.ndarray, "height width 3"],
-    mask: Bool[np.ndarray, "height width"] | None = None,
+    image: Float[np.ndarray, "*pixels 3"],
+    truth: Float[np.ndarray, "*pixels 3"],
+    mask: Bool[np.ndarray, "*pixels"] | None = None,
+    *,
+    largest: float = math.inf,
 ) -> float:
-    """Peak signal to noise ratio in dB, over all pixels or those of the mask; nan over none, inf where all are equal.
+    """Peak signal-to-noise ratio in dB, at most `largest`, over all pixels or those of the mask; nan over none.
 
     >>> round(psnr(np.full((4, 4, 3), 0.5), np.full((4, 4, 3), 0.6)), 6)
     20.0
@@ -24,7 +26,7 @@ def psnr(
     if squares.size == 0:
         return math.nan
     error = float(squares.mean())
-    return -10 * math.log10(error) if error > 0 else math.inf
+    return min(largest, -10 * math.log10(error)) if error > 0 else largest
 
 
 def ssim(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:

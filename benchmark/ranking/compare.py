@@ -1,4 +1,4 @@
-"""`obpose-bench compare A B`: how two models of a run folder differ, paired by scene."""
+"""Paired comparison of two models of a run folder, scene by scene: `obpose-bench compare A B`."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -12,11 +12,18 @@ from rich.table import Table
 from rich.text import Text
 
 from benchmark.ranking import statistics
-from benchmark.ranking.escaping import one_line
-from benchmark.ranking.number_text import decimals_that_show
-from benchmark.ranking.standings import ALL_METRICS, Entry, Progress, compare_entries, load_entries, silent
+from benchmark.ranking.columns import without_floor
+from benchmark.ranking.standings import (
+    ALL_METRICS,
+    ModelResult,
+    Progress,
+    compare_results,
+    load_scores,
+    silent,
+    unranked,
+)
 from benchmark.ranking.statistics import Difference
-from benchmark.ranking.table_text import without_floor
+from benchmark.ranking.text import decimals_that_show, one_line
 from benchmark.results.run_folder import check_runs
 from datagen.console.text import counted
 from datagen.errors import UsageError
@@ -64,23 +71,23 @@ def compare(
         CorruptFile: a finished row is damaged.
     """
     check_runs(folder)
-    everything = load_entries(folder, progress)
-    entries = [entry for entry in everything if entry.n_scenes > 0]
-    first, second = (_of_model(entries, name, folder) for name in (one, two))
-    shared = [(first[field], second[field]) for field in first if field in second]
+    everything = unranked(*load_scores(folder, progress))
+    results = [result for result in everything if result.n_scenes > 0]
+    first, second = (_of_model(results, name, folder) for name in (one, two))
+    shared = [(first[place], second[place]) for place in first if place in second]
     if not shared:
         raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {_tracks(first)}.")
     wanted = [(a, b, name) for a, b in shared for name in metrics]
-    found = [(*line, compare_entries(*line)) for line in progress(wanted, "resampling scenes")]
+    found = [(*line, compare_results(*line)) for line in progress(wanted, "resampling scenes")]
     found = [line for line in found if line[3].n_scenes > 0]
-    left_out = [_left_out(entry) for entry in everything if entry.place[2] in (one, two) and entry.n_scenes == 0]
+    left_out = [_left_out(result) for result in everything if result.place[2] in (one, two) and result.n_scenes == 0]
     corrected = statistics.holm(np.array([line[3].p_value for line in found]))
     return [
         Comparison(
             *a.place[:2],
             name,
-            a.best_known(name),
-            b.best_known(name),
+            a.mean(name),
+            b.mean(name),
             difference,
             float(p_value),
             (*_warnings(a, b), *left_out),
@@ -142,20 +149,20 @@ def _p_value(value: float) -> str:
     return f"{value:.{digits}f}" if value >= 0.001 else "<.001"
 
 
-def _warnings(one: Entry, two: Entry) -> tuple[str, ...]:
+def _warnings(one: ModelResult, two: ModelResult) -> tuple[str, ...]:
     failed = ", ".join(filter(None, map(_failed_seeds, (one, two))))
     seeds = f"{_where(*one.place[:2])}: {failed}; their scores, where they have some, count." if failed else ""
     return tuple(filter(None, (seeds, without_floor((one, two)))))
 
 
-def _left_out(entry: Entry) -> str:
-    track, fit_track, model = entry.place
-    return f"{_where(track, fit_track)} is left out, as {model} has no scores there: {_failed_seeds(entry)}."
+def _left_out(result: ModelResult) -> str:
+    track, fit_track, model = result.place
+    return f"{_where(track, fit_track)} is left out, as {model} has no scores there: {_failed_seeds(result)}."
 
 
-def _failed_seeds(entry: Entry) -> str:
+def _failed_seeds(result: ModelResult) -> str:
     """List the failed runs with their causes; empty if none failed."""
-    causes = list(zip(entry.rows, entry.causes, strict=True))[: entry.n_runs]
+    causes = list(zip(result.rows, result.causes, strict=True))[: result.n_runs]
     return ", ".join(f"seed {row.key.seed} of {row.key.model} failed ({cause})" for row, cause in causes if cause)
 
 
@@ -163,15 +170,15 @@ def _where(track: str, fit_track: str) -> str:
     return track if fit_track == track else f"{track}, fitted on {fit_track}"
 
 
-def _of_model(entries: Iterable[Entry], model: str, folder: Path) -> dict[tuple[str, ...], Entry]:
-    """The model's entries by what makes them comparable: track, dataset, and what it was fitted on."""
-    entries = list(entries)
-    found = {(*entry.place[:2], entry.row.key.track_spec): entry for entry in entries if entry.place[2] == model}
+def _of_model(results: Iterable[ModelResult], model: str, folder: Path) -> dict[tuple[str, ...], ModelResult]:
+    """Index a model's results by track, track fitted on, and dataset."""
+    results = list(results)
+    found = {(*result.place[:2], result.row.key.track_spec): result for result in results if result.place[2] == model}
     if not found:
-        there = ", ".join(sorted({entry.place[2] for entry in entries}))
+        there = ", ".join(sorted({result.place[2] for result in results}))
         raise UsageError(f"{folder} has no scores of {model!r}; it has those of: {one_line(there)}.")
     return found
 
 
-def _tracks(entries: Iterable[tuple[str, ...]]) -> str:
-    return ", ".join(sorted({track for track, *_ in entries}))
+def _tracks(results: Iterable[tuple[str, ...]]) -> str:
+    return ", ".join(sorted({track for track, *_ in results}))

@@ -1,11 +1,13 @@
-"""Which seeds count as failed: a rule of scores, declared before any run and the same for all models.
+"""Rule for failed seeds, fixed before any run and the same for all models.
 
-A seed failed if its loss became nan, or a headline metric is undefined in all of its frames and yet not in those of
-every other run on the dataset; or if its mIoU-BG is under 0.5 (background and objects changed places); or if its MSC-FG
-is no more than 0.05 above the best floor of the track (the model collapsed). Floors set that bar and oracles show what
-the truth would reach: neither competes, and neither is measured by it. Where no floor was scored there is no bar, which
-the tables say. A run that ended without scores failed too, for the reason it gave. Failed seeds are never dropped
-silently: tables show every model with and without them.
+A seed failed for one of these causes:
+- nan: its loss became nan, or a headline metric that another run on the dataset defines is undefined in all its frames.
+- swap: its mIoU-BG is below 0.5, so background and objects changed places.
+- collapse: its MSC-FG is at most 0.05 above the best floor of the track. Without a floor, collapse is not detected, and
+  the tables say so.
+- It ended without scores, for the reason that its row gives.
+
+The rule does not apply to floors and oracles. Tables show every model with and without its failed seeds.
 """
 
 import math
@@ -18,18 +20,17 @@ LEAST_ABOVE_FLOOR = 0.05
 CAUSES = ("nan", "swap", "collapse")
 
 HEADLINE = ("ari_fg", "msc_fg", "miou_bg", "ari")
-"""Metrics that must be defined."""
+"""Metrics that a seed must define."""
 
 
 def cause_of_failure(miou_bg: float, msc_fg: float, best_floor: float, *, finite: bool = True) -> str:
-    """One of `CAUSES`, or nothing where the seed is fine.
+    """Determine the cause of failure, one of `CAUSES`; empty if the seed did not fail.
 
     Args:
-        miou_bg: of this seed, with the background slot that the model declared.
-        msc_fg: of this seed.
-        best_floor: largest MSC-FG of a floor on the same track; nan where no floor was run, and then no collapse is
-            seen.
-        finite: whether the loss stayed finite while training, and the headline metrics are defined.
+        miou_bg: score of this seed, with the background slot that the model declared.
+        msc_fg: score of this seed.
+        best_floor: largest MSC-FG of a floor on the same track; nan if no floor was run.
+        finite: whether the loss stayed finite in training, and the headline metrics are defined.
     """
     if not finite:
         return "nan"

@@ -1,11 +1,14 @@
-"""The tables of a run folder, made from its finished rows: the same rows give the same bytes.
+"""Tables of a run folder, made from its finished rows; the same rows give the same bytes.
 
 leaderboard.csv .... one line a track, track fitted on, and model: every metric over seeds, ranks, groups, costs
 per_seed.csv ....... one line a seed
 per_scene.csv ...... one line a seed and scene
-leaderboard.md, leaderboard.tex .... the same in the paper's layout
-Columns named measured_* are times and memory, which no two runs share.
+leaderboard.md, leaderboard.tex .... the main columns in the layout of the paper
+Columns named measured_* are times and memory, which differ between equal runs.
 A packed folder (`benchmark.results.packed_runs`) keeps the first two as they were published.
+
+The lines of a CSV are plain dictionaries. A data frame would turn whole numbers with gaps into floats, and import
+pandas for the few lines of `to_csv`.
 """
 
 import csv
@@ -13,16 +16,44 @@ import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmark.metrics.poses import POSE_METRICS
-from benchmark.ranking import tables
-from benchmark.ranking.escaping import printable
-from benchmark.ranking.standings import ALL_METRICS, RANKED_METRICS, SWITCHES, Entry, Progress, load_standings, silent
-from benchmark.ranking.statistics import Summary
-from benchmark.ranking.table_text import rank_in_words
+from benchmark.ranking import text
+from benchmark.ranking.columns import (
+    HEADINGS,
+    MAIN_SCORES,
+    MODEL,
+    POSE_SCORES,
+    RANK,
+    SEEDS,
+    VIEWS,
+    Column,
+    Row,
+    Score,
+    best_scores,
+    blocks,
+    group_letters,
+    paper_cell,
+    paper_of_track,
+    scenes_title,
+    table_notes,
+    track_title,
+    with_poses,
+)
+from benchmark.ranking.standings import (
+    ALL_METRICS,
+    RANKED_METRICS,
+    SWITCHES,
+    ModelResult,
+    Progress,
+    comparable_groups,
+    load_standings,
+    silent,
+)
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import COUNTS, RunRow, SceneTable
 from datagen.storage.atomic import write_atomically
@@ -36,134 +67,272 @@ PACKED = FILES[:2]
 SUMMARISED = (*ALL_METRICS, SWITCHES)
 
 
-def write(folder: Path, progress: Progress = silent) -> list[Entry]:
-    """Write all tables into a run folder, and give what stands in them.
+def write(folder: Path, progress: Progress = silent) -> list[ModelResult]:
+    """Write all tables into a run folder, and return the results that they show.
 
     Raises:
         CorruptFile: a finished row is damaged.
         DatagenError: a table cannot be written.
     """
-    entries = load_standings(folder, progress)
+    results = load_standings(folder, progress)
     texts = (
-        to_csv(leaderboard_lines(progress(entries, "summarising scores"))),
-        to_csv(seed_lines(entries)),
-        to_csv(scene_lines(entries)),
-        tables.markdown(entries),
-        tables.latex(entries),
+        to_csv(leaderboard_lines(progress(results, "summarising scores"))),
+        to_csv(seed_lines(results)),
+        to_csv(scene_lines(results)),
+        markdown(results),
+        latex(results),
     )
     kept = PACKED if is_packed(folder) else ()
-    for name, text in zip(FILES, texts, strict=True):
+    for name, content in zip(FILES, texts, strict=True):
         if name not in kept:
-            write_atomically(folder / name, text.encode())
-    return entries
+            write_atomically(folder / name, content.encode())
+    return results
 
 
-def leaderboard_lines(entries: Iterable[Entry]) -> list[Line]:
-    """One line an entry; numbers of scenes and frames are those of one seed."""
-    return [
-        {
-            **dict(zip(("track", "fit_track", "model"), entry.place, strict=True)),
-            "kind": entry.row.kind,
-            "marks": entry.marks,
-            "rank": rank_in_words(entry),
-            "mean_rank": entry.mean_rank,
-            **_metric_columns(entry, SUMMARISED),
-            **{f"{name}_group": letters for name, letters in zip(RANKED_METRICS, entry.groups, strict=True)},
-            **{name: _mean(values) for name, values in _counts(entry).items()},
-            "n_seeds": len(entry.rows),
-            "n_runs": entry.n_runs,
-            "n_scored": entry.n_scored,
-            "n_failed": entry.n_failed,
-            "failures": "; ".join(f"{row.key.seed}: {cause}" for row, cause in _by_seed(entry) if cause),
-            "best_floor": entry.best_floor,
-            "n_scenes": entry.n_scenes,
-            "n_skipped": entry.n_skipped,
-            "priors": "; ".join(entry.row.priors),
-            "pretrained": entry.row.pretrained,
-            "version": entry.row.key.version,
-            "track_spec": entry.row.key.track_spec,
-            "fit_spec": entry.row.key.fit_spec,
-            "parameters": max(row.parameters for row in entry.rows),
-            "device": _distinct(row.device for row in entry.rows),
-            "commit": _distinct(row.commit for row in entry.rows),
-            **_measured(entry.rows),
-            **({"views": entry.views} if entry.views else {}),
-            **(_metric_columns(entry, POSE_METRICS) if entry.has_poses else {}),
+def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
+    """Yield the lines of leaderboard.csv, one per result; numbers of scenes and frames are those of one seed."""
+    for result in results:
+        yield {
+            **dict(zip(("track", "fit_track", "model"), result.place, strict=True)),
+            "kind": result.row.kind,
+            "marks": result.marks,
+            "rank": Row(result).rank,
+            "mean_rank": result.mean_rank,
+            **_metric_columns(result, SUMMARISED),
+            **{f"{name}_group": found for name, found in zip(RANKED_METRICS, result.group_letters, strict=True)},
+            **{name: _mean(values) for name, values in _counts(result).items()},
+            "n_seeds": len(result.rows),
+            "n_runs": result.n_runs,
+            "n_scored": result.n_scored,
+            "n_failed": result.n_failed,
+            "failures": "; ".join(
+                f"{r.key.seed}: {cause}" for r, cause in zip(result.rows, result.causes, strict=True) if cause
+            ),
+            "best_floor": result.best_floor,
+            "n_scenes": result.n_scenes,
+            "n_skipped": result.n_skipped,
+            "priors": "; ".join(result.row.priors),
+            "pretrained": result.row.pretrained,
+            "version": result.row.key.version,
+            "track_spec": result.row.key.track_spec,
+            "fit_spec": result.row.key.fit_spec,
+            "parameters": max(row.parameters for row in result.rows),
+            "device": _distinct(row.device for row in result.rows),
+            "commit": _distinct(row.commit for row in result.rows),
+            **_measured(result.rows),
+            **({"views": result.views} if result.views else {}),
+            **(_metric_columns(result, POSE_METRICS) if result.has_poses else {}),
         }
-        for entry in entries
-    ]
 
 
-def seed_lines(entries: Iterable[Entry]) -> list[Line]:
-    """One line a seed, with the values that were chosen for it."""
-    return [line for entry in entries for line in _seed_lines(entry)]
+def seed_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
+    """Yield the lines of per_seed.csv, with the values that were chosen for each seed."""
+    for result in results:
+        scores = {name: result.seed_means(name) for name in SUMMARISED}
+        poses = {name: result.seed_means(name) for name in POSE_METRICS} if result.has_poses else {}
+        counts = _counts(result)
+        for seed, (row, cause) in enumerate(zip(result.rows, result.causes, strict=True)):
+            yield {
+                **_place(row),
+                "status": row.status,
+                "failure": cause,
+                **{name: float(values[seed]) for name, values in scores.items()},
+                **{name: _mean(values[[seed]]) for name, values in counts.items()},
+                "n_scenes": row.n_scenes,
+                "version": row.key.version,
+                "config": json.dumps(row.config, sort_keys=True),
+                "parameters": row.parameters,
+                "device": row.device,
+                "commit": row.commit,
+                **_measured([row]),
+                **{name: float(values[seed]) for name, values in poses.items()},
+            }
 
 
-def scene_lines(entries: Iterable[Entry]) -> list[Line]:
-    """One line a seed and scene."""
-    return [line for entry in entries for line in _scene_lines(entry)]
+def scene_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
+    """Yield the lines of per_scene.csv."""
+    runs = (run for result in results for run in zip(result.rows, result.tables, strict=True))
+    for row, table in runs:
+        columns = {
+            name: _whole(values) if _is_count(name) else values.tolist() for name, values in (table or {}).items()
+        }
+        for values in zip(*columns.values(), strict=True):
+            yield {**_place(row), **dict(zip(columns, values, strict=True))}
 
 
-def to_csv(lines: Sequence[Line]) -> str:
-    """Lines as CSV, with the columns of all of them; floats have six decimals, missing cells are empty."""
+def to_csv(lines: Iterable[Line]) -> str:
+    """Format lines as CSV with the columns of all of them; floats have six decimals, missing cells are empty."""
+    lines = list(lines)
     names = list(dict.fromkeys(name for line in lines for name in line))
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
+    content = io.StringIO(newline="")
+    writer = csv.writer(content, lineterminator="\n")
     writer.writerow(names)
-    writer.writerows([_text(line.get(name, "")) for name in names] for line in lines)
-    return text.getvalue()
+    writer.writerows([_csv_cell(line.get(name, "")) for name in names] for line in lines)
+    return content.getvalue()
 
 
-def _metric_columns(entry: Entry, names: Iterable[str]) -> dict[str, float]:
+def markdown(results: Sequence[ModelResult]) -> str:
+    """Format all tables as one Markdown page."""
+    parts = ["# Leaderboard", "\n".join(f"- {_markdown_note(note)}" for note in table_notes(results))]
+    for group in comparable_groups(results):
+        parts.append(f"## {text.markdown(_title(group))}")
+        parts += [
+            f"### Poses\n\n{_markdown_table(table)}" if table.is_poses else _markdown_table(table)
+            for table in _tables(group)
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def latex(results: Sequence[ModelResult]) -> str:
+    """Format all tables as LaTeX, for documents that load booktabs, adjustbox and xcolor."""
+    notes = [f"% {text.one_line(note)}" for note in (*table_notes(results), "Needs booktabs, adjustbox and xcolor.")]
+    tables = [_latex_table(table) for group in comparable_groups(results) for table in _tables(group)]
+    return "\n".join(notes) + "\n\n" + "\n".join(tables)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """Cell of a table of text."""
+
+    text: str
+    letters: str = ""
+    """Group letters, printed as a superscript."""
+    bold: bool = False
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Table of text, before it becomes Markdown or LaTeX."""
+
+    caption: str
+    columns: Sequence[Column | Score]
+    blocks: Sequence[tuple[str, Sequence[Sequence[_Cell]]]]
+    """Title and rows of each block; a table with a single untitled block has no headings between rows."""
+    is_poses: bool = False
+
+
+def _tables(group: Sequence[ModelResult]) -> Iterator[_Table]:
+    """Yield the table of scores, and the table of poses if a model gives poses."""
+    paper = paper_of_track(group[0].place[0])
+    views = [VIEWS] if any(result.views for result in group) else []
+    columns = [MODEL, *views, RANK, SEEDS, *MAIN_SCORES, *([_paper_column(paper)] if paper else [])]
+    best = best_scores(group)
+    shown = [
+        (block.title, [[_cell(row, column, best) for column in columns] for row in block.rows])
+        for block in blocks(group)
+    ]
+    missing = [model for model in paper if model not in {result.row.key.model for result in group}]
+    empty = [_Cell("")] * (len(columns) - 2)
+    if missing:
+        rows = [[_Cell(model), *empty, _Cell(paper_cell(group[0].place[0], model))] for model in missing]
+        shown.append(("In the paper, not run here", rows))
+    yield _Table(f"Segmentation of {_title(group)}.", columns, shown)
+    if rows := with_poses(group):
+        pose_columns = [MODEL, SEEDS, *POSE_SCORES]
+        cells = [[_Cell(column.cell(row)) for column in pose_columns] for row in rows]
+        yield _Table(f"Poses of {_title(group)}.", pose_columns, [("", cells)], is_poses=True)
+
+
+def _title(group: Sequence[ModelResult]) -> str:
+    return f"{track_title(group)} ({scenes_title(group)})"
+
+
+def _paper_column(paper: Mapping[str, Mapping[str, str]]) -> Column:
+    """Column of the figures that the paper prints; its notes say that they are not comparable."""
+    line = next(iter(paper.values()))
+    names = " ".join(HEADINGS[name] for name in line if name in HEADINGS)
+    heading = f"{names} of {line['paper_track']} in the paper (other data: not comparable)"
+    cell = lambda row: "" if row.without_failed else paper_cell(row.result.place[0], row.result.place[2])  # noqa: E731
+    return Column("paper", heading, cell)
+
+
+def _cell(row: Row, column: Column | Score, best: Mapping[str, float]) -> _Cell:
+    """Build a cell; the best score of the ranked rows, as printed, is bold."""
+    content = column.cell(row)
+    if not isinstance(column, Score):
+        return _Cell(content)
+    competes = row.result.is_ranked and not row.without_failed and column.name in best
+    is_best = competes and content.startswith(f"{best[column.name]:z.{column.digits}f}")
+    return _Cell(content, group_letters(row, column), is_best)
+
+
+def _markdown_table(table: _Table) -> str:
+    aligned = ["---" if column in (MODEL, VIEWS) else "---:" for column in table.columns]
+    lines = [[text.markdown(column.heading) for column in table.columns], aligned]
+    for title, rows in table.blocks:
+        lines += [[f"**{title}**", *[""] * (len(table.columns) - 1)]] if title else []
+        lines += [[_markdown_cell(*pair) for pair in zip(row, table.columns, strict=True)] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _markdown_cell(cell: _Cell, column: Column | Score) -> str:
+    content = text.markdown(cell.text)
+    if column.name == "paper" and content:
+        return f"*{content}*"
+    content = f"**{content}**" if cell.bold else content
+    return f"{content} <sup>{cell.letters}</sup>" if cell.letters else content
+
+
+def _markdown_note(note: str) -> str:
+    """Escape the names in a note, but keep its emphasis."""
+    return text.markdown(note).replace(r"\*", "*")
+
+
+def _latex_table(table: _Table) -> str:
+    aligned = ["l" if column in (MODEL, VIEWS) else "r" if column in (RANK, SEEDS) else "c" for column in table.columns]
+    headings = [_latex_heading(column) for column in table.columns]
+    lines = [
+        r"\begin{table*}",
+        r"    \centering",
+        r"    \begin{adjustbox}{max width=1.0\textwidth}",
+        rf"    \begin{{tabular}}{{{' '.join(aligned)}}}",
+        r"        \toprule",
+        rf"        {' & '.join(headings)} \\",
+    ]
+    for title, rows in table.blocks:
+        lines.append(r"        \midrule")
+        if title:
+            lines.append(rf"        \multicolumn{{{len(aligned)}}}{{l}}{{\itshape {text.latex(title)}}} \\")
+        for row in rows:
+            cells = [_latex_cell(*pair) for pair in zip(row, table.columns, strict=True)]
+            lines.append(rf"        {' & '.join(cells)} \\")
+    lines += [r"        \bottomrule", r"    \end{tabular}", r"    \end{adjustbox}"]
+    return "\n".join([*lines, rf"    \caption{{{text.latex(table.caption)}}}", r"\end{table*}", ""])
+
+
+def _latex_heading(column: Column | Score) -> str:
+    heading = text.latex(column.heading)
+    if column.name == "paper":
+        return rf"\textcolor{{gray}}{{{heading}}}"
+    return rf"{heading}$\uparrow$" if column in MAIN_SCORES else heading
+
+
+def _latex_cell(cell: _Cell, column: Column | Score) -> str:
+    if isinstance(column, Score) and cell.text not in ("", "–"):
+        number = cell.text.replace("±", r"\pm")
+        number = rf"\mathbf{{{number}}}" if cell.bold else number
+        return f"${number}^{{{cell.letters}}}$" if cell.letters else f"${number}$"
+    content = text.latex(cell.text)
+    if column.name == "paper" and content:
+        return rf"\textcolor{{gray}}{{{content}}}"
+    return rf"\textsc{{{content}}}" if column is MODEL else content
+
+
+def _metric_columns(result: ModelResult, names: Iterable[str]) -> dict[str, float]:
     columns: dict[str, float] = {}
     for name in names:
-        summary = entry.summary(name)
-        kept = entry.summary(name, without_failed=True) if entry.n_failed else summary
-        columns |= _summary_columns(name, summary)
-        columns |= {f"{name}_mean_without_failed": kept.mean, f"{name}_std_without_failed": kept.std}
-    return columns
-
-
-def _summary_columns(name: str, summary: Summary) -> dict[str, float]:
-    return {
-        f"{name}_mean": summary.mean,
-        f"{name}_std": summary.std,
-        f"{name}_sample_std": summary.sample_std,
-        f"{name}_ci_low": summary.low,
-        f"{name}_ci_high": summary.high,
-    }
-
-
-def _seed_lines(entry: Entry) -> Iterator[Line]:
-    means = {name: entry.seed_means(name) for name in SUMMARISED}
-    poses = {name: entry.seed_means(name) for name in POSE_METRICS} if entry.has_poses else {}
-    counts = _counts(entry)
-    for index, (row, cause) in enumerate(_by_seed(entry)):
-        yield {
-            **_place(row),
-            "status": row.status,
-            "failure": cause,
-            **{name: float(values[index]) for name, values in means.items()},
-            **{name: _mean(values[[index]]) for name, values in counts.items()},
-            "n_scenes": row.n_scenes,
-            "version": row.key.version,
-            "config": json.dumps(row.config, sort_keys=True),
-            "parameters": row.parameters,
-            "device": row.device,
-            "commit": row.commit,
-            **_measured([row]),
-            **{name: float(values[index]) for name, values in poses.items()},
+        summary = result.summary(name)
+        kept = result.summary(name, without_failed=True) if result.n_failed else summary
+        columns |= {
+            f"{name}_mean": summary.mean,
+            f"{name}_std": summary.std,
+            f"{name}_sample_std": summary.sample_std,
+            f"{name}_ci_low": summary.low,
+            f"{name}_ci_high": summary.high,
+            f"{name}_mean_without_failed": kept.mean,
+            f"{name}_std_without_failed": kept.std,
         }
-
-
-def _scene_lines(entry: Entry) -> Iterator[Line]:
-    for row, table in zip(entry.rows, entry.tables, strict=True):
-        if table is None:
-            continue
-        place, names = _place(row), list(table)
-        columns = [_whole(table[name]) if _counts_things(name) else table[name].tolist() for name in names]
-        for values in zip(*columns, strict=True):
-            yield {**place, **dict(zip(names, values, strict=True))}
+    return columns
 
 
 def _place(row: RunRow) -> dict[str, Cell]:
@@ -171,14 +340,10 @@ def _place(row: RunRow) -> dict[str, Cell]:
     return {"track": key.track, "fit_track": key.fit_track, "model": key.model, "seed": key.seed}
 
 
-def _by_seed(entry: Entry) -> list[tuple[RunRow, str]]:
-    return list(zip(entry.rows, entry.causes, strict=True))
-
-
-def _counts(entry: Entry) -> dict[str, np.ndarray]:
+def _counts(result: ModelResult) -> dict[str, np.ndarray]:
     """Sums over scenes, one for each seed: frames with one object, with undefined metrics, ignored pixels, frames."""
     names = {f"n_{name}": name for name in ("one_object", "undefined", "ignored")} | {"n_frames": "n_frames"}
-    return {column: np.array([_sum(table, name) for table in entry.tables]) for column, name in names.items()}
+    return {column: np.array([_sum(table, name) for table in result.tables]) for column, name in names.items()}
 
 
 def _sum(table: SceneTable | None, name: str) -> float:
@@ -192,7 +357,7 @@ def _mean(values: np.ndarray) -> float | int:
     return int(mean) if mean.is_integer() else mean
 
 
-def _counts_things(name: str) -> bool:
+def _is_count(name: str) -> bool:
     return name in ("scene", "n_frames") or name.endswith("_n") or (name in COUNTS and name != "objects")
 
 
@@ -214,9 +379,9 @@ def _measured(rows: Sequence[RunRow]) -> dict[str, float]:
     }
 
 
-def _text(value: Cell) -> str:
+def _csv_cell(value: Cell) -> str:
     if isinstance(value, float):
         return f"{value:z.6f}"
-    text = printable(str(value))
+    content = text.printable(str(value))
     # Spreadsheets would compute a cell that begins like a formula.
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
+    return f"'{content}" if content.startswith(("=", "+", "-", "@")) else content

@@ -1,11 +1,11 @@
-"""Standings of models on each track: group a run folder's rows over seeds, detect failures, and rank.
+"""Standings of models on each track: group a run folder's rows over seeds, detect failed seeds, and rank.
 
-Two models are compared only where they were scored on the same dataset and fitted the same way: each on the track
-itself, or all on one other track. Floors, oracles and models that saw labels are shown and never ranked.
+Two models are compared only if they were scored on the same dataset and fitted the same way: each on the track itself,
+or all on one other track. Floors, oracles and models that use labels are shown and never ranked.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations, groupby
 from pathlib import Path
@@ -32,8 +32,7 @@ SWITCHES = "identity_switches"
 """Identity switches per scene, summarised like a metric; fewer are better."""
 
 USES_LABELS, TUNED, PRETRAINED = "†", "‡", "§"
-"""Marks of models that see labels, of those whose values were chosen by scores on the validation split, and of those
-whose weights the run did not make."""
+"""Marks of models that use labels, are tuned on the labels of the validation split, and have pretrained weights."""
 
 BOOTSTRAP_SEED = 0
 
@@ -53,8 +52,8 @@ class Progress(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """One model on one track, all seeds together."""
+class ModelResult:
+    """Results of one model on one track, over all seeds."""
 
     rows: tuple[RunRow, ...]
     """Ordered by seed; they differ in the seed only, and in their contents where they are label maps made elsewhere."""
@@ -68,8 +67,10 @@ class Entry:
     """Mean of the ranks in `RANKED_METRICS`; nan where the model is not ranked."""
     rank: float | None = None
     """Place by mean rank; ties share the mean of their places; None if the model is not ranked."""
-    groups: tuple[str, ...] = ("",) * len(RANKED_METRICS)
-    """Group letters for each of `RANKED_METRICS`; models that share a letter do not differ significantly."""
+    group_letters: tuple[str, ...] = ("",) * len(RANKED_METRICS)
+    """Letters for each of `RANKED_METRICS`; models that share a letter do not differ significantly."""
+    _summaries: dict[tuple[str, bool], Summary] = field(init=False, repr=False, default_factory=dict)
+    """Cache of `summary`, which several tables show; each takes a bootstrap."""
 
     @property
     def row(self) -> RunRow:
@@ -144,7 +145,12 @@ class Entry:
         return np.stack([table[metric] for table in tables]), np.stack([_weights(table, metric) for table in tables])
 
     def summary(self, metric: str, *, without_failed: bool = False) -> Summary:
-        """Mean, spread and interval of a metric."""
+        """Mean, standard deviations and interval of a metric; computed once."""
+        if (metric, without_failed) not in self._summaries:
+            self._summaries[metric, without_failed] = self._summarise(metric, without_failed=without_failed)
+        return self._summaries[metric, without_failed]
+
+    def _summarise(self, metric: str, *, without_failed: bool) -> Summary:
         scores, weights = self.scores(metric, without_failed=without_failed)
         if not self.row.random:
             scores, weights = scores[:1], weights[:1]
@@ -157,15 +163,15 @@ class Entry:
         """Pooled means of a metric, one for each of `rows`; nan where there are no scores."""
         return np.array([_pooled(table, metric) for table in self.tables])
 
-    def spread(self, metric: str, *, without_failed: bool = False) -> tuple[float, float]:
+    def score(self, metric: str, *, without_failed: bool = False) -> tuple[float, float]:
         """Mean and population standard deviation over the runs; the latter is nan where only one run has a score."""
         causes = self.causes[: self.n_runs]
         kept = [not (without_failed and cause) for cause in causes]
         mean, deviation, sample_deviation = statistics.spread(self.seed_means(metric)[: self.n_runs][kept])
         return mean, np.nan if np.isnan(sample_deviation) else deviation
 
-    def best_known(self, metric: str) -> float:
-        """Mean of a metric over seeds, by which entries are compared."""
+    def mean(self, metric: str) -> float:
+        """Mean of a metric over seeds, by which results are compared."""
         return statistics.spread(self.seed_means(metric))[0]
 
 
@@ -174,26 +180,25 @@ def silent(items: Sequence[Item], title: str) -> Iterable[Item]:
     return items
 
 
-def load_standings(folder: Path, progress: Progress = silent) -> list[Entry]:
-    """Load all entries of a run folder, ordered by track, track fitted on and model, judged and ranked.
+def load_standings(folder: Path, progress: Progress = silent) -> list[ModelResult]:
+    """Load and rank all results of a run folder.
 
     Raises:
         CorruptFile: a row or its scene table is damaged.
     """
-    return ranked(load_entries(folder, progress), progress)
+    return standings(*load_scores(folder, progress), progress)
 
 
-def load_entries(folder: Path, progress: Progress = silent) -> list[Entry]:
-    """Load all entries of a run folder, judged but not ranked; order and errors as in `load_standings`."""
+def load_scores(folder: Path, progress: Progress = silent) -> tuple[list[RunRow], list[SceneTable | None]]:
+    """Load the rows of a run folder and their scene tables; raises the errors of `load_standings`."""
     rows = load_runs(folder)
     _check_scenes(folder, rows)
-    return judged(
-        rows, [load_scenes(folder, row) if row.status == "ok" else None for row in progress(rows, "reading scores")]
-    )
+    watched = progress(rows, "reading scores")
+    return rows, [load_scenes(folder, row) if row.status == "ok" else None for row in watched]
 
 
 def _check_scenes(folder: Path, rows: Iterable[RunRow]) -> None:
-    """Check that all finished rows of a dataset have the same scenes, by which they are paired."""
+    """Check that all finished rows of a dataset have equally many scenes, since models are paired by scene."""
     first: dict[str, RunRow] = {}
     for row in rows:
         other = first.setdefault(row.key.track_spec, row) if row.status == "ok" else row
@@ -205,64 +210,49 @@ def _check_scenes(folder: Path, rows: Iterable[RunRow]) -> None:
             )
 
 
-def standings(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> list[Entry]:
-    """Judge and rank rows, given with their scene tables; the result is that of `load_standings`."""
-    return ranked(judged(rows, tables))
+def standings(
+    rows: Sequence[RunRow], tables: Sequence[SceneTable | None], progress: Progress = silent
+) -> list[ModelResult]:
+    """Build the results of rows and their scene tables, ordered by track, track fitted on and model, and rank them."""
+    groups = comparable_groups(unranked(rows, tables))
+    found = [result for group in progress(groups, "ranking models") for result in _ranked(group)]
+    return sorted(found, key=lambda result: _seed_group(result.row))
 
 
-def judged(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> list[Entry]:
+def unranked(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> list[ModelResult]:
     """Group rows over seeds, and determine which seeds failed."""
-    pairs = sorted(zip(rows, tables, strict=True), key=lambda pair: (_group(pair[0]), pair[0].key.seed))
-    entries = [_entry(list(members)) for _, members in groupby(pairs, key=lambda pair: _group(pair[0]))]
-    floors = _best_floors(entries)
-    defined = _defined(entries)
-    return [_judged(entry, floors.get(entry.row.key.track_spec, np.nan), defined) for entry in entries]
+    pairs = sorted(zip(rows, tables, strict=True), key=lambda pair: (_seed_group(pair[0]), pair[0].key.seed))
+    groups = [list(members) for _, members in groupby(pairs, key=lambda pair: _seed_group(pair[0]))]
+    results = [
+        ModelResult(tuple(r for r, _ in group), ("",) * len(group), tuple(t for _, t in group)) for group in groups
+    ]
+    floors, defined = _best_floors(results), _defined(results)
+    return [_with_causes(result, floors.get(result.row.key.track_spec, np.nan), defined) for result in results]
 
 
-def ranked(entries: Sequence[Entry], progress: Progress = silent) -> list[Entry]:
-    """Rank judged entries within each field; those that may not be ranked stay as they are."""
-    found = [entry for field in progress(fields(entries), "ranking models") for entry in _ranked(field)]
-    return sorted(found, key=lambda entry: _group(entry.row))
-
-
-def compare_entries(one: Entry, two: Entry, metric: str) -> Difference:
-    """Difference of two entries of the same track in a metric, paired by scene."""
+def compare_results(one: ModelResult, two: ModelResult, metric: str) -> Difference:
+    """Difference of two results of the same track in a metric, paired by scene."""
     return statistics.difference(one.scores(metric), two.scores(metric), resamples(1, one.n_scenes))
 
 
-def best_first(entries: Iterable[Entry]) -> list[Entry]:
-    """Sort entries by mean rank if there is one, then by MSC-FG, then by name."""
+def best_first(results: Iterable[ModelResult]) -> list[ModelResult]:
+    """Sort results by mean rank if there is one, then by MSC-FG, then by name."""
 
-    def order(entry: Entry) -> tuple[float, float, tuple[str, str, str]]:
-        rank, score = np.nan_to_num([entry.mean_rank, -entry.best_known("msc_fg")], nan=np.inf)
-        return float(rank), float(score), entry.place
+    def order(result: ModelResult) -> tuple[float, float, tuple[str, str, str]]:
+        rank, score = np.nan_to_num([result.mean_rank, -result.mean("msc_fg")], nan=np.inf)
+        return float(rank), float(score), result.place
 
-    return sorted(entries, key=order)
-
-
-def in_order_of_rank(blocks: Mapping[str, Sequence[Entry]]) -> list[str]:
-    """Sort blocks of entries by their best rank; unranked blocks come last."""
-
-    def best_rank(block: str) -> float:
-        return min((entry.rank for entry in blocks[block] if entry.rank is not None), default=np.inf)
-
-    return sorted(blocks, key=best_rank)
+    return sorted(results, key=order)
 
 
-def best_without_training(field: Iterable[Entry]) -> Entry | None:
-    """Find the best ranked model without training, the baseline for models that learn."""
-    classical = [entry for entry in field if entry.is_ranked and entry.row.kind == "classical"]
-    return best_first(classical)[0] if classical else None
+def comparable_groups(results: Iterable[ModelResult]) -> list[list[ModelResult]]:
+    """Group comparable results: scored on one dataset, and all fitted on it or all on one other track."""
 
-
-def fields(entries: Iterable[Entry]) -> list[list[Entry]]:
-    """Group comparable entries: scored on one dataset, and all fitted on it or all on one other track."""
-
-    def field(entry: Entry) -> tuple[str, str, str]:
-        key = entry.row.key
+    def group(result: ModelResult) -> tuple[str, str, str]:
+        key = result.row.key
         return key.track, key.track_spec, "" if key.fit_track == key.track else key.fit_track
 
-    return [list(members) for _, members in groupby(sorted(entries, key=field), key=field)]
+    return [list(members) for _, members in groupby(sorted(results, key=group), key=group)]
 
 
 @cache
@@ -271,16 +261,11 @@ def resamples(n_seeds: int, n_scenes: int) -> Resamples:
     return statistics.draw(n_seeds, n_scenes, np.random.default_rng(BOOTSTRAP_SEED))
 
 
-def _group(row: RunRow) -> tuple[str | int, ...]:
-    """Key shared by the seeds of one entry. Label maps made elsewhere ignore `config_hash`, which differs by seed."""
+def _seed_group(row: RunRow) -> tuple[str | int, ...]:
+    """Key shared by the seeds of one model. Label maps made elsewhere ignore `config_hash`, which differs by seed."""
     key = row.key
     settings = "" if row.kind == "predictions" else key.config_hash
     return key.track, key.fit_track, key.model, key.track_spec, key.fit_spec, key.version, settings
-
-
-def _entry(pairs: Sequence[tuple[RunRow, SceneTable | None]]) -> Entry:
-    rows, tables = zip(*pairs, strict=True)
-    return Entry(rows, ("",) * len(rows), tables)
 
 
 def _pooled(table: SceneTable | None, metric: str) -> float:
@@ -294,78 +279,72 @@ def _weights(table: SceneTable, metric: str) -> Float64[np.ndarray, "scene"]:
     return (table["ari_video_n"] > 0).astype(np.float64) if metric == SWITCHES else table[f"{metric}_n"]
 
 
-def _best_floors(entries: Iterable[Entry]) -> dict[str, float]:
+def _best_floors(results: Iterable[ModelResult]) -> dict[str, float]:
     """Largest MSC-FG of a floor on each dataset."""
     best: dict[str, float] = {}
-    for entry in entries:
-        if entry.row.kind == "floor":
-            dataset, score = entry.row.key.track_spec, entry.best_known("msc_fg")
+    for result in results:
+        if result.row.kind == "floor":
+            dataset, score = result.row.key.track_spec, result.mean("msc_fg")
             best[dataset] = float(np.fmax(best.get(dataset, np.nan), score))
     return best
 
 
-def _defined(entries: Iterable[Entry]) -> set[tuple[str, str]]:
+def _defined(results: Iterable[ModelResult]) -> set[tuple[str, str]]:
     """Datasets and the headline metrics that some run defines on them."""
     return {
-        (entry.row.key.track_spec, name)
-        for entry in entries
+        (result.row.key.track_spec, name)
+        for result in results
         for name in HEADLINE
-        if not np.isnan(entry.seed_means(name)).all()
+        if not np.isnan(result.seed_means(name)).all()
     }
 
 
-def _judged(entry: Entry, best_floor: float, defined: Collection[tuple[str, str]]) -> Entry:
-    expected = [name for name in HEADLINE if (entry.row.key.track_spec, name) in defined]
-    means = {name: entry.seed_means(name) for name in HEADLINE}
-    causes = tuple(
-        _cause(row, {name: float(values[seed]) for name, values in means.items()}, best_floor, expected)
-        for seed, row in enumerate(entry.rows)
-    )
-    return replace(entry, best_floor=best_floor, causes=causes)
+def _with_causes(result: ModelResult, best_floor: float, defined: Collection[tuple[str, str]]) -> ModelResult:
+    """Add the cause of each failed seed; `defined` holds the headline metrics that some run defines."""
+    expected = [name for name in HEADLINE if (result.row.key.track_spec, name) in defined]
+    means = {name: result.seed_means(name) for name in HEADLINE}
+
+    def cause(seed: int, row: RunRow) -> str:
+        if row.status == "failed":
+            return row.reason or "no result"
+        if row.kind in ("floor", "oracle"):
+            return ""
+        finite = has_finite_loss(row) and not any(np.isnan(means[name][seed]) for name in expected)
+        return cause_of_failure(float(means["miou_bg"][seed]), float(means["msc_fg"][seed]), best_floor, finite=finite)
+
+    return replace(result, best_floor=best_floor, causes=tuple(cause(*pair) for pair in enumerate(result.rows)))
 
 
-def _cause(row: RunRow, scores: Mapping[str, float], best_floor: float, expected: Iterable[str]) -> str:
-    if row.status == "failed":
-        return row.reason or "no result"
-    if row.kind in ("floor", "oracle"):
-        return ""
-    finite = has_finite_loss(row) and not any(np.isnan(scores[name]) for name in expected)
-    return cause_of_failure(scores["miou_bg"], scores["msc_fg"], best_floor, finite=finite)
-
-
-def _ranked(field: Sequence[Entry]) -> list[Entry]:
-    """Rank the entries of a field: adds ranks and groups to those that may be ranked."""
-    ranked = [entry for entry in field if entry.is_ranked]
-    values = {name: np.array([entry.best_known(name) for entry in ranked]) for name in RANKED_METRICS}
+def _ranked(group: Sequence[ModelResult]) -> list[ModelResult]:
+    """Add ranks and group letters to the results of a comparable group that may be ranked."""
+    ranked = [result for result in group if result.is_ranked]
+    values = {name: np.array([result.mean(name) for result in ranked]) for name in RANKED_METRICS}
     mean_ranks = statistics.mean_ranks(*(values[name] for name in RANKED_METRICS))
-    letters = zip(*(_letters(ranked, name, values[name]) for name in RANKED_METRICS), strict=True)
+    letters = zip(*(letters_of_groups(_different(ranked, name), values[name]) for name in RANKED_METRICS), strict=True)
     places = statistics.ranks(-mean_ranks)
     placed = [
-        replace(entry, mean_rank=float(mean_rank), rank=float(place), groups=groups)
-        for entry, mean_rank, place, groups in zip(ranked, mean_ranks, places, letters, strict=True)
+        replace(result, mean_rank=float(mean_rank), rank=float(place), group_letters=found)
+        for result, mean_rank, place, found in zip(ranked, mean_ranks, places, letters, strict=True)
     ]
-    return placed + [entry for entry in field if not entry.is_ranked]
+    return placed + [result for result in group if not result.is_ranked]
 
 
-def _letters(entries: Sequence[Entry], metric: str, values: Float64[np.ndarray, "model"]) -> list[str]:
+def letters_of_groups(different: Bool[np.ndarray, "model model"], values: Float64[np.ndarray, "model"]) -> list[str]:
+    """Letters of each model's groups; models that share a letter do not differ, and `a` is the group of the best."""
     order = np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")
-    groups = statistics.tied_groups(_different([entries[i] for i in order], metric))
-    found = [""] * len(entries)
-    for letter, group in enumerate(groups):
+    found = [""] * len(values)
+    for index, group in enumerate(statistics.tied_groups(different[np.ix_(order, order)])):
+        letter = chr(ord("a") + index % 26) + "'" * (index // 26)
         for member in group:
-            found[order[member]] += _letter(letter)
+            found[order[member]] += letter
     return found
 
 
-def _letter(index: int) -> str:
-    return chr(ord("a") + index % 26) + "'" * (index // 26)
-
-
-def _different(entries: Sequence[Entry], metric: str) -> Bool[np.ndarray, "model model"]:
+def _different(results: Sequence[ModelResult], metric: str) -> Bool[np.ndarray, "model model"]:
     """Matrix of the pairs that differ significantly, corrected for the number of pairs."""
-    pairs = list(combinations(range(len(entries)), 2))
-    p_values = np.array([compare_entries(entries[i], entries[j], metric).p_value for i, j in pairs])
-    different = np.zeros((len(entries), len(entries)), bool)
+    pairs = list(combinations(range(len(results)), 2))
+    p_values = np.array([compare_results(results[i], results[j], metric).p_value for i, j in pairs])
+    different = np.zeros((len(results), len(results)), bool)
     for (i, j), p_value in zip(pairs, statistics.holm(p_values), strict=True):
         different[i, j] = different[j, i] = p_value < statistics.SIGNIFICANCE
     return different

@@ -3,15 +3,14 @@
 Scores are arrays (seed, scene) of per-scene means over frames, with the number of frames behind each as weights. A
 split's score pools its frames: sum(score * weight) / sum(weight); a model's score is the mean of that over its seeds.
 
-What the numbers can say:
-- The interval of a score resamples seeds and scenes, crossed: all seeds are scored on the same scenes, so that a hard
-  scene is hard for all of them and their mean is no surer of the scenes than one seed's. Nested resampling, with scenes
-  drawn anew inside every seed, would take it for surer, and its intervals are too narrow.
-- Three seeds under-cover: where most of the spread is between seeds, intervals of nominally 95 % hold the truth in
-  about 75 % of simulated experiments, since they then run from the lowest of three values to the highest. The spread
-  over seeds therefore stands beside them. With one seed, or a method without randomness, only scenes are resampled.
-- Differences between two models are paired by scene, after a mean over each model's seeds. They tell about the runs
-  that were made, and not how another training would come out.
+Properties of the intervals:
+- Seeds and scenes are resampled crossed, because all seeds are scored on the same scenes. Nested resampling draws
+  scenes anew within each seed; its intervals are too narrow.
+- Three seeds under-cover: if most of the spread is between seeds, nominal 95 % intervals contain the true score in
+  about 75 % of simulated experiments. Tables therefore show the standard deviation over seeds as well.
+- With one seed, or a method without randomness, only scenes are resampled.
+- Differences between two models are paired by scene, after a mean over each model's seeds. They describe the runs that
+  were made, not what another training would give.
 """
 
 import math
@@ -25,13 +24,13 @@ CONFIDENCE = 0.95
 SIGNIFICANCE = 0.05
 
 RESOLVABLE = 1.96 + 0.84
-"""Resolvable difference in standard errors: significant at 5 % in 80 % of all samples of scenes."""
+"""Detectable difference in standard errors: significant at 5 % in 80 % of all samples of scenes."""
 
 TIE = 1.5e-6
 """Largest difference of equal scores: packed results have six decimals, and means over seeds have rounding errors."""
 
 Scores = Float[np.ndarray, "seed scene"]
-"""nan only where the weight is 0."""
+"""Scores, which are nan only where the weight is 0."""
 OtherScores = Float[np.ndarray, "other_seed scene"]
 
 
@@ -70,7 +69,7 @@ class Difference:
     win_rate: float
     """Share of scenes in which the first scores more; equal scores are half a win."""
     resolvable: float
-    """The smallest true difference that this many scenes would show (5 % significance, 80 % power)."""
+    """Smallest true difference that this many scenes can detect (5 % significance, 80 % power)."""
     n_scenes: int
     """Scenes in which both scores are defined."""
 
@@ -168,7 +167,7 @@ def holm(p_values: Float[np.ndarray, "test"]) -> Float64[np.ndarray, "test"]:
 
 
 def tied_groups(different: Bool[np.ndarray, "model model"]) -> list[tuple[int, ...]]:
-    """Largest groups of models without a significant difference between any two; a model may be in several.
+    """Find the largest groups of models without a significant difference; a model may be in several.
 
     Groups come in the order of their members' indices: with models sorted by score, the first group is the best's.
     The compact letter display by insertion and absorption (Piepho, 2004).

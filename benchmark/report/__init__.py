@@ -1,4 +1,4 @@
-"""The report of a run folder: one HTML page to look at, offline, with scores, slices, errors, costs and pictures."""
+"""The report of a run folder: one offline HTML page with scores, slices, errors, costs and pictures."""
 
 from benchmark.report.page import write
 

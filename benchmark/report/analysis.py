@@ -2,22 +2,30 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from benchmark.report.gallery import Card, disagreements, telling_image, typical_scenes, worst_scenes
 from benchmark.report.observations import Objects, Outcome, Truth, outcome_of_scene, read_truth, scene_tables
+from benchmark.results.dataset_lookup import labels_path
+from benchmark.results.label_files import reading_labels
 from benchmark.results.labels import check_labels_fit, read_labels
-from benchmark.results.rescore import labels_path
+from benchmark.results.pose_files import poses_in
 from benchmark.results.run_folder import RunRow, load_scenes
 from datagen.errors import UsageError
 from datagen.storage.reader import Split
 
-Maps = tuple[UInt8[np.ndarray, "frame view height width"], int]
-"""Label maps of a scene and the background slot."""
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """Output of one run for one scene."""
+
+    labels: UInt8[np.ndarray, "frame view height width"]
+    background_slot: int
+    boxes: tuple[np.ndarray, np.ndarray, np.ndarray] | None
+    """Centres, rotations and sizes of bounding boxes by frame, view and label; None if the model gives none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +75,15 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
 
 
 def scene_scores(folder: Path, row: RunRow) -> Float64[np.ndarray, "scene"]:
-    """MSC-FG of every scene; nan in scenes without objects."""
+    """Read the MSC-FG of every scene; nan in scenes without objects."""
     table = load_scenes(folder, row)
     return np.where(table["msc_fg_n"] > 0, table["msc_fg"], np.nan)
 
 
-def outcome(truths: Sequence[Truth], predictions: Iterable[Maps]) -> Outcome:
-    """Outcome of one run for all objects of a split."""
+def outcome(
+    truths: Sequence[Truth], predictions: Iterable[tuple[UInt8[np.ndarray, "frame view height width"], int]]
+) -> Outcome:
+    """Compute the outcome of one run for all objects of a split, from its label maps and background slots."""
     parts = [
         outcome_of_scene(scene_tables(*truth, labels, slot), slot)
         for truth, (labels, slot) in zip(truths, predictions, strict=True)
@@ -81,48 +91,18 @@ def outcome(truths: Sequence[Truth], predictions: Iterable[Maps]) -> Outcome:
     return Outcome(np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]).astype(np.float64))
 
 
-def choose_cards(
-    analysis: Analysis, *, worst: int, pairs: int, paired: Iterable[int]
-) -> tuple[dict[int, list[Card]], dict[tuple[int, int], list[Card]]]:
-    """Choose the worst scenes of every model, and the largest disagreements between any two `paired` models."""
-    objects, outcomes = analysis.objects, analysis.outcomes
-    bad = {
-        model: [
-            Card(telling_image(objects, scene, -outcomes[model].overlap), (model,))
-            for scene in worst_scenes(scores, worst)
-        ]
-        for model, scores in analysis.scores.items()
-    }
-    apart = {
-        (a, b): [
-            Card(_most_apart(objects, scene, outcomes[a].overlap - outcomes[b].overlap), (a, b))
-            for scene in disagreements(analysis.scores[a], analysis.scores[b], pairs)
-        ]
-        for a, b in combinations(sorted(set(paired) & set(outcomes)), 2)
-    }
-    return bad, apart
-
-
-def choose_clips(analysis: Analysis, count: int) -> list[int]:
-    """Choose the scenes whose clips are shown for all models."""
-    return typical_scenes(list(analysis.scores.values()), count)
-
-
 def read_maps(folder: Path, row: RunRow, wanted: set[int]) -> dict[int, Maps]:
-    """Read the label maps of the wanted scenes of a run."""
-    found: dict[int, Maps] = {}
-    for scene, maps in enumerate(read_labels(labels_path(folder, row))):
-        if scene in wanted:
-            found[scene] = maps
-        if len(found) == len(wanted):
-            break
-    return found
-
-
-def _most_apart(objects: Objects, scene: int, difference: np.ndarray) -> tuple[int, int, int]:
-    """The image whose mean difference is largest in the direction in which the whole scene differs."""
-    inside = difference[objects.scene == scene]
-    return telling_image(objects, scene, difference if inside.sum() >= 0 else -difference)
+    """Read the label maps, and the boxes if there are any, of the wanted scenes of a run."""
+    path, scenes = labels_path(folder, row), sorted(wanted)
+    with reading_labels(path) as file:
+        every = poses_in(file, scenes) or [None] * len(scenes)
+    boxes = {
+        scene: (poses.center, poses.rotation, poses.size)
+        for scene, poses in zip(scenes, every, strict=True)
+        if poses is not None and poses.rotation is not None and poses.size is not None
+    }
+    found = (item for item in enumerate(read_labels(path)) if item[0] in wanted)
+    return {scene: Maps(labels, slot, boxes.get(scene)) for scene, (labels, slot) in islice(found, len(wanted))}
 
 
 def _mean(outcomes: Sequence[Outcome]) -> Outcome:

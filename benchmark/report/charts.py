@@ -1,15 +1,20 @@
 """Coordinates of the charts; the templates turn them into SVG."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmark.ranking.number_text import plain_number
+from benchmark.ranking.text import plain_number
 from datagen.console.text import counted
 
 WIDTH, HEIGHT = 320, 208
 LEFT, RIGHT, TOP, BOTTOM = 34, 12, 12, 40
 """Margins of the plotting area, in the units of the drawing."""
+
+MARKER = 7
+"""Half the size of a marker with its outline."""
+CHARACTER = 6.6
+"""Upper bound of the mean width of a character."""
 
 TALLEST_BAR = 40
 """Height of the bar of the class with most observations."""
@@ -19,7 +24,7 @@ Values = Sequence[float]
 
 @dataclass(frozen=True)
 class Tick:
-    """A mark on an axis."""
+    """Tick of an axis."""
 
     at: float
     text: str
@@ -27,7 +32,7 @@ class Tick:
 
 @dataclass(frozen=True)
 class Curve:
-    """One model's line: a path for SVG, and its points."""
+    """Curve of one model: a path for SVG, and its points."""
 
     model: int
     path: str
@@ -46,7 +51,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class LineChart:
-    """A small chart of one curve a model."""
+    """Small chart with one curve per model."""
 
     title: str
     axis: str
@@ -57,24 +62,32 @@ class LineChart:
 
 
 @dataclass(frozen=True)
+class Label:
+    """Name of a model in a scatter chart, with a line to its marker if it stands at a distance."""
+
+    x: float
+    y: float
+    anchor: str
+    leader: str = ""
+    """Path for SVG; empty if the name stands beside its marker."""
+
+
+@dataclass(frozen=True)
 class Dot:
-    """A model in a scatter chart, and where its name stands."""
+    """Marker of a model in a scatter chart."""
 
     model: int
     x: float
     y: float
     kind: str
     text: str
-    label_x: float
-    label_y: float
-    anchor: str
-    has_room: bool
-    """Whether its name covers no other one; if not, it is shown only when the model is chosen."""
+    label: Label | None
+    """Place of the name, where it covers no marker and no other name; None if there is no such place."""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """Cost against quality."""
+    """Scatter chart of quality over cost."""
 
     x_ticks: tuple[Tick, ...]
     y_ticks: tuple[Tick, ...]
@@ -86,7 +99,7 @@ class Scatter:
 def class_chart(
     title: str, axis: str, names: Sequence[str], counts: Sequence[int], values: Mapping[int, Values]
 ) -> LineChart:
-    """Scores from 0 to 1 by class, with bars that show how many observations each class has."""
+    """Draw scores from 0 to 1 by class, with bars for the number of observations of each class."""
     step = (WIDTH - LEFT - RIGHT) / len(names)
     xs = [LEFT + step * (place + 0.5) for place in range(len(names))]
     most = max(max(counts, default=1), 1)
@@ -102,7 +115,7 @@ def class_chart(
 
 
 def history_chart(title: str, axis: str, lines: Sequence[tuple[int, Values, Values]]) -> LineChart:
-    """Learning curves: model, time in the axis' units and values; both axes fit what is there."""
+    """Draw learning curves, given as model, times in the axis' units, and values; both axes fit the data."""
     steps = [x for _, xs, _ in lines for x in xs]
     heights = [y for _, _, ys in lines for y in ys if math.isfinite(y)]
     low_x, high_x = _span(steps)
@@ -120,7 +133,7 @@ def history_chart(title: str, axis: str, lines: Sequence[tuple[int, Values, Valu
 
 
 def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int = 560, height: int = 300) -> Scatter:
-    """Scatter plot of quality (0 to 1) over cost (logarithmic axis).
+    """Draw quality (0 to 1) over cost (logarithmic axis).
 
     Each point is (model, kind, cost, quality, words), best models first.
     """
@@ -130,42 +143,66 @@ def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int 
     scale = (width - LEFT - 2 * RIGHT) / (high - low)
     place = lambda cost: round(LEFT + scale * (math.log10(cost) - low), 1)  # noqa: E731
     centers = [(place(cost), unit_y(quality, height)) for _, _, cost, quality, _ in points]
-    labels = _labels(centers, [words.split(":")[0] for *_, words in points], width)
+    labels = place_labels(centers, [words.split(":")[0] for *_, words in points], width, height)
     dots = [
-        Dot(model, x, y, kind, words, *label)
+        Dot(model, x, y, kind, words, label)
         for (model, kind, _, _, words), (x, y), label in zip(points, centers, labels, strict=True)
     ]
     ticks = [Tick(place(10.0**power), _seconds(power)) for power in range(low, high + 1)]
     return Scatter(tuple(ticks), unit_ticks(height), tuple(dots), width, height)
 
 
-def _labels(
-    centers: Sequence[tuple[float, float]], names: Sequence[str], width: int
-) -> list[tuple[float, float, str, bool]]:
-    """Place each name beside, over or under its dot, whichever fits first: x, y, anchor, and whether there is room."""
-    taken = [(x - 7, y - 7, x + 7, y + 7) for x, y in centers]
-    labels = []
-    for (x, y), name in zip(centers, names, strict=True):
-        length = 6.2 * len(name)
-        tries = [(x + 10, y + 4, "start"), (x - 10, y + 4, "end"), (x, y - 10, "middle"), (x, y + 18, "middle")]
-        boxes = [_box(*spot, length) for spot in tries]
-        free = [i for i, box in enumerate(boxes) if not any(_overlap(box, t) for t in taken)]
-        free = [i for i in free if boxes[i][0] > LEFT and boxes[i][2] < width]
-        inside = min(max(x, LEFT + length / 2), width - length / 2)
-        labels.append((*tries[free[0]], True) if free else (round(inside, 1), y - 10, "middle", False))
-        taken += [boxes[free[0]]] if free else []
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom."""
+
+
+def place_labels(
+    centers: Sequence[tuple[float, float]], names: Sequence[str], width: int, height: int
+) -> list[Label | None]:
+    """Place each name beside its marker if it covers nothing there, otherwise at the nearest free distance."""
+    taken = [marker_box(*center) for center in centers]
+    labels: list[Label | None] = []
+    for center, name in zip(centers, names, strict=True):
+        tries = ((label, label_box(label, name)) for label in _candidates(*center))
+        free = (
+            (label, box)
+            for label, box in tries
+            if box[0] > LEFT and box[2] < width and box[1] > 0 and box[3] < height - BOTTOM + MARKER
+            if not any(overlap(box, other) for other in taken)
+        )
+        label, box = next(free, (None, None))
+        labels.append(label)
+        taken += [box] if box else []
     return labels
 
 
-Box = tuple[float, float, float, float]
+def _candidates(x: float, y: float) -> Iterator[Label]:
+    """Yield places for the name of a marker, from near to far."""
+    near = MARKER + 3
+    yield from (Label(x + near, y + 4, "start"), Label(x - near, y + 4, "end"))
+    yield from (Label(x, y - near, "middle"), Label(x, y + near + 8, "middle"))
+    for distance in range(20, 150, 10):
+        for dx, dy in ((1.0, -0.7), (1.0, 0.7), (-1.0, -0.7), (-1.0, 0.7), (0.3, -1.0), (0.3, 1.0), (1.0, 0.0)):
+            end = x + distance * dx, y + distance * dy
+            place = round(end[0] + math.copysign(3, dx), 1), round(end[1] + 4, 1)
+            leader = f"M{x:.1f} {y:.1f}L{end[0]:.1f} {end[1]:.1f}"
+            yield Label(*place, "start" if dx > 0 else "end", leader)
 
 
-def _box(x: float, y: float, anchor: str, length: float) -> Box:
-    left = x - {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * length
-    return left, y - 10, left + length, y + 3
+def marker_box(x: float, y: float) -> Box:
+    """Area that a marker covers."""
+    return x - MARKER, y - MARKER, x + MARKER, y + MARKER
 
 
-def _overlap(a: Box, b: Box) -> bool:
+def label_box(label: Label, name: str) -> Box:
+    """Area that a name covers, with a margin."""
+    length = CHARACTER * len(name)
+    left = label.x - {"start": 0.0, "middle": 0.5, "end": 1.0}[label.anchor] * length
+    return left - 1, label.y - 10, left + length + 1, label.y + 4
+
+
+def overlap(a: Box, b: Box) -> bool:
+    """Tell whether two areas overlap."""
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 

@@ -1,4 +1,4 @@
-"""Every object in every image of a split, and how a run dealt with it: what slices and galleries are made of."""
+"""Observations: each object in each image of a split, and the outcome of a run for it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from datagen.storage.reader import Split
 
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """One entry for each object in each image that shows it, ordered by scene, frame, view and object."""
+    """One result for each object in each image that shows it, ordered by scene, frame, view and object."""
 
     scene: Int64[np.ndarray, "observation"]
     frame: Int64[np.ndarray, "observation"]
@@ -23,34 +23,34 @@ class Objects:
     """Objects in the same image, itself included."""
     pixels: Int64[np.ndarray, "observation"]
     hidden: Float64[np.ndarray, "observation"] | None
-    """Share of the object that others or the image's edge hide; None where the dataset does not say."""
+    """Share of the object that is occluded or outside the image; None if the dataset lacks it."""
     gap: Float64[np.ndarray, "observation"] | None
-    """Metres to the nearest other object, infinite beyond 2 cm; None where the dataset does not say."""
+    """Metres to the nearest other object, infinite beyond 2 cm; None if the dataset lacks it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How one run, or several seeds of it, dealt with those objects."""
+    """Outcome of one run, or of several seeds, for all observations."""
 
     overlap: Float64[np.ndarray, "observation"]
-    """Best IoU with a slot other than the background's; its mean is MSC-FG, up to how frames are weighed."""
+    """Best IoU with a slot other than the background's; its mean is MSC-FG, except for the weights of frames."""
     errors: Float64[np.ndarray, "observation type"]
-    """Share of the seeds that make the error; types as in `ERROR_TYPES`."""
+    """Share of the seeds that make each error of `ERROR_TYPES`."""
 
 
 Truth = tuple[Integer[np.ndarray, "frame view height width"], Bool[np.ndarray, "frame view height width"]]
-"""Object ids of a scene, and which pixels do not count because they have no depth."""
+"""Object ids of a scene, and the pixels that are ignored because they have no depth."""
 
 
 def read_truth(scenes: Split, scene: int) -> Truth:
-    """What label maps of a scene are compared with."""
+    """Read the ground truth of a scene."""
     depth = "sensor_valid" if scenes.spec["recipe"]["sensor"]["enabled"] else "depth"
     record = scenes.read(scene, ["segmentation", depth])
     return record["segmentation"], record[depth] == 0
 
 
 def observe(scenes: Split) -> Objects:
-    """Look at the truth of a whole split."""
+    """List the observations of a whole split."""
     wanted = ("visibility/visible_fraction", "contacts/gap")
     fields = [name for name in wanted if name in scenes.fields()]
     parts = [
@@ -82,7 +82,7 @@ def _observe_scene(scene: int, truth: Truth, record: Mapping[str, np.ndarray]) -
 def object_pixels(
     segmentation: Integer[np.ndarray, "frame view height width"],
 ) -> Int64[np.ndarray, "frame view object"]:
-    """Pixels of every object; object i has id i + 1."""
+    """Count the pixels of every object; object i has id i + 1."""
     ids = np.arange(1, int(segmentation.max(initial=0)) + 1)
     counts = np.count_nonzero(segmentation[..., None] == ids, axis=(2, 3))
     return counts.astype(np.int64)
@@ -100,7 +100,7 @@ def scene_tables(
     labels: Integer[np.ndarray, "frame view height width"],
     background_slot: int,
 ) -> Int64[np.ndarray, "frame view truth slot"]:
-    """Contingency tables of all images of a scene; slots keep their numbers."""
+    """Compute the contingency tables of all images of a scene; slots keep their numbers."""
     frames, views = truth.shape[:2]
     true, dropped, found = (part.reshape(frames * views, *part.shape[2:]) for part in (truth, ignore, labels))
     tables, _ = contingency(true, found, background_slot, dropped)
@@ -110,7 +110,7 @@ def scene_tables(
 def outcome_of_scene(
     tables: Int64[np.ndarray, "frame view truth slot"], background_slot: int
 ) -> tuple[Float64[np.ndarray, "observation"], Bool[np.ndarray, "observation type"]]:
-    """Overlap and errors of the objects of one scene, in the order of `Objects`."""
+    """Compute overlap and errors of the objects of one scene, in the order of `Objects`."""
     present = tables[:, :, 1:].sum(axis=3) > 0
     views = [tables[:, view] for view in range(tables.shape[1])]
     overlaps = [np.delete(intersection_over_union(part)[:, 1:], background_slot, axis=2) for part in views]

@@ -1,6 +1,6 @@
-"""One HTML page out of a run folder: gathers the parts, renders the template, and keeps the page small."""
+"""One HTML page for a run folder: gathers the parts, renders the template, and limits the size of the page."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -8,141 +8,147 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from benchmark.metrics.errors_by_type import MEANINGS
-from benchmark.ranking.pose_tables import HEADER, NOTES
-from benchmark.ranking.standings import Entry, fields
-from benchmark.ranking.table_text import seeds_in_words
+from benchmark.ranking.columns import BLOCKS, POSE_NOTES, POSE_SCORES, SEEDS, kind_of, seeds_in_words
+from benchmark.ranking.standings import ModelResult, comparable_groups
 from benchmark.report import leaderboard_view
-from benchmark.report.comparison import OWN, Field, Find, Truths, comparisons, facts, make_field
-from benchmark.report.track_panel import LIMITS, Album, Limits, Painter
+from benchmark.report.gallery import LIMITS, Album, Limits, Painter
+from benchmark.report.track import OWN, Datasets, Find, TrackResults, comparisons, facts, load_track
 from benchmark.results.run_folder import check_runs
 from datagen.console.text import counted
 from datagen.storage.atomic import write_atomically
 
 LARGEST = 14_000_000
-"""Bytes that a page may have; reports with many models have fewer pictures."""
+"""Largest size of a page in bytes; reports with many models have fewer pictures."""
 
-TITLE = "Segmentation benchmark"
+TITLE = "ObPose segmentation benchmark"
 
 
-def write(folder: Path, entries: Sequence[Entry], find: Find) -> Path:
-    """Make `report.html` in a run folder: self-contained, offline, and the same bytes for the same folder and data.
+def write(
+    folder: Path,
+    results: Sequence[ModelResult],
+    find: Find,
+    *,
+    command: str = "",
+    date: str = "",
+    largest: int = LARGEST,
+) -> Path:
+    """Write `report.html` into a run folder: self-contained, offline, and the same bytes for the same arguments.
 
     Args:
         folder: The run folder.
-        entries: What its tables show.
-        find: Says where datasets are. Without a dataset, or without label maps, the sections that need them say so.
+        results: Results that its tables show.
+        find: Function that finds datasets. Without a dataset, or without label maps, the sections that need them say
+            so.
+        command: Command that made the page, shown at the top.
+        date: Date, shown at the top.
+        largest: Size in bytes above which the page gets fewer pictures.
 
     Raises:
         UsageError: the folder holds no runs.
         CorruptFile: a run is damaged.
     """
     check_runs(folder)
-    names = model_names(entries)
+    names = model_names(results)
     numbers = {name: number for number, name in enumerate(names)}
-    truths = Truths(find)
-    titles = _track_titles(entries)
-    found = [make_field(folder, members, numbers, truths, titles[_dataset(members[0])]) for members in fields(entries)]
-    common = _common(found, names, numbers)
-    page = b""
+    datasets, titles = Datasets(find), _track_titles(results)
+    groups = comparable_groups(results)
+    tracks = [load_track(folder, group, numbers, datasets, titles[_dataset(group[0])]) for group in groups]
+    common = {**_common(tracks, names, numbers), "command": command, "date": date}
+    template, page = environment().get_template("report.html.j2"), b""
     for limits in LIMITS:
-        page = _render(_with_pictures(common, folder, found, limits))
-        if len(page) <= LARGEST:
+        page = template.render(_with_pictures(common, folder, tracks, limits)).encode()
+        if len(page) <= largest:
             break
     write_atomically(folder / "report.html", page)
     return folder / "report.html"
 
 
-def model_names(entries: Sequence[Entry]) -> list[str]:
+def model_names(results: Sequence[ModelResult]) -> list[str]:
     """List all models, sorted by kind, then by name."""
-    kinds = list(leaderboard_view.BLOCKS)
-    keys = {(kinds.index(entry.row.kind), entry.row.key.model) for entry in entries}
+    kinds = list(BLOCKS)
+    keys = {(kinds.index(kind_of(result)), result.row.key.model) for result in results}
     return list(dict.fromkeys(name for _, name in sorted(keys)))
 
 
-def _track_titles(entries: Sequence[Entry]) -> dict[tuple[str, str], str]:
+def _track_titles(results: Sequence[ModelResult]) -> dict[tuple[str, str], str]:
     """Title of each dataset: its track, with a part of its hash if several datasets share the name."""
-    datasets = {_dataset(entry) for entry in entries}
+    datasets = {_dataset(result) for result in results}
     names = [track for track, _ in datasets]
     return {(track, spec): track if names.count(track) == 1 else f"{track} {spec[:8]}" for track, spec in datasets}
 
 
-def _dataset(entry: Entry) -> tuple[str, str]:
-    return entry.row.key.track, entry.row.key.track_spec
+def _dataset(result: ModelResult) -> tuple[str, str]:
+    return result.row.key.track, result.row.key.track_spec
 
 
-def _common(found: Sequence[Field], names: Sequence[str], numbers: Mapping[str, int]) -> dict[str, Any]:
-    panels = [facts(field, numbers) for field in found]
-    tracks = list(dict.fromkeys(field.track for field in found))
+def _common(tracks: Sequence[TrackResults], names: Sequence[str], numbers: Mapping[str, int]) -> dict[str, Any]:
+    """Template values that do not depend on the number of pictures."""
+    panels = [facts(track, numbers) for track in tracks]
+    titles = list(dict.fromkeys(track.track for track in tracks))
+    rows = [row for track in tracks for result in track.results for row in result.rows]
     return {
         "title": TITLE,
         "models": names,
-        "lead": f"{counted(len(names), 'model')} on {counted(len(tracks), 'track')}",
-        "seeds": seeds_in_words(entry for field in found for entry in field.entries),
-        "tracks": tracks,
-        "fits": sorted({field.fit for field in found}, key=lambda fit: (fit != OWN, fit)),
+        "lead": f"{counted(len(names), 'model')} on {counted(len(titles), 'track')}",
+        "seeds": seeds_in_words(result for track in tracks for result in track.results),
+        "tracks": titles,
+        "fits": sorted({track.fit for track in tracks}, key=lambda fit: (fit != OWN, fit)),
         "panels": panels,
         "start": panels[0]["first"],
-        "overviews": _overviews(found, numbers),
+        "overviews": list(_overviews(tracks, numbers)) if len(tracks) > 1 else [],
         "error_types": list(MEANINGS.items()),
-        "pose_header": HEADER,
-        "pose_notes": [note.replace("*", "") for note in NOTES],
-        "comparisons": {str(place): comparisons(field, numbers) for place, field in enumerate(found)},
-        "footer": _footer(found),
+        "pose_header": [column.heading for column in (SEEDS, *POSE_SCORES)],
+        "pose_notes": [note.replace("*", "") for note in POSE_NOTES],
+        "comparisons": {str(place): comparisons(track, numbers) for place, track in enumerate(tracks)},
+        "commits": sorted({row.commit[:8] for row in rows if row.commit}),
     }
 
 
-def _with_pictures(common: Mapping[str, Any], folder: Path, found: Sequence[Field], limits: Limits) -> dict[str, Any]:
-    album, galleries, panels = Album(), {}, []
-    for place, (panel, field) in enumerate(zip(common["panels"], found, strict=True)):
-        shown: dict[str, Any] = {"clips": [], "gallery": False}
-        if field.analysis:
-            ranked = [model for model in panel["first_to_last"] if model in field.analysis.rows]
-            painter = Painter(folder, field.analysis, album, ranked, limits)
-            galleries[str(place)] = painter.gallery()
-            shown = {"clips": painter.clips(common["models"], panel["crashed"]), "gallery": True}
-        panels.append({**panel, **shown})
+def _with_pictures(
+    common: Mapping[str, Any], folder: Path, tracks: Sequence[TrackResults], limits: Limits
+) -> dict[str, Any]:
+    """Add the pictures to the template values, and the values that the page's script reads."""
+    album, galleries = Album(), {}
+    for place, (panel, track) in enumerate(zip(common["panels"], tracks, strict=True)):
+        if track.analysis:
+            order = [model for model in panel["ordered"] if model in track.analysis.rows]
+            gallery = Painter(folder, track.analysis, album, order, limits).gallery(order)
+            galleries[str(place)] = {**gallery, "crashed": panel["crashed"]}
     script = {"models": common["models"], "galleries": galleries, "comparisons": common["comparisons"]}
-    return {**common, "panels": panels, "facts": script, "pictures": album.uris}
+    return {**common, "facts": script, "pictures": album.uris}
 
 
-def _overviews(found: Sequence[Field], numbers: Mapping[str, int]) -> list[dict[str, Any]]:
-    """MSC-FG of all models on all tracks, for each track fitted on."""
-    ordered = sorted(found, key=lambda field: (field.fit != OWN, field.fit, field.track))
-    return [_overview(fit, list(members), numbers) for fit, members in groupby(ordered, key=lambda field: field.fit)]
-
-
-def _overview(fit: str, found: Sequence[Field], numbers: Mapping[str, int]) -> dict[str, Any]:
-    scores = {(e.row.key.model, f.track): e.best_known("msc_fg") for f in found for e in f.entries}
-    best = {f.track: next((e.row.key.model for e in _by_score(f) if e.is_ranked), None) for f in found}
-    entries = {entry.row.key.model: entry for field in found for entry in field.entries}
-    rows = []
-    for model in sorted(entries, key=lambda name: numbers[name]):
-        values = [scores.get((model, field.track), float("nan")) for field in found]
-        cells = [
-            {
-                "text": leaderboard_view.number(value),
-                "shade": f"{0.55 * min(max(value, 0.0), 1.0):.3f}" if value == value else "0",
-                "best": best[field.track] == model,
-            }
-            for value, field in zip(values, found, strict=True)
+def _overviews(tracks: Sequence[TrackResults], numbers: Mapping[str, int]) -> Iterator[dict[str, Any]]:
+    """Yield a table of the MSC-FG of all models on all tracks, for each track fitted on."""
+    ordered = sorted(tracks, key=lambda track: (track.fit != OWN, track.fit, track.track))
+    for fit, found in groupby(ordered, key=lambda track: track.fit):
+        members = list(found)
+        marks = {numbers[r.row.key.model]: r.marks for track in members for r in track.results}
+        columns = [_overview_column(track, numbers) for track in members]
+        empty = {"text": "–", "shade": "0", "best": False}
+        rows = [
+            {"model": model, "marks": marks[model], "cells": [column.get(model, empty) for column in columns]}
+            for model in sorted(marks)
         ]
-        rows.append({"model": numbers[model], "marks": entries[model].marks, "cells": cells})
-    title = f"fitted on {fit}"
-    return {"title": title, "tracks": [field.track for field in found], "rows": rows}
+        yield {"title": f"fitted on {fit}", "tracks": [track.track for track in members], "rows": rows}
 
 
-def _by_score(field: Field) -> list[Entry]:
-    return sorted(field.entries, key=lambda entry: -entry.best_known("msc_fg"))
+def _overview_column(track: TrackResults, numbers: Mapping[str, int]) -> dict[int, dict[str, Any]]:
+    """Cells of a track by model; the best ranked model is marked."""
+    best = max((result.mean("msc_fg") for result in track.results if result.is_ranked), default=float("nan"))
+    means = {numbers[result.row.key.model]: (result.mean("msc_fg"), result.is_ranked) for result in track.results}
+    return {
+        model: {
+            "text": leaderboard_view.number(mean),
+            "shade": leaderboard_view.shade(mean),
+            "best": is_ranked and mean == best,
+        }
+        for model, (mean, is_ranked) in means.items()
+    }
 
 
-def _footer(found: Sequence[Field]) -> str:
-    commits = sorted({row.commit[:8] for field in found for entry in field.entries for row in entry.rows if row.commit})
-    return f"Made by obpose-bench from runs of commit {', '.join(commits)}." if commits else "Made by obpose-bench."
-
-
-def _render(context: Mapping[str, Any]) -> bytes:
+def environment() -> Environment:
+    """Load the templates of the report."""
     loader = PackageLoader("benchmark.report")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template("report.html.j2").render(context).encode()
+    options: dict[str, Any] = {"undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    return Environment(loader=loader, autoescape=True, **options)

@@ -9,22 +9,22 @@ from jaxtyping import Float64, Int64
 from benchmark.report.observations import Objects
 
 SIZES = (8, 16, 32, 64, 128, 256, 512, 1024)
-"""Pixels at which classes of visible size begin, after a first one for what is smaller."""
+"""Least numbers of pixels of the classes of visible size; smaller objects form a class of their own."""
 
 HIDDEN = (0.02, 0.25, 0.5, 0.75)
 HIDDEN_NAMES = ("none", "to 25%", "to 50%", "to 75%", "more")
 
 GAPS = (0.0005, 0.005, 0.02)
-"""Metres; the format stores no gaps beyond the last."""
+"""Limits of the contact classes in metres; the dataset format stores no gaps beyond the last."""
 GAP_NAMES = ("touching", "to 5 mm", "to 20 mm", "farther")
 
 MOST_FRAMES = 12
-"""Points of the curve over frames; longer clips are gathered into so many parts."""
+"""Largest number of classes over frames; longer clips are divided into this many parts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Slicing:
-    """A way to sort the observations of a track into classes."""
+    """Division of the observations of a track into classes."""
 
     title: str
     axis: str
@@ -34,7 +34,7 @@ class Slicing:
 
     @property
     def counts(self) -> Int64[np.ndarray, "name"]:
-        """Observations in every class."""
+        """Number of observations in every class."""
         return np.bincount(self.members, minlength=len(self.names))
 
     def means(self, values: Float64[np.ndarray, "observation"]) -> Float64[np.ndarray, "name"]:
@@ -45,14 +45,14 @@ class Slicing:
 
 @dataclass(frozen=True)
 class Missing:
-    """A slicing that the dataset does not allow."""
+    """Slicing that the dataset does not allow."""
 
     title: str
     reason: str
 
 
 def slicings(objects: Objects) -> list[Slicing | Missing]:
-    """All five, in the order in which they are shown."""
+    """List the five slicings, in the order in which they are shown."""
     return [
         by_count(objects.companions),
         by_size(objects.pixels),
@@ -63,13 +63,13 @@ def slicings(objects: Objects) -> list[Slicing | Missing]:
 
 
 def by_count(companions: Int64[np.ndarray, "observation"]) -> Slicing:
-    """One class for each number of visible objects that occurs."""
+    """Form one class for each number of visible objects that occurs."""
     values, members = np.unique(companions, return_inverse=True)
     return Slicing("Object count", "objects in the image", tuple(map(str, values)), members)
 
 
 def by_size(pixels: Int64[np.ndarray, "observation"]) -> Slicing:
-    """Classes of doubling size, without empty ones at the ends."""
+    """Form classes of doubling size, without empty ones at the ends."""
     members = np.searchsorted(SIZES, pixels, side="right")
     names = (f"<{SIZES[0]}", *(f"{low}+" for low in SIZES))
     first, last = int(members.min(initial=len(SIZES))), int(members.max(initial=0))
@@ -77,7 +77,7 @@ def by_size(pixels: Int64[np.ndarray, "observation"]) -> Slicing:
 
 
 def by_frame(frames: Int64[np.ndarray, "observation"]) -> Slicing | Missing:
-    """One class for each frame, or for each of `MOST_FRAMES` parts of a long clip."""
+    """Form one class for each frame, or for each of `MOST_FRAMES` parts of a long clip."""
     length = int(frames.max(initial=0)) + 1
     if length == 1:
         return Missing("Frame index", "Scenes of this track have one frame.")

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from benchmark.ranking.leaderboard import FILES
-from benchmark.ranking.standings import Entry
+from benchmark.ranking.standings import ModelResult
 from datagen.storage.atomic import write_atomically
 
 MANIFEST = "manifest.json"
@@ -18,9 +18,9 @@ HASHED = tuple(name for name in FILES if name != "per_scene.csv")
 PACKAGES = ("obpose", "numpy", "scipy", "scikit-learn", "h5py", "torch")
 
 
-def write_manifest(folder: Path, entries: Sequence[Entry], hashed: Sequence[str] = HASHED) -> None:
+def write_manifest(folder: Path, results: Sequence[ModelResult], hashed: Sequence[str] = HASHED) -> None:
     """Write `manifest.json`, with the hashes of the files in `hashed`, which must exist."""
-    rows = [row for entry in entries for row in entry.rows]
+    rows = [row for result in results for row in result.rows]
     facts = {
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
@@ -29,7 +29,7 @@ def write_manifest(folder: Path, entries: Sequence[Entry], hashed: Sequence[str]
         "models": {row.key.model: row.key.version for row in rows},
         "tracks": {row.key.track: row.key.track_spec for row in rows} | {r.key.fit_track: r.key.fit_spec for r in rows},
         "rows": {"ok": sum(r.status == "ok" for r in rows), "failed": sum(r.status == "failed" for r in rows)},
-        "best_floor": {entry.row.key.track: _number(entry.best_floor) for entry in entries},
+        "best_floor": {result.row.key.track: _number(result.best_floor) for result in results},
         "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in hashed},
     }
     write_atomically(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())

@@ -50,7 +50,7 @@ frame.addEventListener("load", async () => {
     const root = page.documentElement;
     if (root.scrollWidth > root.clientWidth) problems.push(`${where}: ${root.scrollWidth} of ${root.clientWidth} px`);
     for (const element of page.querySelectorAll("body *")) {
-      if (element.closest(".scroll, svg, .skip, thead, select") || !visible(element)) continue;
+      if (element.closest(".scroll, svg, .skip, thead, select, .window") || !visible(element)) continue;
       const right = element.getBoundingClientRect().right;
       if (right > root.clientWidth + 1) problems.push(`${where}: ${element.outerHTML.slice(0, 80)} ends at ${right}`);
     }
@@ -84,7 +84,10 @@ frame.addEventListener("load", async () => {
         versus: article.querySelector(".versus").textContent,
         worst: article.querySelectorAll(".worst .card").length,
         apart: article.querySelectorAll(".apart .card").length,
-        strips: article.querySelectorAll(".strip img").length,
+        clips: article.querySelectorAll(".clips .clip").length,
+        preview: [...article.querySelectorAll(".previews .label")].map((label) => label.textContent),
+        moving: [...article.querySelectorAll(".previews img")].map((img) => view.getComputedStyle(img).animationName),
+        first: article.querySelector(".previews img").getBoundingClientRect().bottom + view.scrollY,
         hash: view.location.hash,
       };
     }
@@ -125,7 +128,11 @@ def test_choices_change_what_is_shown(run: Path, tmp_path: Path) -> None:
         assert first["apart"] > 0
         assert same["apart"] == 0
         assert first["versus"].split(" [")[0] != swapped["versus"].split(" [")[0]
-        assert first["strips"] == 2 * (3 + len(MODELS) - 1)
+        assert first["clips"] == 4 * (3 + len(MODELS) - 1)
+        assert first["preview"][:2] == ["RGB", "ground truth"]
+        assert sorted(first["preview"]) == sorted(swapped["preview"])
+        assert set(first["moving"]) == {"play"}
+        assert first["first"] < 800
         assert f"track={track}" in first["hash"]
 
 

@@ -75,12 +75,15 @@ def write_runs(
     return data
 
 
-def write_report(run: Path, data: Mapping[str, Path]) -> None:
-    """The page of a run folder, where tracks have these datasets."""
+def write_report(run: Path, data: Mapping[str, Path], **options: int) -> None:
+    """Write the page of a run folder, where tracks have these datasets."""
     report.write(
         run,
         load_standings(run),
         lambda track, spec_hash: find_dataset(track, spec_hash, [data[track]] if track in data else []),
+        command="obpose-bench --model <b>",
+        date="2026-01-02",
+        **options,
     )
 
 

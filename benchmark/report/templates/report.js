@@ -17,7 +17,7 @@
   const panel = () =>
     find(`[data-track="${CSS.escape(controls.track.value)}"][data-fit="${CSS.escape(controls.fit.value)}"]`);
 
-  // Only what exists can be chosen: ways of fitting of this track, models of this panel.
+  // Disable options that this track does not have.
   const offer = () => {
     const fits = all(`[data-track="${CSS.escape(controls.track.value)}"]`).map((part) => part.dataset.fit);
     for (const option of controls.fit.options) option.disabled = !fits.includes(option.value);
@@ -33,7 +33,7 @@
 
   const mark = () => {
     const rule = (model, letter) =>
-      `[data-m="${model}"]{--mark:var(--${letter});--stroke:2.5;--show:1;--weight:700;--label:inline;--shift:${letter === "b" ? 26 : 0}px}`;
+      `[data-m="${model}"]{--mark:var(--${letter});--stroke:2.5;--show:1;--weight:700}`;
     find("#marks").textContent = rule(controls.b.value, "b") + rule(controls.a.value, "a");
     for (const letter of ["b", "a"]) {
       for (const curve of all(`svg [data-m="${controls[letter].value}"]`, panel())) curve.parentNode.append(curve);
@@ -69,9 +69,7 @@
     place.replaceChildren(...(cards && cards.length ? cards.map(drawCard) : [element("p", "note", otherwise)]));
   };
 
-  const drawGallery = () => {
-    const gallery = facts.galleries[panel().dataset.gallery];
-    if (!gallery) return;
+  const drawGallery = (gallery) => {
     const [a, b] = [Number(controls.a.value), Number(controls.b.value)];
     fill(find(".worst", panel()), gallery.worst[a], "There are no label maps of this model here.");
     const reason = a === b ? "Choose two different models." : "The report has no pictures of this pair.";
@@ -79,7 +77,7 @@
   };
 
   const signed = (value, digits) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
-  // What differs from 0 must not be printed as 0.
+  // Print enough digits that a difference from 0 is visible.
   const digitsFor = (values) => [3, 4, 5].find((digits) => values.every((v) => !v || Number(v.toFixed(digits)))) || 6;
 
   const compare = () => {
@@ -92,15 +90,89 @@
     const share = sign > 0 ? wins : 1 - wins;
     const holdsZero = from <= 0 && to >= 0;
     const digits = holdsZero ? 3 : digitsFor([mean, from, to]);
-    const better = holdsZero ? " The interval holds 0." : "";
+    const better = holdsZero ? " The interval contains 0." : "";
     const [shown, start, end] = [sign * mean, from, to].map((value) => signed(value, digits));
-    return `${models[a]} minus ${models[b]}, MSC-FG: ${shown} [${start}, ${end}], paired ` +
-      `over ${scenes} scenes, of which it wins ${Math.round(100 * share)}%.${better} Differences under ` +
-      `${resolvable.toFixed(3)} would hardly show on so many scenes.`;
+    return `${models[a]} minus ${models[b]}, MSC-FG: ${shown} [${start}, ${end}], paired over ${scenes} scenes; it wins ` +
+      `${Math.round(100 * share)}% of them.${better} The smallest detectable difference is about ${resolvable.toFixed(3)}.`;
   };
 
-  const drawStrips = () => {
-    for (const image of all("img[data-picture]", panel())) image.src = pictures[image.dataset.picture];
+  // A clip is a strip of images; CSS moves the strip behind a window of one image.
+  const drawClip = (clip, layer, caption, letter) => {
+    const made = element("figure", `clip ${letter || ""}`);
+    const frame = element("div", "window");
+    frame.style.setProperty("--ratio", clip.ratio);
+    const image = element("img", layer.photo ? "photo" : "");
+    image.alt = `${caption}, scene ${clip.scene}`;
+    image.addEventListener("load", () => {
+      const gap = 2, width = (image.naturalWidth + gap) / clip.count - gap;
+      image.style.setProperty("--count", clip.count);
+      image.style.setProperty("--scale", image.naturalWidth / width);
+      image.style.setProperty("--shift", `${(-100 * clip.count * (width + gap)) / image.naturalWidth}%`);
+    });
+    image.src = pictures[layer.picture];
+    frame.append(image);
+    made.append(frame);
+    return made;
+  };
+
+  const nameOf = (layer) => layer.name || `${models[layer.model]}${layer.boxes ? ", boxes" : ""}`;
+  const letterOf = (layer) =>
+    ["a", "b"].find((letter) => layer.model !== undefined && String(layer.model) === controls[letter].value);
+
+  // The strip beside the leaderboard: RGB, ground truth and the two chosen models; a column for each scene.
+  const drawPreview = (gallery) => {
+    const clips = gallery.clips;
+    const place = find(".preview", panel());
+    const rows = clips.length ? clips[0].layers : [];
+    const chosen = (letter) => rows.map((row, index) => index).filter((index) => letterOf(rows[index]) === letter);
+    const shown = [...new Set([0, 1, ...chosen("a"), ...chosen("b")])];
+    const grid = element("div", "previews");
+    grid.style.setProperty("--scenes", clips.length);
+    grid.append(element("span"), ...clips.map((clip) => element("span", "said", `Scene ${clip.scene}`)));
+    for (const index of shown) {
+      const letter = letterOf(rows[index]);
+      grid.append(element("span", `label ${letter || ""}`, nameOf(rows[index])));
+      for (const clip of clips) {
+        const made = drawClip(clip, clip.layers[index], nameOf(rows[index]), letter);
+        if (clip.layers[index].score && !rows[index].boxes) made.append(element("figcaption", "", clip.layers[index].score));
+        grid.append(made);
+      }
+    }
+    place.replaceChildren(grid, element("p", "note", "Test scenes: of median difficulty, then the hardest. Numbers: MSC-FG on the scene."));
+  };
+
+  const drawClips = (gallery) => {
+    const parts = gallery.clips.map((clip) => {
+      const made = element("div", "tilesheet");
+      for (const layer of clip.layers) {
+        const letter = letterOf(layer);
+        const tile = drawClip(clip, layer, nameOf(layer), letter);
+        const caption = element("figcaption", letter || "", nameOf(layer));
+        if (layer.score && !layer.boxes) caption.append(element("small", "", ` ${layer.score}`));
+        tile.append(caption);
+        made.append(tile);
+      }
+      for (const [model, reason] of Object.entries(gallery.crashed)) {
+        made.append(element("p", "empty failed", `${models[model]}: ${reason}`));
+      }
+      return [element("h3", "", `Scene ${clip.scene}`), made];
+    });
+    find(".clips", panel()).replaceChildren(...parts.flat());
+  };
+
+  const drawPictures = () => {
+    const gallery = facts.galleries[panel().dataset.gallery];
+    if (!gallery) return;
+    drawPreview(gallery);
+    drawClips(gallery);
+    drawGallery(gallery);
+  };
+
+  const play = find("#play");
+  const setPlaying = (playing) => {
+    document.body.classList.toggle("paused", !playing);
+    play.setAttribute("aria-pressed", String(playing));
+    play.textContent = playing ? "Pause clips" : "Play clips";
   };
 
   const show = () => {
@@ -110,9 +182,8 @@
       for (const heading of all("[data-id]", part)) heading.id = part.hidden ? "" : heading.dataset.id;
     }
     mark();
-    drawGallery();
     find(".versus", panel()).textContent = compare();
-    drawStrips();
+    drawPictures();
   };
 
   const remember = () => {
@@ -134,7 +205,9 @@
   for (const select of Object.values(controls)) {
     select.addEventListener("change", () => { show(); remember(); });
   }
+  play.addEventListener("click", () => setPlaying(document.body.classList.contains("paused")));
   window.addEventListener("hashchange", () => { recall(); show(); });
   recall();
   show();
+  setPlaying(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
 })();

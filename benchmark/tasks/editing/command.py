@@ -16,7 +16,7 @@ from benchmark.execution.runner import SPLIT
 from benchmark.execution.schedule import side_by_side
 from benchmark.models.registry import find_model
 from benchmark.names import REFERENCES, REFINED
-from benchmark.ranking.escaping import terminal
+from benchmark.ranking.text import terminal
 from benchmark.results.run_folder import digest
 from benchmark.tasks.editing import summary
 from benchmark.tasks.editing.job import VERSION, EditJob

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from benchmark.metrics import clip_scores
+from benchmark.metrics.images import psnr
 from benchmark.tasks.editing.interface import Picture
 from benchmark.tasks.editing.truth import Pair
 
@@ -13,9 +14,8 @@ METRICS = ("psnr_inside", "psnr_shadow", "psnr_outside", "depth_inside", "depth_
 """Columns, in the order of tables; depths in millimetres, smaller is better, of the others larger."""
 
 LARGEST_PSNR = 60.0
-"""Decibels of equal pictures; rounding to bytes alone leaves 58.9."""
+"""PSNR of equal pictures, in dB; rounding to bytes alone gives 58.9."""
 
-Colours = Float[np.ndarray, "frame view height width 3"]
 Depths = Float[np.ndarray, "frame view height width"]
 Mask = Bool[np.ndarray, "frame view height width"]
 
@@ -31,26 +31,13 @@ def score(pair: Pair, shown: Picture, truth: Picture | None = None) -> dict[str,
     truth = truth or pair.after
     inside, shadow, outside = pair.inside, pair.shadow, pair.outside
     return {
-        "psnr_inside": psnr(truth.rgb, shown.rgb, inside),
-        "psnr_shadow": psnr(truth.rgb, shown.rgb, shadow),
-        "psnr_outside": psnr(truth.rgb, shown.rgb, outside),
+        "psnr_inside": psnr(shown.rgb, truth.rgb, inside, largest=LARGEST_PSNR),
+        "psnr_shadow": psnr(shown.rgb, truth.rgb, shadow, largest=LARGEST_PSNR),
+        "psnr_outside": psnr(shown.rgb, truth.rgb, outside, largest=LARGEST_PSNR),
         "depth_inside": depth_error(truth.depth, shown.depth, inside),
         "depth_outside": depth_error(truth.depth, shown.depth, ~inside),
         **_segmentation(truth, shown),
     }
-
-
-def psnr(truth: Colours, shown: Colours, where: Mask) -> float:
-    """Peak signal-to-noise ratio in decibels of colours in 0..1, at most `LARGEST_PSNR`; nan where there is no pixel.
-
-    >>> black = np.zeros((1, 1, 1, 2, 3))
-    >>> psnr(black, black + 0.1, np.ones((1, 1, 1, 2), bool))
-    20.0
-    """
-    if not where.any():
-        return math.nan
-    error = float(np.mean((truth[where] - shown[where]) ** 2))
-    return min(LARGEST_PSNR, -10 * math.log10(error)) if error else LARGEST_PSNR
 
 
 def depth_error(truth: Depths, shown: Depths, where: Mask) -> float:

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from benchmark.ranking.escaping import markdown as markdown_text
-from benchmark.ranking.escaping import terminal
 from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.ranking.statistics import Summary, draw, summarise
+from benchmark.ranking.text import markdown as markdown_text
+from benchmark.ranking.text import terminal
 from benchmark.tasks.editing.lines import load_all
 from benchmark.tasks.editing.scores import LARGEST_PSNR, METRICS
 from datagen.console.text import counted

@@ -10,6 +10,8 @@ GREY = np.full((16, 16, 3), 0.5)
 
 def test_equal_images_are_equal():
     assert psnr(GREY, GREY) == math.inf
+    assert psnr(GREY, GREY, largest=60.0) == 60
+    assert psnr(GREY, GREY + 1e-4, largest=60.0) == 60
     assert ssim(GREY, GREY) == pytest.approx(1)
 
 
@@ -27,6 +29,11 @@ def test_a_mask_says_which_pixels_count():
     assert psnr(GREY, other) == pytest.approx(20 + 10 * math.log10(4))
     assert psnr(GREY, other, ~mask) == math.inf
     assert math.isnan(psnr(GREY, other, np.zeros_like(mask)))
+
+
+def test_rounding_to_bytes_costs_little():
+    clip = np.random.default_rng(0).random((2, 1, 64, 64, 3))
+    assert psnr(np.rint(255 * clip) / 255, clip) == pytest.approx(58.9, abs=0.1)
 
 
 def test_structure_is_more_than_brightness():

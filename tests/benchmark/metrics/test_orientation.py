@@ -78,7 +78,7 @@ def test_the_names_of_axes_can_only_help():
 
 
 def test_what_chance_gives():
-    """The figures beside the tables of `benchmark.ranking.pose_tables`; Mackenzie (1958) has 40.7 degrees for cubes."""
+    """The figures beside the tables of `benchmark.ranking.columns`; Mackenzie (1958) has 40.7 degrees for cubes."""
     truth, found = np.eye(3), rotations(4000)
     assert np.mean([orientation_error(f, truth, "C1") for f in found]) == pytest.approx(126.5, abs=1.5)
     assert np.mean([box_orientation_error(f, truth, "C1", truth) for f in found]) == pytest.approx(40.7, abs=0.6)

@@ -1,14 +1,18 @@
 import csv
 import io
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmark.metrics import CLIP_METRICS, METRICS
+from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking import leaderboard
+from benchmark.ranking.leaderboard import latex, markdown
+from benchmark.ranking.standings import ModelResult, standings
 from benchmark.results.run_folder import RunRow, SceneTable
-from tests.chosen_scores import failed_row, run_row, save_run, scene_table
+from tests.chosen_scores import HOSTILE, failed_row, run_row, save_run, scene_table
 
 N = 20
 
@@ -125,3 +129,191 @@ def test_only_measured_columns_depend_on_the_clock(folder: Path, tmp_path: Path)
         for one, two in zip(rows, read(folder / name), strict=True):
             changed = {column for column in one if one[column] != two[column]}
             assert all(column.startswith("measured_") for column in changed)
+
+
+MODELS = {
+    "one-cluster": ("floor", 0.1),
+    "kmeans": ("classical", 0.4),
+    "plane": ("classical", 0.9),
+    "obpose": ("learned", 0.8),
+    "truth": ("oracle", 0.99),
+}
+
+
+def results(track: str = "moving") -> list[ModelResult]:
+    rng = np.random.default_rng(0)
+    rows, tables = [failed_row("obpose", track, seed=1)], [None]
+    for name, (kind, score) in MODELS.items():
+        values = score + 0.02 * rng.standard_normal(30)
+        rows.append(run_row(name, track, n_scenes=30, kind=kind, uses_labels=kind == "oracle"))
+        tables.append(scene_table({"ari_fg": values, "msc_fg": values, "ari": values}))
+    return standings(rows, tables)
+
+
+def test_markdown_is_the_description_of_the_columns():
+    lines = [line for line in markdown(results()).splitlines() if line.startswith("|")]
+    assert lines[0] == (
+        "| model | rank | seeds | ARI-FG | MSC-FG | mIoU-BG | ARI | mIoU-BG† | MSC-FG† | "
+        "mIoU-BG ARI-FG MSC-FG of YCB Moving-Object in the paper (other data: not comparable) |"
+    )
+    assert lines[1] == "| --- |" + " ---: |" * 9
+    assert lines[2] == "| **Learned models** |" + "  |" * 9
+    cells = "0.80 <sup>b</sup> | 0.80 <sup>b</sup> | **0.90** | 0.80 | 0.90 | 0.90 | *1.00±0.00 0.96±0.00 0.97±0.00* |"
+    assert lines[3] == f"| obpose | 2 | 1 of 2 | {cells}"
+    assert lines[4].startswith("| – without the 1 failed of 2 seeds (out of memory) |  | 1 of 2 | 0.80 | 0.80 |")
+    assert lines[6].startswith(
+        "| plane | 1 | 1 | **0.90** <sup>a</sup> | **0.90** <sup>a</sup> | **0.90** | **0.90** |"
+    )
+    assert lines[-6] == "| **In the paper, not run here** |" + "  |" * 9
+    assert {line.count("|") for line in lines} == {11}
+    assert "paper" not in markdown(results("textured")).partition("## ")[2]
+
+
+@pytest.mark.parametrize("track", ["moving", "textured"])
+def test_latex_is_well_formed(track: str):
+    body = latex_body(latex(results(track)))
+    assert nested_environments(body) == ["table*", "adjustbox", "tabular"]
+    assert len(set(widths(body))) == 1
+    assert (r"\textcolor{gray}" in body) is (track == "moving")
+    assert r"mIoU-BG$\dagger$$\uparrow$ & MSC-FG$\dagger$$\uparrow$" in body
+    assert r"\textsc{plane} & 1 & 1 & $\mathbf{0.90}^{a}$" in body
+
+
+def test_names_cannot_break_latex():
+    name = "50%_of_a&b#c${d}~e^f\\g"
+    rows = [run_row(name, name, kind=kind, fit_track="x_%") for kind in ("floor", "learned", "predictions")]
+    body = latex_body(latex(standings(rows, [scene_table({"ari_fg": np.ones(3)})] * len(rows))))
+    assert nested_environments(body) == ["table*", "adjustbox", "tabular"]
+    assert len(set(widths(body))) == 1
+    assert r"50\%\_of\_a\&b\#c\$\{d\}\~{}e\^{}f\textbackslash{}g" in body
+    assert r"models fitted on x\_\%" in body
+
+
+def test_the_checks_of_latex_see_what_is_wrong():
+    body = latex_body(latex(results()))
+    for wrong in (
+        body.replace(r"\end{adjustbox}", ""),
+        body.replace(r"\end{tabular}", r"\end{table}"),
+        body.replace("kmeans", "k_means"),
+        body.replace("kmeans", "k{means"),
+        body.replace("kmeans", "k%means"),
+        body.replace("kmeans", "k$means"),
+        body.replace("kmeans", "k&means"),
+        body.replace("l r r c", "l r r"),
+        body.replace("multicolumn{10}", "multicolumn{9}"),
+    ):
+        with pytest.raises(AssertionError):
+            assert wrong == body or (nested_environments(wrong) and len(set(widths(wrong))) == 1)
+
+
+def latex_body(text: str) -> str:
+    """Without the lines of notes."""
+    return "\n".join(line for line in text.splitlines() if not line.startswith("%"))
+
+
+def nested_environments(body: str) -> list[str]:
+    """Names of the environments, after a check that they, braces and dollars match, and nothing is left unescaped."""
+    assert body.isascii()
+    bare = re.sub(r"\\[\\%_&#${}~^]", "", body)
+    assert bare.count("{") == bare.count("}")
+    assert all(line.count("$") % 2 == 0 for line in bare.splitlines())
+    assert not re.search(r"[%#~]", bare)
+    assert not re.search(r"[_^]", re.sub(r"\$[^$]*\$", "", bare))
+    names, still_open = [], []
+    for command, name in re.findall(r"\\(begin|end)\{([^}]*)\}", body):
+        if command == "begin":
+            names.append(name)
+            still_open.append(name)
+        else:
+            assert still_open.pop() == name
+    assert still_open == []
+    return names
+
+
+def widths(body: str) -> list[int]:
+    """Columns of the table as declared, and of each of its rows."""
+    declared = re.search(r"\\begin\{tabular\}\{([lrc ]+)\}", body)
+    assert declared
+    found = [len(declared[1].split())]
+    for row in (line for line in body.splitlines() if line.endswith(r"\\")):
+        spans = [int(span) for span in re.findall(r"\\multicolumn\{(\d+)\}", row)]
+        found.append(len(re.findall(r"(?<!\\)&", row)) + 1 + sum(spans) - len(spans))
+    return found
+
+
+def hostile_results() -> list[ModelResult]:
+    scores = scene_table({"ari_fg": np.full(3, 0.5), "msc_fg": np.full(3, 0.5)})
+    facts = {"track_spec": HOSTILE[:8] * 9, **dict.fromkeys(("views", "pretrained", "device", "commit"), HOSTILE)}
+    rows = [
+        run_row(HOSTILE, HOSTILE, kind="classical", priors=(HOSTILE,), **facts),
+        failed_row("net", HOSTILE, reason=HOSTILE, track_spec=facts["track_spec"]),
+        *(run_row("once", HOSTILE, seed, random=False, **facts) for seed in range(2)),
+    ]
+    return standings(rows, [scores, None, scores, scores])
+
+
+def test_hostile_names_break_no_table():
+    page = markdown(hostile_results())
+    rows = [line for line in page.splitlines() if line.startswith("|")]
+    assert len({len(re.findall(r"(?<!\\)\|", line)) for line in rows}) == 1
+    assert not re.search(r"(?<!\\)<(?!/?sup>)", page)
+    assert not re.search(r"(?<!\\)\[", page)
+    assert len([line for line in page.splitlines() if line.startswith("#")]) == 2
+    text = latex(hostile_results())
+    assert "alert(1)" in text
+    assert not re.search(r"\\\\\s*\n\s*\[", text)
+    assert all("alert" not in line or line.startswith(("%", "        ", "    ")) for line in text.splitlines())
+    assert page.encode() + text.encode()
+    assert "\u202e" not in page + text
+
+
+def test_cells_of_csv_files_are_no_formulas(tmp_path: Path):
+    row = run_row(priors=("=1+1", "@x"), device="=cmd()")
+    save_run(tmp_path, row, scene_table({"ari_fg": [0.5] * 3}))
+    save_run(tmp_path, failed_row("net", reason="=HYPERLINK(1)"))
+    leaderboard.write(tmp_path)
+    lines = read(tmp_path / "leaderboard.csv")
+    assert {line["device"] for line in lines} == {"'=cmd()", "cpu"}
+    assert all(not cell.startswith(("=", "+", "@")) for line in lines for cell in line.values())
+
+
+def posed(translation: float = 0.012) -> SceneTable:
+    """Three scenes with poses."""
+    chosen = {"translation_error": translation, "translation_median": translation / 2, "orientation_error": 7.25}
+    extra = {name: np.full(3, chosen.get(name, 0.5)) for name in POSE_METRICS}
+    return scene_table({"ari_fg": [0.9] * 3}) | extra | {f"{name}_n": np.full(3, 2.0) for name in extra}
+
+
+PLAIN = scene_table({"ari_fg": [0.9] * 3})
+
+
+def test_models_with_poses_have_a_table_of_them():
+    found = standings([run_row("with"), run_row("without")], [posed(), PLAIN])
+    table = markdown(found).partition("### Poses")[2]
+    assert "| with | 1 | 0.50 | 6.0 | 12.0 |" in table
+    assert "without" not in table
+    assert "not observable" in markdown(found)
+    assert r"\caption{Poses of moving" in latex(found)
+    assert r"($^\circ$)" in latex(found)
+    assert "Poses" not in markdown(standings([run_row(), failed_row(seed=1)], [PLAIN, None]))
+
+
+def test_columns_of_poses_are_the_last_ones_and_empty_where_there_are_none(tmp_path: Path):
+    save_run(tmp_path, run_row("a"), PLAIN)
+    leaderboard.write(tmp_path)
+    before = (tmp_path / "leaderboard.csv").read_text().splitlines()[0]
+    assert "translation" not in before
+    save_run(tmp_path, run_row("b"), posed())
+    leaderboard.write(tmp_path)
+    assert (tmp_path / "leaderboard.csv").read_text().startswith(f"{before},posed_mean,")
+    one, other = read(tmp_path / "leaderboard.csv")
+    assert (one["translation_error_mean"], other["translation_error_mean"]) == ("", "0.012000")
+    assert [seed["box_iou"] for seed in read(tmp_path / "per_seed.csv")] == ["", "0.500000"]
+
+
+def test_seeds_without_poses_leave_a_model_without():
+    """Rows that were made before their model gave poses stay as they are."""
+    (result,) = standings([run_row("m"), run_row("m", seed=1)], [posed(), PLAIN])
+    assert not result.has_poses
+    assert np.isnan(result.summary("translation_error").mean)
+    assert "Poses" not in markdown([result])

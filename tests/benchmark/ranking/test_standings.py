@@ -1,5 +1,4 @@
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +8,14 @@ import pytest
 from benchmark.ranking.standings import (
     RANKED_METRICS,
     SWITCHES,
-    Entry,
+    ModelResult,
     best_first,
-    compare_entries,
-    fields,
-    in_order_of_rank,
+    comparable_groups,
+    compare_results,
+    letters_of_groups,
     load_standings,
     standings,
 )
-from benchmark.ranking.statistics import NO_DIFFERENCE
 from benchmark.results.run_folder import RunRow, SceneTable
 from datagen.errors import CorruptFile
 from tests.chosen_scores import failed_row, run_row, save_run, scene_table
@@ -34,16 +32,16 @@ def scored(
     return run_row(model, seed=seed, n_scenes=N, **changes), scene_table({"ari_fg": values, "msc_fg": values})
 
 
-def entries_of(*pairs: tuple[RunRow, SceneTable | None]) -> dict[str, Entry]:
+def results_of(*pairs: tuple[RunRow, SceneTable | None]) -> dict[str, ModelResult]:
     rows, tables = zip(*pairs, strict=True)
-    return {entry.place[2]: entry for entry in standings(rows, tables)}
+    return {result.place[2]: result for result in standings(rows, tables)}
 
 
 def test_seeds_come_together():
-    entry = entries_of(*(scored("m", 0.5 + 0.1 * seed, seed) for seed in (2, 0, 1)))["m"]
-    assert [row.key.seed for row in entry.rows] == [0, 1, 2]
-    assert entry.seed_means("msc_fg") == pytest.approx(np.array([0.5, 0.6, 0.7]) + NOISE.mean())
-    summary = entry.summary("msc_fg")
+    result = results_of(*(scored("m", 0.5 + 0.1 * seed, seed) for seed in (2, 0, 1)))["m"]
+    assert [row.key.seed for row in result.rows] == [0, 1, 2]
+    assert result.seed_means("msc_fg") == pytest.approx(np.array([0.5, 0.6, 0.7]) + NOISE.mean())
+    summary = result.summary("msc_fg")
     assert summary.mean == pytest.approx(0.6 + NOISE.mean())
     assert summary.std == pytest.approx(0.1 * np.sqrt(2 / 3))
     assert summary.sample_std == pytest.approx(0.1)
@@ -52,8 +50,8 @@ def test_seeds_come_together():
 
 def test_a_method_without_randomness_has_no_spread():
     """Its row is repeated for each seed, and only scenes are resampled."""
-    once = entries_of(scored("m", 0.5, random=False))["m"].summary("msc_fg")
-    thrice = entries_of(*(scored("m", 0.5, seed, random=False) for seed in range(3)))["m"].summary("msc_fg")
+    once = results_of(scored("m", 0.5, random=False))["m"].summary("msc_fg")
+    thrice = results_of(*(scored("m", 0.5, seed, random=False) for seed in range(3)))["m"].summary("msc_fg")
     assert (thrice.mean, thrice.std, thrice.sample_std) == (once.mean, 0, 0)
     assert (thrice.low, thrice.high) == (once.low, once.high)
 
@@ -62,9 +60,9 @@ def test_label_maps_made_elsewhere_are_seeds_of_one_entry():
     """The digests of their contents, background slots included, stand in the place of settings."""
     pairs = [scored("mine", 0.5 + 0.1 * seed, seed, kind="predictions", config_hash=f"c{seed}") for seed in range(3)]
     rows, tables = zip(*pairs, strict=True)
-    (entry,) = standings(rows, tables)
-    assert [row.key.seed for row in entry.rows] == [0, 1, 2]
-    assert entry.summary("msc_fg").sample_std == pytest.approx(0.1)
+    (result,) = standings(rows, tables)
+    assert [row.key.seed for row in result.rows] == [0, 1, 2]
+    assert result.summary("msc_fg").sample_std == pytest.approx(0.1)
     models = [scored("net", 0.5, seed, config_hash=f"c{seed}") for seed in range(2)]
     assert len(standings(*zip(*models, strict=True))) == 2
 
@@ -72,8 +70,8 @@ def test_label_maps_made_elsewhere_are_seeds_of_one_entry():
 def test_one_run_stands_for_all_seeds_where_they_make_no_difference():
     fixed = [scored("fixed", 0.5, seed, random=False) for seed in range(3)]
     chance = [scored("chance", 0.5, seed) for seed in range(3)]
-    entries = entries_of(*fixed, *chance)
-    assert (entries["fixed"].n_runs, entries["chance"].n_runs) == (1, 3)
+    results = results_of(*fixed, *chance)
+    assert (results["fixed"].n_runs, results["chance"].n_runs) == (1, 3)
 
 
 def test_models_are_ranked_by_both_metrics():
@@ -82,8 +80,8 @@ def test_models_are_ranked_by_both_metrics():
     for name, ari_fg, msc_fg in (("leaky", 0.99, 0.3), ("good", 0.9, 0.9), ("fair", 0.8, 0.8)):
         table = scene_table({"ari_fg": np.full(N, ari_fg), "msc_fg": np.full(N, msc_fg)})
         pairs.append((run_row(name, n_scenes=N), table))
-    entries = entries_of(*pairs)
-    assert [(entries[name].rank, entries[name].mean_rank) for name in ("good", "leaky", "fair")] == [
+    results = results_of(*pairs)
+    assert [(results[name].rank, results[name].mean_rank) for name in ("good", "leaky", "fair")] == [
         (1, 1.5),
         (2, 2.0),
         (3, 2.5),
@@ -99,9 +97,9 @@ def test_floors_oracles_and_label_users_are_never_ranked():
         "classical": {"kind": "classical", "tuned": True, "trials": 12},
         "uncounted": {"kind": "classical", "tuned": True},
     }
-    entries = entries_of(*(scored(name, 0.2 if name == "floor" else 0.5, **kinds[name]) for name in kinds))
-    assert {name for name, entry in entries.items() if entry.rank} == {"given", "classical", "uncounted"}
-    assert {name: entry.marks for name, entry in entries.items()} == {
+    results = results_of(*(scored(name, 0.2 if name == "floor" else 0.5, **kinds[name]) for name in kinds))
+    assert {name for name, result in results.items() if result.rank} == {"given", "classical", "uncounted"}
+    assert {name: result.marks for name, result in results.items()} == {
         "floor": "",
         "oracle": "†",
         "supervised": "†",
@@ -113,67 +111,67 @@ def test_floors_oracles_and_label_users_are_never_ranked():
 
 def test_equal_models_share_the_mean_of_their_places():
     """Exactly equal ones, and those of which one leads in ARI-FG and the other in MSC-FG by as much."""
-    found = entries_of(scored("best", 0.9), scored("a", 0.8), scored("b", 0.8), scored("last", 0.7))
-    assert {name: entry.rank for name, entry in found.items()} == {"best": 1, "a": 2.5, "b": 2.5, "last": 4}
+    found = results_of(scored("best", 0.9), scored("a", 0.8), scored("b", 0.8), scored("last", 0.7))
+    assert {name: result.rank for name, result in found.items()} == {"best": 1, "a": 2.5, "b": 2.5, "last": 4}
     crossed = {"one": (0.9, 0.8), "two": (0.8, 0.9)}
     tables = [scene_table(dict(zip(RANKED_METRICS, np.tile(pair, (N, 1)).T, strict=True))) for pair in crossed.values()]
     found = standings([run_row(name, n_scenes=N) for name in crossed], tables)
-    assert [entry.rank for entry in found] == [1.5, 1.5]
+    assert [result.rank for result in found] == [1.5, 1.5]
 
 
 def test_a_model_whose_every_seed_failed_is_not_ranked():
     floor, fine = scored("floor", 0.2, kind="floor"), scored("fine", 0.6)
     swapped, table = scored("swapped", 0.9)
     half = [scored("half", 0.7), (failed_row("half", seed=1), None)]
-    entries = entries_of(floor, fine, (swapped, table | {"miou_bg": np.full(N, 0.1)}), scored("flat", 0.22), *half)
-    assert {name: entry.rank for name, entry in entries.items()} == {
+    results = results_of(floor, fine, (swapped, table | {"miou_bg": np.full(N, 0.1)}), scored("flat", 0.22), *half)
+    assert {name: result.rank for name, result in results.items()} == {
         "floor": None,
         "fine": 2,
         "swapped": None,
         "flat": None,
         "half": 1,
     }
-    assert (entries["half"].n_scored, entries["swapped"].n_scored, entries["swapped"].n_failed) == (1, 1, 1)
+    assert (results["half"].n_scored, results["swapped"].n_scored, results["swapped"].n_failed) == (1, 1, 1)
 
 
 def test_a_score_that_only_this_run_leaves_undefined_is_a_failure():
     nothing = np.full(N, np.nan)
     row, table = scored("m", 0.8)
     broken = (run_row("broken", n_scenes=N), table | {"miou_bg": nothing, "miou_bg_n": np.zeros(N)})
-    assert entries_of((row, table), broken)["broken"].causes == ("nan",)
+    assert results_of((row, table), broken)["broken"].causes == ("nan",)
     other = (run_row("m", seed=1, n_scenes=N), broken[1])
-    assert entries_of((row, table), other)["m"].causes == ("", "nan")
+    assert results_of((row, table), other)["m"].causes == ("", "nan")
     empty = [(run_row(name, n_scenes=N), scene_table(dict.fromkeys(RANKED_METRICS, nothing))) for name in ("a", "b")]
-    assert {entry.causes for entry in entries_of(*empty).values()} == {("",)}
+    assert {result.causes for result in results_of(*empty).values()} == {("",)}
 
 
 def test_the_bar_is_known_only_where_a_floor_has_scores():
     low, high = (scored(name, score, kind="floor") for name, score in (("low", 0.1), ("high", 0.2)))
     lost = (failed_row("low", "static", kind="floor", track_spec="s"), None)
     elsewhere = scored("m", 0.8, track="static", track_spec="s")
-    moving = entries_of(low, high, scored("m", 0.8))["m"]
+    moving = results_of(low, high, scored("m", 0.8))["m"]
     assert moving.best_floor == pytest.approx(0.2 + NOISE.mean())
-    assert np.isnan(entries_of(lost, elsewhere, low)["m"].best_floor)
+    assert np.isnan(results_of(lost, elsewhere, low)["m"].best_floor)
 
 
 def test_identity_switches_are_summarised_like_metrics():
     """A mean over the scenes that have time; stills have none."""
     row, table = scored("m", 0.5)
     pairs = [(run_row("m", seed=s, n_scenes=N), table | {"identity_switches": np.full(N, 1.0 + s)}) for s in range(2)]
-    entry = entries_of(*pairs)["m"]
-    assert entry.seed_means(SWITCHES).tolist() == [1.0, 2.0]
-    assert (entry.summary(SWITCHES).mean, entry.summary(SWITCHES).std) == (1.5, 0.5)
-    stills = entries_of((row, table | {"ari_video": np.full(N, np.nan), "ari_video_n": np.zeros(N)}))["m"]
+    result = results_of(*pairs)["m"]
+    assert result.seed_means(SWITCHES).tolist() == [1.0, 2.0]
+    assert (result.summary(SWITCHES).mean, result.summary(SWITCHES).std) == (1.5, 0.5)
+    stills = results_of((row, table | {"ari_video": np.full(N, np.nan), "ari_video_n": np.zeros(N)}))["m"]
     assert np.isnan(stills.summary(SWITCHES).mean)
 
 
 def test_ties_are_found_by_pairing():
     """Scores scatter by 0.05 over scenes; 0.01 of constant advantage is certain, 0.01 within the scatter is not."""
     scatter = np.random.default_rng(1).normal(0, 0.1, N)
-    entries = entries_of(
+    results = results_of(
         scored("best", 0.90), scored("second", 0.89), scored("loose", 0.895, noise=NOISE + scatter - scatter.mean())
     )
-    groups = {name: set(entry.groups[1]) for name, entry in entries.items()}
+    groups = {name: set(result.group_letters[1]) for name, result in results.items()}
     assert not groups["best"] & groups["second"]
     assert groups["loose"] & groups["best"]
     assert groups["loose"] & groups["second"]
@@ -190,27 +188,26 @@ def pair_that_differs(errors: float) -> list[tuple[RunRow, SceneTable]]:
 @pytest.mark.parametrize(("errors", "together"), [(1.8, True), (2.1, False)])
 def test_models_share_a_letter_unless_they_differ_at_five_percent(errors: float, together: bool):
     """1.8 standard errors are found by chance in about 7 % of all samples of scenes, 2.1 in about 4 %."""
-    entries = entries_of(*pair_that_differs(errors))
-    p_value = compare_entries(entries["one"], entries["two"], "msc_fg").p_value
+    results = results_of(*pair_that_differs(errors))
+    p_value = compare_results(results["one"], results["two"], "msc_fg").p_value
     assert 0.05 < p_value < 0.1 if together else 0.025 < p_value < 0.05
     expected = ("a", "a") if together else ("b", "a")
-    assert (entries["one"].groups, entries["two"].groups) == ((expected[0],) * 2, (expected[1],) * 2)
+    assert (results["one"].group_letters, results["two"].group_letters) == ((expected[0],) * 2, (expected[1],) * 2)
 
 
-def test_there_are_letters_for_any_number_of_groups(monkeypatch: pytest.MonkeyPatch):
-    different = replace(NO_DIFFERENCE, p_value=0.0)
-    monkeypatch.setattr("benchmark.ranking.standings.compare_entries", lambda *arguments: different)
-    entries = entries_of(*(scored(f"m{place}", 0.2 + 0.02 * place) for place in range(28)))
-    letters = [entry.groups[0] for entry in entries.values()]
+def test_there_are_letters_for_any_number_of_groups():
+    values = np.random.default_rng(3).permutation(28) / 28
+    letters = letters_of_groups(~np.eye(28, dtype=bool), values)
     assert len(set(letters)) == 28
-    assert {"a", "z", "a'", "b'"} <= set(letters)
+    best_first = [letters[place] for place in np.argsort(-values)]
+    assert (best_first[0], best_first[25:]) == ("a", ["z", "a'", "b'"])
 
 
 def test_letters_are_corrected_for_the_number_of_pairs():
     """A difference that is significant between two models is not, where four more make it one of fifteen."""
     more = [scored(f"more-{place}", 0.5, noise=NOISE) for place in range(4)]
-    entries = entries_of(*pair_that_differs(2.1), *more)
-    assert {entry.groups for entry in entries.values()} == {("a", "a")}
+    results = results_of(*pair_that_differs(2.1), *more)
+    assert {result.group_letters for result in results.values()} == {("a", "a")}
 
 
 def test_failed_seeds_are_named_and_can_be_left_out():
@@ -225,32 +222,32 @@ def test_failed_seeds_are_named_and_can_be_left_out():
         exploded,
         (failed_row("m", seed=4), None),
     )
-    entry = entries_of(*pairs, floor)["m"]
-    assert entry.causes == ("", "swap", "collapse", "nan", "out of memory")
-    assert entry.n_failed == 4
-    assert entry.summary("msc_fg").mean == pytest.approx((3 * 0.8 + 0.24) / 4 + NOISE.mean())
-    assert entry.summary("msc_fg", without_failed=True).mean == pytest.approx(0.8 + NOISE.mean())
+    result = results_of(*pairs, floor)["m"]
+    assert result.causes == ("", "swap", "collapse", "nan", "out of memory")
+    assert result.n_failed == 4
+    assert result.summary("msc_fg").mean == pytest.approx((3 * 0.8 + 0.24) / 4 + NOISE.mean())
+    assert result.summary("msc_fg", without_failed=True).mean == pytest.approx(0.8 + NOISE.mean())
 
 
 def test_the_rule_is_the_same_for_all_that_compete():
     kinds = {"classical": "classical", "learned": "learned", "given": "predictions"}
     floors = [scored(name, score, kind="floor") for name, score in (("low", 0.05), ("high", 0.2))]
     oracle = scored("oracle", 0.22, kind="oracle")
-    entries = entries_of(*(scored(name, 0.22, kind=kind) for name, kind in kinds.items()), oracle, *floors)
-    assert {entries[name].causes for name in kinds} == {("collapse",)}
-    assert {entries[name].causes for name in ("low", "high", "oracle")} == {("",)}
+    results = results_of(*(scored(name, 0.22, kind=kind) for name, kind in kinds.items()), oracle, *floors)
+    assert {results[name].causes for name in kinds} == {("collapse",)}
+    assert {results[name].causes for name in ("low", "high", "oracle")} == {("",)}
 
 
 def test_the_bar_is_that_of_the_same_dataset():
     floor = scored("floor", 0.5, kind="floor", track_spec="other")
-    assert entries_of(scored("m", 0.3), floor)["m"].causes == ("",)
+    assert results_of(scored("m", 0.3), floor)["m"].causes == ("",)
 
 
 def test_a_model_that_only_failed_has_no_scores():
-    entry = entries_of((failed_row("m"), None), scored("other", 0.5))["m"]
-    assert np.isnan(entry.summary("msc_fg").mean)
-    assert entry.rank is None
-    assert (entry.n_scenes, entry.n_skipped, entry.n_failed) == (0, 0, 1)
+    result = results_of((failed_row("m"), None), scored("other", 0.5))["m"]
+    assert np.isnan(result.summary("msc_fg").mean)
+    assert result.rank is None
+    assert (result.n_scenes, result.n_skipped, result.n_failed) == (0, 0, 1)
 
 
 def test_models_fitted_elsewhere_have_a_field_of_their_own():
@@ -261,7 +258,7 @@ def test_models_fitted_elsewhere_have_a_field_of_their_own():
         scored("c", 0.7, track_spec="other data"),
     ]
     rows, tables = zip(*pairs, strict=True)
-    found = [[(entry.place, entry.rank) for entry in field] for field in fields(standings(rows, tables))]
+    found = [[(result.place, result.rank) for result in group] for group in comparable_groups(standings(rows, tables))]
     assert found == [
         [(("moving", "moving", "a"), 2), (("moving", "moving", "b"), 1)],
         [(("moving", "mixed", "a"), 1)],
@@ -271,11 +268,11 @@ def test_models_fitted_elsewhere_have_a_field_of_their_own():
 
 def test_scenes_without_objects_are_counted_as_skipped():
     scores = [0.5, np.nan, 0.7]
-    entry = entries_of((run_row("m"), scene_table({"ari_fg": scores, "msc_fg": scores})))["m"]
-    assert entry.n_skipped == 1
-    assert entries_of((run_row("m"), scene_table({"ari_fg": scores, "msc_fg": [0.5] * 3})))["m"].n_skipped == 0
-    assert entry.summary("msc_fg").mean == pytest.approx(0.6)
-    assert entry.summary("ari").mean == pytest.approx(0.9)
+    result = results_of((run_row("m"), scene_table({"ari_fg": scores, "msc_fg": scores})))["m"]
+    assert result.n_skipped == 1
+    assert results_of((run_row("m"), scene_table({"ari_fg": scores, "msc_fg": [0.5] * 3})))["m"].n_skipped == 0
+    assert result.summary("msc_fg").mean == pytest.approx(0.6)
+    assert result.summary("ari").mean == pytest.approx(0.9)
 
 
 def test_rows_of_one_dataset_have_equally_many_scenes(tmp_path: Path):
@@ -286,12 +283,6 @@ def test_rows_of_one_dataset_have_equally_many_scenes(tmp_path: Path):
     save_run(tmp_path, failed_row("d"))
     with pytest.raises(CorruptFile, match=r"has 2 scenes in the row moving--b--\S+ and 3 in moving--a--\S+"):
         load_standings(tmp_path)
-
-
-def test_the_best_block_stands_on_top():
-    entries = entries_of(scored("low", 0.5), scored("high", 0.9), scored("floor", 0.1, kind="floor"))
-    blocks = {"floors": [entries["floor"]], "worse": [entries["low"]], "empty": [], "better": [entries["high"]]}
-    assert in_order_of_rank(blocks) == ["better", "worse", "floors", "empty"]
 
 
 def test_progress_is_shown_for_what_takes_long(tmp_path: Path):
@@ -308,21 +299,21 @@ def test_progress_is_shown_for_what_takes_long(tmp_path: Path):
 
 
 def test_the_spread_of_one_run_is_unknown():
-    entries = entries_of(
+    results = results_of(
         *(scored("fixed", 0.5, seed, random=False) for seed in range(3)),
         scored("half", 0.5),
         (failed_row("half", seed=1), None),
         *(scored("two", 0.5 + 0.2 * seed, seed) for seed in range(2)),
     )
     mean = 0.5 + NOISE.mean()
-    assert entries["fixed"].spread("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
-    assert entries["half"].spread("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
-    assert entries["two"].spread("msc_fg") == pytest.approx((mean + 0.1, 0.1))
+    assert results["fixed"].score("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
+    assert results["half"].score("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
+    assert results["two"].score("msc_fg") == pytest.approx((mean + 0.1, 0.1))
 
 
 def test_entries_can_be_compared():
-    entries = entries_of(scored("a", 0.6), scored("b", 0.5))
-    found = compare_entries(entries["a"], entries["b"], "msc_fg")
+    results = results_of(scored("a", 0.6), scored("b", 0.5))
+    found = compare_results(results["a"], results["b"], "msc_fg")
     assert found.mean == pytest.approx(0.1)
     assert (found.win_rate, found.n_scenes) == (1.0, N)
 
@@ -334,8 +325,8 @@ def test_the_order_of_rows_does_not_matter(tmp_path: Path):
             save_run(tmp_path / name, row, table)
     one, two = (load_standings(tmp_path / name) for name in ("one", "two"))
     assert names(best_first(one)) == names(best_first(two[::-1])) == ["b", "a"]
-    assert [entry.summary("ari_fg") for entry in one] == [entry.summary("ari_fg") for entry in two]
+    assert [result.summary("ari_fg") for result in one] == [result.summary("ari_fg") for result in two]
 
 
-def names(entries: Sequence[Entry]) -> list[str]:
-    return [entry.place[2] for entry in entries]
+def names(results: Sequence[ModelResult]) -> list[str]:
+    return [result.place[2] for result in results]

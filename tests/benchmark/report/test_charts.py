@@ -5,7 +5,21 @@ import re
 
 import pytest
 
-from benchmark.report.charts import BOTTOM, HEIGHT, LEFT, TOP, WIDTH, class_chart, history_chart, scatter, unit_y
+from benchmark.report.charts import (
+    BOTTOM,
+    HEIGHT,
+    LEFT,
+    TOP,
+    WIDTH,
+    class_chart,
+    history_chart,
+    label_box,
+    marker_box,
+    overlap,
+    place_labels,
+    scatter,
+    unit_y,
+)
 
 
 @pytest.mark.parametrize(("value", "place"), [(0.0, HEIGHT - BOTTOM), (1.0, TOP), (-0.3, HEIGHT - BOTTOM), (1.2, TOP)])
@@ -66,8 +80,24 @@ def test_one_observation_is_singular() -> None:
     ]
 
 
-def test_names_that_would_cover_one_another_are_held_back() -> None:
-    crowd = [(i, "classical", 0.01, 0.5 + 0.001 * i, f"a-rather-long-name-{i}: words") for i in range(8)]
-    rooms = [dot.has_room for dot in scatter(crowd).dots]
-    assert rooms[0]
-    assert not all(rooms)
+@pytest.mark.parametrize("n", [2, 8, 25])
+def test_names_cover_neither_markers_nor_one_another(n: int) -> None:
+    """Also where all markers lie close together, as those of models of one family do."""
+    names = [f"a-rather-long-name-{i}" for i in range(n)]
+    centers = [(200.0 + 3 * (i % 3), 100.0 + 2 * i) for i in range(n)]
+    labels = place_labels(centers, names, 560, 300)
+    boxes = [label_box(label, name) for label, name in zip(labels, names, strict=True) if label]
+    assert len(boxes) >= min(n, 8)
+    for place, box in enumerate(boxes):
+        assert not any(overlap(box, marker_box(*center)) for center in centers)
+        assert not any(overlap(box, other) for other in boxes[:place])
+        assert box[0] > LEFT
+        assert box[2] < 560
+
+
+def test_only_names_at_a_distance_have_a_line_to_their_marker() -> None:
+    (alone,) = place_labels([(100.0, 100.0)], ["name"], 560, 300)
+    assert alone
+    assert alone.leader == ""
+    crowd = place_labels([(100.0, 100.0 + i) for i in range(6)], ["name"] * 6, 560, 300)
+    assert any(label and label.leader for label in crowd)

@@ -1,7 +1,7 @@
 import pytest
 
 from benchmark.ranking.standings import standings
-from benchmark.report.leaderboard_view import blocks, details, duration, failures, number
+from benchmark.report.leaderboard_view import details, duration, failures, leaderboard, legend, number
 from tests.chosen_scores import failed_row, run_row, scene_table
 
 
@@ -12,19 +12,20 @@ def test_numbers_have_three_decimals_and_no_negative_zero(value: float, text: st
     assert number(value) == text
 
 
-def test_the_best_without_training_stands_among_those_that_learn_by_rank():
-    scores = {"plane": 0.9, "kmeans": 0.4, "net": 0.5}
-    kinds = {"plane": "classical", "kmeans": "classical", "net": "learned"}
-    rows = [run_row(name, kind=kinds[name], views="1 in, 3 supervise" if name == "net" else "") for name in scores]
+def test_models_are_ranked_among_those_of_their_block():
+    kinds = {"plane": "classical", "net": "learned", "twin": "learned", "worse": "learned", "kmeans": "classical"}
+    scores = {"plane": 0.9, "net": 0.7, "twin": 0.7, "worse": 0.5, "kmeans": 0.6}
+    rows = [run_row(name, kind=kind) for name, kind in kinds.items()]
     tables = [scene_table({"ari_fg": [score] * 3, "msc_fg": [score] * 3}) for score in scores.values()]
-    classical, learned = blocks(standings(rows, tables), {name: place for place, name in enumerate(scores)})
-    assert [(row.model, row.repeated, row.views) for row in learned.rows] == [
-        (0, True, ""),
-        (2, False, "1 in, 3 supervise"),
-    ]
-    assert [(row.model, row.repeated) for row in classical.rows] == [(0, False), (1, False)]
-    (alone,) = blocks(standings(rows[2:], tables[2:]), {"net": 0})
-    assert [row.repeated for row in alone.rows] == [False]
+    found = standings(rows, tables)
+    table = leaderboard(found, {name: place for place, name in enumerate(kinds)})
+    learned, classical = table["blocks"]
+    assert [(row["model"], row["rank"]) for row in learned["rows"]] == [(1, "1.5"), (2, "1.5"), (3, "3")]
+    assert [(row["model"], row["rank"]) for row in classical["rows"]] == [(0, "1"), (4, "2")]
+    assert learned["rows"][0]["overall"] == "Rank 2.5 of all models on this track"
+    notes = " ".join(legend(found, ["1.5"]))
+    assert "A rank of 2.5" in notes
+    assert "A rank of 2.5" not in " ".join(legend(found, ["1"]))
 
 
 @pytest.mark.parametrize(
@@ -40,7 +41,7 @@ def test_a_single_run_has_no_deviation():
         run_row("two", seed=seed) for seed in range(2)
     ]
     _, shown = details(standings(rows, [scores[0], scores[0], *scores]), {"once": 0, "two": 1})
-    cells = {row["model"]: row["cells"][1] for row in shown}
+    cells = {row["model"]: row["cells"][1]["text"] for row in shown}
     assert cells == {0: "0.500", 1: "0.600 ± 0.100"}
 
 
@@ -49,10 +50,10 @@ def test_a_model_without_randomness_has_run_once():
     scores = scene_table({"ari_fg": [0.5], "msc_fg": [0.5]})
     chance = [run_row("chance", seed=seed, n_scenes=1) for seed in range(3)]
     broken = [failed_row("broken", seed=seed, random=False) for seed in range(3)]
-    entries = standings([*chance, *broken], [scores] * 3 + [None] * 3)
-    (block,) = blocks(entries, {"broken": 0, "chance": 1})
-    assert {row.model: (row.seeds, row.failure) for row in block.rows} == {
+    results = standings([*chance, *broken], [scores] * 3 + [None] * 3)
+    (block,) = leaderboard(results, {"broken": 0, "chance": 1})["blocks"]
+    assert {row["model"]: (row["seeds"], row["failure"]) for row in block["rows"]} == {
         0: ("0 of 1", "1 failed (error)"),
         1: ("3", ""),
     }
-    assert [failure["name"] for failure in failures(entries)] == ["broken, seed 0"]
+    assert [failure["name"] for failure in failures(results)] == ["broken, seed 0"]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.ranking.standings import Entry, standings
+from benchmark.ranking.standings import ModelResult, standings
 from benchmark.report.learning import PANEL_HEIGHT, PANEL_WIDTH, mean_line, panels, write
 from tests.chosen_scores import run_row, scene_table
 
@@ -16,7 +16,7 @@ def curve(*scores: float, minutes: float = 1.0) -> list[dict[str, float]]:
     ]
 
 
-def entries(*, tracks: tuple[str, ...] = ("moving",)) -> list[Entry]:
+def results(*, tracks: tuple[str, ...] = ("moving",)) -> list[ModelResult]:
     rows = [
         run_row(model, track, seed, learning_curve=points)
         for track in tracks
@@ -38,7 +38,7 @@ def paths(text: str, colour: str) -> list[list[tuple[float, float]]]:
 
 
 def test_all_systems_stand_on_one_axis_of_minutes(tmp_path: Path):
-    path = write(tmp_path, entries())
+    path = write(tmp_path, results())
     assert path == tmp_path / "learning.svg"
     text = path.read_text()
     first, second = paths(text, "#0072b2"), paths(text, "#d55e00")
@@ -52,7 +52,7 @@ def test_all_systems_stand_on_one_axis_of_minutes(tmp_path: Path):
 
 
 def test_every_track_has_its_column(tmp_path: Path):
-    path = write(tmp_path, entries(tracks=("moving", "static")))
+    path = write(tmp_path, results(tracks=("moving", "static")))
     assert path
     text = path.read_text()
     assert [text.count(f">{track}: ") for track in ("moving", "static")] == [2, 2]

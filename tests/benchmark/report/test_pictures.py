@@ -6,7 +6,17 @@ import io
 import numpy as np
 from PIL import Image
 
-from benchmark.report.pictures import GAP, SIDE, label_picture, photograph, slot_colors, thin
+from benchmark.report.pictures import (
+    EDGES,
+    GAP,
+    SIDE,
+    box_corners,
+    boxes_picture,
+    label_picture,
+    photograph,
+    slot_colors,
+    subsampled,
+)
 from datagen.inspect.preview import label_colors
 
 
@@ -21,8 +31,8 @@ def test_label_maps_are_exact_to_the_pixel() -> None:
 
 
 def test_large_images_are_thinned_out() -> None:
-    assert max(thin(np.zeros((300, 200, 3), np.uint8)).shape[:2]) <= SIDE
-    assert thin(np.zeros((64, 64))).shape == (64, 64)
+    assert max(subsampled(np.zeros((300, 200, 3), np.uint8)).shape[:2]) <= SIDE
+    assert subsampled(np.zeros((64, 64))).shape == (64, 64)
 
 
 def test_photographs_stay_close_to_the_image() -> None:
@@ -44,6 +54,30 @@ def test_a_slot_has_the_colour_of_the_object_that_it_covers_best_over_the_clip()
 def test_every_slot_has_another_colour() -> None:
     tables = np.random.default_rng(1).integers(0, 9, (4, 6, 9))
     assert len(np.unique(slot_colors(tables, background_slot=2), axis=0)) == 9
+
+
+def test_the_corners_of_a_box_are_projected_and_boxes_behind_the_camera_are_left_out() -> None:
+    k = np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]])
+    center = np.array([[0, 0, 2.0], [0, 0, -2.0], [np.nan] * 3])
+    turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    rotation = np.broadcast_to(turned, (3, 3, 3))
+    size = np.broadcast_to([0.2, 0.4, 0.0], (3, 3))
+    corners = box_corners(center, rotation, size, k, np.eye(4))
+    np.testing.assert_allclose(corners[0].min(axis=0), [32 - 10, 24 - 5])
+    np.testing.assert_allclose(corners[0].max(axis=0), [32 + 10, 24 + 5])
+    assert np.isnan(corners[1:]).all()
+    assert len(EDGES) == 12
+
+
+def test_boxes_are_drawn_in_the_colour_of_their_slot() -> None:
+    corners = np.full((2, 8, 2), np.nan)
+    corners[1] = [(8, 8), (8, 40), (24, 8), (24, 40)] * 2
+    pixels = read(boxes_picture([np.zeros((64, 64, 3), np.uint8)], [corners], label_colors(2)))
+    assert pixels.shape[:2] == (128, 128)
+    line = pixels[40, 16, :3].astype(int)
+    assert line.argmax() == label_colors(2)[1].argmax()
+    assert line.max() > 180
+    assert np.abs(pixels[100, 100, :3].astype(int) - 64).max() < 12
 
 
 def read(uri: str) -> np.ndarray:
