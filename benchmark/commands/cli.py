@@ -4,8 +4,8 @@ obpose-bench --model training-free --track moving static      compare models
 obpose-bench --model plane-dbscan --data DIR                   on a dataset of your own
 obpose-bench --predictions DIR --track moving                  score label maps made elsewhere
 obpose-bench --task editing --model obpose --pretrained --track clevr3d     score edits of inferred scenes
-obpose-bench rescore RUN                                       compute all scores anew from stored label maps
-obpose-bench compare A B                                       is A better than B, and what could be seen at all?
+obpose-bench rescore RUN                                       recompute all scores from stored label maps
+obpose-bench compare A B                                       paired comparison of two models
 obpose-bench report RUN                                        write tables and report again
 obpose-bench pack RUN --out DIR                                compress results, to publish them
 obpose-bench selftest                                          check the metrics against golden cases
@@ -28,8 +28,8 @@ PROGRAM = "obpose-bench"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of the console script; leaves with an exit code of `datagen.errors`."""
-    kept = "Interrupted; finished rows are kept, the same command again goes on."
+    """Entry point of the console script; exits with a code of `datagen.errors`."""
+    kept = "Interrupted; finished rows are kept. Run the same command again to resume."
     with _termination_is_an_interrupt():
         code = run_program(PROGRAM, lambda: _run(given_arguments(arguments)), interrupted=kept)
     sys.exit(code)
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def _termination_is_an_interrupt() -> Iterator[None]:
-    """Let SIGTERM, which schedulers send, do what Ctrl-C does: trainings save how far they are."""
+    """Treat SIGTERM, which schedulers send, like Ctrl-C, so that trainings save their state."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
@@ -49,7 +49,7 @@ def _run(arguments: list[str]) -> int:
     name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "run"
     kind, command = COMMANDS[name]
     program = PROGRAM if name == "run" else f"{PROGRAM} {name}"
-    # The help printer keeps empty lines only.
+    # The help printer only keeps empty lines.
     description = "\n\n".join(filter(None, __doc__.split("\n"))) if name == "run" and __doc__ else None
     return command(tyro.cli(kind, prog=program, args=arguments, description=description))
 

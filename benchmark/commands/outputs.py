@@ -18,7 +18,7 @@ from benchmark.ranking.standings import Entry, best_first, fields
 from benchmark.ranking.table_text import free_of_slots, rank_in_words, run_once, seeds_covered, without_floor
 from benchmark.report import learning
 from benchmark.report.leaderboard_view import marks
-from benchmark.results.dataset_lookup import locate
+from benchmark.results.labels import locate
 from benchmark.results.manifest import write_manifest
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs

@@ -1,21 +1,20 @@
-"""How like two pictures of one thing are: colours (0 to 1) and depths (metres)."""
+"""Similarity of two images of one scene: colours (0 to 1) and depths (metres)."""
 
 import math
 
 import numpy as np
 from jaxtyping import Bool, Float
-from skimage.metrics import structural_similarity
 
 _GAUSSIAN = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
 """The window of Wang et al. (2004)."""
 
 
 def psnr(
-    image: Float[np.ndarray, "height width 3"],
-    truth: Float[np.ndarray, "height width 3"],
-    mask: Bool[np.ndarray, "height width"] | None = None,
+    image: Float[np.ndarray, "*image height width 3"],
+    truth: Float[np.ndarray, "*image height width 3"],
+    mask: Bool[np.ndarray, "*image height width"] | None = None,
 ) -> float:
-    """Peak signal to noise ratio in dB, over all pixels or those of the mask; nan over none, inf where all are equal.
+    """Peak signal-to-noise ratio in dB, over all pixels or those of the mask; nan without pixels, inf if all are equal.
 
     >>> round(psnr(np.full((4, 4, 3), 0.5), np.full((4, 4, 3), 0.6)), 6)
     20.0
@@ -29,6 +28,8 @@ def psnr(
 
 def ssim(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:
     """Structural similarity, the mean of the three channels; 1 for equal images."""
+    from skimage.metrics import structural_similarity  # slow import, needed here only
+
     similarity = structural_similarity(image, truth, channel_axis=-1, data_range=1.0, **_GAUSSIAN)
     return float(np.asarray(similarity))
 

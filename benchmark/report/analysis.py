@@ -10,8 +10,7 @@ from jaxtyping import Float64, UInt8
 
 from benchmark.report.gallery import Card, disagreements, telling_image, typical_scenes, worst_scenes
 from benchmark.report.observations import Objects, Outcome, Truth, outcome_of_scene, read_truth, scene_tables
-from benchmark.results.labels import check_labels_fit, read_labels
-from benchmark.results.rescore import labels_path
+from benchmark.results.labels import check_labels_fit, labels_path, read_labels
 from benchmark.results.run_folder import RunRow, load_scenes
 from datagen.errors import UsageError
 from datagen.storage.reader import Split

@@ -7,8 +7,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from benchmark.execution.runner import SPLIT
-from benchmark.execution.validation_scores import SCORES
+from benchmark.models.validation import SCORES
 from benchmark.ranking.number_text import MOST_DECIMALS
 from benchmark.ranking.pose_tables import pose_cells, posed
 from benchmark.ranking.published import PAPER_MODELS, paper_cells
@@ -19,7 +18,8 @@ from benchmark.report.analysis import Analysis, analyse
 from benchmark.report.charts import LineChart, Scatter, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.track_panel import error_rows, slice_charts
-from benchmark.results.curves import CLOCKS
+from benchmark.results.csv_files import CLOCKS
+from benchmark.results.scoring import SPLIT
 from datagen.console.text import counted
 from datagen.errors import DatagenError, UsageError
 from datagen.storage.reader import Dataset, Split

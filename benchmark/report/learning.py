@@ -11,7 +11,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 from jaxtyping import Float64
 
-from benchmark.execution.validation_scores import SCORES
+from benchmark.models.validation import SCORES
 from benchmark.ranking.escaping import one_line
 from benchmark.ranking.number_text import plain_number
 from benchmark.ranking.standings import Entry, fields

@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from einops import rearrange
 
-from benchmark.execution.validation_scores import Watch
 from benchmark.models.adapters.poses import poses_of
 from benchmark.models.adapters.settings import settings_of
-from benchmark.models.interface import Clip, Prediction
+from benchmark.models.interface import Clip, Prediction, object_slots
+from benchmark.models.validation import ValidationScorer
 from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, views_apart
 from obpose.data.resolution import fitting_model
@@ -47,10 +47,10 @@ class LearnedSegmenter:
         checkpoint: Path | None = None,
         profile: str = "cpu",
         changes: Mapping[str, Any] | None = None,
-        watch: Watch | None = None,
+        watch: ValidationScorer | None = None,
     ):
         """Options as in `benchmark.models.interface`; `slots` counts the background, which configurations do not."""
-        self._changes = {"model.slots": slots - 1, "train.steps": steps, **(changes or {})}
+        self._changes = {"model.slots": object_slots(slots), "train.steps": steps, **(changes or {})}
         self._profile, self._watch = profile, watch
         self._system, self._folder, self._checkpoint = find_system(system), folder, checkpoint
 

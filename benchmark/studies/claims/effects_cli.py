@@ -20,8 +20,7 @@ from benchmark.metrics import clip_scores
 from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.ranking.statistics import Summary, draw, summarise
 from benchmark.results.files import write_whole
-from benchmark.results.label_files import check_labels
-from benchmark.results.labels import dataset_of, read_labels
+from benchmark.results.labels import check_labels, dataset_of, read_labels
 from benchmark.studies.claims.command import check_csv, run_command
 from datagen.errors import EXIT_OK, UsageError
 from datagen.schema import effect_mask

@@ -14,8 +14,7 @@ from jaxtyping import Float64
 from benchmark.metrics.errors_by_type import ERROR_TYPES, MEANINGS
 from benchmark.report.analysis import outcome
 from benchmark.report.observations import Objects, Outcome, observe, read_truth
-from benchmark.results.label_files import check_labels
-from benchmark.results.labels import dataset_of, read_labels
+from benchmark.results.labels import check_labels, dataset_of, read_labels
 from benchmark.studies.claims.command import LabelMaps, run_command
 from datagen.errors import EXIT_OK
 from datagen.storage.reader import Dataset

@@ -13,8 +13,7 @@ from jaxtyping import Bool, Float64, Integer
 
 from benchmark.clips import ClipSequence
 from benchmark.metrics import score
-from benchmark.results.label_files import check_labels
-from benchmark.results.labels import dataset_of, read_labels
+from benchmark.results.labels import check_labels, dataset_of, read_labels
 from benchmark.studies.claims.command import LabelMaps, run_command
 from datagen.errors import EXIT_OK
 from datagen.storage.reader import Dataset

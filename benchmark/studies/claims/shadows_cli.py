@@ -17,8 +17,7 @@ from jaxtyping import Bool, Integer, UInt8
 
 from benchmark.clips import ClipSequence
 from benchmark.metrics import score
-from benchmark.results.label_files import check_labels
-from benchmark.results.labels import dataset_of, read_labels
+from benchmark.results.labels import check_labels, dataset_of, read_labels
 from benchmark.studies.claims.command import run_command
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage.reader import Dataset

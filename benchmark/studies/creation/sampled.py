@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 from benchmark.clips import ClipSequence, TruthSequence
 from benchmark.metrics import score
 from benchmark.models.interface import Clip, Prediction, Segmenter
-from benchmark.tasks.true_poses import world_points
 from datagen.storage.reader import Split
 from obpose.errors import UsageError
 from obpose.scenes.model_ref import Origin
@@ -93,7 +92,7 @@ def looks(scenes: Sequence[Labelled]) -> Looks:
 
 
 def _looks(scene: Labelled) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    points = world_points(scene.clip)
+    points = scene.clip.points()
     for name in np.unique(scene.labels[scene.labels > 0]):
         mine = (scene.labels == name) & scene.clip.valid
         if mine.sum() >= LEAST_PIXELS:

@@ -1,16 +1,16 @@
-"""How near a picture of an edited scene comes to the truth: colour and depth by region, and segmentation."""
+"""Scores of pictures of edited scenes: colour and depth by region, and segmentation."""
 
 import math
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from benchmark.metrics import clip_scores
+from benchmark.metrics import clip_scores, images
 from benchmark.tasks.editing.interface import Picture
 from benchmark.tasks.editing.truth import Pair
 
 METRICS = ("psnr_inside", "psnr_shadow", "psnr_outside", "depth_inside", "depth_outside", "ari_fg", "ari")
-"""Columns, in the order of tables; depths in millimetres, smaller is better, of the others larger."""
+"""Columns, in the order of tables. Depths are errors in millimetres; of the others, larger is better."""
 
 LARGEST_PSNR = 60.0
 """Decibels of equal pictures; rounding to bytes alone leaves 58.9."""
@@ -21,12 +21,12 @@ Mask = Bool[np.ndarray, "frame view height width"]
 
 
 def score(pair: Pair, shown: Picture, truth: Picture | None = None) -> dict[str, float]:
-    """All metrics of one picture of a scene, over all frames and views; nan where a region is empty.
+    """Compute all metrics of one picture of a scene, over all frames and views; nan if a region is empty.
 
     Args:
-        pair: The edit, whose regions are looked at (`Pair.inside`, `Pair.shadow`, `Pair.outside`).
-        shown: What is scored.
-        truth: What it ought to be; the edited scene where nothing else is said.
+        pair: The edit, which defines the regions (`Pair.inside`, `Pair.shadow`, `Pair.outside`).
+        shown: The picture to score.
+        truth: The ground truth; the edited scene by default.
     """
     truth = truth or pair.after
     inside, shadow, outside = pair.inside, pair.shadow, pair.outside
@@ -41,26 +41,18 @@ def score(pair: Pair, shown: Picture, truth: Picture | None = None) -> dict[str,
 
 
 def psnr(truth: Colours, shown: Colours, where: Mask) -> float:
-    """Peak signal-to-noise ratio in decibels of colours in 0..1, at most `LARGEST_PSNR`; nan where there is no pixel.
-
-    >>> black = np.zeros((1, 1, 1, 2, 3))
-    >>> psnr(black, black + 0.1, np.ones((1, 1, 1, 2), bool))
-    20.0
-    """
-    if not where.any():
-        return math.nan
-    error = float(np.mean((truth[where] - shown[where]) ** 2))
-    return min(LARGEST_PSNR, -10 * math.log10(error)) if error else LARGEST_PSNR
+    """Peak signal-to-noise ratio in decibels of colours in 0..1, at most `LARGEST_PSNR`; nan without pixels."""
+    return min(LARGEST_PSNR, images.psnr(shown, truth, where)) if where.any() else math.nan
 
 
 def depth_error(truth: Depths, shown: Depths, where: Mask) -> float:
-    """Median absolute error in millimetres where the truth has a depth; nan where it has none."""
+    """Median absolute error in millimetres over pixels whose true depth is known; nan if there are none."""
     known = where & (truth > 0)
     return float(1000 * np.median(np.abs(truth[known] - shown[known]))) if known.any() else math.nan
 
 
 def _segmentation(truth: Picture, shown: Picture) -> dict[str, float]:
-    """Means over frames and views; pixels without depth do not count, as in the benchmark of segmentations."""
+    """Mean scores over frames and views; pixels without depth are ignored, as for segmentations."""
     scores = clip_scores(truth.labels, shown.labels, 0, truth.depth == 0)
     return {name: _mean(scores[name]) for name in ("ari_fg", "ari")}
 
