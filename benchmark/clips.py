@@ -1,77 +1,74 @@
 """A split of a dataset as models and metrics get it: clips without labels, and the labels apart from them."""
 
-from collections.abc import Sequence
-from typing import Any, overload
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Generic, TypeVar, overload
 
 import numpy as np
 from jaxtyping import UInt8
 
 from benchmark.models.interface import Clip
-from datagen import schema
 from datagen.errors import UsageError
-from datagen.storage import reader
+from datagen.storage.reader import Split, read_depth
+
+Item = TypeVar("Item")
 
 
-class ClipSequence(Sequence[Clip]):
-    """The clips of one split, read when they are asked for. Where the recipe has a depth sensor, its depth is seen.
+class _Lazy(Sequence[Item], Generic[Item]):
+    """Sequence whose items are read on each access."""
 
-    With `uses_labels` the clips carry the truth: for oracles and supervised models only.
+    def __init__(self, length: int, read: Callable[[int], Item]):
+        self._length, self._read = length, read
+
+    def __len__(self) -> int:
+        return self._length
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Item]: ...
+    def __getitem__(self, index: int | slice) -> Item | list[Item]:
+        if isinstance(index, slice):
+            return [self._read(i) for i in range(*index.indices(self._length))]
+        return self._read(index)
+
+
+class ClipSequence(_Lazy[Clip]):
+    """The clips of one split, read on access, with the depth of the recipe's sensor if it has one.
+
+    With `uses_labels` the clips carry the ground truth, for oracles and supervised models only.
 
     Raises:
         UsageError: the dataset holds no images.
     """
 
-    def __init__(self, scenes: reader.Split, *, uses_labels: bool = False):
+    def __init__(self, scenes: Split, *, uses_labels: bool = False):
         if scenes.spec["resolution"] is None:
             raise UsageError(f"{scenes.folder} holds no images; make them with: obpose-datagen render.")
-        self._scenes = scenes
-        self._uses_labels = uses_labels
-        self._sensor: bool = scenes.spec["recipe"]["sensor"]["enabled"]
-
-    def __len__(self) -> int:
-        return len(self._scenes)
-
-    @overload
-    def __getitem__(self, index: int) -> Clip: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Clip]: ...
-    def __getitem__(self, index: int | slice) -> Any:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        depth = "sensor_depth" if self._sensor else "depth"
-        fields = ["rgb", depth, "camera/K", "camera/world_from_camera"]
-        fields += ["sensor_valid"] if self._sensor else []
-        fields += ["segmentation"] if self._uses_labels else []
-        record = self._scenes.read(index, fields)
-        return Clip(
-            rgb=record["rgb"],
-            depth=schema.decode_depth(record[depth]),
-            valid=record["sensor_valid"] > 0 if self._sensor else record[depth] > 0,
-            k=record["camera/K"],
-            world_from_camera=record["camera/world_from_camera"],
-            truth=record["segmentation"] if self._uses_labels else None,
-        )
+        super().__init__(len(scenes), partial(read_clip, scenes, uses_labels=uses_labels))
 
 
-class TruthSequence(Sequence[UInt8[np.ndarray, "frame view height width"]]):
-    """Object ids of the scenes of one split, 0 = background, read when they are asked for."""
+class TruthSequence(_Lazy[UInt8[np.ndarray, "frame view height width"]]):
+    """Object ids of the scenes of one split, 0 = background, read on access."""
 
-    def __init__(self, scenes: reader.Split):
-        self._scenes = scenes
-
-    def __len__(self) -> int:
-        return len(self._scenes)
-
-    @overload
-    def __getitem__(self, index: int) -> np.ndarray: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[np.ndarray]: ...
-    def __getitem__(self, index: int | slice) -> Any:
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
-        return read_truth(self._scenes, index)
+    def __init__(self, scenes: Split):
+        super().__init__(len(scenes), partial(read_truth, scenes))
 
 
-def read_truth(scenes: reader.Split, index: int) -> UInt8[np.ndarray, "frame view height width"]:
+def read_clip(scenes: Split, index: int, *, uses_labels: bool = False) -> Clip:
+    """Read the clip of one scene, with its ground truth if the model uses labels."""
+    record = scenes.read(index, ["rgb", "camera/K", "camera/world_from_camera"])
+    depth, valid = read_depth(scenes, index)
+    return Clip(
+        rgb=record["rgb"],
+        depth=depth,
+        valid=valid,
+        k=record["camera/K"],
+        world_from_camera=record["camera/world_from_camera"],
+        truth=read_truth(scenes, index) if uses_labels else None,
+    )
+
+
+def read_truth(scenes: Split, index: int) -> UInt8[np.ndarray, "frame view height width"]:
     """Object ids of one scene, 0 = background."""
     return scenes.read(index, ["segmentation"])["segmentation"]

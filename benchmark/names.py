@@ -15,13 +15,13 @@ ATTENTION = "-att"
 REFINED = "-refined"
 """Suffix for edited scenes that were fitted to their frames first."""
 REFERENCES = "references"
-"""Stands in the place of a model's name for edits that need no model."""
+"""Model name in the rows of edits that need no model."""
 
 _RESERVED = re.compile(rf".*({PRETRAINED}|{ATTENTION}|{REFINED}|{SLOTS.format('[0-9]+')})|{REFERENCES}")
 
 
 def check_model_name(name: str, advice: str) -> None:
-    """Check a model's name; `advice` says how to give another one.
+    """Check a model's name; `advice` is how to choose another one.
 
     Raises:
         UsageError: it cannot be part of a file name, or has the form of the names that the benchmark makes itself.
@@ -29,13 +29,13 @@ def check_model_name(name: str, advice: str) -> None:
     check_row_name(name, advice)
     if _RESERVED.fullmatch(name.casefold()):
         raise UsageError(
-            f"{name!r} is a name that the benchmark gives itself; expected another than {REFERENCES!r}, which does not "
-            f"end in {PRETRAINED}, {ATTENTION}, {REFINED} or {SLOTS.format('N')}. {advice}"
+            f"{name!r} is a name that the benchmark gives itself; expected a name other than {REFERENCES!r} that does "
+            f"not end in {PRETRAINED}, {ATTENTION}, {REFINED} or {SLOTS.format('N')}. {advice}"
         )
 
 
 def check_row_name(name: str, advice: str) -> None:
-    """Check the name of a row of tables, which may be one that the benchmark made of a model's name.
+    """Check the name of a row of tables, which may be derived from a model's name.
 
     Raises:
         UsageError: it cannot be part of a file name.
@@ -45,5 +45,5 @@ def check_row_name(name: str, advice: str) -> None:
 
 
 def find_twin(name: str, taken: Collection[str]) -> str | None:
-    """Find a name that equals this one but for upper and lower case, which some file systems take for the same."""
+    """Find a name that differs at most in case; some file systems ignore case."""
     return next((other for other in taken if other.casefold() == name.casefold()), None)

@@ -41,7 +41,7 @@ LAYERS = (
 
 MAY_OPEN = (
     "datagen/storage/safe_io.py",
-    "benchmark/execution/isolation.py",  # lines from its own child process
+    "benchmark/execution/executor.py",  # lines from its own child process
     "benchmark/commands/selftest.py",  # a file of this package
 )
 """Files that call HDF5, NPY, image and JSON readers themselves; all others use `datagen.storage.safe_io`."""
@@ -73,7 +73,7 @@ def test_no_cycle_of_imports():
         ("datagen/tracks.py", "import benchmark.metrics"),
         ("obpose/viewer/session.py", "import viser"),
         ("obpose/training/loop.py", "from benchmark.metrics import score"),
-        ("benchmark/execution/runner.py", "import torch.nn as nn"),
+        ("benchmark/execution/jobs.py", "import torch.nn as nn"),
         ("benchmark/metrics/score.py", "from obpose.data import datasets"),
         ("assets/__init__.py", "import datagen"),
     ],
@@ -92,7 +92,7 @@ def test_a_bad_import_is_found(path: str, source: str):
         ("obpose/model/obpose.py", "import torch, assets\nfrom obpose.data.datasets import SceneDataset"),
         ("obpose/commands/train.py", "from datagen.tracks import find_track"),
         ("benchmark/models/adapters/learned.py", "import torch\nfrom obpose.model.obpose import ObPose"),
-        ("benchmark/execution/runner.py", "from datagen.storage.reader import Dataset"),
+        ("benchmark/execution/jobs.py", "from datagen.storage.reader import Dataset"),
     ],
 )
 def test_a_good_import_is_let_through(path: str, source: str):

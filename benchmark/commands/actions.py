@@ -1,4 +1,4 @@
-"""Commands of `obpose-bench`: their work and their output."""
+"""The commands of `obpose-bench`."""
 
 import math
 
@@ -8,20 +8,18 @@ from rich.table import Table
 from benchmark.commands import arguments, outputs
 from benchmark.commands import selftest as golden_cases
 from benchmark.commands.console import prepare
-from benchmark.execution.duration import estimate, in_words, time_limit
-from benchmark.execution.isolation import Limits, limits
-from benchmark.execution.plan import Plan, Request, check_places, make_plan, superseded
-from benchmark.execution.request import request_of
-from benchmark.execution.runner import SPLIT, Job
-from benchmark.execution.schedule import repeat_rows, run_jobs
+from benchmark.commands.editing import score_edits
+from benchmark.commands.request import job_limits, request_of
+from benchmark.execution.jobs import repeat_rows, run_all
+from benchmark.execution.plan import Plan, Request, check_places, estimate, make_plan, superseded
 from benchmark.models.registry import GROUPS, discover
 from benchmark.ranking import compare as paired
 from benchmark.ranking.text import terminal
 from benchmark.results import pack as packing
-from benchmark.results import rescore as rescoring
+from benchmark.results import scoring as rescoring
 from benchmark.results.packed_runs import refuse_packed
 from benchmark.results.run_folder import RunRow, check_runs, delete_rows, load_runs
-from benchmark.tasks.editing.command import score_edits
+from benchmark.results.scoring import SPLIT
 from datagen import tracks
 from datagen.console.progress import progress_bar, status_console, tracked
 from datagen.console.text import counted
@@ -31,7 +29,7 @@ from datagen.tracks import SIZES, Profile, all_tracks
 
 
 def run(values: arguments.Run) -> int:
-    """Make the rows that are missing, then tables and report."""
+    """Make the missing rows, then tables and report."""
     if values.list:
         _print_lists(values.profile)
         return EXIT_OK
@@ -46,7 +44,7 @@ def run(values: arguments.Run) -> int:
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
     if found := estimate(plan, values.workers):
-        status_console().print(in_words(found))
+        status_console().print(str(found))
     elif not plan.jobs:
         status_console().print("All rows are there; writing tables and report.")
     prepare(plan.splits, workers=values.workers)
@@ -102,7 +100,7 @@ def selftest(_values: arguments.Selftest) -> int:
 
 
 def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[RunRow]:
-    """The rows that stay: without those to be replaced or tried again."""
+    """Delete the rows to be replaced or tried again, and return the others."""
     again = [row for row in rows if row.status == "failed" and _is_tried_again(row, values, plan)]
     kept = [row for row in rows if row not in again]
     if not values.overwrite:
@@ -113,7 +111,7 @@ def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[Ru
 
 
 def _is_tried_again(row: RunRow, values: arguments.Run, plan: Plan) -> bool:
-    """Failed label maps are tried whenever they are named, since mending their files makes another row of them."""
+    """Tell whether to try a failed row again; given label maps always are, as corrected files give another row."""
     if row.kind == "predictions":
         return row.key.place in {key.place for key in plan.keys}
     return values.retry and row.key in plan.keys
@@ -125,25 +123,16 @@ def _check_predictions(request: Request) -> None:
 
 
 def _run_jobs(plan: Plan, values: arguments.Run) -> None:
-    """Run what is missing, with a line for every row."""
-
-    def limits_of(job: Job) -> Limits:
-        return limits(
-            60 * values.time_limit if values.time_limit else time_limit(job),
-            workers=values.workers,
-            memory_mib=values.memory_limit,
-            threads=1 if values.deterministic else None,
-        )
-
+    """Make the missing rows, and print a line for each."""
     total = sum(len(job.targets) for job in plan.jobs)
     console = status_console()
     with progress_bar(console, "rows", total) as advance:
 
-        def hear(row: RunRow) -> None:
+        def on_row(row: RunRow) -> None:
             console.print(terminal(_line(row)))
             advance()
 
-        run_jobs(plan, limits_of, values.workers, hear)
+        run_all(plan.jobs, lambda job: job_limits(values, job.time_limit), values.workers, on_row)
 
 
 def _line(row: RunRow) -> str:

@@ -1,4 +1,4 @@
-"""Flags of the command line, one class a command."""
+"""Flags of the command line, one class per command."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,73 +20,73 @@ class Run:
     model: tuple[str, ...] = ()
     """Names of models and groups, such as training-free or paper; the latter sets an equal budget of 12 minutes."""
     track: tuple[str, ...] = ()
-    """Names of tracks and groups, such as paper; moving if left out. Their datasets are made on first use."""
+    """Names of tracks and groups, such as paper; moving if left out. Their datasets are generated on first use."""
     task: Task = "segmentation"
-    """`editing` scores removed, moved and copied objects of inferred scenes against the generator's, with --pretrained
-    or --checkpoint; docs/benchmark.md says how."""
+    """`editing` compares removed, moved and copied objects of inferred scenes with ground truth; it needs --pretrained
+    or --checkpoint. See docs/benchmark.md."""
     scenes: int | None = None
-    """Test scenes whose edits are scored, from the first on; all if left out."""
+    """Number of test scenes whose edits are scored, from the first on; all if left out."""
     refine: int = 0
-    """Steps in which inferred scenes are fitted to their frames before they are edited; obpose-edit infer takes 100.
-    With 0 codes alone are scored."""
+    """Number of steps that fit inferred scenes to their frames before editing; obpose-edit infer uses 100. 0: score
+    scenes as inferred."""
     profile: Profile = "cpu"
-    """Size of the tracks' images, and of the networks of models that learn: for a CPU core, or for a GPU."""
+    """Size of the tracks' images and of the learned models' networks, for a CPU core or a GPU."""
     slots: tuple[int, ...] = ()
-    """Slots for objects, the background's comes on top: a model for each number, NAME-N-slots unless N is the track's
-    largest object count, which it has if this is left out."""
+    """Numbers of slots for objects, without the background. Each number N other than the track's largest object count,
+    the default, makes a separate model NAME-N-slots."""
     data: Path | None = None
     """Folder of a dataset, in place of tracks."""
     predictions: tuple[Path, ...] = ()
-    """Folders of label maps to score in the place of models, one a seed; see docs/benchmark.md."""
+    """Folders of label maps to score in place of models, one per seed; see docs/benchmark.md."""
     name: str | None = None
     """Name of the predictions, or of the one --checkpoint, in the tables; the first folder's name if left out."""
     background_slot: int | None = None
-    """Background label of predictions that do not say; the most frequent label of each clip if left out."""
+    """Background label of predictions that do not declare one; the most frequent label of each clip if left out."""
     seeds: int = 3
-    """Number of runs; their seeds are 0, 1, ..."""
+    """Number of runs, with seeds 0, 1, ..."""
     fit_track: str | None = None
-    """Fit, or tune, once on this track, for all tracks; each on itself if left out."""
+    """Fit or tune once on this track, and score on all tracks; if left out, fit on each track."""
     out: Path = DEFAULT_OUT
     """The run folder."""
     list: Switch = False
     """List models and tracks, then exit."""
     pretrained: Switch = False
-    """Models that learn use weights that ship with the package, in the place of training."""
+    """Use weights that ship with the package, in place of training."""
     checkpoint: tuple[Path, ...] = ()
-    """Folders that obpose-train made, to be scored beside models; name the track that they were trained on with
-    --fit-track, if it is not the one that they are scored on."""
+    """Folders made by obpose-train, to be scored beside models. If they were trained on another track than the scored
+    one, name it with --fit-track."""
     budget: float | None = None
-    """Seconds of one core that a model that learns may train for; if left out, those of the group paper, or what each
-    declares."""
+    """Training budget of learned models, in seconds of one core; if left out, that of the group paper, or each model's
+    own."""
     steps: int | None = None
-    """Training steps of a model that learns, in place of seconds."""
+    """Training budget of learned models in steps, in place of seconds."""
     deterministic: Switch = False
-    """Use one thread and budgets in steps: every run gives equal tables, except for the columns measured_*."""
+    """Use one thread and budgets in steps, so that all runs give equal tables, except for the columns measured_*."""
     workers: int = 2
     """Number of jobs that run in parallel."""
     time_limit: float | None = None
-    """Minutes after which a row has failed; if left out, an hour and twice the time that its model may train for."""
+    """Minutes after which a row fails; if left out, an hour plus twice the training time."""
     memory_limit: float | None = None
-    """MiB of memory at which a row has failed; if left out, an equal part of nine tenths of the machine's."""
+    """Memory in MiB beyond which a row fails; if left out, an equal share of 90 % of the machine's memory."""
     overwrite: Switch = False
-    """Replace rows of the same model, track and seed that were made with other settings or versions."""
+    """Replace rows of the same model, track and seed that have other settings or versions."""
     retry: Switch = False
     """Run failed jobs again; predictions are always tried again."""
 
 
 @dataclass(frozen=True)
 class Rescore:
-    """Compute all scores anew from stored label maps, and write tables and report; no model runs."""
+    """Recompute all scores from stored label maps, and write tables and report; no model runs."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """The run folder."""
     data: tuple[Path, ...] = ()
-    """Folders of datasets that the runs were scored on, if they are not where they were."""
+    """Folders of datasets that the runs were scored on, if they were moved."""
 
 
 @dataclass(frozen=True)
 class Compare:
-    """Paired differences of two models, scene by scene, on all tracks that both have scores on; needs rows only."""
+    """Compare two models scene by scene on all tracks that both have scores on; needs rows only."""
 
     one: Annotated[str, tyro.conf.Positional]
     """Name of a model."""
@@ -103,24 +103,24 @@ class Report:
     folder: Annotated[Path, tyro.conf.Positional]
     """The run folder."""
     data: tuple[Path, ...] = ()
-    """Folders of datasets that the runs were scored on, if they are not where they were."""
+    """Folders of datasets that the runs were scored on, if they were moved."""
 
 
 @dataclass(frozen=True)
 class Pack:
-    """Add the rows of run folders to a folder of compressed results, to be published; label maps are left out.
+    """Add the rows of run folders to a folder of compressed results for publication, without label maps.
 
-    `compare` and `report` read such a folder like a run folder. Results that another packed folder of the same tree
-    holds become references to it.
+    `compare` and `report` read such a folder like a run folder. Results stored in another packed folder of the same
+    tree become references.
     """
 
     run: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Run folders, or packed ones."""
     out: Path
-    """The packed folder, such as docs/results/paper; made if it is missing. Its results are kept, never replaced; its
-    tables are written anew."""
+    """The packed folder, such as docs/results/paper; created if missing. Its results are never replaced; its tables are
+    written again."""
 
 
 @dataclass(frozen=True)
 class Selftest:
-    """Check the metrics against golden cases that reference implementations scored."""
+    """Check the metrics against golden cases scored by reference implementations."""

@@ -4,8 +4,8 @@ obpose-bench --model training-free --track moving static      compare models
 obpose-bench --model plane-dbscan --data DIR                   on a dataset of your own
 obpose-bench --predictions DIR --track moving                  score label maps made elsewhere
 obpose-bench --task editing --model obpose --pretrained --track clevr3d     score edits of inferred scenes
-obpose-bench rescore RUN                                       compute all scores anew from stored label maps
-obpose-bench compare A B                                       is A better than B, and what could be seen at all?
+obpose-bench rescore RUN                                       recompute all scores from stored label maps
+obpose-bench compare A B                                       paired comparison of two models
 obpose-bench report RUN                                        write tables and report again
 obpose-bench pack RUN --out DIR                                compress results, to publish them
 obpose-bench selftest                                          check the metrics against golden cases
@@ -25,14 +25,14 @@ PROGRAM = "obpose-bench"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    kept = "Interrupted; finished rows are kept, the same command again goes on."
+    kept = "Interrupted; finished rows are kept. Run the same command again to resume."
     with _termination_is_an_interrupt():
         return run_command(PROGRAM, COMMANDS, description=__doc__, default="run", arguments=arguments, interrupted=kept)
 
 
 @contextmanager
 def _termination_is_an_interrupt() -> Iterator[None]:
-    """Let SIGTERM, which schedulers send, do what Ctrl-C does: trainings save how far they are."""
+    """Treat SIGTERM, which schedulers send, like Ctrl-C, so that trainings save their state."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

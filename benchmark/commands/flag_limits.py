@@ -1,4 +1,4 @@
-"""Limits of the numbers that flags of `obpose-bench` accept; larger ones are mistakes, and are refused at once."""
+"""Limits of the numbers that flags of `obpose-bench` accept; numbers beyond them are mistakes."""
 
 from dataclasses import dataclass
 
@@ -44,10 +44,10 @@ LIMITS = {
 
 
 def check_flag(flag: str, value: int | float | None) -> None:
-    """Check a number that a flag was given; None stands for a flag that was left out.
+    """Check the value of a flag; None stands for a flag that was left out.
 
     Raises:
-        UsageError: it is out of range; states the range.
+        UsageError: the value is out of range; states the range.
     """
     if value is not None and not LIMITS[flag].admits(value):
         shown = str(value) if isinstance(value, int) else plain_number(value)

@@ -28,7 +28,7 @@ from benchmark.ranking.columns import (
 from benchmark.ranking.standings import ModelResult, best_first, comparable_groups
 from benchmark.ranking.text import terminal
 from benchmark.report import learning
-from benchmark.results.dataset_lookup import locate
+from benchmark.results.labels import locate
 from benchmark.results.manifest import write_manifest
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs

@@ -1,9 +1,9 @@
-"""`obpose-bench selftest`: the metrics against golden cases, small label maps that reference implementations scored."""
+"""`obpose-bench selftest`: compare the metrics with reference implementations on golden cases, small label maps."""
 
 import fnmatch
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -30,7 +30,7 @@ class Check:
     case: str
     metric: str
     expected: float
-    """nan where the metric is to be undefined."""
+    """Expected value; nan if the metric should be undefined."""
     found: float
     tolerance: float
 
@@ -44,19 +44,19 @@ class Check:
         return f"{self.case}: {self.metric} is {self.found:.7f}, expected {self.expected:.7f}"
 
 
-def run() -> list[str]:
-    """Check all golden cases; returns one line per deviating metric, so an empty list is success."""
-    return [str(check) for case in golden()["cases"] for check in checks(case) if not check.passed]
+def run(score: Callable[..., dict[str, float]] = score) -> list[str]:
+    """Check the metrics `score` on all golden cases; returns one line per deviation, so an empty list is success."""
+    return [str(check) for case in golden()["cases"] for check in checks(case, score) if not check.passed]
 
 
 @cache
 def golden() -> Mapping[str, Any]:
-    """The file of golden cases: `cases`, the `tolerance` to hold, and `published_per_seed` of the paper's authors."""
+    """Load the golden cases: `cases`, their `tolerance`, and `published_per_seed` of the paper's authors."""
     return json.loads((files("benchmark.metrics") / "golden_cases.json").read_text(encoding="utf-8"))
 
 
-def checks(case: Case) -> Iterator[Check]:
-    """Check every metric that both the case and `score` give."""
+def checks(case: Case, score: Callable[..., dict[str, float]] = score) -> Iterator[Check]:
+    """Check every metric that both the case and `score` have."""
     truth, prediction = label_maps(case)
     ignore = truth < 0
     scores = score(truth, prediction, ignore=ignore if ignore.any() else None)
@@ -68,7 +68,7 @@ def checks(case: Case) -> Iterator[Check]:
 
 
 def label_maps(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Truth and prediction, each (frame, height, width); negative labels of the truth are to be ignored."""
+    """Ground truth and prediction, each (frame, height, width); negative labels of the truth are ignored."""
     if "rule" in case:
         return _by_rule(case["rule"])
     truth, prediction = np.array(case["gt"]), np.array(case["pred"])
@@ -76,7 +76,7 @@ def label_maps(case: Case) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_rule(rule: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Large maps: a board of four objects and a background, and the same rolled along x."""
+    """Build large maps: a board of four objects and a background, and a copy rolled along x."""
     frames, height, width = (rule[axis] for axis in "THW")
     y, x = np.mgrid[:height, :width]
     image = np.where((y * 8 // height + x * 8 // width) % 3 == 0, 0, 1 + (y * 2 // height) * 2 + x * 2 // width)
@@ -92,7 +92,7 @@ def _plain_name(name: str) -> str:
 
 
 def _without_background(case: Case, name: str, entry: Case) -> float:
-    """Expected value where no pixel is background: references count an undefined overlap as 0, and remove a slot."""
+    """Expected value without background pixels: references score an undefined overlap as 0, and remove a slot."""
     if name == "miou_bg_oracle":
         return math.nan
     if name == "msc_fg_oracle_bg":
@@ -101,7 +101,7 @@ def _without_background(case: Case, name: str, entry: Case) -> float:
 
 
 def _expected(case: Case, name: str, entry: Case) -> float:
-    """Value by the recommended policy; without a policy, the reference's value."""
+    """Expected value by the recommended policy; without a policy, the reference's value."""
     if case["name"] in WITHOUT_EMPTY_FRAMES and "fg" in name and name != _plain_name(name):
         return WITHOUT_EMPTY_FRAMES[case["name"]]
     for names, policy in case.get("recommended_policy", {}).items():

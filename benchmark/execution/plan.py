@@ -1,21 +1,30 @@
-"""Plan a request: the rows it asks for, and the jobs that make the missing ones."""
+"""Plan a request: the rows it asks for, the jobs that make the missing ones, and how long they take."""
 
 import dataclasses
+import heapq
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmark.execution.runner import SPLIT, Job, Target
+from benchmark.execution.jobs import STARTING_SECONDS, Job, Target
 from benchmark.models.adapters.predictions import PredictionFolder
+from benchmark.models.interface import object_slots
 from benchmark.models.model_spec import ModelSpec
 from benchmark.models.registry import find_model
 from benchmark.names import PRETRAINED, SLOTS
 from benchmark.results.run_folder import TRAINING, RunKey, RunRow, digest
+from benchmark.results.scoring import SPLIT
+from datagen.console.text import counted
 from datagen.errors import UsageError
 from datagen.tracks import Profile, Source
 from obpose.storage.pretrained import content_hash, find_shipped
+
+SCENE_SECONDS = 0.1
+"""Time to generate a scene of ten frames on one core; measured in docs/performance.md."""
+SCORING_SECONDS = 60.0
+"""Time to segment, store and score 300 scenes of ten frames."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +75,44 @@ class Plan:
     """Splits that the jobs read; the datasets need not exist yet."""
 
 
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated duration of a plan, in seconds."""
+
+    data: float
+    training: float
+    scoring: float
+
+    def __str__(self) -> str:
+        parts = (("to make scenes", self.data), ("to train", self.training), ("to score", self.scoring))
+        minutes = ", ".join(f"{math.ceil(seconds / 60)} {what}" for what, seconds in parts if seconds)
+        total = counted(math.ceil((self.data + self.training + self.scoring) / 60), "minute")
+        return f"This takes about {total}, less if a run is resumed: {minutes}."
+
+
+def estimate(plan: Plan, workers: int) -> Estimate | None:
+    """Estimate how long a plan takes from scratch; None if that is unknown.
+
+    It is unknown if budgets are counted in steps, or if no model learns; models that do not learn take seconds.
+    """
+    learning = [job.training_seconds for job in plan.jobs if job.learns]
+    if not learning or math.inf in learning:
+        return None
+    scenes = sum(source.missing(splits) for source, splits in plan.splits.items())
+    data = STARTING_SECONDS + scenes * SCENE_SECONDS / workers if scenes else 0.0
+    training = _makespan(learning, workers)
+    both = _makespan((job.training_seconds + SCORING_SECONDS * len(job.targets) for job in plan.jobs), workers)
+    return Estimate(data, training, both - training)
+
+
+def _makespan(durations: Iterable[float], workers: int) -> float:
+    """Time until the last job ends, if `workers` jobs run at a time and start in this order."""
+    ends = [0.0] * workers
+    for duration in durations:
+        heapq.heapreplace(ends, ends[0] + duration)
+    return max(ends)
+
+
 def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
     """Plan the jobs for a request, given the rows that the run folder already has.
 
@@ -76,15 +123,15 @@ def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
         return _predictions_plan(request, rows, out)
     done = {row.key for row in rows}
     keys, jobs, splits = [], [], {}
-    for way, sources in _ways(request):
-        for seed in range(way.seeds):
-            targets = {source: way.target(source, seed) for source in sources}
+    for setup, sources in _setups(request):
+        for seed in range(setup.seeds):
+            targets = {source: setup.target(source, seed) for source in sources}
             keys += [key for target in targets.values() for key in target.keys]
             missing = {source: target for source, target in targets.items() if not done.issuperset(target.keys)}
-            if not missing or (seed > 0 and not way.spec.random):
+            if not missing or (seed > 0 and not setup.spec.random):
                 continue
-            jobs.append(way.job(seed, tuple(missing.values()), out))
-            _add(splits, way.fit, way.splits)
+            jobs.append(setup.job(seed, tuple(missing.values()), out))
+            _add(splits, setup.fit, setup.splits)
             for source in missing:
                 _add(splits, source, (SPLIT,))
     return Plan(tuple(sorted(keys)), tuple(_by_track(jobs, request.sources)), splits)
@@ -106,14 +153,6 @@ def _predictions_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Pl
 
 def _add(splits: dict[Source, tuple[str, ...]], source: Source, names: tuple[str, ...]) -> None:
     splits[source] = tuple(sorted({*splits.get(source, ()), *names}))
-
-
-def repeats(row: RunRow, keys: Iterable[RunKey]) -> list[RunRow]:
-    """Copy a row for the other seeds that it stands for, if seeds make no difference to its model."""
-    if row.random:
-        return []
-    same = (key for key in keys if key != row.key and dataclasses.replace(key, seed=row.key.seed) == row.key)
-    return [dataclasses.replace(row, key=key) for key in same]
 
 
 def superseded(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> list[RunRow]:
@@ -163,20 +202,27 @@ def _fits(request: Request) -> list[tuple[Source, tuple[Source, ...]]]:
 
 
 @dataclass(frozen=True)
-class _Way:
-    """A model and the source of its weights or tuned values: a fit on a track, or a checkpoint."""
+class _ModelSetup:
+    """A requested model, and the source of its weights or tuned values: a fit on a track, or a checkpoint."""
 
+    request: Request
     model: str
     spec: ModelSpec
     fit: Source
-    seeds: int
-    seconds: float
-    steps: int | None
     weights: Weights | None
     """Trained weights, used in place of training."""
-    slots: int | None
+    slots: int | None = None
     """Number of slots, in place of the track's."""
-    profile: Profile
+
+    @property
+    def seeds(self) -> int:
+        """Number of seeds; weights are scored once."""
+        return 1 if self.weights else self.request.seeds
+
+    @property
+    def seconds(self) -> float:
+        """Training budget."""
+        return self.request.seconds or self.spec.budget
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -195,7 +241,7 @@ class _Way:
         if self.weights:
             return self.weights.name
         slots = self.own_slots(source)
-        return self.model + (SLOTS.format(slots - 1) if slots else "")
+        return self.model + (SLOTS.format(object_slots(slots)) if slots else "")
 
     def settings(self, source: Source) -> dict[str, object]:
         """Settings that are fixed before the run and change its results."""
@@ -203,13 +249,15 @@ class _Way:
             return {"checkpoint": content_hash(self.weights.folder)}
         settings: dict[str, object] = {"grid": [dict(value) for value in self.spec.grid]}
         if self.spec.kind == "learned":
-            settings["budget"] = [self.seconds, "seconds"] if self.steps is None else [self.steps, "steps"]
+            steps = self.request.steps
+            settings["budget"] = [self.seconds, "seconds"] if steps is None else [steps, "steps"]
+        profile = self.request.profile
         # Omit default values, so that rows from before these options existed keep their keys.
         further = {
-            "settings": self.spec.settings_in(self.profile),
+            "settings": self.spec.settings_in(profile),
             "changes": dict(self.spec.on_tracks.get(self.fit.name, {})),
             "slots": self.own_slots(source),
-            "profile": self.profile if self.spec.kind == "learned" and self.profile != "cpu" else None,
+            "profile": profile if self.spec.kind == "learned" and profile != "cpu" else None,
         }
         return settings | {name: value for name, value in further.items() if value}
 
@@ -238,11 +286,11 @@ class _Way:
             fit_slots=self.slots or self.fit.slots,
             targets=targets,
             out=out,
-            seconds=self.seconds if self.steps is None else math.inf,
-            steps=self.steps,
+            seconds=self.seconds if self.request.steps is None else math.inf,
+            steps=self.request.steps,
             folder=out / TRAINING / self._folder_name(seed) if self.spec.kind == "learned" else None,
             checkpoint=self.weights.folder if self.weights else None,
-            profile=self.profile,
+            profile=self.request.profile,
         )
 
     def _folder_name(self, seed: int) -> str:
@@ -251,30 +299,15 @@ class _Way:
         return f"{self.fit.name}--{self.name(self.fit)}--{seed}--{digest({'fit': facts})[:8]}"
 
 
-def _ways(request: Request) -> Iterator[tuple[_Way, tuple[Source, ...]]]:
-    """Yield every requested variant of every model, with the datasets that are scored after its fit."""
+def _setups(request: Request) -> Iterator[tuple[_ModelSetup, tuple[Source, ...]]]:
+    """Yield all requested setups of all models, each with the datasets that are scored after its fit."""
     for model, (fit, sources) in itertools.product(request.models, _fits(request)):
         numbers = request.slots if find_model(model).takes_slots else ()
         shipped = _shipped(request, model, fit)
         for slots in numbers or (None,):
-            yield _way(request, model, fit, shipped, slots), sources
+            yield _ModelSetup(request, model, find_model(model), fit, shipped, slots), sources
     for weights, (fit, sources) in itertools.product(request.weights, _fits(request)):
-        yield _way(request, weights.model, fit, weights), sources
-
-
-def _way(request: Request, model: str, fit: Source, weights: Weights | None, slots: int | None = None) -> _Way:
-    spec = find_model(model)
-    return _Way(
-        model,
-        spec,
-        fit,
-        seeds=1 if weights else request.seeds,
-        seconds=request.seconds or spec.budget,
-        steps=request.steps,
-        weights=weights,
-        slots=slots,
-        profile=request.profile,
-    )
+        yield _ModelSetup(request, weights.model, find_model(weights.model), fit, weights), sources
 
 
 def trained(request: Request, fit: Source) -> list[Weights]:

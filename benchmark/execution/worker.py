@@ -1,6 +1,6 @@
-"""The process that a job runs in: `python -m benchmark.execution.worker`, with the job on standard input.
+"""The process of one job: `python -m benchmark.execution.worker`, with the pickled job on standard input.
 
-What it has to say goes to standard output as JSON, one event a line; what the model prints goes to standard error.
+Events are written to standard output as JSON, one per line. Output of the model goes to standard error.
 """
 
 import json
@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from benchmark.execution.isolation import SAVING_SECONDS
+from benchmark.execution.executor import SAVING_SECONDS
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, Busy, DatagenError
 
 _PARENT_CHECK_SECONDS = 0.5
@@ -27,24 +27,24 @@ def main() -> int:
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     parent, job = pickle.load(sys.stdin.buffer)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    _be_killed_first()
+    threading.Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()
+    _prefer_as_oom_victim()
 
-    def tell(**event: Any) -> None:
-        with suppress(BrokenPipeError):  # the parent may be gone, which is no failure of the job
+    def send(**event: Any) -> None:
+        with suppress(BrokenPipeError):  # a missing parent is not a failure of the job
             events.write(json.dumps(event) + "\n")
 
     try:
-        job.run(lambda done: tell(done=done))
+        job.run(lambda done: send(done=done))
     except MemoryError as error:
-        tell(failed=f"out of memory: {error}")
+        send(failed=f"out of memory: {error}")
     except Busy as error:
-        tell(busy=str(error))
+        send(busy=str(error))
     except DatagenError as error:
-        tell(failed=str(error))
-    except Exception as error:  # A model may raise anything; it becomes the reason of a failed row.
+        send(failed=str(error))
+    except Exception as error:  # A model may raise anything; the message becomes the reason of the failed row.
         traceback.print_exc()
-        tell(failed=f"{type(error).__name__}: {error}".strip().splitlines()[0])
+        send(failed=f"{type(error).__name__}: {error}".strip().splitlines()[0])
     except SystemExit:  # A model may call sys.exit; the exit code becomes the reason, and the log says where.
         traceback.print_exc()
         raise
@@ -52,27 +52,27 @@ def main() -> int:
         return EXIT_OK
     finally:
         if os.getppid() != parent:
-            _end_all()
+            _kill_group()
     return EXIT_INCOMPLETE
 
 
-def _end_with(parent: int) -> None:
-    """End when the parent is gone, even if it was killed, after a moment in which a model may save how far it is."""
+def _exit_with_parent(parent: int) -> None:
+    """Exit when the parent is gone, even if it was killed, after a grace period in which a model may save its state."""
     while os.getppid() == parent:
         time.sleep(_PARENT_CHECK_SECONDS)
     if signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(SAVING_SECONDS)
-    _end_all()
+    _kill_group()
 
 
-def _end_all() -> None:
-    """End this process and all that the model has started: they form a process group."""
+def _kill_group() -> None:
+    """Kill this process and all processes that the model has started; they form a process group."""
     os.killpg(os.getpid(), signal.SIGKILL)
 
 
-def _be_killed_first() -> None:
-    """If memory runs out, Linux is to kill this process and not the one that waits for it."""
+def _prefer_as_oom_victim() -> None:
+    """Let Linux kill this process, and not its parent, if memory runs out."""
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(_WORST_SCORE)
 

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from jaxtyping import Bool, Float
-from skimage.metrics import structural_similarity
 
 _GAUSSIAN = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
 """Window of Wang et al. (2004)."""
@@ -31,6 +30,8 @@ def psnr(
 
 def ssim(image: Float[np.ndarray, "height width 3"], truth: Float[np.ndarray, "height width 3"]) -> float:
     """Structural similarity, the mean of the three channels; 1 for equal images."""
+    from skimage.metrics import structural_similarity  # slow import, needed here only
+
     similarity = structural_similarity(image, truth, channel_axis=-1, data_range=1.0, **_GAUSSIAN)
     return float(np.asarray(similarity))
 

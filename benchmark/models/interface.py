@@ -1,43 +1,48 @@
-"""What a model gets and what it gives back: NumPy in, NumPy out, and no label on the way in.
+"""Interface of models: NumPy in, NumPy out, and no labels as input.
 
-A model is a class with `fit` and `segment`. The benchmark builds it from **options**, given as keyword arguments: the
-values that are tuned for it, by name, and those of the following for which its constructor has an argument:
+A model is a class with `fit` and `segment`. The benchmark builds it from **options**, passed as keyword arguments: the
+values that are tuned for it, and those of the following that are arguments of its constructor. All except `slots` are
+passed only if they apply, so they need defaults:
 
-- `slots`: how many slots every model may use on the track, which is its largest object count or what `--slots` says,
-  plus one for the background. Models that find the number of objects themselves do not take it, and may use more.
-- `steps`: how many steps of training to make, whatever time they take. It is given only where results must not depend
-  on the speed of the machine, and so it needs a default.
-- `folder`: where to keep files of this run, such as checkpoints. A run that was killed gets the same folder when it is
-  made again, and may go on from what it left there. It is given to models that learn, for the fit that counts and not
-  while values are tuned, and so it needs a default.
-- `checkpoint`: a folder with the weights of a model that was trained before, to be used in the place of training
-  (`--pretrained`); `fit` then gets no clips. It needs a default too.
-- `profile`: `gpu` where images and networks are larger than in the default, which is `cpu`.
-- `watch`: a `benchmark.execution.validation_scores.Watch`. A model that learns calls it now and then as
+- `slots`: number of slots that a model may use on the track: the track's largest object count, or the value of
+  `--slots`, plus one for the background. Models that find the number of objects themselves do not take this option.
+- `steps`: number of training steps, in place of a budget in seconds, so that results do not depend on the machine.
+- `folder`: folder for files of this run, such as checkpoints. A killed run gets the same folder again and may resume.
+  It is passed to models that learn, for the final fit and not during tuning.
+- `checkpoint`: folder with trained weights, to be used in place of training (`--pretrained`); `fit` then gets no clips.
+- `profile`: `gpu` if images and networks are larger than in the default profile, `cpu`.
+- `watch`: a `benchmark.models.validation.ValidationScorer`. A model that learns may call it at intervals as
   `watch(segment, step=, seconds=)`, where `segment` maps a clip to a `Prediction`. Scores on validation clips are then
-  added to the run's learning curve. It needs a default too.
-- `changes`: values of the model's own settings by dotted name, which `ModelSpec.on_tracks` gives. It needs a default.
+  added to the run's learning curve.
+- `changes`: values of the model's own settings by dotted name, from `ModelSpec.on_tracks`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer, UInt8
 
+from datagen.geometry import unproject
+
 LARGEST_LABEL = 255
-"""Label maps are kept as bytes."""
+"""Largest label; label maps are stored as bytes."""
+
+
+def object_slots(slots: int) -> int:
+    """Number of slots for objects, given a slot count of the benchmark, which includes the background."""
+    return slots - 1
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """What cameras that stand still saw of one scene. Frames of reference as in `datagen.geometry`."""
+    """RGB-D frames of one scene from static cameras. Frames of reference are those of `datagen.geometry`."""
 
     rgb: UInt8[np.ndarray, "frame view height width 3"]
     """sRGB."""
     depth: Float32[np.ndarray, "frame view height width"]
-    """Planar z in metres, 0 where there is no return."""
+    """Planar z in metres, 0 without a return."""
     valid: Bool[np.ndarray, "frame view height width"]
     """Whether the pixel has a depth."""
     k: Float[np.ndarray, "view 3 3"]
@@ -45,41 +50,54 @@ class Clip:
     world_from_camera: Float[np.ndarray, "view 4 4"]
     """Poses of the cameras, metres."""
     truth: UInt8[np.ndarray, "frame view height width"] | None = None
-    """Object ids, 0 = background; None for every model but those registered with `uses_labels`."""
+    """Object ids, 0 = background; None except for models registered with `uses_labels`."""
+
+    def points(
+        self, target_from_camera: Float[np.ndarray, "view 4 4"] | None = None
+    ) -> Float[np.ndarray, "frame view height width 3"]:
+        """Unproject all pixels, metres, into the world or another target frame; meaningless where `valid` is False."""
+        poses = self.world_from_camera if target_from_camera is None else target_from_camera
+        cameras = list(zip(self.k, poses, strict=True))
+        return np.stack([[unproject(d, *camera) for d, camera in zip(f, cameras, strict=True)] for f in self.depth])
+
+    def select(self, frames: slice | Sequence[int]) -> "Clip":
+        """Build a clip of some of the frames."""
+        images = {name: getattr(self, name) for name in ("rgb", "depth", "valid", "truth")}
+        return replace(self, **{name: None if array is None else array[frames] for name, array in images.items()})
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where the objects are and how they are turned, one row a label: row 3 is of what has label 3 in that image.
+    """Oriented bounding boxes of the objects, one row per label: row 3 belongs to label 3 of that image.
 
-    World frame, metres. Rows of labels that have no pose, such as the background's, are nan.
+    World frame, metres. Rows of labels without a pose, such as the background's, are nan.
     """
 
     center: Float[np.ndarray, "frame view label 3"]
-    """Middle of the whole object, and of its box: not of its visible side alone."""
+    """Centre of the box of the whole object, hidden parts included."""
     rotation: Float[np.ndarray, "frame view label 3 3"] | None = None
-    """World from box; None if the model says nothing of orientations. How the box's axes are named does not matter."""
+    """World from box; None if the model has no orientations. The order of the box's axes does not matter."""
     size: Float[np.ndarray, "frame view label 3"] | None = None
-    """Side lengths of the box along its axes; None if the model says nothing of sizes. It needs `rotation`."""
+    """Side lengths of the box along its axes; None if the model has no sizes. It requires `rotation`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """One segmentation of a clip."""
+    """Segmentation of a clip."""
 
     labels: Integer[np.ndarray, "frame view height width"]
-    """Slot of every pixel, 0 to `LARGEST_LABEL`; which slot stands for which object is the model's affair."""
+    """Slot of every pixel, 0 to `LARGEST_LABEL`, in any order."""
     background_slot: int | None
-    """The slot that the model means as background; None if it means none."""
+    """Slot of the background; None if the model has none."""
     extra: Mapping[str, Integer[np.ndarray, "frame view height width"]] = field(default_factory=dict)
-    """Other segmentations of the clip that came of the same work, with the same background slot, by the names that the
-    model declares (`ModelSpec.extra`); each gets a row of its own, MODEL-NAME."""
+    """Further segmentations of the clip with the same background slot, by the names that the model declares
+    (`ModelSpec.extra`); each gets its own row, MODEL-NAME."""
     poses: Poses | None = None
-    """Of the objects behind `labels`, if the model has such; they are scored beside the labels and rank nothing."""
+    """Poses of the objects in `labels`, if the model has any; they are scored, but do not affect the ranking."""
 
     @property
     def background(self) -> int:
-        """The slot that counts as background: the declared one, or else the one with most pixels in the clip."""
+        """Slot that counts as background: the declared one, otherwise the one with most pixels in the clip."""
         if self.background_slot is not None:
             return self.background_slot
         names, counts = np.unique(self.labels, return_counts=True)
@@ -88,12 +106,12 @@ class Prediction:
 
 @runtime_checkable
 class Segmenter(Protocol):
-    """A model under test."""
+    """A model of the benchmark."""
 
     def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
-        """Learn from unlabelled clips, for at most `budget` seconds of one core; all randomness comes from `seed`."""
+        """Learn from unlabelled clips, for at most `budget` seconds of one core; `seed` determines all randomness."""
         ...
 
     def segment(self, clip: Clip) -> Prediction:
-        """Segment one clip; equal clips get equal predictions, whatever was segmented before."""
+        """Segment one clip; the result depends on nothing but the clip and the fitted model."""
         ...

@@ -1,4 +1,4 @@
-"""What the benchmark knows of a model besides the model itself."""
+"""Facts that the benchmark needs about a model."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -16,67 +16,67 @@ Kind = Literal["floor", "classical", "oracle", "learned", "predictions"]
 KINDS: tuple[str, ...] = get_args(Kind)
 
 PRIORS = ("slots", "background slot", "camera pose", "plane", "object size")
-"""Number of slots; which slot is the background; poses of the cameras; that the background is a plane; how large
-objects are at most."""
+"""Possible inputs of a model beyond the images: number of slots, label of the background, camera poses, a planar
+background, maximum size of objects."""
 
 DEFAULT_BUDGET = 600.0
-"""Seconds of one core that a model may train for, if it does not say otherwise."""
+"""Default training budget, seconds of one core."""
 
 
 ViewsSeen = Literal["one", "all"]
-"""Of the views of a frame."""
+"""Number of views of a frame."""
 VIEWS_SEEN: tuple[ViewsSeen, ...] = get_args(ViewsSeen)
 
 
 @dataclass(frozen=True)
 class Views:
-    """How many views of a frame a model is given, and how many say in training what it should have rendered."""
+    """Views of a frame that a model gets as input, and views that supervise its training."""
 
     given: ViewsSeen
     supervising: ViewsSeen
 
     def on(self, number: int) -> str:
-        """In words, on a track of so many views; empty where there is one."""
+        """Describe the views on a track with `number` views; empty if there is only one."""
         counts = {"one": 1, "all": number}
         return f"{counts[self.given]} in, {counts[self.supervising]} supervise" if number > 1 else ""
 
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """One model that can be named on the command line."""
+    """A model of the registry."""
 
     build: Callable[[Options], Segmenter]
-    """Makes a model from one value of its grid and the options on offer; see `benchmark.models.interface`."""
+    """Builds a model from one value of its grid and the offered options; see `benchmark.models.interface`."""
     version: int
-    """Rises when the model's results change."""
+    """Version; raise it when the model's results change."""
     description: str
     kind: Kind = "learned"
     grid: tuple[Options, ...] = ()
-    """Declared values to tune over, the first being the default; empty if nothing is tuned."""
+    """Values to tune over, the default first; empty if nothing is tuned."""
     random: bool = True
-    """Whether another seed gives other results; if not, it is run once."""
+    """Whether results depend on the seed; if not, the model runs once."""
     uses_labels: bool = False
     """Whether its clips carry `truth`."""
     priors: tuple[str, ...] = ()
-    """What it is told beyond the images, out of `PRIORS`."""
+    """Inputs beyond the images, out of `PRIORS`."""
     budget: float = DEFAULT_BUDGET
-    """Seconds of one core that it trains for unless the command says otherwise."""
+    """Training budget in seconds of one core, unless the command sets another."""
     extra: tuple[str, ...] = ()
-    """Names of the segmentations in `Prediction.extra`, which have rows of their own."""
+    """Names of the segmentations in `Prediction.extra`; each gets its own row."""
     labelled_trials: int = 0
-    """How many values of its constants were compared by scores on labelled validation scenes before it was declared, if
-    any were; rows are marked like tuned ones."""
+    """Number of settings that were compared on labelled validation scenes during development; if not 0, rows are marked
+    as tuned."""
     settings: Options = field(default_factory=dict)
-    """Constants that its results depend on beside its version and options; rows are made anew when they change."""
+    """Constants that results depend on besides version and options; rows are made again when they change."""
 
     profiles: Mapping[str, Options] = field(default_factory=dict)
-    """The same in other profiles than `cpu`, where they differ."""
+    """Settings in profiles other than `cpu`, if they differ."""
     on_tracks: Mapping[str, Options] = field(default_factory=dict)
-    """Changes of its settings by dotted name where it is fitted on a track of this name, as an option `changes`."""
+    """Changes of settings by dotted name, by the track that it is fitted on; passed as option `changes`."""
     views: Views | None = None
-    """Which views it uses, if it says so."""
+    """Views that it uses, if declared."""
     configured: Callable[[Path], "ModelSpec"] | None = None
-    """The same with the priors and views of a folder's weights, which may be others than the model's own."""
+    """Returns the specification for the weights in a folder, whose priors and views may differ from the model's."""
 
     @property
     def default(self) -> Options:
@@ -85,13 +85,13 @@ class ModelSpec:
 
     @property
     def trials_with_labels(self) -> int:
-        """How many values its settings are the best of by scores on labelled validation scenes; 0 if by none."""
+        """Number of settings that were compared by scores on labelled validation scenes; 0 without a comparison."""
         return self.labelled_trials + (len(self.grid) if len(self.grid) > 1 else 0)
 
     @property
     def takes_slots(self) -> bool:
-        """Whether it is told how many slots to use, or finds the number of objects itself."""
-        return not (isinstance(self.build, Builder) and "slots" in self.build.refused)
+        """Whether it takes the number of slots as an option; other models find the number of objects themselves."""
+        return not isinstance(self.build, Builder) or self.build.takes("slots")
 
     def settings_in(self, profile: Profile) -> Options:
         """The constants in a profile."""
@@ -99,22 +99,20 @@ class ModelSpec:
 
 
 OFFERED: tuple[str, ...] = ("slots", "steps", "folder", "checkpoint", "profile", "changes", "watch")
-"""Options that every model is offered, and gets if its constructor has an argument of that name; see
+"""Options offered to all models; a model gets those that are arguments of its constructor. See
 `benchmark.models.interface`."""
 
 
 @dataclass(frozen=True)
 class Builder:
-    """Calls a class with the options as keyword arguments; with `OFFERED` ones only if its constructor has them."""
+    """Builds a model from options, without those `OFFERED` ones that its constructor lacks."""
 
     model: Callable[..., Segmenter]
 
-    @property
-    def refused(self) -> set[str]:
-        """Options on offer that it does not take."""
-        return set(OFFERED) - set(inspect.signature(self.model).parameters)
+    def takes(self, option: str) -> bool:
+        """Tell whether the constructor gets an option; those that are not `OFFERED` are always passed."""
+        return option not in OFFERED or option in inspect.signature(self.model).parameters
 
     def __call__(self, options: Options) -> Segmenter:
-        """The model."""
-        refused = self.refused
-        return self.model(**{name: value for name, value in options.items() if name not in refused})
+        """Build the model."""
+        return self.model(**{name: value for name, value in options.items() if self.takes(name)})

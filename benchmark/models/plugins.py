@@ -2,17 +2,17 @@
 
 Such a class has `fit` and `segment` (`benchmark.models.interface.Segmenter`). Optional attributes describe it further:
 
-- `version`: integer, 1 if left out; raise it when the model's results change, and they are made anew.
+- `version`: integer, 1 if left out; raise it when the model's results change, so that they are made again.
 - `description`: one line; the first line of the docstring if left out.
 - `options`: a tuple of dicts, values of constructor arguments to tune over on the validation split, the first being the
   default. If left out nothing is tuned.
 - `random`: False if seeds make no difference.
-- `uses_labels`: True if it must see `Clip.truth`; its rows are marked.
+- `uses_labels`: True if it needs `Clip.truth`; its rows are marked.
 - `priors`: its inputs beyond the images, out of `benchmark.models.model_spec.PRIORS`.
 - `kind`: one of `benchmark.models.model_spec.KINDS`; "learned" if left out.
-- `budget`: seconds that it trains for unless the command says otherwise; 600.0 if left out.
+- `budget`: training budget in seconds, unless the command sets another; 600.0 if left out.
 - `extra`: names of further segmentations that its predictions hold; none if left out.
-- `views`: how many views of a frame it is given and how many supervise it, such as ("one", "all").
+- `views`: views of a frame that it is given, and views that supervise it, such as ("one", "all").
 """
 
 import inspect
@@ -31,7 +31,7 @@ from datagen.errors import UsageError
 
 GROUP = "obpose.models"
 
-UNSAID: dict[str, Any] = {
+DEFAULTS: dict[str, Any] = {
     "version": 1,
     "description": "",
     "options": (),
@@ -57,7 +57,7 @@ class Problem:
 
 
 def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Problem]]:
-    """Load the models of other packages by name, and the problems of the rest; names in `taken` are ours."""
+    """Load the models of other packages by name, and the problems of broken ones; names in `taken` are reserved."""
     entries = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value))
     times = Counter(entry.name.casefold() for entry in entries)
     models: dict[str, ModelSpec] = {}
@@ -85,24 +85,19 @@ def spec_of(model: Any) -> ModelSpec:
     for method in ("fit", "segment"):
         if not inspect.isclass(model) or not callable(getattr(model, method, None)):
             raise UsageError(f"{model!r} has no method {method!r}; a model is a class with fit and segment.")
-    said = {name: getattr(model, name, default) for name, default in UNSAID.items()}
-    _check(said)
-    for options in said["options"] or ({},):
+    declared = {name: getattr(model, name, default) for name, default in DEFAULTS.items()}
+    _check(declared)
+    for options in declared["options"] or ({},):
         _check_options(options, inspect.signature(model))
-    summary = inspect.cleandoc(model.__doc__ or model.__name__).splitlines()[0]
-    return ModelSpec(
-        build=Builder(cast(type[Segmenter], model)),
-        version=said["version"],
-        description=said["description"] or summary,
-        kind=said["kind"],
-        grid=tuple(said["options"]),
-        random=said["random"],
-        uses_labels=said["uses_labels"],
-        priors=tuple(said["priors"]),
-        budget=said["budget"],
-        extra=said["extra"],
-        views=Views(*said["views"]) if said["views"] else None,
-    )
+    grid, views = declared.pop("options"), declared.pop("views")
+    facts = {
+        **declared,
+        "description": declared["description"] or inspect.cleandoc(model.__doc__ or model.__name__).splitlines()[0],
+        "grid": tuple(grid),
+        "priors": tuple(declared["priors"]),
+        "views": Views(*views) if views else None,
+    }
+    return ModelSpec(Builder(cast(type[Segmenter], model)), **facts)
 
 
 def _check_name(name: str, taken: Collection[str], times: int) -> None:
@@ -138,30 +133,32 @@ def _origin(entry: EntryPoint) -> str:
     return f"{package}entry point {entry.value!r}"
 
 
-def _check(said: Mapping[str, Any]) -> None:
-    for name, default in UNSAID.items():
-        if type(said[name]) is not type(default):
-            raise UsageError(f"its {name} is {said[name]!r}; expected {type(default).__name__}, such as {default!r}.")
-    if not 1 <= said["version"] < 2**31:
-        raise UsageError(f"its version is {said['version']}; the first is 1.")
-    if not 0 < said["budget"] < math.inf:
-        raise UsageError(f"its budget is {said['budget']:g}; expected more than 0 seconds.")
+def _check(declared: Mapping[str, Any]) -> None:
+    for name, default in DEFAULTS.items():
+        if type(declared[name]) is not type(default):
+            raise UsageError(
+                f"its {name} is {declared[name]!r}; expected {type(default).__name__}, such as {default!r}."
+            )
+    if not 1 <= declared["version"] < 2**31:
+        raise UsageError(f"its version is {declared['version']}; the first is 1.")
+    if not 0 < declared["budget"] < math.inf:
+        raise UsageError(f"its budget is {declared['budget']:g}; expected more than 0 seconds.")
     kinds = [kind for kind in KINDS if kind != "predictions"]
-    if said["kind"] not in kinds:
-        raise UsageError(f"its kind is {said['kind']!r}; expected one of {', '.join(kinds)}.")
-    if said["views"] and (len(said["views"]) != 2 or not {*said["views"]} <= {*VIEWS_SEEN}):
-        raise UsageError(f"its views are {said['views']!r}; expected two of {', '.join(VIEWS_SEEN)}.")
-    if wrong := [name for name in said["extra"] if not isinstance(name, str)]:
+    if declared["kind"] not in kinds:
+        raise UsageError(f"its kind is {declared['kind']!r}; expected one of {', '.join(kinds)}.")
+    if declared["views"] and (len(declared["views"]) != 2 or not {*declared["views"]} <= {*VIEWS_SEEN}):
+        raise UsageError(f"its views are {declared['views']!r}; expected two of {', '.join(VIEWS_SEEN)}.")
+    if wrong := [name for name in declared["extra"] if not isinstance(name, str)]:
         raise UsageError(f"its extra holds {wrong[0]!r}; expected names.")
-    if unknown := [prior for prior in said["priors"] if prior not in PRIORS]:
+    if unknown := [prior for prior in declared["priors"] if prior not in PRIORS]:
         raise UsageError(f"its priors name {', '.join(map(repr, unknown))}; expected some of {', '.join(PRIORS)}.")
 
 
 def _check_options(options: Any, signature: inspect.Signature) -> None:
     if not isinstance(options, Mapping):
         raise UsageError(f"its options hold {options!r}; expected a dict of constructor arguments.")
-    told = {"slots": 1} if "slots" in signature.parameters else {}
+    offered = {"slots": 1} if "slots" in signature.parameters else {}
     try:
-        signature.bind(**{**options, **told})
+        signature.bind(**{**options, **offered})
     except TypeError as error:
         raise UsageError(f"its constructor does not take the options {dict(options)!r} ({error}).") from None

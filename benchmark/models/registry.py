@@ -1,7 +1,7 @@
-"""Which models there are: names, how to build them, and what the tables must say about them.
+"""Registry of all models by name.
 
-`find_model(name)` gives the `ModelSpec` of one model, `expand(names)` replaces groups such as `training-free` by their
-members, `discover()` lists everything with what is wrong with broken plug-ins. A model is built from options: those
+`find_model(name)` returns the `ModelSpec` of one model. `expand(names)` replaces groups such as `training-free` by
+their members. `discover()` lists all models, and the problems of broken plug-ins. A model is built from options: those
 of `benchmark.models.interface`, and one value of its grid, the default or the choice of `benchmark.models.tuning`:
 
     spec = find_model("plane-dbscan")
@@ -23,18 +23,18 @@ from datagen.errors import UsageError, unknown_name
 __all__ = ["GROUPS", "MODELS", "Group", "ModelSpec", "Problem", "budget_of", "discover", "expand", "find_model"]
 
 MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **POSED, **LEARNED}
-"""The models of this package; those of others come from `discover`."""
+"""Models of this package; `discover` adds those of other packages."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """A name that stands for several models."""
+    """Several models under one name."""
 
     members: tuple[str, ...]
     """Names of its models."""
     budget: float | None = None
-    """Seconds of one core that all models of a command with this group may train for, so that none has more than
-    another; None: what each declares."""
+    """Equal training budget of all models in a command with this group, in seconds of one core; None: each model's
+    own."""
 
 
 GROUPS: dict[str, Group] = {
@@ -56,25 +56,25 @@ GROUPS: dict[str, Group] = {
         budget=12 * 60.0,
     ),
 }
-"""Names that stand for several models; `paper` are the rows of the paper's tables."""
+"""Groups of models by name; `paper` holds the rows of the paper's tables."""
 
 
 def discover() -> tuple[dict[str, ModelSpec], list[Problem]]:
-    """All models by name, our own and those of other packages, and what is wrong with those that cannot be used."""
+    """Find all models by name, plug-ins included, and the problems of plug-ins that cannot be used."""
     foreign, problems = plugins.load(taken=row_names(MODELS) | set(GROUPS))
     return {**MODELS, **foreign}, problems
 
 
 def row_names(models: Mapping[str, ModelSpec]) -> set[str]:
-    """Names of the rows that models have in tables: their own, and those of further segmentations."""
+    """Names of all rows of models in tables: the models themselves, and their further segmentations."""
     return {*models, *(f"{name}-{extra}" for name, spec in models.items() for extra in spec.extra)}
 
 
 def find_model(name: str) -> ModelSpec:
-    """The model of that name.
+    """Find a model by name.
 
     Raises:
-        UsageError: there is none, and says which name is near; or it is a plug-in that is broken, and says how.
+        UsageError: it does not exist (suggests a similar name), or is a broken plug-in (names its problem).
     """
     if name in MODELS:
         return MODELS[name]
@@ -88,7 +88,7 @@ def find_model(name: str) -> ModelSpec:
 
 
 def expand(names: Iterable[str]) -> list[str]:
-    """Names of models, each once, in which groups are replaced by their members; every one of them can be found.
+    """Replace groups by their members, and check that all models exist; each name appears once.
 
     Raises:
         UsageError: as `find_model`.
@@ -100,6 +100,6 @@ def expand(names: Iterable[str]) -> list[str]:
 
 
 def budget_of(names: Iterable[str]) -> float | None:
-    """The equal budget that goes with groups among these names, the smallest of several; None where none has one."""
+    """Equal training budget of the groups among these names, the smallest of several; None if no group has one."""
     budgets = (GROUPS[name].budget for name in names if name in GROUPS)
     return min((budget for budget in budgets if budget is not None), default=None)

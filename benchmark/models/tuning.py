@@ -1,7 +1,7 @@
-"""Choosing a model's options: the validation split's labels score each declared value; the model never sees them."""
+"""Choose a model's options by their scores on labelled validation clips; the model never gets the labels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Integer
@@ -12,7 +12,7 @@ from benchmark.models.model_spec import ModelSpec, Options
 
 CRITERION = "msc_fg"
 FRAMES = 300
-"""Frames that one value is scored on; the standard error of their MSC-FG is about 0.01, and shared by all values."""
+"""Frames that each value is scored on; the standard error of their MSC-FG is about 0.01, and shared by all values."""
 
 Labels = Integer[np.ndarray, "frame view height width"]
 Sample = tuple[Clip, Integer[np.ndarray, "kept_frame view height width"]]
@@ -20,12 +20,12 @@ Sample = tuple[Clip, Integer[np.ndarray, "kept_frame view height width"]]
 
 @dataclass(frozen=True)
 class Choice:
-    """What tuning found."""
+    """Result of tuning."""
 
     options: Options
     """`slots` and the chosen value of the grid."""
     scores: tuple[float, ...]
-    """MSC-FG of every value, in the grid's order; empty where there was nothing to choose."""
+    """MSC-FG of every value, in the grid's order; empty if there is only one value."""
 
 
 def choose(
@@ -39,10 +39,10 @@ def choose(
     budget: float,
     limit: int = FRAMES,
 ) -> Choice:
-    """The value of the model's grid with the best MSC-FG on validation clips; of equal ones the first.
+    """Choose the value of the model's grid with the best MSC-FG on validation clips; the first of equal ones.
 
-    Every value is fitted anew, with an equal part of `budget`, and scored on at most `limit` frames (not counting
-    views), spread evenly over the clips and over the frames of each. A value that never has a defined score loses.
+    A new model is fitted for every value, with an equal part of `budget`. It is scored on at most `limit` frames (not
+    counting views), spread evenly over the clips and over the frames of each. Values without a defined score lose.
     """
     if len(spec.grid) < 2:
         return Choice({**options, **spec.default}, ())
@@ -57,27 +57,23 @@ def choose(
 
 
 def subsample(clips: Sequence[Clip], truths: Sequence[Labels], limit: int) -> list[Sample]:
-    """At most `limit` frames: of every clip as many, spread evenly, or one each of as many clips."""
+    """Select at most `limit` frames, evenly: the same number of every clip, or one frame each of fewer clips."""
     chosen = _spread(len(clips), limit)
-    return [_thinned(clips[i], truths[i], limit // max(len(chosen), 1)) for i in chosen]
-
-
-def _thinned(clip: Clip, truth: Labels, count: int) -> Sample:
-    """A clip of `count` of its frames, or of all where it has fewer."""
-    frames = _spread(len(clip.rgb), count)
-    seen = None if clip.truth is None else clip.truth[frames]
-    thin = replace(clip, rgb=clip.rgb[frames], depth=clip.depth[frames], valid=clip.valid[frames], truth=seen)
-    return thin, truth[frames]
+    sample = []
+    for i in chosen:
+        frames = _spread(len(clips[i].rgb), limit // max(len(chosen), 1))
+        sample.append((clips[i].select(frames), truths[i][frames]))
+    return sample
 
 
 def _spread(length: int, count: int) -> list[int]:
-    """At most `count` indices, each in the middle of an equal part of the range."""
+    """Choose at most `count` indices, each in the middle of an equal part of the range."""
     count = min(length, count)
     return [(2 * i + 1) * length // (2 * count) for i in range(count)]
 
 
 def _criterion(model: Segmenter, sample: Sequence[Sample]) -> float:
-    """Mean of the criterion over all frames in which it is defined; pixels without depth do not count."""
+    """Mean of the criterion over all frames in which it is defined; pixels without depth are ignored."""
     values = []
     for clip, truth in sample:
         prediction = model.segment(clip)

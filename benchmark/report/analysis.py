@@ -9,10 +9,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from benchmark.report.observations import Objects, Outcome, Truth, outcome_of_scene, read_truth, scene_tables
-from benchmark.results.dataset_lookup import labels_path
-from benchmark.results.label_files import reading_labels
-from benchmark.results.labels import check_labels_fit, read_labels
-from benchmark.results.pose_files import poses_in
+from benchmark.results.labels import check_labels_fit, labels_path, read_labels, read_poses
 from benchmark.results.run_folder import RunRow, load_scenes
 from datagen.errors import UsageError
 from datagen.storage.reader import Split
@@ -94,8 +91,7 @@ def outcome(
 def read_maps(folder: Path, row: RunRow, wanted: set[int]) -> dict[int, Maps]:
     """Read the label maps, and the boxes if there are any, of the wanted scenes of a run."""
     path, scenes = labels_path(folder, row), sorted(wanted)
-    with reading_labels(path) as file:
-        every = poses_in(file, scenes) or [None] * len(scenes)
+    every = read_poses(path, scenes) or [None] * len(scenes)
     boxes = {
         scene: (poses.center, poses.rotation, poses.size)
         for scene, poses in zip(scenes, every, strict=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from benchmark.execution.validation_scores import SCORES
+from benchmark.models.validation import SCORES
 from benchmark.ranking.columns import HEADINGS
 from benchmark.ranking.standings import ModelResult, comparable_groups
 from benchmark.ranking.text import one_line, plain_number

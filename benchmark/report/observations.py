@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Float64, Int64, Integer
 from benchmark.metrics.contingency import contingency
 from benchmark.metrics.errors_by_type import errors_by_type
 from benchmark.metrics.overlap import intersection_over_union
-from datagen.storage.reader import Split
+from datagen.storage.reader import Split, read_depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +44,7 @@ Truth = tuple[Integer[np.ndarray, "frame view height width"], Bool[np.ndarray, "
 
 def read_truth(scenes: Split, scene: int) -> Truth:
     """Read the ground truth of a scene."""
-    depth = "sensor_valid" if scenes.spec["recipe"]["sensor"]["enabled"] else "depth"
-    record = scenes.read(scene, ["segmentation", depth])
-    return record["segmentation"], record[depth] == 0
+    return scenes.read(scene, ["segmentation"])["segmentation"], ~read_depth(scenes, scene)[1]
 
 
 def observe(scenes: Split) -> Objects:

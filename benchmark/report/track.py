@@ -7,8 +7,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from benchmark.execution.runner import SPLIT
-from benchmark.execution.validation_scores import SCORES
+from benchmark.models.validation import SCORES
 from benchmark.ranking.columns import HEADINGS, POSE_SCORES, SEEDS, scenes_title, with_poses
 from benchmark.ranking.standings import PRETRAINED, ModelResult, best_first, compare_results
 from benchmark.ranking.text import MOST_DECIMALS
@@ -17,7 +16,8 @@ from benchmark.report.analysis import Analysis, analyse
 from benchmark.report.charts import LineChart, Scatter, class_chart, history_chart, scatter
 from benchmark.report.observations import Objects, observe
 from benchmark.report.slices import Missing, slicings
-from benchmark.results.curves import CLOCKS
+from benchmark.results.csv_files import CLOCKS
+from benchmark.results.scoring import SPLIT
 from datagen.errors import DatagenError, UsageError
 from datagen.storage.reader import Dataset, Split
 

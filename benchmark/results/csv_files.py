@@ -1,17 +1,27 @@
-"""Reading CSV files of a run folder, which may be damaged or come from somebody else."""
+"""CSV files of a run folder: checked reading of any table, and learning curves."""
 
 import csv
 import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from datagen.errors import CorruptFile
+from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import read_text
+
+CLOCKS = ("step", "seconds")
+"""Columns in which learning curves count time."""
+
+Curve = list[dict[str, float]]
+"""Quantities by name; not every point has all of them."""
 
 
 def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Read the column names and the lines of a CSV file, all of the same number of cells.
+    """Read the column names and the lines of a CSV file, and check that all lines have the same number of cells.
 
     Raises:
-        ValueError: it is empty, cut short, or no table.
+        ValueError: the file is empty, cut short, or not a table.
         CorruptFile: it is too large or not UTF-8.
         UsageError: it is no regular file.
         OSError: it cannot be read.
@@ -29,3 +39,40 @@ def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
         if len(cells) != len(names):
             raise ValueError(f"line {number} has {len(cells)} cells; expected {len(names)}")
     return names, lines
+
+
+def save_curve(path: Path, curve: Sequence[Mapping[str, float]]) -> None:
+    """Write a learning curve with exact floats; quantities that a point lacks become empty cells."""
+    names = list(dict.fromkeys(name for point in curve for name in point))
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows([repr(float(point[name])) if name in point else "" for name in names] for point in curve)
+    write_atomically(path, text.getvalue().encode())
+
+
+def load_curve(path: Path) -> Curve | None:
+    """Load a learning curve; None if the file does not exist.
+
+    Raises:
+        CorruptFile: the file is damaged.
+    """
+    if not path.exists():
+        return None
+    try:
+        return parse_curve(*read_csv(path))
+    except (OSError, ValueError) as error:
+        raise CorruptFile(f"{path} is damaged ({error}); delete it: it is not needed for the scores.") from None
+
+
+def parse_curve(names: Sequence[str], lines: Iterable[Sequence[str]]) -> Curve:
+    """Parse a curve from its column names and the cells of its lines; empty cells are quantities that a point lacks.
+
+    Raises:
+        ValueError: a cell is not a number, a time is not finite, or a line has another number of cells.
+    """
+    curve = [{name: float(cell) for name, cell in zip(names, cells, strict=True) if cell} for cells in lines]
+    for clock in CLOCKS:
+        if not all(math.isfinite(point.get(clock, 0.0)) for point in curve):
+            raise ValueError(f"{clock} holds a value that is not finite")
+    return curve

@@ -14,7 +14,7 @@ from datagen.storage.atomic import write_atomically
 
 MANIFEST = "manifest.json"
 HASHED = tuple(name for name in FILES if name != "per_scene.csv")
-"""Files that the manifest lists. per_scene.csv is made from `scenes/` and too large for git, so clones lack it."""
+"""Files that the manifest lists, without per_scene.csv, which is made from `scenes/` and too large for git."""
 PACKAGES = ("obpose", "numpy", "scipy", "scikit-learn", "h5py", "torch")
 
 

@@ -1,7 +1,7 @@
 """`obpose-bench pack`: add the rows of run folders to a packed folder, in the form of `benchmark.results.packed_runs`.
 
-Contents that the packed folder, or another one of the same tree, stores already become references. The tree is all
-that lies below the topmost of nested packed folders, such as docs/results. Stored contents are never moved or changed,
+Contents already stored in the packed folder, or in another one of the same tree, become references. The tree is
+everything below the topmost of nested packed folders, such as docs/results. Stored contents are never moved or changed,
 so that references to them stay valid.
 """
 
@@ -15,7 +15,7 @@ from typing import Any
 from benchmark.ranking import leaderboard
 from benchmark.ranking.leaderboard import leaderboard_lines, seed_lines, to_csv
 from benchmark.ranking.standings import load_standings
-from benchmark.results.curves import Curve
+from benchmark.results.csv_files import Curve
 from benchmark.results.manifest import MANIFEST, write_manifest
 from benchmark.results.packed_runs import (
     CURVES_FILE,
@@ -68,14 +68,14 @@ class Result:
 def pack(runs: Sequence[Path], out: Path) -> int:
     """Add all rows of run folders to a packed folder, made if missing; the same rows give the same bytes.
 
-    The tables are written anew in any case.
+    The tables are always written again.
 
     Returns:
         The number of rows that were added; the others were there already.
 
     Raises:
-        UsageError: no run folder is given or one has no rows; or the packed folder holds other files, or another
-            result in the place of a new one.
+        UsageError: no run folder is given, one has no rows, or the packed folder holds other files or another result
+            in the place of a new one.
         CorruptFile: a row or a table is damaged.
         DatagenError: a file cannot be written.
     """
@@ -136,7 +136,7 @@ class _Archive:
         return True
 
     def _parts(self, result: Result) -> dict[Part, str]:
-        """Store the scores and the curve of a result; give references to those that are stored already."""
+        """Store the scores and the curve of a result; returns references to those that are stored already."""
         references: dict[Part, str] = {}
         scenes, curve = result.scenes, result.row.learning_curve
         if scenes:

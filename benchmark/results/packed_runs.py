@@ -24,7 +24,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from benchmark.results.curves import Curve, parse_curve
+from benchmark.results.csv_files import Curve, parse_curve
 from datagen.errors import CorruptFile, UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import MOST_TEXT_BYTES, parse_json, read_bytes
@@ -43,6 +43,7 @@ Fields = dict[str, Any]
 Part = Literal["scenes", "curve"]
 """Part of a row that may be shared with another row."""
 Stored = TypeVar("Stored", Columns, Curve)
+Parsed = TypeVar("Parsed")
 
 
 def is_packed(folder: Path) -> bool:
@@ -64,7 +65,7 @@ def refuse_packed(folder: Path) -> None:
 
 
 def packed_rows(folder: Path) -> Iterator[Fields]:
-    """Give the fields of every row, `name` and `learning_curve` included, ordered by name.
+    """Yield the fields of every row, `name` and `learning_curve` included, ordered by name.
 
     Raises:
         CorruptFile: a file is damaged or missing.
@@ -75,7 +76,7 @@ def packed_rows(folder: Path) -> Iterator[Fields]:
 
 
 def packed_scenes(folder: Path, name: str) -> Columns:
-    """Give the per-scene scores of one row.
+    """Per-scene scores of one row.
 
     Raises:
         CorruptFile: a file is damaged or missing, or does not have these scores.
@@ -112,7 +113,7 @@ def owner_of(folder: Path, row: Fields, part: Part) -> tuple[Path, str]:
 
 
 def _follow(folder: Path, relative: object) -> Path:
-    """Go from one packed folder to another."""
+    """Resolve a reference from one packed folder to another."""
     if not isinstance(relative, str) or "\0" in relative or PurePosixPath(relative).is_absolute():
         raise _damaged(folder / ROWS_FILE, f"it refers to {relative!r:.80}; expected a relative path")
     other = folder / relative
@@ -125,34 +126,38 @@ def _follow(folder: Path, relative: object) -> Path:
 
 
 def stored_rows(folder: Path) -> dict[str, Fields]:
-    """Give the lines of `runs.jsonl.xz` by name, references as they are.
+    """Load the lines of `runs.jsonl.xz` by name, without following references.
 
     Raises:
         CorruptFile: the file is damaged or missing.
     """
-    return _rows_of(folder / ROWS_FILE, _stamp(folder / ROWS_FILE))
+    return _load(folder / ROWS_FILE, _parse_rows)
 
 
 def stored_scenes(folder: Path) -> dict[str, Columns]:
-    """Give all tables of `scenes.csv.xz`, which may be absent, by name; errors as `stored_rows`."""
+    """Load all tables of `scenes.csv.xz` by name; none if the file is absent. Raises errors as `stored_rows`."""
     path = folder / SCENES_FILE
-    return _scenes_of(path, _stamp(path)) if path.exists() else {}
+    return _load(path, _parse_scenes) if path.exists() else {}
 
 
 def stored_curves(folder: Path) -> dict[str, Curve]:
-    """Give all curves of `curves.csv.xz`, which may be absent, by name; errors as `stored_rows`."""
+    """Load all curves of `curves.csv.xz` by name; none if the file is absent. Raises errors as `stored_rows`."""
     path = folder / CURVES_FILE
-    return _curves_of(path, _stamp(path)) if path.exists() else {}
+    return _load(path, _parse_curves) if path.exists() else {}
 
 
-def _stamp(path: Path) -> tuple[int, ...]:
-    """Tell versions of a file apart, for the caches."""
+def _load(path: Path, parse: Callable[[Path], Parsed]) -> Parsed:
+    """Parse a file, or return the cached result if the file has not changed."""
     status = path.stat()
-    return status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size
+    return _load_version(path, parse, (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size))
 
 
-@lru_cache(maxsize=16)
-def _rows_of(path: Path, _stamp: tuple[int, ...]) -> dict[str, Fields]:
+@lru_cache(maxsize=48)
+def _load_version(path: Path, parse: Callable[[Path], Any], _version: tuple[int, ...]) -> Any:
+    return parse(path)
+
+
+def _parse_rows(path: Path) -> dict[str, Fields]:
     rows: dict[str, Fields] = {}
     for number, line in enumerate(filter(None, unpacked(path).split("\n")), start=1):
         try:
@@ -165,17 +170,15 @@ def _rows_of(path: Path, _stamp: tuple[int, ...]) -> dict[str, Fields]:
     return rows
 
 
-@lru_cache(maxsize=16)
-def _scenes_of(path: Path, _stamp: tuple[int, ...]) -> dict[str, Columns]:
-    return _parsed(path, _columns)
+def _parse_scenes(path: Path) -> dict[str, Columns]:
+    return _parse_tables(path, _columns)
 
 
-@lru_cache(maxsize=16)
-def _curves_of(path: Path, _stamp: tuple[int, ...]) -> dict[str, Curve]:
-    return _parsed(path, parse_curve)
+def _parse_curves(path: Path) -> dict[str, Curve]:
+    return _parse_tables(path, parse_curve)
 
 
-def _parsed(path: Path, parse: Callable[[Sequence[str], list[list[str]]], Stored]) -> dict[str, Stored]:
+def _parse_tables(path: Path, parse: Callable[[Sequence[str], list[list[str]]], Stored]) -> dict[str, Stored]:
     """Parse all tables of a file, one for each name in its first column."""
     found: dict[str, Stored] = {}
     try:
@@ -193,7 +196,7 @@ def _parsed(path: Path, parse: Callable[[Sequence[str], list[list[str]]], Stored
 
 
 def _columns(names: Sequence[str], lines: list[list[str]]) -> Columns:
-    """Parse the scores of one row; a column is there if it has a value, or if NAME_n says how many values it has."""
+    """Parse the scores of one row; columns without values, and without counts of values in NAME_n, are left out."""
     if any(len(cells) != len(names) for cells in lines):
         raise ValueError(f"a line has another number of columns than the header, {len(names)}")
     values = np.array([[cell or "nan" for cell in cells] for cells in lines], np.float64)
@@ -235,7 +238,7 @@ def write_scenes(folder: Path, tables: Mapping[str, Columns]) -> None:
 
 
 def write_curves(folder: Path, curves: Mapping[str, Curve]) -> None:
-    """Write `curves.csv.xz`, ordered by name, such that floats are read back exactly."""
+    """Write `curves.csv.xz`, ordered by name, with exact floats."""
     lines = {
         name: [{key: repr(float(value)) for key, value in point.items()} for point in curve]
         for name, curve in curves.items()
@@ -244,7 +247,7 @@ def write_curves(folder: Path, curves: Mapping[str, Curve]) -> None:
 
 
 def _write_tables(path: Path, tables: Mapping[str, Sequence[Mapping[str, str]]]) -> None:
-    """Write the lines of all tables below each other, with the columns of all; no tables, no file."""
+    """Write the lines of all tables below each other, with the columns of all; without tables, write no file."""
     if not tables:
         return
     names = list(dict.fromkeys(column for name in sorted(tables) for line in tables[name] for column in line))
@@ -257,7 +260,7 @@ def _write_tables(path: Path, tables: Mapping[str, Sequence[Mapping[str, str]]])
 
 
 def score_text(value: float) -> str:
-    """Write a score with at most `DECIMALS` decimals, nan as nothing.
+    """Format a score with at most `DECIMALS` decimals; nan is an empty text.
 
     >>> [score_text(value) for value in (0.5, 3.0, -1e-9, 0.12345678, math.nan)]
     ['0.5', '3', '0', '0.123457', '']
@@ -266,7 +269,7 @@ def score_text(value: float) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    """Compress a text into a file that does not hold it already; the same text gives the same bytes."""
+    """Compress a text into a file, unless it holds the text already; equal texts give equal bytes."""
     data = text.encode()
     if len(data) > MOST_TEXT_BYTES:
         raise UsageError(

@@ -1,13 +1,13 @@
 """The run folder: finished rows, their scores scene by scene, and their label maps.
 
 OUT/
-    runs/NAME.json .... one `RunRow`; it is written last, and in one piece: it makes the row count
-    scenes/NAME.csv ... one line a scene: every metric's mean over its frames, over how many, and counts
-    labels/NAME.h5 .... the label maps, from which everything else can be computed again
-    curves/NAME.csv ... the learning curve, of models that keep one
-    training/ ......... models' own files: checkpoints, pictures
-    watched/ .......... scores on validation clips while models learn, which go into the curves
-with NAME = track--model--seed--8 hex digits of the key. What else lies in OUT is made from these.
+    runs/NAME.json .... one `RunRow`; it is written last and atomically, and only then counts as finished
+    scenes/NAME.csv ... one line per scene: the mean of every metric, its number of frames, and counts
+    labels/NAME.h5 .... the label maps, from which all scores can be recomputed
+    curves/NAME.csv ... the learning curve, if the model records one
+    training/ ......... files of models: checkpoints, pictures
+    watched/ .......... validation scores during training, which are added to the curves
+with NAME = track--model--seed--8 hex digits of the key. All other files in OUT are derived from these.
 Folders in the packed form of `benchmark.results.packed_runs` are read in the same way and never written to.
 """
 
@@ -19,14 +19,14 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
 from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.models.model_spec import Kind
-from benchmark.results.csv_files import read_csv
-from benchmark.results.curves import load_curve, save_curve
+from benchmark.results.csv_files import load_curve, read_csv, save_curve
 from benchmark.results.packed_runs import SCENES_FILE, is_packed, packed_rows, packed_scenes
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
@@ -43,6 +43,8 @@ SCORES = (*METRICS, *CLIP_METRICS)
 ROUNDING = 1e-6
 """Tolerance of the range check, as stored scores are rounded."""
 
+Count = Annotated[int, msgspec.Meta(ge=0)]
+
 SceneTable = dict[str, np.ndarray]
 """Column name to float64 array over scenes: `scene`, `n_frames`, `<metric>`, `<metric>_n`, and `COUNTS`."""
 
@@ -55,8 +57,8 @@ class RunKey:
     fit_track: str
     """Track fitted, or tuned, on; equals `track` if that is the scored track itself."""
     model: str
-    seed: int
-    version: int
+    seed: Count
+    version: Count
     """Version of the model."""
     config_hash: str
     """SHA-256 of the settings that were known before the run: the declared grid, budgets, options."""
@@ -107,9 +109,9 @@ class RunRow:
     """Inputs of the model beside the clips, such as the number of slots."""
     random: bool
     """Whether results depend on the seed; if not, one run stands for all seeds."""
-    n_scenes: int
+    n_scenes: Count
     """Number of scored scenes; 0 if the run failed."""
-    parameters: int
+    parameters: Count
     """Number of learned parameters; 0 for models that learn nothing."""
     device: str
     commit: str
@@ -119,7 +121,7 @@ class RunRow:
     """Name of the weights that were used in place of training; empty if the run trained."""
     views: str = ""
     """Views of a frame that the model gets and that supervise it; empty if undeclared or if there is only one view."""
-    trials: int = 0
+    trials: Count = 0
     """Number of values compared by validation scores, if known."""
     learning_curve: list[dict[str, float]] | None = field(default=None)
     """Learning curve recorded in training, one dict per recorded step; kept in `curves/`."""
@@ -147,7 +149,7 @@ def plain_values(row: RunRow) -> dict[str, Any]:
 
 
 def storable(value: Any) -> Any:
-    """Replace values that `load_row` would refuse: nan, infinite numbers and unpaired surrogates in text."""
+    """Replace values that `load_row` would reject: nan, infinite numbers and unpaired surrogates in text."""
     if isinstance(value, dict):
         return {name: storable(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -155,6 +157,10 @@ def storable(value: Any) -> Any:
     if isinstance(value, str):
         return value.encode(errors="replace").decode()
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+_DAMAGE = (msgspec.ValidationError, ValueError, TypeError, KeyError, AttributeError)
+"""Errors that damaged values of a row raise."""
 
 
 def row_path(folder: Path, key: RunKey) -> Path:
@@ -184,7 +190,7 @@ def _packed_row(folder: Path, values: dict[str, Any]) -> RunRow:
     try:
         own = {name: value for name, value in values.items() if name not in ("name", "scenes", "curve")}
         return _row(values["name"], own)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except _DAMAGE as error:
         raise CorruptFile(
             f"{folder} has a damaged row, {values['name']:.200} ({brief_reason(error)}). Get it again."
         ) from None
@@ -205,7 +211,7 @@ def load_row(path: Path) -> RunRow:
     """Load one row.
 
     Raises:
-        CorruptFile: it is damaged.
+        CorruptFile: the file is damaged.
     """
     try:
         # Rows of older versions have NaN where a cost was not measured; JSON has no such number.
@@ -213,49 +219,23 @@ def load_row(path: Path) -> RunRow:
         if not isinstance(values, dict):
             raise ValueError(f"it holds a {type(values).__name__}, expected an object")
         return _row(path.stem, {**values, "learning_curve": load_curve(_curve_path(path.parent.parent, path.stem))})
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except _DAMAGE as error:
         raise CorruptFile(
             f"{path} is damaged ({brief_reason(error)}); delete it and run the same command again."
         ) from None
 
 
 def _row(name: str, values: dict[str, Any]) -> RunRow:
-    """Build the row of that name from plain values; raises ValueError, TypeError, KeyError or AttributeError."""
+    """Build the row of that name from plain values; raises an error of `_DAMAGE` if they are damaged."""
     json.dumps(values, ensure_ascii=False).encode()  # raises ValueError for text that cannot be written again
     costs = {name: math.nan if cost is None else cost for name, cost in values["measured"].items()}
-    key, measured = build_checked(RunKey, values["key"]), build_checked(Measured, costs)
-    if key.name != name or not {"/", "\0"}.isdisjoint(name):
-        raise ValueError(f"it holds the row {key.name}")
-    if not isinstance(values["priors"], list) or not all(isinstance(prior, str) for prior in values["priors"]):
-        raise TypeError(f"priors is {values['priors']!r:.40}")
-    return build_checked(RunRow, {**values, "key": key, "measured": measured, "priors": tuple(values["priors"])})
-
-
-def build_checked(kind: type[Any], values: Mapping[str, Any]) -> Any:
-    """Build a dataclass from values of a file.
-
-    Raises:
-        TypeError: a field is missing or unknown, or a plain value is not allowed for its field.
-    """
-    hints = get_type_hints(kind)
-    required = [field.name for field in dataclasses.fields(kind) if _is_required(field)]
-    if missing := [name for name in required if name not in values]:
-        raise TypeError(f"{missing[0]} is missing")
-    if unknown := [name for name in values if name not in hints]:
-        raise TypeError(f"it has an unknown field {unknown[0]:.40}")
-    for name, hint in hints.items():
-        if name not in values:
-            continue
-        value = values[name]
-        plain = hint in (str, int, float, bool)
-        wrong = (plain and type(value) is not hint) or (get_origin(hint) is dict and not isinstance(value, dict))
-        if wrong or (get_origin(hint) is Literal and value not in get_args(hint)) or (type(value) is int and value < 0):
-            raise TypeError(f"{name} is {value!r:.40}")
-    return kind(**values)
-
-
-def _is_required(field: dataclasses.Field[Any]) -> bool:
-    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    row = msgspec.convert({**values, "measured": costs}, RunRow)
+    for kind, part in ((RunRow, values), (RunKey, values["key"]), (Measured, costs)):
+        if unknown := set(part) - {field.name for field in dataclasses.fields(kind)}:
+            raise ValueError(f"it has an unknown field {min(unknown):.40}")
+    if row.key.name != name or not {"/", "\0"}.isdisjoint(name):
+        raise ValueError(f"it holds the row {row.key.name}")
+    return row
 
 
 def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:

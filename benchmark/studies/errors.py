@@ -15,8 +15,7 @@ from benchmark.metrics.errors_by_type import ERROR_TYPES, MEANINGS
 from benchmark.ranking.leaderboard import Line
 from benchmark.report.analysis import outcome
 from benchmark.report.observations import Truth, observe, read_truth
-from benchmark.results.label_files import check_labels
-from benchmark.results.labels import dataset_of, read_labels
+from benchmark.results.labels import check_labels, dataset_of, read_labels
 from benchmark.studies.inputs import LabelFlags
 from datagen.storage.reader import Dataset
 

@@ -23,7 +23,6 @@ from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
 from benchmark.ranking.leaderboard import Cell, Line
 from benchmark.studies.inputs import ModelFlags, TableFlags, check_suffix
-from benchmark.tasks.true_poses import world_points
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset, Split
 from obpose.scenes.model_ref import Origin, load_origin
@@ -224,7 +223,7 @@ def _clustering(images: Sequence[LabelledImage], slots: int) -> Segmenter:
 
 
 def _looks(image: LabelledImage) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    points = world_points(image.clip)
+    points = image.clip.points()
     for name in np.unique(image.labels[image.labels > 0]):
         mask = (image.labels == name) & image.clip.valid
         if mask.sum() >= LEAST_PIXELS:

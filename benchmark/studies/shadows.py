@@ -17,8 +17,7 @@ from benchmark.metrics.score import summarise
 from benchmark.ranking.leaderboard import Cell, Line
 from benchmark.ranking.statistics import Summary, draw
 from benchmark.ranking.statistics import summarise as summarise_seeds
-from benchmark.results.label_files import check_labels
-from benchmark.results.labels import dataset_of, read_labels
+from benchmark.results.labels import check_labels, dataset_of, read_labels
 from benchmark.studies.inputs import LabelFlags
 from datagen.errors import UsageError
 from datagen.schema import effect_mask

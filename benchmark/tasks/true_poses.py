@@ -1,11 +1,11 @@
-"""What the generator knows of the objects' poses, as scores of poses want it."""
+"""Ground truth of the objects' poses, in the form that pose scores need."""
 
 import numpy as np
 from jaxtyping import Float, Integer
 
 from benchmark.metrics.poses import TruePoses
 from benchmark.models.interface import Clip
-from datagen.geometry import rotation_from_quaternion, unproject
+from datagen.geometry import rotation_from_quaternion
 from datagen.storage.reader import Split
 
 _FIELDS = (
@@ -22,7 +22,7 @@ _FIELDS = (
 def read_true_poses(
     scenes: Split, index: int, clip: Clip, truth: Integer[np.ndarray, "frame view height width"]
 ) -> TruePoses:
-    """Of one scene; `truth` are its object ids."""
+    """Read the true poses of one scene, whose object ids are `truth`."""
     record = scenes.read(index, _FIELDS)
     count = int(record["objects/count"])
     rotation = rotation_from_quaternion(record["poses/quaternion_wxyz"][:, :count].astype(np.float64))
@@ -38,17 +38,11 @@ def read_true_poses(
     )
 
 
-def world_points(clip: Clip) -> Float[np.ndarray, "frame view height width 3"]:
-    """Surface points of all pixels, metres, world frame; meaningless where `clip.valid` is False."""
-    cameras = list(zip(clip.k, clip.world_from_camera, strict=True))
-    return np.stack([[unproject(d, *camera) for d, camera in zip(f, cameras, strict=True)] for f in clip.depth])
-
-
 def visible_centers(
     clip: Clip, truth: Integer[np.ndarray, "frame view height width"], count: int
 ) -> Float[np.ndarray, "frame view object 3"]:
-    """Mean of the points that each image shows of each object, metres, world frame; nan where it shows none."""
-    points = world_points(clip)
+    """Mean of the visible points of each object in each image, metres, world frame; nan if it shows none."""
+    points = clip.points()
     centers = np.full((*truth.shape[:2], count, 3), np.nan)
     for frame, view, row in np.ndindex(*centers.shape[:3]):
         mine = (truth[frame, view] == row + 1) & clip.valid[frame, view]

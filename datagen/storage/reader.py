@@ -13,8 +13,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, SupportsIndex, overload
 
+import numpy as np
+
 from datagen.errors import DatagenError, UsageError
-from datagen.schema import SPLITS, EditKind, SceneRecord
+from datagen.schema import SPLITS, EditKind, SceneRecord, decode_depth
 from datagen.storage.shard import PackedScene, Shard, scenes_present
 from datagen.storage.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges, views_of
 
@@ -200,3 +202,24 @@ class Split(Sequence[SceneRecord]):
                 self._shards.popitem(last=False)[1].close()
         self._shards.move_to_end(number)
         return self._shards[number]
+
+
+def read_depth(
+    scenes: Split, index: SupportsIndex, frames: slice | None = None, *, exact: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Read the depth of one scene as observed: the sensor's if the recipe has one, otherwise the exact depth.
+
+    Args:
+        scenes: The scenes of a split.
+        index: Number of the scene.
+        frames: Frames to read; all by default.
+        exact: Read the exact depth in any case.
+
+    Returns:
+        Planar z in metres, float32 [frame view height width], 0 without a return; and whether a pixel has a depth.
+    """
+    if exact or not scenes.spec["recipe"]["sensor"]["enabled"]:
+        stored = scenes.read(index, ["depth"], frames)["depth"]
+        return decode_depth(stored), stored > 0
+    record = scenes.read(index, ["sensor_depth", "sensor_valid"], frames)
+    return decode_depth(record["sensor_depth"]), record["sensor_valid"] > 0

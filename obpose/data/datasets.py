@@ -13,6 +13,7 @@ from datagen import schema
 from datagen.console.text import counted
 from datagen.errors import UsageError, unknown_name
 from datagen.storage import reader
+from datagen.storage.reader import read_depth
 from obpose.data.clips import check_window
 
 Window = Literal["first", "random", "all"]
@@ -73,8 +74,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._frames = _window_length(frames, self._clip_frames, folder)
         self._window = _one_of(window, ("first", "random", "all"), "window")
         self._views = _chosen_views(views, self._scenes.views, folder)
-        sensor: bool = spec["recipe"]["sensor"]["enabled"]
-        self._sensor = _one_of(depth, ("observed", "clean"), "depth") == "observed" and sensor
+        self._exact = _one_of(depth, ("observed", "clean"), "depth") == "clean"
         self._extra = _known_fields(extra, _numeric_fields(dataset.groups))
         self._seed = _not_negative(seed, "seed")
         # In shared memory, so that persistent workers see the number of the next epoch.
@@ -123,16 +123,15 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         if not 0 <= index < len(self._scenes):
             raise IndexError(f"Scene {index} of a split with {counted(len(self._scenes), 'scene')}, counted from 0.")
         check_window(start, frames, self._clip_frames)
-        depth = "sensor_depth" if self._sensor else "depth"
-        fields = {"rgb", depth, "camera/K", "camera/world_from_camera", *self._extra}
-        if self._sensor:
-            fields.add("sensor_valid")
-        record = self._scenes.read(index, fields, slice(start, start + frames))
+        chosen = slice(start, start + frames)
+        fields = {"rgb", "camera/K", "camera/world_from_camera", *self._extra}
+        record = self._scenes.read(index, fields, chosen)
         record = {name: self._select_views(name, array) for name, array in record.items()}
+        depth, valid = read_depth(self._scenes, index, chosen, exact=self._exact)
         return {
             "rgb": _rgb(record["rgb"]),
-            "depth": torch.from_numpy(schema.decode_depth(record[depth])),
-            "valid": torch.from_numpy((record["sensor_valid"] if self._sensor else record[depth]) > 0),
+            "depth": torch.from_numpy(self._select_views("depth", depth)),
+            "valid": torch.from_numpy(self._select_views("depth", valid)),
             "k": _tensor("camera/K", record["camera/K"]),
             "world_from_camera": _tensor("camera/world_from_camera", record["camera/world_from_camera"]),
             **{name: _tensor(name, record[name]) for name in self._extra},

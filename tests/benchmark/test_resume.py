@@ -100,7 +100,8 @@ def test_ctrl_c_is_one_line_and_leaves_no_half_row(place: Path, tmp_path: Path):
     errors = errors_at_end(process)
     assert process.returncode == 130
     assert (
-        errors.splitlines()[-1] == "obpose-bench: Interrupted; finished rows are kept, the same command again goes on."
+        errors.splitlines()[-1]
+        == "obpose-bench: Interrupted; finished rows are kept. Run the same command again to resume."
     )
     assert "Traceback" not in errors
     assert not any("interrupted" in row.reason for row in load_runs(tmp_path))

@@ -9,12 +9,9 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
-from unittest import mock
 
 from datagen.console.command_line import run_program
-from datagen.errors import DatagenError
 from datagen.schema import SPLITS
 
 
@@ -54,32 +51,12 @@ def _edit(arguments: list[str]) -> int:
 
 
 def _bench(arguments: list[str]) -> int:
-    import benchmark.execution.schedule
-    import benchmark.tasks.editing.command
     from benchmark.commands.cli import main
+    from benchmark.execution.executor import in_this_process
 
-    with (
-        mock.patch.object(benchmark.execution.schedule, "run_isolated", _run_here),
-        mock.patch.object(benchmark.tasks.editing.command, "run_isolated", _run_here),
-    ):
+    # A process of its own would hide a traceback as the reason of a failed row.
+    with in_this_process():
         return main(arguments)
-
-
-def _run_here(job: Any, _limits: Any, _log: Path, _stop: threading.Event, heard: Callable[[str], None]) -> Any:
-    """A benchmark job in this process: of its own, it would hide a traceback as the reason of a failed row."""
-    from benchmark.execution.isolation import Outcome
-
-    events: list[str] = []
-
-    def announce(event: str) -> None:
-        events.append(event)
-        heard(event)
-
-    try:
-        job.run(announce)
-    except DatagenError as error:
-        return Outcome(tuple(events), str(error))
-    return Outcome(tuple(events), "")
 
 
 def _view(arguments: list[str]) -> int:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmark import report
-from benchmark.execution.scoring import score_labels
 from benchmark.models.interface import Prediction
 from benchmark.ranking.standings import load_standings
 from benchmark.results.labels import write_labels
 from benchmark.results.run_folder import Measured, RunKey, RunRow, save_row
+from benchmark.results.scoring import score_labels
 from datagen.storage.reader import Dataset
 from datagen.tracks import find_dataset
 from tests.worlds.traced import write_dataset

@@ -1,6 +1,6 @@
-"""What is scored besides the models that need no training: those that learn, and label maps made elsewhere.
+"""Learned systems as benchmark models, and label maps made elsewhere.
 
-PyTorch takes seconds to import, so that only building a model does it.
+PyTorch is imported only when a model is built, as that takes seconds.
 """
 
 from dataclasses import replace

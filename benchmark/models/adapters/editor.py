@@ -1,4 +1,4 @@
-"""Models whose objects have poses (`obpose.scenes`) as editors."""
+"""Models whose objects have poses (`obpose.scenes`), as editors of scenes."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,13 +22,13 @@ class SceneEditor:
     """A model from a checkpoint; implements `benchmark.tasks.editing.interface.Editor`."""
 
     def __init__(self, checkpoint: Path, *, refinements: int = 0):
-        """Inferred scenes are fitted to their frames in so many steps (`obpose.scenes.refine`)."""
+        """Load a model; `refinements` is the number of steps that fit inferred scenes to their frames."""
         torch.set_num_threads(1)
         self._refinements = refinements
         self._origin = load_origin(str(checkpoint))
 
     def infer(self, clip: Clip) -> "InferredScene":
-        """The scene of a clip."""
+        """Infer the scene of a clip."""
         source = ArrayClips([clip])
         observation = observation_of([source.window(0, 0, source.frames_of_clip)])
         inferred = infer_labelled(self._origin, observation, refinements=self._refinements)
@@ -36,18 +36,18 @@ class SceneEditor:
 
 
 class InferredScene:
-    """Implements `benchmark.tasks.editing.interface.EditableScene`."""
+    """Scene inferred from a clip; implements `benchmark.tasks.editing.interface.EditableScene`."""
 
     def __init__(self, inferred: Inferred, renderer: Renderer):
         self._scene, self._renderer = inferred.scene, renderer
         self.labels: Integer[np.ndarray, "frame seen height width"] = inferred.labels.numpy()
 
     def render(self, frames: Sequence[int]) -> Picture:
-        """All views, unedited."""
+        """Render all views of the unedited scene."""
         return self._picture(self._scene, frames)
 
     def edited(self, kind: EditKind, label: int, transform: Float[np.ndarray, "4 4"], frames: Sequence[int]) -> Picture:
-        """The same after an edit of one object."""
+        """Render all views after an edit of one object."""
         return self._picture(_EDITS[kind](self._scene, label, torch.from_numpy(transform).float()), frames)
 
     def _picture(self, scene: Scene, frames: Sequence[int]) -> Picture:

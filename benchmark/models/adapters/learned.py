@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from einops import rearrange
 
-from benchmark.execution.validation_scores import Watch
 from benchmark.models.adapters.poses import poses_of
 from benchmark.models.adapters.settings import settings_of
 from benchmark.models.interface import Clip, Prediction
+from benchmark.models.validation import ValidationScorer
 from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views
 from obpose.data.resolution import fitting_model
@@ -47,7 +47,7 @@ class LearnedSegmenter:
         checkpoint: Path | None = None,
         profile: str = "cpu",
         changes: Mapping[str, Any] | None = None,
-        watch: Watch | None = None,
+        watch: ValidationScorer | None = None,
     ):
         """Set options as in `benchmark.models.interface`; `slots` counts the background."""
         self._changes = {**slots_for(slots), "train.steps": steps, **(changes or {})}

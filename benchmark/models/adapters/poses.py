@@ -1,4 +1,4 @@
-"""The poses that ObPose infers, as the benchmark scores them."""
+"""Poses inferred by ObPose, in the form that the benchmark scores."""
 
 import numpy as np
 import torch
@@ -13,11 +13,11 @@ from obpose.types import Boxes, Observation, SceneSegmentation, Segmentation
 
 
 def poses_of(model: Trainable, found: Segmentation, observation: Observation) -> Poses | None:
-    """Poses of the objects behind a segmentation's labels, label 0 being the background; None where a model has none.
+    """Poses of the objects in a segmentation; None if the model has no poses. Label 0 is the background.
 
-    Scenes of the batch are views of one clip. The place is T_hat, the orientation R. The model's own box is a cube of
-    one size for all objects; theirs is the smallest box around T_hat, along R, that holds the surface points of the
-    label: what is seen on one side of the middle, the object is taken to reach on the other.
+    Scenes of the batch are views of one clip. The center is T_hat, the rotation is R. The model's own boxes are cubes
+    of one size, so boxes are measured: the smallest box, centred at T_hat and along R, around the label's surface
+    points. Objects are thus assumed symmetric about T_hat.
     """
     if not isinstance(model, ObPose) or not isinstance(found, SceneSegmentation) or found.inference.where is None:
         return None
@@ -37,7 +37,7 @@ def _reach(
     labels: Int[torch.Tensor, "view frame 1 height width"],
     points: Float[torch.Tensor, "view frame 1 height width 3"],
 ) -> Float[torch.Tensor, "view frame slot 3"]:
-    """How far the points of each label lie from the middle of its box, along the box's axes; -inf without points."""
+    """Largest distances of each label's points from its box's centre, along the box's axes; -inf without points."""
     flat, owner = (rearrange(array, "v f 1 h w ... -> v f (h w) ...") for array in (points, labels))
     reaches = []
     for slot in range(boxes.center.shape[2]):

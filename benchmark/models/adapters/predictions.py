@@ -1,12 +1,12 @@
-"""Label maps that were made elsewhere, in one of three layouts; docs/benchmark.md shows them.
+"""Label maps made elsewhere, in one of three layouts; docs/benchmark.md shows them.
 
 DIR/test/00017.npz ..................... `labels` [frame view height width], and `background_slot` if there is one
 DIR/test/00017/view0_frame003.png ...... eight bits, grey or palette: a pixel's number is its label
 DIR/labels.h5 .......................... `labels` [scene frame view height width], `background_slots` [scene]
 
-The first and the last may hold poses: arrays `center`, `rotation` and `size` of `benchmark.models.interface.Poses`
-beside the labels of a scene, or what `benchmark.results.pose_files` writes. Headers and small arrays are checked before
-any scene is scored.
+The first and the last may hold poses: the arrays `center`, `rotation` and `size` of `benchmark.models.interface.Poses`
+of a scene, or the group that `benchmark.results.poses` writes. Headers and small arrays are checked before any scene is
+scored.
 """
 
 import hashlib
@@ -21,9 +21,9 @@ import h5py
 import numpy as np
 from jaxtyping import UInt8
 
+from benchmark.models.contract import ARRAYS, pose_fault
 from benchmark.models.interface import LARGEST_LABEL, Clip, Poses, Prediction
-from benchmark.results.pose_files import GROUP, poses_in
-from benchmark.results.pose_rules import ARRAYS, pose_fault
+from benchmark.results.poses import GROUP, poses_in
 from datagen.errors import UsageError
 from datagen.storage.safe_io import hdf5_dataset, npz_headers, open_hdf5, open_image, read_hdf5, read_npz
 
@@ -34,7 +34,7 @@ ADVICE = "Write the file again."
 AXES = "[scene frame view height width]"
 
 _BIT_DEPTH = 24
-"""Place of the byte in a PNG file that says how many bits a pixel has."""
+"""Offset of the bits per pixel in a PNG file."""
 _NPZ_NAMES = ("labels", "background_slot", *ARRAYS)
 
 Shape = tuple[int, int, int, int, int]
@@ -52,11 +52,8 @@ class PredictionFolder:
     def check(self, shape: Shape) -> None:
         """Check that the folder has label maps of exactly the scenes, frames and views of a split.
 
-        Args:
-            shape: Of the split.
-
         Raises:
-            UsageError: a file is missing, one is too many, or an array does not fit.
+            UsageError: a file is missing, there is one too many, or an array does not fit the split's `shape`.
             CorruptFile: a file is damaged.
         """
         if self._is_hdf5():
@@ -86,7 +83,7 @@ class PredictionFolder:
         """Read the label maps of one scene, which must fit its clip.
 
         Raises:
-            UsageError: they are not there, or do not fit.
+            UsageError: they are missing, or do not fit.
             CorruptFile: a file is damaged.
         """
         size = clip.depth.shape
@@ -102,7 +99,7 @@ class PredictionFolder:
         if lowest < 0 or largest > LARGEST_LABEL:
             raise UsageError(
                 f"{path}: the labels of scene {scene} go from {lowest} to {largest}; expected 0 to {LARGEST_LABEL}. "
-                "Number them anew."
+                "Renumber them."
             )
         return Prediction(labels, self.background_slot if slot is None else slot, poses=poses)
 
@@ -122,7 +119,7 @@ class PredictionFolder:
         return self.folder / SPLIT / f"{scene:05d}"
 
     def _check_scenes(self, scenes: range) -> None:
-        """Check that every scene has a file or a folder of images, and that there is nothing of other scenes."""
+        """Check that every scene has a file or a folder of images, and that no other scenes are there."""
         for scene in scenes:
             npz, images = self._npz(scene).exists(), self._images(scene).is_dir()
             if not npz and not images:
@@ -142,7 +139,7 @@ def _is_scene(path: Path) -> bool:
 
 
 def _refuse_others(found: Iterable[Path], expected: Collection[str], why: str) -> None:
-    """Refuse files that would not be scored; hidden ones, such as those of macOS, do not count."""
+    """Reject files that would not be scored, except hidden ones, such as those of macOS."""
     others = sorted(path for path in found if path.name not in expected and not path.name.startswith("."))
     if others:
         more = f" and {len(others) - 1} more" if len(others) > 1 else ""
@@ -153,7 +150,7 @@ def _refuse_others(found: Iterable[Path], expected: Collection[str], why: str) -
 
 
 def _check_hdf5(path: Path, file: h5py.File, shape: Shape) -> None:
-    """Check everything but the labels of the pixels; raises ValueError where the file is damaged."""
+    """Check everything except the labels of the pixels; raises ValueError if the file is damaged."""
     _refuse_misspelt(path, file, ("background_slot", *ARRAYS), f"background_slots, and {GROUP}/center and so on")
     _labels_of(path, file, shape)
     _background_slots(path, file, shape[0])
@@ -190,7 +187,7 @@ def _read_hdf5(path: Path, scene: int, size: tuple[int, ...]) -> tuple[np.ndarra
 
 
 def _check_npz(path: Path, size: tuple[int, ...]) -> None:
-    """Check types and shapes of all arrays, and the values of all but the labels."""
+    """Check types and shapes of all arrays, and the values of all except the labels."""
     headers = npz_headers(path, (*_NPZ_NAMES, "background_slots"))
     _refuse_misspelt(path, headers, ("background_slots",), "background_slot, one number")
     if "labels" not in headers:
@@ -204,17 +201,17 @@ def _check_npz(path: Path, size: tuple[int, ...]) -> None:
     if "background_slot" in arrays:
         _check_slots(path, "background_slot", arrays["background_slot"])
     if fault := pose_fault(arrays, (size[0], size[1])):
-        raise UsageError(f"{path}: {fault}. Mend the poses, or leave them out.")
+        raise UsageError(f"{path}: {fault}. Correct the poses, or leave them out.")
 
 
 def _check_pose_sizes(path: Path, headers: Mapping[str, Any], images: int) -> None:
-    """Check from headers alone that arrays of poses are small: a packed file of a few bytes can claim millions."""
+    """Check from headers that arrays of poses are small: a compressed file of a few bytes can declare millions."""
     for name in ARRAYS:
         most = images * (LARGEST_LABEL + 1) * math.prod(ARRAYS[name])
         if name in headers and math.prod(headers[name][0]) > most:
             raise UsageError(
                 f"{path}: {name} of poses has shape {headers[name][0]}; expected at most {most} numbers, for "
-                f"{LARGEST_LABEL + 1} labels of {images} images. Mend the poses, or leave them out."
+                f"{LARGEST_LABEL + 1} labels of {images} images. Correct the poses, or leave them out."
             )
 
 
@@ -264,7 +261,7 @@ def _read_png(path: Path) -> UInt8[np.ndarray, "height width"]:
 
 
 def _refuse_misspelt(path: Path, there: Collection[str], names: Iterable[str], expected: str) -> None:
-    """Refuse arrays that belong to another layout, and would be ignored in this one."""
+    """Reject arrays that belong to another layout, and would be ignored in this one."""
     if wrong := [name for name in names if name in there]:
         raise UsageError(f"{path} holds an array `{wrong[0]}`, which this layout does not have; expected {expected}.")
 

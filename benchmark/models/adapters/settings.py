@@ -1,4 +1,4 @@
-"""Settings of learned systems, which rows are keyed by."""
+"""Settings of learned systems, which are part of the keys of rows."""
 
 import dataclasses
 import math
@@ -32,12 +32,12 @@ _OF_OBPOSE: dict[str, Any] = {
 }
 
 LATER: dict[type, dict[str, Any]] = {Config: _OF_OBPOSE, SupervisedConfig: {**_OF_THE_BACKBONE, "loss.air_growth": 1.0}}
-"""Values that came after the first published rows of each kind of configuration, with what was done before there was a
-choice: left out where they are that, so that these rows keep their keys."""
+"""Settings introduced after the first published rows, by type of configuration, with the behaviour before.
+Settings with these values are omitted, so that those rows keep their keys."""
 
 
 def settings_of(config: Any) -> dict[str, Any]:
-    """All values of a configuration on which results depend, nested as they are there."""
+    """All values of a configuration that results depend on, nested as in the configuration."""
     settings = dataclasses.asdict(config)
     if math.isinf(config.train.minutes):
         settings["train"]["minutes"] = None  # steps count, and JSON has no inf

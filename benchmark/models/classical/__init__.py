@@ -1,6 +1,6 @@
-"""Models that need no training, one file each, and what the benchmark must know of them.
+"""Models that need no training, one file each, with the facts that the benchmark needs about them.
 
-A grid holds few values, each with a reason to be the best on some data; labels of the validation split choose.
+A grid holds the few values that may be best on some data; labels of the validation split choose among them.
 """
 
 from itertools import product
@@ -13,65 +13,57 @@ from benchmark.models.classical.plane_components import PlaneComponents
 from benchmark.models.classical.plane_dbscan import PlaneDbscan
 from benchmark.models.classical.plane_dbscan_tracked import PlaneDbscanTracked
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
+from benchmark.models.interface import Segmenter
 from benchmark.models.model_spec import Builder, ModelSpec, Options
 
 
 def _grid(**values: tuple[float, ...]) -> tuple[Options, ...]:
-    """All combinations; the first of each is the default."""
+    """Combine all values; the first value of each option is the default."""
     return tuple(dict(zip(values, chosen, strict=True)) for chosen in product(*values.values()))
 
 
-# Pixels apart that still touch: fewer keep neighbours apart, more bridge holes and surfaces that are seen aslant.
+# Distance of neighbours in pixels: small values separate objects, large ones bridge holes and slanted surfaces.
 DBSCAN = _grid(reach=(2.0, 1.5, 1.75, 2.25, 2.5, 3.0, 4.0))
-# As much colour as tells two objects that touch apart, and no more than leaves the shades of one object together.
+# Enough colour to separate touching objects, and little enough to keep the shades of one object together.
 DBSCAN_COLOUR = _grid(colour=(1.25, 2.5, 4.0), reach=(2.0, 2.5, 3.0, 4.0))
-# Small objects against specks of noise and parts of large objects.
+# Small values keep small objects; large ones suppress specks of noise and parts of large objects.
 HDBSCAN = _grid(least_cells=(4, 3, 5, 6, 8, 12))
-# From the slope of one surface in neighbouring pixels up to the depth of an object.
+# From the slope of one surface between neighbouring pixels to the depth of an object.
 COMPONENTS = _grid(step=(2.0, 0.75, 1.0, 1.5, 3.0, 4.5))
-# Against a table of about a metre: from position alone to colour alone.
+# From position alone to colour alone, on a table of about a metre.
 KMEANS = _grid(colour=(12.8, 0.0, 0.8, 3.2, 6.4, 25.6, 51.2))
 
 PLANE = ("background slot", "camera pose", "plane")
 
+
+def _floor(model: type[Segmenter], description: str, prior: str, *, random: bool = False) -> ModelSpec:
+    return ModelSpec(Builder(model), 1, description, "floor", random=random, priors=(prior,))
+
+
+def _plane(model: type[Segmenter], description: str, grid: tuple[Options, ...]) -> ModelSpec:
+    return ModelSpec(Builder(model), 1, description, "classical", grid, priors=PLANE)
+
+
+def _oracle(model: type[Segmenter], description: str, *priors: str) -> ModelSpec:
+    return ModelSpec(Builder(model), 1, description, "oracle", random=False, uses_labels=True, priors=priors)
+
+
 FLOORS = {
-    "one-cluster": ModelSpec(
-        Builder(OneCluster), 1, "everything is one object", "floor", random=False, priors=("background slot",)
-    ),
-    "all-background": ModelSpec(
-        Builder(AllBackground), 1, "everything is background", "floor", random=False, priors=("background slot",)
-    ),
-    "random-slots": ModelSpec(Builder(RandomSlots), 1, "every pixel draws its slot", "floor", priors=("slots",)),
-    "constant-grid": ModelSpec(
-        Builder(ConstantGrid), 1, "the same rectangles in every image", "floor", random=False, priors=("slots",)
-    ),
+    "one-cluster": _floor(OneCluster, "everything is one object", "background slot"),
+    "all-background": _floor(AllBackground, "everything is background", "background slot"),
+    "random-slots": _floor(RandomSlots, "every pixel draws its slot", "slots", random=True),
+    "constant-grid": _floor(ConstantGrid, "the same rectangles in every image", "slots"),
 }
 
 CLASSICAL = {
-    "plane-dbscan": ModelSpec(
-        Builder(PlaneDbscan), 1, "RANSAC plane removal, then DBSCAN on the points", "classical", DBSCAN, priors=PLANE
+    "plane-dbscan": _plane(PlaneDbscan, "RANSAC plane removal, then DBSCAN on the points", DBSCAN),
+    "plane-dbscan-colour": _plane(PlaneDbscan, "the same on points and colours", DBSCAN_COLOUR),
+    "plane-dbscan-tracked": _plane(
+        PlaneDbscanTracked, "plane-dbscan, its clusters followed over frames by nearest centroid", DBSCAN
     ),
-    "plane-dbscan-colour": ModelSpec(
-        Builder(PlaneDbscan), 1, "the same on points and colours", "classical", DBSCAN_COLOUR, priors=PLANE
-    ),
-    "plane-dbscan-tracked": ModelSpec(
-        Builder(PlaneDbscanTracked),
-        1,
-        "plane-dbscan, its clusters followed over frames by nearest centroid",
-        "classical",
-        DBSCAN,
-        priors=PLANE,
-    ),
-    "plane-hdbscan": ModelSpec(
-        Builder(PlaneHdbscan), 1, "RANSAC plane removal, then HDBSCAN on the points", "classical", HDBSCAN, priors=PLANE
-    ),
-    "plane-components": ModelSpec(
-        Builder(PlaneComponents),
-        1,
-        "RANSAC plane removal, then connected components of the depth image",
-        "classical",
-        COMPONENTS,
-        priors=PLANE,
+    "plane-hdbscan": _plane(PlaneHdbscan, "RANSAC plane removal, then HDBSCAN on the points", HDBSCAN),
+    "plane-components": _plane(
+        PlaneComponents, "RANSAC plane removal, then connected components of the depth image", COMPONENTS
     ),
     "kmeans-xyz-rgb": ModelSpec(
         Builder(KMeansXyzRgb),
@@ -84,61 +76,30 @@ CLASSICAL = {
 }
 
 ORACLES = {
-    "oracle-k-slots": ModelSpec(
-        Builder(OracleKSlots),
-        1,
-        "the truth, as far as K slots reach",
-        "oracle",
-        random=False,
-        uses_labels=True,
-        priors=("slots", "background slot"),
+    "oracle-k-slots": _oracle(OracleKSlots, "the truth, as far as K slots reach", "slots", "background slot"),
+    "oracle-quarter-resolution": _oracle(
+        OracleQuarterResolution, "the truth at a quarter of the resolution", "background slot"
     ),
-    "oracle-quarter-resolution": ModelSpec(
-        Builder(OracleQuarterResolution),
-        1,
-        "the truth at a quarter of the resolution",
-        "oracle",
-        random=False,
-        uses_labels=True,
-        priors=("background slot",),
-    ),
-    "oracle-split-background": ModelSpec(
-        Builder(OracleSplitBackground),
-        1,
-        "the truth, its background in four slots",
-        "oracle",
-        random=False,
-        uses_labels=True,
-        priors=("background slot",),
+    "oracle-split-background": _oracle(
+        OracleSplitBackground, "the truth, its background in four slots", "background slot"
     ),
 }
 
 POSED = {
-    "plane-hdbscan-boxes": ModelSpec(
-        Builder(PlaneHdbscanBoxes),
-        1,
-        "plane-hdbscan, with the smallest box around each segment as its pose",
-        "classical",
-        HDBSCAN,
-        priors=PLANE,
+    "plane-hdbscan-boxes": _plane(
+        PlaneHdbscanBoxes, "plane-hdbscan, with the smallest box around each segment as its pose", HDBSCAN
     ),
-    "oracle-visible-boxes": ModelSpec(
-        Builder(OracleVisibleBoxes),
-        1,
+    "oracle-visible-boxes": _oracle(
+        OracleVisibleBoxes,
         "the truth, with the smallest box around an object's visible points as its pose",
-        "oracle",
-        random=False,
-        uses_labels=True,
-        priors=("background slot", "camera pose"),
+        "background slot",
+        "camera pose",
     ),
-    "oracle-visible-means": ModelSpec(
-        Builder(OracleVisibleMeans),
-        1,
+    "oracle-visible-means": _oracle(
+        OracleVisibleMeans,
         "the truth, with the mean of an object's visible points as its place",
-        "oracle",
-        random=False,
-        uses_labels=True,
-        priors=("background slot", "camera pose"),
+        "background slot",
+        "camera pose",
     ),
 }
-"""What poses of models are to be held against; apart from the others, whose segmentations they repeat."""
+"""Baselines for the poses of models, listed apart because their segmentations repeat those of other models."""

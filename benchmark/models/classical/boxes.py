@@ -1,6 +1,6 @@
-"""Poses without learning: the smallest box around what is visible of a segment.
+"""Poses without learning: the smallest box around the visible points of a segment.
 
-It knows nothing of the hidden side, which is what a model that infers whole objects is to be held against.
+The hidden side is ignored. This is the baseline for models that infer whole objects.
 """
 
 from dataclasses import dataclass
@@ -16,22 +16,22 @@ from benchmark.models.classical.oracles import truth_of
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
 from benchmark.models.classical.untrained import Untrained
 from benchmark.models.interface import Clip, Poses, Prediction
-from benchmark.tasks.true_poses import visible_centers, world_points
+from benchmark.tasks.true_poses import visible_centers
 from datagen.shapes.geometry.bounding import Outline, minimum_box
 
 LEAST_POINTS = 4
-"""Fewer have no box; their middle still is a place."""
+"""Minimum number of points for a rotated box; fewer points only have a centre and extent."""
 _THICKNESS = 0.01
-"""Share of a segment's length by which its points are balls while its box is looked for: a flat segment would have no
-volume along any axes."""
+"""Radius of the points in the search for the smallest box, relative to the segment's length. Without it, flat segments
+would have no volume along any axes."""
 
 
 @dataclass
 class PlaneHdbscanBoxes(PlaneHdbscan):
-    """`PlaneHdbscan`, and the smallest box around each of its segments; implements `Segmenter`."""
+    """`PlaneHdbscan` with the smallest box around each segment; implements `Segmenter`."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Clusters are of all views of a frame, and so are their boxes."""
+        """Segment a clip; each box contains the cluster's points of all views of a frame."""
         found = super().segment(clip)
         return Prediction(
             found.labels, found.background_slot, poses=visible_boxes(found.labels, clip, views="together")
@@ -39,19 +39,19 @@ class PlaneHdbscanBoxes(PlaneHdbscan):
 
 
 class OracleVisibleBoxes(Untrained):
-    """The truth, and the smallest box around the visible points of each object."""
+    """Ground truth, with the smallest box around the visible points of each object."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Each view's boxes are of its own points: what a model with one view can know without guessing."""
+        """Return the ground truth; each view's boxes contain its own points, so that one view suffices to know them."""
         labels = truth_of(clip)
         return Prediction(labels, background_slot=0, poses=visible_boxes(labels, clip, views="apart"))
 
 
 class OracleVisibleMeans(Untrained):
-    """The truth, and the mean of the visible points of each object: no orientations, no boxes."""
+    """Ground truth, with the mean of the visible points of each object; no orientations, no boxes."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Of each view by itself."""
+        """Return the ground truth, with means per view."""
         labels = truth_of(clip)
         centers = visible_centers(clip, labels, int(labels.max()))
         nowhere = np.full((*centers.shape[:2], 1, 3), np.nan)
@@ -61,8 +61,8 @@ class OracleVisibleMeans(Untrained):
 def visible_boxes(
     labels: Int64[np.ndarray, "frame view height width"], clip: Clip, *, views: Literal["together", "apart"]
 ) -> Poses:
-    """Smallest boxes around the points of each label but 0, of all views of a frame or of each by itself."""
-    points = world_points(clip)
+    """Smallest boxes around the points of each label except 0, of all views of a frame together or of each view."""
+    points = clip.points()
     frames, count = labels.shape[:2]
     shape = frames, count, int(labels.max()) + 1
     poses = Poses(*(np.full((*shape, *axes), np.nan) for axes in ((3,), (3, 3), (3,))))
@@ -76,7 +76,7 @@ def visible_boxes(
 
 
 def smallest_box(points: Float[np.ndarray, "point 3"]) -> Box:
-    """Centre, rotation and sides of the smallest box around points; along the world's axes where they are too few."""
+    """Centre, rotation and sides of the smallest box around points; axis-aligned if there are too few."""
     outermost = _outermost(points)
     if len(outermost) < LEAST_POINTS:
         return (points.min(axis=0) + points.max(axis=0)) / 2, np.eye(3), np.ptp(points, axis=0)
@@ -87,7 +87,7 @@ def smallest_box(points: Float[np.ndarray, "point 3"]) -> Box:
 
 
 def _outermost(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "corner 3"]:
-    """Corners of the convex hull; all points where they have none, as those of a plane."""
+    """Corners of the convex hull; all points if there is no hull, such as in a plane."""
     try:
         return points[ConvexHull(points).vertices]
     except (QhullError, ValueError):

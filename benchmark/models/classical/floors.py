@@ -1,4 +1,4 @@
-"""What needs no look at the images: scores that every model must beat."""
+"""Floors: models that ignore the images; every model must beat their scores."""
 
 import zlib
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ class OneCluster(Untrained):
     """Everything is one object, and nothing is background; implements `Segmenter`."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Label 1 everywhere; the background's slot 0 stays empty."""
+        """Label 1 everywhere; slot 0 of the background stays empty."""
         return Prediction(np.ones(clip.depth.shape, np.int64), background_slot=0)
 
 
@@ -28,33 +28,33 @@ class AllBackground(Untrained):
 
 @dataclass
 class RandomSlots(Untrained):
-    """Every pixel draws its slot; implements `Segmenter`."""
+    """Draw the slot of every pixel at random; implements `Segmenter`."""
 
     slots: int
 
     def segment(self, clip: Clip) -> Prediction:
-        """Uniform labels; the draw follows from the seed and the picture, so that no two clips share it."""
+        """Draw uniform labels, from the seed and the images, so that they differ between clips."""
         rng = np.random.default_rng([self.seed, zlib.crc32(clip.rgb.tobytes())])
         return Prediction(rng.integers(self.slots, size=clip.depth.shape), background_slot=None)
 
 
 @dataclass
 class ConstantGrid(Untrained):
-    """The picture in rectangles of about equal size, one a slot; implements `Segmenter`."""
+    """Divide the image into one rectangle of about equal size per slot; implements `Segmenter`."""
 
     slots: int
 
     def segment(self, clip: Clip) -> Prediction:
-        """The same grid in every image."""
+        """Use the same grid in every image."""
         *_, height, width = clip.depth.shape
         grid = grid_cells(height, width, self.slots)
         return Prediction(np.broadcast_to(grid, clip.depth.shape).copy(), background_slot=None)
 
 
 def grid_cells(height: int, width: int, count: int) -> Int64[np.ndarray, "height width"]:
-    """`count` cells, counted from 0, in as many rows as columns or nearly so; no cell is empty in larger images.
+    """Number `count` cells from 0, in about as many rows as columns; rows differ by at most one cell.
 
-    Rows whose numbers of cells differ, by one at most, where `count` is no product of the two.
+    No cell is empty unless the image is small.
     """
     rows = max(1, round(np.sqrt(count)))
     starts = np.arange(rows + 1) * count // rows

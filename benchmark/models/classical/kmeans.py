@@ -1,4 +1,4 @@
-"""k-means on position and colour of all points, the table included: no plane, no background, only K slots."""
+"""k-means on position and colour of all points, table included, with K slots and without a background."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,9 +12,9 @@ from benchmark.models.classical.untrained import Untrained
 from benchmark.models.interface import Clip, Prediction
 
 SAMPLE = 4096
-"""Points that move the centres; the others only join them."""
+"""Number of points that determine the centres; the others are only assigned to them."""
 STARTS = 4
-"""Initial guesses (k-means++) in a clip's first frame, of which the best counts."""
+"""Number of initial guesses (k-means++) in a clip's first frame; the best is used."""
 
 Centres = Float[np.ndarray, "slot feature"]
 
@@ -26,10 +26,10 @@ class KMeansXyzRgb(Untrained):
     slots: int
     """K."""
     colour: float = 12.8
-    """Metres that the step from black to full red, green or blue counts as."""
+    """Distance in metres from black to full red, green or blue."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Centres start where they were in the frame before, so that slots keep their objects; holes join slot 0."""
+        """Start from the centres of the previous frame, so that slots keep their objects; holes get slot 0."""
         features = np.concatenate([scene_points(clip), self.colour * (clip.rgb / 255)], axis=-1)
         labels = np.zeros(clip.depth.shape, np.int64)
         rng, centres = np.random.default_rng(self.seed), None
@@ -45,7 +45,7 @@ class KMeansXyzRgb(Untrained):
 def _move(
     features: Float[np.ndarray, "point feature"], slots: int, centres: Centres | None, rng: np.random.Generator
 ) -> Centres:
-    """Centres of this frame, from those of the frame before or from scratch."""
+    """Find the centres of a frame, from those of the previous frame or from scratch."""
     sample = features if len(features) <= SAMPLE else features[rng.integers(len(features), size=SAMPLE)]
     start: dict[str, Any] = (
         {"init": "k-means++", "n_init": STARTS} if centres is None else {"init": centres, "n_init": 1}

@@ -1,4 +1,4 @@
-"""Models that see the truth and spoil it in one known way: how far a score can go, and to what a metric is blind."""
+"""Oracles: models that degrade the ground truth in one known way; they show upper bounds and blind spots of metrics."""
 
 from dataclasses import dataclass
 
@@ -7,41 +7,41 @@ from jaxtyping import Int64, UInt8
 
 from benchmark.models.classical.floors import grid_cells
 from benchmark.models.classical.untrained import Untrained, keep_largest
-from benchmark.models.interface import Clip, Prediction
+from benchmark.models.interface import Clip, Prediction, object_slots
 
 QUARTER = 4
-"""Pixels a side that become one."""
+"""Side of the blocks of pixels that become one pixel."""
 PIECES = 4
-"""Parts into which the background falls."""
+"""Number of parts of the background."""
 
 Truth = UInt8[np.ndarray, "frame view height width"]
 
 
 @dataclass
 class OracleKSlots(Untrained):
-    """The best that K slots can do: K - 1 objects are right, the smallest join the background."""
+    """Upper bound for K slots: the largest K - 1 objects are right, the others join the background."""
 
     slots: int
 
     def segment(self, clip: Clip) -> Prediction:
-        """Objects are counted over the clip, and keep their labels in it."""
-        return Prediction(keep_largest(truth_of(clip), self.slots - 1), background_slot=0)
+        """Keep the largest objects of the clip, with constant labels."""
+        return Prediction(keep_largest(truth_of(clip), object_slots(self.slots)), background_slot=0)
 
 
 class OracleQuarterResolution(Untrained):
-    """The truth as seen by a model whose masks have a quarter of the images' resolution."""
+    """Ground truth at a quarter of the images' resolution, as of a model with coarse masks."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """In each block of 4x4 pixels the most frequent label, the lowest of equally frequent ones."""
+        """Give each block of 4x4 pixels its most frequent label; the lowest of equally frequent ones."""
         truth = truth_of(clip)
         return Prediction(coarsen(truth, QUARTER), background_slot=0)
 
 
 class OracleSplitBackground(Untrained):
-    """The truth, but that the background falls into four quadrants, each a slot: ARI-FG and MSC-FG do not see it."""
+    """Ground truth with a background of four quadrants, each a slot; ARI-FG and MSC-FG do not notice."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Slots 0 to 3 are the quadrants, the first of them declared as background; objects follow."""
+        """Slots 0 to 3 are the quadrants, the first of which is declared as background; objects follow."""
         truth = truth_of(clip)
         *_, height, width = truth.shape
         quadrants = grid_cells(height, width, PIECES)
@@ -58,7 +58,7 @@ def coarsen(labels: Int64[np.ndarray, "*image height width"], factor: int) -> In
 
 
 def _votes(mask: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
-    """How many pixels of the mask each block holds."""
+    """Count the pixels of the mask in each block."""
     images = mask.reshape(-1, block.size).astype(np.int64)
     order = np.argsort(block.ravel(), kind="stable")
     starts = np.searchsorted(block.ravel()[order], np.arange(blocks))
@@ -66,7 +66,7 @@ def _votes(mask: np.ndarray, block: np.ndarray, blocks: int) -> np.ndarray:
 
 
 def truth_of(clip: Clip) -> Int64[np.ndarray, "frame view height width"]:
-    """Labels of a clip that carries them."""
+    """Ground truth of a clip that carries it."""
     if clip.truth is None:
         raise ValueError("An oracle needs clips that carry the truth; register it with uses_labels=True.")
     return clip.truth.astype(np.int64)

@@ -1,4 +1,4 @@
-"""Take away the largest plane; what remains falls apart where the depth image has steps."""
+"""Remove the largest plane, and split the remaining pixels at steps of the depth image."""
 
 from dataclasses import dataclass
 
@@ -13,8 +13,8 @@ from benchmark.models.classical.untrained import Untrained, keep_largest
 from benchmark.models.interface import Clip, Prediction
 
 HALF_NEIGHBOURHOOD = ((0, 1), (1, -1), (1, 0), (1, 1))
-"""Rows and columns to four of a pixel's eight neighbours; the others see it as theirs. Eight, not four, because 20 % of
-holes cut a surface of four-connected pixels into pieces."""
+"""Offsets (row, column) of four of a pixel's eight neighbours; the other four are symmetric. Four neighbours are too
+few: 20 % of holes would cut surfaces into pieces."""
 
 LEAST_PIXELS = 3
 """Smaller components are background, as in DBSCAN with its min_samples of 3."""
@@ -25,11 +25,11 @@ class PlaneComponents(Untrained):
     """RANSAC plane removal and connected components on the depth image; implements `Segmenter`."""
 
     step: float = 2.0
-    """Difference in depth between neighbouring pixels from which on they lie on different objects, in pixels' width on
-    the table: 1 is a surface seen at 45 degrees."""
+    """Depth difference between neighbouring pixels that separates objects, in pixel widths; 1 is a slope of 45
+    degrees."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Label 0 is the plane, what lies below it, holes and specks; in every image components count from 1."""
+        """Label 0 is the plane, anything below it, holes and specks; in every image components count from 1."""
         mask = standing(clip, scene_points(clip), seed=self.seed)
         labels, step = np.zeros(clip.depth.shape, np.int64), self.step * pixel_width(clip)
         for image in np.ndindex(*mask.shape[:2]):
@@ -40,7 +40,7 @@ class PlaneComponents(Untrained):
 def components(
     depth: Float32[np.ndarray, "height width"], mask: Bool[np.ndarray, "height width"], step: float
 ) -> Int64[np.ndarray, "height width"]:
-    """Connected components of the mask, counted from 1; neighbours are connected where depth steps less, in metres."""
+    """Connected components of the mask, counted from 1; neighbours are connected if their depths differ by < `step`."""
     index = np.arange(mask.size).reshape(mask.shape)
     edges = [_edges(depth, mask, index, step, *offset) for offset in HALF_NEIGHBOURHOOD]
     here, there = np.hstack(edges)
@@ -53,7 +53,7 @@ def components(
 def _edges(
     depth: np.ndarray, mask: np.ndarray, index: np.ndarray, step: float, down: int, right: int
 ) -> Int64[np.ndarray, "2 edge"]:
-    """Pairs of connected pixels, one that many rows below and columns right of the other."""
+    """Pairs of connected pixels with the given offset."""
     height, width = mask.shape
     here = np.s_[: height - down, max(0, -right) : width - max(0, right)]
     there = np.s_[down:, max(0, right) : width + min(0, right)]

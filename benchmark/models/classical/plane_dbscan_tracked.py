@@ -1,4 +1,4 @@
-"""`plane_dbscan` with identity: clusters of successive frames are one object where their centroids are near."""
+"""`plane_dbscan` with identity over time: clusters of successive frames with near centroids are one object."""
 
 from dataclasses import dataclass
 
@@ -13,16 +13,16 @@ from benchmark.models.classical.untrained import keep_largest
 from benchmark.models.interface import Clip, Prediction
 
 LARGEST_MOVE = 0.15
-"""Metres that a centroid may move in a frame: 1.1 m/s, the fastest that recipes throw, is 0.09 m at 12 frames/s; the
-rest is for parts that appear and hide. Scores of single frames cannot tell tracks apart, so it is not tuned."""
+"""Metres that a centroid may move in a frame. The fastest thrown objects, 1.1 m/s, move 0.09 m at 12 frames/s; the rest
+is for parts that appear or become hidden. It is not tuned, as scores of single frames do not depend on identity."""
 
 
 @dataclass
 class PlaneDbscanTracked(PlaneDbscan):
-    """Plane removal and DBSCAN, followed over frames; implements `Segmenter`."""
+    """Plane removal and DBSCAN, with clusters tracked over frames; implements `Segmenter`."""
 
     def segment(self, clip: Clip) -> Prediction:
-        """Label 0 is as in `PlaneDbscan`; another label is one object in the whole clip."""
+        """Label 0 is as in `PlaneDbscan`; other labels denote one object in the whole clip."""
         labels = super().segment(clip).labels
         return Prediction(keep_largest(follow(labels, scene_points(clip))), background_slot=0)
 
@@ -30,9 +30,9 @@ class PlaneDbscanTracked(PlaneDbscan):
 def follow(
     labels: Int64[np.ndarray, "frame view height width"], points: Float[np.ndarray, "frame view height width 3"]
 ) -> Int64[np.ndarray, "frame view height width"]:
-    """New labels: a cluster takes that of the nearest object seen so far, one to one, or else a new one.
+    """Relabel clusters: each gets the label of the nearest earlier object, one to one, or a new label.
 
-    An object that hides keeps its last centroid, and takes its label up again where it comes back.
+    A hidden object keeps its last centroid, and gets its label back if it reappears there.
     """
     tracks = np.zeros((0, 3))
     followed = np.zeros_like(labels)
@@ -46,7 +46,7 @@ def follow(
 def _centroids(
     labels: Int64[np.ndarray, "view height width"], points: Float[np.ndarray, "view height width 3"]
 ) -> Float[np.ndarray, "cluster 3"]:
-    """Mean point of the clusters 1, 2, ..., none of them empty."""
+    """Mean points of the clusters 1, 2, ..., none of which is empty."""
     inside = labels > 0
     counts = np.bincount(labels[inside])[1:]
     sums = [np.bincount(labels[inside], axis)[1:] for axis in points[inside].T]
@@ -56,7 +56,7 @@ def _centroids(
 def _match(
     tracks: Float[np.ndarray, "track 3"], centroids: Float[np.ndarray, "cluster 3"]
 ) -> tuple[Int64[np.ndarray, "cluster"], Float[np.ndarray, "track_or_new 3"]]:
-    """The track of each cluster, and all tracks where they were seen last, new ones at the end."""
+    """Assign clusters to tracks; also returns the last centroids of all tracks, new ones at the end."""
     distances = np.minimum(cdist(centroids, tracks), LARGEST_MOVE)
     clusters, known = linear_sum_assignment(distances)
     near = distances[clusters, known] < LARGEST_MOVE

@@ -1,42 +1,32 @@
-"""As `plane_dbscan`, with HDBSCAN (Campello et al., 2013), which needs no one distance that suits all objects."""
+"""Plane removal and HDBSCAN (Campello et al., 2013), which needs no common distance for all objects."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, UInt8
 from scipy.spatial import KDTree
 from sklearn.cluster import HDBSCAN
 
-from benchmark.models.classical.above_plane import standing
-from benchmark.models.classical.points import VOXEL_PIXELS, pixel_width, scene_points, voxels
-from benchmark.models.classical.untrained import Untrained, keep_largest
-from benchmark.models.interface import Clip, Prediction
+from benchmark.models.classical.above_plane import PlaneClustering
+from benchmark.models.classical.points import VOXEL_PIXELS, voxels
 
 LEAST_NEIGHBOURS = 3
 """HDBSCAN's min_samples, cells."""
 ADOPTION_PIXELS = 4.0
-"""Pixels' width within which a point that HDBSCAN takes for noise joins a cluster; specks of the table lie farther."""
+"""Distance in pixel widths within which a noise point joins a cluster; specks of the table are farther away."""
 
 
 @dataclass
-class PlaneHdbscan(Untrained):
+class PlaneHdbscan(PlaneClustering):
     """RANSAC plane removal and HDBSCAN on the remaining points; implements `Segmenter`."""
 
     least_cells: int = 4
-    """HDBSCAN's min_cluster_size: groups of fewer points are no object."""
+    """HDBSCAN's min_cluster_size; smaller groups are not objects."""
 
-    def segment(self, clip: Clip) -> Prediction:
-        """Label 0 is the plane, what lies below it, holes and lone points; clusters count from 1 in every frame."""
-        points, pixel = scene_points(clip), pixel_width(clip)
-        labels = np.zeros(clip.depth.shape, np.int64)
-        for frame, mask in enumerate(standing(clip, points, seed=self.seed)):
-            labels[frame][mask] = keep_largest(self._cluster(points[frame][mask], pixel))
-        return Prediction(labels, background_slot=0)
-
-    def _cluster(self, points: Float[np.ndarray, "point 3"], pixel: float) -> Int64[np.ndarray, "point"]:
-        """Cluster of each point, counted from 1, and 0 for those that belong to none; `pixel` is in metres."""
-        if len(points) == 0:
-            return np.zeros(0, np.int64)
+    def cluster(
+        self, points: Float[np.ndarray, "point 3"], rgb: UInt8[np.ndarray, "point 3"], pixel: float
+    ) -> Int64[np.ndarray, "point"]:
+        """Cluster the points, one per voxel, and add nearby lone points to clusters."""
         first, cell, _ = voxels(points, VOXEL_PIXELS * pixel)
         if len(first) < max(self.least_cells, LEAST_NEIGHBOURS):
             return np.zeros(len(points), np.int64)
@@ -59,11 +49,11 @@ class PlaneHdbscan(Untrained):
 def adopt_lone(
     points: Float[np.ndarray, "point 3"], labels: Int64[np.ndarray, "point"], distance: float
 ) -> Int64[np.ndarray, "point"]:
-    """Points in no cluster, label 0, join that of the nearest point in one, if that is within `distance` metres."""
+    """Add points without a cluster (label 0) to the cluster of the nearest point within `distance` metres."""
     lone = labels == 0
     if np.all(lone):
         return labels
-    # Beyond the distance the query gives the number of points, where the label is 0.
+    # Beyond the distance the query returns the number of points, where the label is 0.
     nearest = KDTree(points[~lone]).query(points[lone], distance_upper_bound=distance)[1]
     adopted = labels.copy()
     adopted[lone] = np.append(labels[~lone], 0)[nearest]

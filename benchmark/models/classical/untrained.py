@@ -1,4 +1,4 @@
-"""What models without training share: they keep the seed, and their labels fit the benchmark's range."""
+"""Base of models without training, and a limit on their labels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ class Untrained:
 
 
 def keep_largest(labels: Int64[np.ndarray, "*pixel"], count: int = LARGEST_LABEL) -> Int64[np.ndarray, "*pixel"]:
-    """Labels 1 to `count` for the segments with most pixels, in their old order; the others join segment 0."""
+    """Relabel the `count` largest segments from 1, in their old order; the others join segment 0."""
     sizes = np.bincount(labels.ravel(), minlength=1)
     sizes[0] = 0
     largest = np.argsort(-sizes, kind="stable")[: min(count, np.count_nonzero(sizes))]

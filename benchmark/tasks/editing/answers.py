@@ -1,4 +1,4 @@
-"""Pictures that are held against the truth of an edit: a model's, and those that make its scores readable."""
+"""Pictures to be compared with the ground truth of an edit: those of models, and references."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -11,29 +11,29 @@ from benchmark.tasks.editing.scores import score
 from benchmark.tasks.editing.truth import EditedScene, Pair
 
 LEAST_IOU = 0.5
-"""Of an object's pixels and a label's, from which on the label is the object's."""
+"""Minimum IoU of an object and a label for a match."""
 
 EDIT, RECONSTRUCTION = "edit", "reconstruction"
 
 
 @dataclass(frozen=True)
 class Match:
-    """The label that a model gives to an object."""
+    """Match of an object with a model's label."""
 
     label: int | None
-    """None where no label has more than half of the union."""
+    """Matching label; None if no label has a larger IoU than `LEAST_IOU`."""
     iou: float
-    """Of the best label."""
+    """IoU of the best label."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """One picture and its scores."""
+    """Scores of one picture."""
 
     name: str
     scores: dict[str, float]
     match: Match | None = None
-    """Where a model had to find the object."""
+    """Match of the object; None if no model was involved."""
 
 
 def match(
@@ -41,9 +41,9 @@ def match(
     labels: Integer[np.ndarray, "frame seen height width"],
     name: int,
 ) -> Match:
-    """The label that shares most pixels with an object in the views that were looked at.
+    """Match an object with the label of largest IoU in the views that the model uses.
 
-    This is where the truth is used, in the place of a person who points at an object.
+    Ground truth is used here in place of a person who points at an object.
     """
     wanted = truth[:, : labels.shape[1]] == name
     found = [int(label) for label in np.unique(labels[wanted]) if label]
@@ -55,9 +55,9 @@ def match(
 
 
 def answers_of(scene: EditableScene, truth: EditedScene) -> Iterator[tuple[Pair, Answer]]:
-    """A model's edits, each with its reconstruction of the same regions before the edit.
+    """Score a model's edits, each with its reconstruction of the same regions before the edit.
 
-    Where the model has no label for the object it cannot edit it, and is scored with its unedited picture.
+    If no label matches the object, the unedited picture is scored as the edit.
     """
     plain = scene.render(truth.frames) if truth.pairs else None
     for pair in truth.pairs:
@@ -71,12 +71,12 @@ def answers_of(scene: EditableScene, truth: EditedScene) -> Iterator[tuple[Pair,
 
 
 def no_edit(pair: Pair) -> Picture:
-    """The scene as it was: what an editor scores that does nothing, but that perfectly."""
+    """True picture before the edit: the score of a perfect reconstruction without an edit."""
     return pair.before
 
 
 def true_pixels(pair: Pair) -> Picture:
-    """The scene as it was, with the true pixels of the edited region pasted in: all but the shadows is right."""
+    """True picture before the edit, with the true pixels of the edited region; only shadows are wrong."""
     inside = pair.inside
     return replace(
         pair.before,
@@ -87,11 +87,11 @@ def true_pixels(pair: Pair) -> Picture:
 
 
 REFERENCES: dict[str, Callable[[Pair], Picture]] = {"no-edit": no_edit, "true-pixels": true_pixels}
-"""Answers that need no model; both use the truth."""
+"""References without a model; both use ground truth."""
 
 
 def reference_answers(pairs: Iterable[Pair]) -> Iterator[tuple[Pair, Answer]]:
-    """What stands in the tables beside the models."""
+    """Score the references of all pairs."""
     for pair in pairs:
         for name, picture in REFERENCES.items():
             yield pair, Answer(name, score(pair, picture(pair)))

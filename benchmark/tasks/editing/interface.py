@@ -1,7 +1,7 @@
-"""What an editor gets and what it gives back: NumPy in, NumPy out.
+"""Interface of editors: NumPy in, NumPy out.
 
-An editor looks at a clip once; the scene that it finds can be edited and rendered from the cameras of the clip, in the
-frames that are asked for. Objects go by the labels that the editor's own segmentation of the clip gives them.
+An editor infers a scene from a clip. The scene can be edited, and rendered from the cameras of the clip in chosen
+frames. Objects are named by their labels in the editor's own segmentation of the clip.
 """
 
 from collections.abc import Sequence
@@ -17,33 +17,33 @@ from datagen.schema import EditKind
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What the cameras of a clip see of a scene, edited or not."""
+    """Images of a scene, edited or not, from the cameras of a clip."""
 
     rgb: Float[np.ndarray, "frame view height width 3"]
     """sRGB in 0..1."""
     depth: Float[np.ndarray, "frame view height width"]
-    """Planar z in metres; of a truth, 0 where nothing returns."""
+    """Planar z in metres; in ground truth, 0 without a return."""
     labels: Integer[np.ndarray, "frame view height width"]
     """Object of each pixel, 0 = background."""
 
 
 @runtime_checkable
 class EditableScene(Protocol):
-    """A scene as an editor sees it."""
+    """A scene inferred by an editor."""
 
     @property
     def labels(self) -> Integer[np.ndarray, "frame seen height width"]:
-        """Segmentation of the first views, as many as the editor looks at; 0 = background."""
+        """Segmentation of the views that the editor uses, from the first on; 0 = background."""
         ...
 
     def render(self, frames: Sequence[int]) -> Picture:
-        """All views, unedited."""
+        """Render all views of the unedited scene."""
         ...
 
     def edited(self, kind: EditKind, label: int, transform: Float[np.ndarray, "4 4"], frames: Sequence[int]) -> Picture:
-        """The same after an edit of one object.
+        """Render all views after an edit of one object.
 
-        It is removed, or carried along by a rigid transform of the world (metres), or left with a copy that is carried.
+        The object is removed, or moved by a rigid transform of the world (metres), or copied with a moved copy.
         """
         ...
 
@@ -53,5 +53,5 @@ class Editor(Protocol):
     """A model whose scenes can be edited."""
 
     def infer(self, clip: Clip) -> EditableScene:
-        """The scene of a clip."""
+        """Infer the scene of a clip."""
         ...

@@ -1,28 +1,30 @@
-"""One job: a model's edits of the test scenes of a track, scored and stored scene by scene."""
+"""Editing jobs: one model's edits of the test scenes of a track, scored and stored scene by scene."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from benchmark.clips import ClipSequence
-from benchmark.execution.runner import SPLIT
 from benchmark.models.interface import Clip
+from benchmark.results.scoring import SPLIT
 from benchmark.tasks.editing.answers import Answer, answers_of, reference_answers
 from benchmark.tasks.editing.interface import Editor
 from benchmark.tasks.editing.lines import line_of, line_without_edit, load_lines, path_of, save_lines
 from benchmark.tasks.editing.truth import EditedScene, Pair, kinds_in, read_edits
 from datagen.errors import UsageError
-from datagen.storage.reader import Dataset
+from datagen.schema import EditKind
+from datagen.storage.reader import Dataset, Split
 
 VERSION = 1
 """Version of the scores; raise it when the scores of equal pictures change."""
 
 Scored = Iterator[tuple[Pair, Answer]]
+ReadEdits = Callable[[Split, int, Sequence[EditKind]], EditedScene]
 
 
 @dataclass(frozen=True)
 class EditJob:
-    """Edits of one model on one track, to be scored."""
+    """Edits of one model on one track, to be scored; implements `benchmark.execution.executor.Runnable`."""
 
     track: str
     model: str
@@ -71,7 +73,7 @@ class EditJob:
         done = {line["scene"] for line in lines}
         return [scene for scene in range(self.scenes) if scene not in done]
 
-    def run(self, announce: Callable[[str], None]) -> None:
+    def run(self, announce: Callable[[str], None], read: ReadEdits = read_edits) -> None:
         """Score the missing scenes; calls `announce` after every scene, and with the job's name at the end.
 
         Raises:
@@ -82,7 +84,7 @@ class EditJob:
         clips, answer = ClipSequence(scenes), self._answer()
         lines = load_lines(self.path)
         for index in self.missing():
-            truth = read_edits(scenes, index, kinds)
+            truth = read(scenes, index, kinds)
             scored = answer(truth, lambda index=index: clips[index])
             new = [line_of(self.track, self.model, index, pair, found) for pair, found in scored]
             lines += new or [line_without_edit(self.track, self.model, index)]

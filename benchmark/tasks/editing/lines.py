@@ -1,7 +1,7 @@
-"""Scores of edits on disk: one CSV file for each model and track, a line for each scene, edit and answer.
+"""Scores of edits on disk: one CSV file per model and track, with a line per scene, edit and answer.
 
-A file grows while its job runs, scene by scene, so that a job that was stopped goes on. A scene that has nothing to
-edit has a line without an edit, which says that it was looked at.
+A file grows scene by scene while its job runs, so that a stopped job can resume. A scene without edits has one line
+with an empty edit, which marks it as done.
 """
 
 import math
@@ -87,5 +87,5 @@ def _typed(row: dict[str, str]) -> Line:
     numbers = {name: float(row[name]) if row[name] else math.nan for name in METRICS}
     scene = int(row["scene"])
     if scene < 0 or math.inf in map(abs, numbers.values()):
-        raise ValueError(f"a line of scene {scene} has a score that is infinite, or the scene is none")
+        raise ValueError(f"a line of scene {scene} has a score that is infinite, or an invalid scene")
     return {**row, "scene": scene, **numbers}

@@ -1,4 +1,4 @@
-"""How near a picture of an edited scene comes to the truth: colour and depth by region, and segmentation."""
+"""Scores of pictures of edited scenes: colour and depth by region, and segmentation."""
 
 import math
 
@@ -11,7 +11,7 @@ from benchmark.tasks.editing.interface import Picture
 from benchmark.tasks.editing.truth import Pair
 
 METRICS = ("psnr_inside", "psnr_shadow", "psnr_outside", "depth_inside", "depth_outside", "ari_fg", "ari")
-"""Columns, in the order of tables; depths in millimetres, smaller is better, of the others larger."""
+"""Columns, in the order of tables. Depths are errors in millimetres; of the others, larger is better."""
 
 LARGEST_PSNR = 60.0
 """PSNR of equal pictures, in dB; rounding to bytes alone gives 58.9."""
@@ -21,12 +21,12 @@ Mask = Bool[np.ndarray, "frame view height width"]
 
 
 def score(pair: Pair, shown: Picture, truth: Picture | None = None) -> dict[str, float]:
-    """All metrics of one picture of a scene, over all frames and views; nan where a region is empty.
+    """Compute all metrics of one picture of a scene, over all frames and views; nan if a region is empty.
 
     Args:
-        pair: The edit, whose regions are looked at (`Pair.inside`, `Pair.shadow`, `Pair.outside`).
-        shown: What is scored.
-        truth: What it ought to be; the edited scene where nothing else is said.
+        pair: The edit, which defines the regions (`Pair.inside`, `Pair.shadow`, `Pair.outside`).
+        shown: The picture to score.
+        truth: The ground truth; the edited scene by default.
     """
     truth = truth or pair.after
     inside, shadow, outside = pair.inside, pair.shadow, pair.outside
@@ -41,13 +41,13 @@ def score(pair: Pair, shown: Picture, truth: Picture | None = None) -> dict[str,
 
 
 def depth_error(truth: Depths, shown: Depths, where: Mask) -> float:
-    """Median absolute error in millimetres where the truth has a depth; nan where it has none."""
+    """Median absolute error in millimetres over pixels whose true depth is known; nan if there are none."""
     known = where & (truth > 0)
     return float(1000 * np.median(np.abs(truth[known] - shown[known]))) if known.any() else math.nan
 
 
 def _segmentation(truth: Picture, shown: Picture) -> dict[str, float]:
-    """Means over frames and views; pixels without depth do not count, as in the benchmark of segmentations."""
+    """Mean scores over frames and views; pixels without depth are ignored, as for segmentations."""
     scores = clip_scores(truth.labels, shown.labels, 0, truth.depth == 0)
     return {name: _mean(scores[name]) for name in ("ari_fg", "ari")}
 

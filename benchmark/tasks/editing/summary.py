@@ -30,16 +30,16 @@ SHOWN = {
     "ari_fg": "ARI-FG",
     "ari": "ARI",
 }
-"""Headings of the tables."""
+"""Headings of the metrics in tables."""
 
 NOTES = (
     "Means over scenes with 95 % bootstrap intervals. *Inside* are pixels whose object the edit changes, *in shadows* "
     "other pixels whose colour it changes, *outside* all the rest (of depth: all but inside); a scene without such "
     f"pixels does not count there, and equal pictures have {LARGEST_PSNR:g} dB.",
     "*edit*: the model's edit against the true one. *reconstruction*: the model's picture before the edit against the "
-    "true one before the edit, in the same regions: as good as it draws what is there.",
+    "true one before the edit, in the same regions; it bounds the quality of edits.",
     "*no-edit*: the true picture before the edit. *true-pixels*: the same with the true pixels of the region inside "
-    "pasted in, so that shadows alone are wrong. Both are told the truth.",
+    "pasted in, so that only shadows are wrong. Both use ground truth.",
     "*not found*: scenes in which no label of the model has more than half of the union with the object. It cannot "
     "edit them, and its unedited picture is scored.",
 )

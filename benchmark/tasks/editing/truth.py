@@ -1,4 +1,4 @@
-"""Edits as the generator rendered them."""
+"""Ground truth of edits: scenes that the generator rendered before and after them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,43 +24,43 @@ class Pair:
     object: int
     """Id of the object that is removed, moved or copied."""
     transform: Float[np.ndarray, "4 4"]
-    """Of the world, metres: where the object, or its copy, goes; the identity where it is removed."""
+    """Motion of the object or its copy, as a transform of the world in metres; the identity if it is removed."""
     before: Picture
     after: Picture
 
     @property
     def inside(self) -> Mask:
-        """The edited region: pixels that show another object, or the table in the place of one, than before."""
+        """The edited region: pixels that show another object than before, or the table in place of one."""
         return self.before.labels != self.after.labels
 
     @property
     def shadow(self) -> Mask:
-        """Pixels that show the same object, or the table, in another colour."""
+        """Pixels that show the same object or table as before, in another colour."""
         change = np.abs(self.before.rgb - self.after.rgb).sum(axis=-1) * 255
         return ~self.inside & (np.rint(change) >= LEAST_EFFECT)
 
     @property
     def outside(self) -> Mask:
-        """All others."""
+        """All other pixels."""
         return ~self.inside & ~self.shadow
 
 
 @dataclass(frozen=True, eq=False)
 class EditedScene:
-    """One scene and its edits."""
+    """A scene and its edits."""
 
     labels: Integer[np.ndarray, "frame view height width"]
-    """Ids of the unedited scene, all frames."""
+    """Object ids of the unedited scene, all frames."""
     frames: tuple[int, ...]
-    """Those that are scored."""
+    """Frames that are scored."""
     before: Picture
-    """The unedited scene, these frames."""
+    """The unedited scene in these frames."""
     pairs: tuple[Pair, ...]
-    """Of the same; without edits for which there was no object or no place."""
+    """The edits in these frames; some are missing if there was no suitable object or no free place."""
 
 
 def read_edits(scenes: Split, index: int, kinds: Sequence[EditKind]) -> EditedScene:
-    """Edits of one scene."""
+    """Read the edits of one scene."""
     record = scenes.read(index, _IMAGES)
     frames = frames_scored(len(record["rgb"]))
     before = _picture(record, "", frames)
@@ -69,7 +69,7 @@ def read_edits(scenes: Split, index: int, kinds: Sequence[EditKind]) -> EditedSc
 
 
 def frames_scored(count: int) -> tuple[int, ...]:
-    """The first, the middle and the last frame of a clip: an edit is of all frames, and neighbours are alike.
+    """First, middle and last frame of a clip; edits affect all frames, and neighbouring frames are similar.
 
     >>> frames_scored(10), frames_scored(1)
     ((0, 4, 9), (0,))
@@ -90,10 +90,10 @@ def _pairs(
 
 
 def kinds_in(dataset: Dataset) -> tuple[EditKind, ...]:
-    """The edits of a dataset.
+    """Kinds of edits in a dataset.
 
     Raises:
-        UsageError: it has none.
+        UsageError: it has no edits.
     """
     if kinds := dataset.edits:
         return kinds

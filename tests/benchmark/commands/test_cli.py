@@ -13,8 +13,8 @@ import pytest
 
 from benchmark.commands.cli import main
 from benchmark.execution import plan
-from benchmark.execution.isolation import Limits
-from benchmark.execution.schedule import run_jobs
+from benchmark.execution.executor import Limits
+from benchmark.execution.jobs import run_all
 from benchmark.results.run_folder import RunRow, load_runs
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
 from datagen.tracks import DataFolder
@@ -392,7 +392,7 @@ def test_one_fit_serves_all_tracks_and_one_failure_costs_one_row(tmp_path: Path)
     made = plan.make_plan(request, [], tmp_path / "out")
     assert len(made.jobs) == 1
     heard: list[RunRow] = []
-    run_jobs(made, lambda job: Limits(60.0, 2000.0), 2, heard.append)
+    run_all(made.jobs, lambda job: Limits(60.0, 2000.0), 2, heard.append)
     assert [(row.key.track, row.key.fit_track, row.status) for row in heard] == [
         ("a", "a", "ok"),
         ("b", "a", "failed"),

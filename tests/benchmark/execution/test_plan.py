@@ -5,13 +5,25 @@ from pathlib import Path
 import pytest
 
 import assets
-from benchmark.execution.plan import Plan, Request, Weights, check_places, make_plan, superseded
-from benchmark.execution.runner import blank_row
+from benchmark.commands.arguments import Run
+from benchmark.commands.request import request_of
+from benchmark.execution.jobs import GRACE_SECONDS, OVERHEAD, SLOWDOWN, STARTING_SECONDS, Job, Target, blank_row
+from benchmark.execution.plan import (
+    SCENE_SECONDS,
+    SCORING_SECONDS,
+    Plan,
+    Request,
+    Weights,
+    check_places,
+    estimate,
+    make_plan,
+    superseded,
+)
 from benchmark.models import registry
 from benchmark.models.model_spec import ModelSpec
 from benchmark.results.run_folder import RunKey, RunRow, load_runs
 from datagen.errors import UsageError
-from datagen.tracks import Track, find_track
+from datagen.tracks import SIZES, Track, find_track
 from tests.paths import ROOT
 
 MOVING, MIXED, TOUCHING, CLEVR = (find_track(name) for name in ("moving", "mixed", "touching", "clevr3d"))
@@ -202,7 +214,7 @@ def test_weights_of_a_folder_stand_beside_the_models(register, tmp_path: Path):
         (name, "mixed") for name in ("plane-dbscan", "mine", "mine-att")
     }
     (job,) = (job for job in made.jobs if job.model == "net")
-    assert (job.checkpoint, job.trains, job.seed) == (tmp_path, False, 0)
+    assert (job.checkpoint, job.training_seconds, job.seed) == (tmp_path, 0.0, 0)
 
 
 def test_rows_of_other_weights_never_mix(register, shipped: Path):
@@ -231,3 +243,62 @@ def test_a_wanted_row_is_the_same_whoever_asks(register):
     keys = plan().keys
     assert keys == tuple(sorted(keys))
     assert len({dataclasses.replace(key, model="") for key in keys}) == 3
+
+
+KEY = RunKey("data", "data", "m", 0, 1, "c", "f", "t")
+MINUTES_20 = STARTING_SECONDS + OVERHEAD * 1200
+
+
+def job(**facts: object) -> Job:
+    made = Job("m", 0, Path("d"), 5, (Target(KEY, Path("d"), 5),), Path("o"), seconds=1200.0, folder=Path("f"))
+    return dataclasses.replace(made, **facts)
+
+
+@pytest.mark.parametrize(("seeds", "workers", "rounds"), [(1, 1, 1), (3, 2, 2), (4, 2, 2), (3, 1, 3), (2, 4, 1)])
+def test_the_duration_of_trainings_that_run_side_by_side(seeds: int, workers: int, rounds: int):
+    found = estimate(Plan((), (job(),) * seeds, {}), workers)
+    assert found
+    assert found.training == pytest.approx(rounds * MINUTES_20)
+
+
+def test_the_duration_includes_scenes_and_scores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path))
+    found = estimate(Plan((), (job(),) * 3, {MOVING: ("train",)}), 2)
+    assert found
+    data = STARTING_SECONDS + SIZES["train"] * SCENE_SECONDS / 2
+    assert (found.data, found.training, found.scoring) == pytest.approx((data, 2 * MINUTES_20, 2 * SCORING_SECONDS))
+    assert str(found) == (
+        "This takes about 50 minutes, less if a run is resumed: 2 to make scenes, 46 to train, 2 to score."
+    )
+
+
+def test_the_paper_s_tables_have_a_duration_and_no_row_takes_an_hour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path))
+    request = request_of(Run(model=("paper", "plane-dbscan"), track=("paper",), seeds=2, out=tmp_path / "out"))
+    made = make_plan(request, [], tmp_path / "out")
+    learning = [job for job in made.jobs if job.learns]
+    assert len(learning) == 7 * 4 * 2
+    found = estimate(made, 2)
+    assert found
+    assert found.training == pytest.approx(len(learning) / 2 * learning[0].training_seconds)
+    alone = [estimate(Plan((), (job,), {}), 1) for job in learning]
+    assert max(one.training + one.scoring for one in alone if one) < 3600
+
+
+def test_shipped_weights_take_no_training_time():
+    found = estimate(Plan((), (job(checkpoint=Path("c")),), {}), 2)
+    assert found
+    assert (found.training, found.scoring) == (0.0, SCORING_SECONDS)
+
+
+def test_the_duration_is_unknown_for_steps_and_not_given_without_training():
+    assert estimate(Plan((), (job(seconds=float("inf"), steps=10),), {}), 2) is None
+    assert estimate(Plan((), (job(folder=None),), {}), 2) is None
+    assert estimate(Plan((), (), {}), 2) is None
+
+
+def test_the_time_limit_follows_from_the_budget():
+    assert job(folder=None).time_limit == GRACE_SECONDS
+    assert job().time_limit == GRACE_SECONDS + SLOWDOWN * MINUTES_20
+    assert job(seconds=float("inf"), steps=500).time_limit == GRACE_SECONDS + SLOWDOWN * 500
+    assert job(checkpoint=Path("c")).time_limit == GRACE_SECONDS

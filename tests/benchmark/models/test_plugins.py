@@ -52,6 +52,13 @@ def only_problem() -> Problem:
     return problems[0]
 
 
+def test_plugins_are_not_imported_for_our_own_models(install):
+    install("nothingnet", SMALLEST, nothing="nothingnet:Nothing")
+    assert find_model("plane-dbscan")
+    assert expand(["training-free"])
+    assert "nothingnet" not in sys.modules
+
+
 def test_a_class_with_fit_and_segment_is_a_model(install):
     install("nothingnet", SMALLEST, nothing="nothingnet:Nothing")
     spec = find_model("nothing")

@@ -3,9 +3,8 @@ import sys
 
 import pytest
 
-from benchmark.models import plugins
 from benchmark.models.interface import Segmenter
-from benchmark.models.model_spec import KINDS, PRIORS, ModelSpec
+from benchmark.models.model_spec import KINDS, PRIORS
 from benchmark.models.registry import GROUPS, MODELS, Group, budget_of, discover, expand, find_model
 from benchmark.results.run_folder import digest
 from datagen.errors import UsageError
@@ -90,15 +89,6 @@ def test_defaults_are_the_first_values_of_the_grid(name: str):
     if name != "plane-dbscan-colour":  # It is plane-dbscan with the colour that it else leaves out.
         spec = MODELS[name]
         assert spec.build({"slots": 5}) == spec.build({"slots": 5, **spec.default}) or not spec.grid
-
-
-def test_our_own_models_cost_no_search_for_plugins(monkeypatch: pytest.MonkeyPatch):
-    def never(taken: object) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr(plugins, "load", never)
-    assert isinstance(find_model("plane-dbscan"), ModelSpec)
-    assert expand(["training-free"])
 
 
 def test_every_variant_is_a_model_and_a_constant_of_it_that_changes_makes_new_rows():

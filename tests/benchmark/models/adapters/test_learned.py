@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from benchmark.execution.validation_scores import Watch
 from benchmark.models.adapters.learned import LearnedSegmenter
 from benchmark.models.interface import Clip, Segmenter
 from benchmark.models.registry import find_model
+from benchmark.models.validation import ValidationScorer
 from benchmark.ranking.failed_seeds import has_finite_loss
 from datagen.errors import UsageError
 from tests.chosen_scores import run_row
@@ -93,7 +93,7 @@ def test_a_checkpoint_stands_in_for_training(model: LearnedSegmenter, folder: Pa
 
 def test_whoever_watches_sees_it_segment_while_it_learns(tmp_path: Path):
     seen, truths = zip(*(clip_and_truth(seed, frames=2, resolution=SIZE) for seed in range(2)), strict=True)
-    watch = Watch(seen, truths, tmp_path / "seen.csv")
+    watch = ValidationScorer(seen, truths, tmp_path / "seen.csv")
     model = fitted({"watch": watch}, clips(2))
     curve = watch.added_to(model.learning_curve or [])
     assert [point["step"] for point in curve if "msc_fg" in point] == [1, 2]

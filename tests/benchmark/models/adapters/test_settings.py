@@ -9,9 +9,9 @@ import pytest
 import tyro
 
 from benchmark.commands.arguments import Run
-from benchmark.execution.machine import ROOT
+from benchmark.commands.request import request_of
 from benchmark.execution.plan import make_plan
-from benchmark.execution.request import request_of
+from benchmark.machine import ROOT
 from benchmark.models.adapters.settings import LATER, settings_of
 from benchmark.models.registry import find_model
 from benchmark.results.run_folder import load_runs

@@ -52,11 +52,10 @@ def test_more_scenes_extend_a_job(edits: Path, tmp_path: Path):
     assert some_job(edits, tmp_path).missing() == [1]
 
 
-def test_a_scene_that_has_nothing_to_edit_is_done_once(edits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_scene_that_has_nothing_to_edit_is_done_once(edits: Path, tmp_path: Path):
     def empty(scenes: Split, index: int, kinds: Sequence[EditKind]) -> EditedScene:
         return replace(read_edits(scenes, index, kinds), pairs=())
 
-    monkeypatch.setattr("benchmark.tasks.editing.job.read_edits", empty)
     job = some_job(edits, tmp_path)
-    job.run(lambda event: None)
+    job.run(lambda event: None, empty)
     assert job.missing() == []

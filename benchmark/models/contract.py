@@ -1,22 +1,64 @@
-"""Rules for the poses of a clip, whoever made them: a model, predictions from elsewhere, or a stored run."""
+"""Checks of predictions against the contract of `benchmark.models.interface`, from models and from files."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from benchmark.models.interface import LARGEST_LABEL
+from benchmark.models.interface import LARGEST_LABEL, Clip, Poses, Prediction
+from datagen.errors import DatagenError
 
 ARRAYS = {"center": (3,), "rotation": (3, 3), "size": (3,)}
-"""Names of the arrays, and the shape of one pose in each."""
+"""Names of the arrays of poses, and the shape of one pose in each."""
 MOST_METRES = 1e6
 """Largest coordinate and side length; beyond it squares lose all precision."""
 UNIT_TOLERANCE = 1e-3
 """Largest deviation of a rotation's columns from orthonormal ones."""
 
 
+class BadPrediction(DatagenError):
+    """A model broke the contract of `benchmark.models.interface`."""
+
+
+def check_prediction(prediction: Prediction, clip: Clip, where: str, extra: Collection[str] = ()) -> None:
+    """Check that a model gave a label for every pixel, also in each of the `extra` segmentations, and valid poses.
+
+    Raises:
+        BadPrediction: the prediction is invalid; the message describes it.
+    """
+    if not isinstance(prediction, Prediction):
+        raise BadPrediction(f"In {where} the model gave a {type(prediction).__name__}; expected a Prediction.")
+    if missing := sorted(set(extra) - set(prediction.extra)):
+        raise BadPrediction(f"In {where} the model gave no {missing[0]!r} in `extra`, which it declares.")
+    for labels in (prediction.labels, *(prediction.extra[name] for name in extra)):
+        _check_labels(np.asarray(labels), prediction.background_slot, clip, where)
+    if prediction.poses is not None:
+        _check_poses(prediction.poses, clip, where)
+
+
+def _check_labels(labels: np.ndarray, slot: int | None, clip: Clip, where: str) -> None:
+    if labels.shape != clip.depth.shape or not np.issubdtype(labels.dtype, np.integer):
+        nan = " with nan" if labels.dtype.kind == "f" and np.isnan(labels).any() else ""
+        expected = f"integers of shape {clip.depth.shape}"
+        raise BadPrediction(
+            f"In {where} the model gave labels {labels.dtype} {labels.shape}{nan}; expected {expected}."
+        )
+    for value in (labels.min(), labels.max(), 0 if slot is None else slot):
+        if not 0 <= value <= LARGEST_LABEL:
+            raise BadPrediction(
+                f"In {where} the model gave label or background slot {value}; expected 0 to {LARGEST_LABEL}."
+            )
+
+
+def _check_poses(poses: Poses, clip: Clip, where: str) -> None:
+    frames, views = clip.depth.shape[:2]
+    arrays = {name: None if (array := getattr(poses, name)) is None else np.asarray(array) for name in ARRAYS}
+    if fault := pose_fault(arrays, (frames, views)):
+        raise BadPrediction(f"In {where} the model gave {fault}.")
+
+
 def pose_fault(arrays: Mapping[str, np.ndarray | None], images: tuple[int, int]) -> str:
-    """Say what is wrong with poses, and what was expected; empty if nothing is.
+    """Describe what is wrong with the poses of a clip, and what was expected; empty if nothing is wrong.
 
     Args:
         arrays: Some of `ARRAYS` by name, each [frame, view, label, ...]; missing ones may be None.
@@ -46,7 +88,7 @@ def _shape_fault(given: Mapping[str, np.ndarray], images: tuple[int, int]) -> st
 
 
 def _value_faults(given: Mapping[str, np.ndarray]) -> Iterator[str]:
-    """Faults of single poses; in a row without a pose all numbers are nan."""
+    """Yield the faults of single poses; all numbers of a label without a pose are nan."""
     there = {name: ~np.isnan(array).all(axis=tuple(range(3, array.ndim))) for name, array in given.items()}
     for name, array in given.items():
         inner = tuple(range(3, array.ndim))

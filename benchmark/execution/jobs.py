@@ -1,30 +1,56 @@
-"""One job: fit a model once, then segment, store and score one or more tracks; all in the calling process."""
+"""Segmentation jobs: fit a model once, then segment, store and score one or more tracks.
+
+A job runs in the calling process; `run_all` runs many of them through `benchmark.execution.executor`.
+"""
 
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, TruthSequence
-from benchmark.execution.machine import commit, peak_mib
-from benchmark.execution.scoring import Predict, score_labels, segment_split
-from benchmark.execution.validation_scores import WATCHED, Watch
+from benchmark.execution.executor import FITTED, Limits, Outcome, run_jobs
+from benchmark.machine import commit, peak_mib
 from benchmark.models.adapters.predictions import PredictionFolder
-from benchmark.models.interface import Segmenter
+from benchmark.models.contract import check_prediction
+from benchmark.models.interface import Clip, Prediction, Segmenter
 from benchmark.models.model_spec import ModelSpec, Options
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
+from benchmark.models.validation import VALIDATION, ValidationScorer
 from benchmark.ranking.text import brief, one_line
-from benchmark.results.curves import Curve
-from benchmark.results.run_folder import LABELS, Measured, RunKey, RunRow, save_row
+from benchmark.results.csv_files import Curve
+from benchmark.results.labels import write_labels
+from benchmark.results.run_folder import (
+    LABELS,
+    SCENES,
+    Measured,
+    RunKey,
+    RunRow,
+    load_row,
+    load_runs,
+    row_path,
+    save_row,
+)
+from benchmark.results.scoring import SPLIT, score_labels
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset, Split
 from datagen.tracks import Profile
 
-SPLIT = "test"
-"""The split that is scored."""
+GRACE_SECONDS = 3600.0
+"""Time that a job may take in addition to training."""
+STARTING_SECONDS = 20.0
+"""Time for imports and compilation before the first scene or the first training step."""
+OVERHEAD = 1.13
+"""Wall time per second of training budget: validation, curve scores, checkpoints and pictures come on top."""
+SLOWDOWN = 2.0
+"""Largest slowdown by other load: wall time per second of one core. Also the largest time per step, in seconds."""
+
+Predict = Callable[[int, Clip], Prediction]
+"""Function that segments a scene, given its number and its clip."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +73,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Job:
-    """A model and a seed: fitted once, scored on every target."""
+    """A model and a seed: fitted once, scored on every target; implements `benchmark.execution.executor.Runnable`."""
 
     model: str
     seed: int
@@ -66,6 +92,8 @@ class Job:
     """Trained weights, used in place of training."""
     profile: Profile = "cpu"
     """Size of the networks of a model that learns."""
+    predictions: PredictionFolder | None = None
+    """Label maps to score in place of a model."""
 
     @property
     def learns(self) -> bool:
@@ -77,40 +105,75 @@ class Job:
         """Name of the trained weights; empty if there are none."""
         return self.checkpoint.name if self.checkpoint else ""
 
-    predictions: PredictionFolder | None = None
-    """Label maps to score in place of a model."""
+    @property
+    def training_seconds(self) -> float:
+        """Estimated wall time of training; infinite if the budget is counted in steps, 0 without training."""
+        return STARTING_SECONDS + OVERHEAD * self.seconds if self.learns and not self.checkpoint else 0.0
 
     @property
-    def trains(self) -> bool:
-        """Whether the model is trained in this job."""
-        return self.learns and not self.checkpoint
+    def time_limit(self) -> float:
+        """Default limit of the seconds until the next row is written."""
+        return GRACE_SECONDS + SLOWDOWN * (self.training_seconds if self.steps is None else self.steps)
 
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the targets' own rows."""
         return tuple(target.key.name for target in self.targets)
 
-    def run(self, announce: Callable[[str], None]) -> None:
-        """Make all rows of the job; see `run_job`."""
-        run_job(self, announce)
+    def run(self, announce: Callable[[str], None] = lambda event: None) -> None:
+        """Make all rows. Calls `announce` with "fitted", then with each target's row name once it is written.
+
+        Raises:
+            UsageError: the model, a dataset or a split does not exist, or a split is empty.
+            BadPrediction: the model did not return a label for every pixel.
+            CorruptFile: a dataset is damaged.
+        """
+        fitted = None if self.predictions else _fit(find_model(self.model), self)
+        announce(FITTED)
+        for target in self.targets:
+            rows = [_predictions_row(self, target)] if fitted is None else _model_rows(self, fitted, target)
+            _save(self, rows)
+            announce(target.key.name)
 
 
-def run_job(job: Job, announce: Callable[[str], None] = lambda event: None) -> None:
-    """Make all rows of a job. Calls `announce` with "fitted", then with each target's row name once it is written.
+def run_all(
+    jobs: Sequence[Job], limits_of: Callable[[Job], Limits], workers: int, on_row: Callable[[RunRow], None]
+) -> None:
+    """Run jobs within limits, and call `on_row` with every target's row, failed ones included.
 
     Raises:
-        UsageError: the model, a dataset or a split does not exist, or a split is empty.
-        BadPrediction: the model did not return a label for every pixel.
-        CorruptFile: a dataset is damaged.
+        Busy: another process makes one of the rows.
     """
-    fitted = None if job.predictions else _fit(find_model(job.model), job)
-    announce("fitted")
-    for target in job.targets:
-        rows = [_predictions_row(job, target)] if fitted is None else _model_rows(job, fitted, target)
-        # Write the target's own row last: its existence implies that of the others.
-        for row in rows[::-1]:
-            save_row(job.out, row)
-        announce(target.key.name)
+
+    def on_event(job: Job, event: str) -> None:
+        for target in job.targets:
+            if target.key.name == event:
+                on_row(load_row(row_path(job.out, target.key)))
+
+    def on_failure(job: Job, outcome: Outcome) -> list[Job]:
+        left = [target for target in job.targets if target.key.name not in outcome.events]
+        # A failed fit concerns all targets, a failed segmentation only the current one.
+        failed = left[:1] if FITTED in outcome.events else left
+        for target in failed:
+            on_row(_save_failure(job, target, outcome.reason))
+        rest = tuple(left[len(failed) :])
+        return [dataclasses.replace(job, targets=rest)] if rest else []
+
+    run_jobs(jobs, limits_of, workers, on_event=on_event, on_failure=on_failure)
+
+
+def repeat_rows(keys: Sequence[RunKey], out: Path) -> None:
+    """Copy the rows of models without randomness to their other wanted seeds, which were not run."""
+    rows = load_runs(out)
+    there = {row.key for row in rows}
+    for row in rows:
+        for key in keys:
+            if row.random or key in there or dataclasses.replace(key, seed=row.key.seed) != row.key:
+                continue
+            table = out / SCENES / f"{row.key.name}.csv"
+            if table.exists():
+                write_whole(out / SCENES / f"{key.name}.csv", table.read_bytes())
+            save_row(out, dataclasses.replace(row, key=key))
 
 
 def blank_row(key: RunKey, spec: ModelSpec | None, *, status: str, reason: str = "") -> RunRow:
@@ -134,6 +197,21 @@ def blank_row(key: RunKey, spec: ModelSpec | None, *, status: str, reason: str =
     )
 
 
+def _save_failure(job: Job, target: Target, reason: str) -> RunRow:
+    """Write failed rows for all keys of a target, and return its own row."""
+    spec = None if job.predictions else find_model(job.model)
+    rows = [blank_row(key, spec, status="failed", reason=reason) for key in target.keys]
+    rows = [dataclasses.replace(row, pretrained=job.pretrained) for row in rows]
+    _save(job, rows)
+    return rows[0]
+
+
+def _save(job: Job, rows: Sequence[RunRow]) -> None:
+    """Write a target's rows, its own row last: its existence implies that of the others."""
+    for row in rows[::-1]:
+        save_row(job.out, row)
+
+
 @dataclass(frozen=True)
 class _Fitted:
     """Result of fitting a model."""
@@ -142,20 +220,20 @@ class _Fitted:
     segmenter: Segmenter
     options: Options
     seconds: float
-    watch: Watch | None
+    validation: ValidationScorer | None
 
     @property
     def learning_curve(self) -> Curve | None:
-        """Learning curve that the model recorded, with the scores of `watch` added; None if it is empty."""
+        """Learning curve that the model recorded, with the validation scores added; None if it is empty."""
         curve = getattr(self.segmenter, "learning_curve", None)
         points = [{one_line(str(name)): float(value) for name, value in point.items()} for point in curve or ()]
-        return (self.watch.added_to(points) if self.watch else points) or None
+        return (self.validation.added_to(points) if self.validation else points) or None
 
 
 def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     started = time.perf_counter()
     if job.checkpoint:
-        return _pretrained(spec, job)
+        return _load(spec, job, job.checkpoint)
     dataset = Dataset(job.fit_data)
     # Only models that learn get training clips, so that other models do not wait for their generation.
     train = _clips(dataset.split("train"), spec) if spec.kind == "learned" else []
@@ -169,18 +247,19 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     options |= {"changes": dict(changes)} if changes else {}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
-    watch = Watch(val, truths, job.out / WATCHED / f"{job.folder.name}.csv") if job.folder else None
-    segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": watch} if job.folder else {})})
+    scorer = ValidationScorer(val, truths, job.out / VALIDATION / f"{job.folder.name}.csv") if job.folder else None
+    segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": scorer} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)
     seconds = float(getattr(segmenter, "fit_seconds", time.perf_counter() - started))
-    return _Fitted(spec, segmenter, chosen, seconds, watch)
+    return _Fitted(spec, segmenter, chosen, seconds, scorer)
 
 
-def _pretrained(spec: ModelSpec, job: Job) -> _Fitted:
-    segmenter = spec.build({"slots": job.fit_slots, "checkpoint": job.checkpoint})
+def _load(spec: ModelSpec, job: Job, checkpoint: Path) -> _Fitted:
+    """Build a model with trained weights."""
+    segmenter = spec.build({"slots": job.fit_slots, "checkpoint": checkpoint})
     segmenter.fit([], [], seed=job.seed, budget=0.0)
     # The training of these weights may have changed the model's declared settings.
-    spec = spec.configured(job.checkpoint) if spec.configured and job.checkpoint else spec
+    spec = spec.configured(checkpoint) if spec.configured else spec
     return _Fitted(spec, segmenter, {}, float("nan"), None)
 
 
@@ -206,7 +285,7 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
 
 
 def _for_target(job: Job, fitted: _Fitted, target: Target) -> tuple[Segmenter, Options]:
-    """Give the fitted model; a model that learns nothing is rebuilt if the track has another number of slots."""
+    """Return the fitted model; a model that learns nothing is rebuilt if the track has another number of slots."""
     if fitted.spec.kind == "learned" or target.slots == job.fit_slots:
         return fitted.segmenter, fitted.options
     options = {**fitted.options, "slots": target.slots}
@@ -238,6 +317,36 @@ def _score(job: Job, target: Target, predict: Predict, scenes: Split, clips: Cli
     for name, path in extra.items():
         score_labels(path, scenes, job.out, target.extra[name].name)
     return seconds / score_labels(labels, scenes, job.out, target.key.name)
+
+
+def segment_split(
+    predict: Predict, clips: ClipSequence, path: Path, data: Path, extra: Mapping[str, Path] | None = None
+) -> float:
+    """Segment every clip of the dataset `data` and store the label maps; returns the seconds that `predict` took.
+
+    Args:
+        predict: Segments a clip.
+        clips: Clips of the split.
+        path: File for the label maps.
+        data: Folder of the dataset.
+        extra: Files for the segmentations in `Prediction.extra`, by name.
+
+    Raises:
+        BadPrediction: `predict` did not return a label for every pixel.
+    """
+    seconds, extra = 0.0, extra or {}
+    with ExitStack() as stack:
+        writer = stack.enter_context(write_labels(path, len(clips), data))
+        others = {name: stack.enter_context(write_labels(place, len(clips), data)) for name, place in extra.items()}
+        for index, clip in enumerate(clips):
+            started = time.perf_counter()
+            prediction = predict(index, clip)
+            seconds += time.perf_counter() - started
+            check_prediction(prediction, clip, f"scene {index}", extra)
+            writer.put(index, prediction)
+            for name, other in others.items():
+                other.put(index, Prediction(prediction.extra[name], prediction.background_slot))
+    return seconds
 
 
 def _clips(scenes: Split, spec: ModelSpec) -> ClipSequence:

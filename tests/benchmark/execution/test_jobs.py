@@ -6,9 +6,9 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from benchmark.execution.runner import Job, Target, run_job
-from benchmark.execution.scoring import BadPrediction
+from benchmark.execution.jobs import Job, Target
 from benchmark.models import registry
+from benchmark.models.contract import BadPrediction
 from benchmark.models.interface import Clip, Prediction
 from benchmark.models.model_spec import ModelSpec, Options, Views
 from benchmark.models.registry import find_model
@@ -75,7 +75,7 @@ def test_a_model_that_knows_the_truth_scores_one(data: Path, tmp_path: Path, reg
     truths = iter([reader.Dataset(data).split("test")[i]["segmentation"] for i in range(2)])
     model = register(lambda clip: Prediction(next(truths).astype(np.int64), 0))
     events = []
-    run_job(job(data, tmp_path / "out"), events.append)
+    job(data, tmp_path / "out").run(events.append)
     (row,) = load_runs(tmp_path / "out")
     assert events == ["fitted", row.key.name]
     assert model.fits == [(2, 2, 4, 10.0)]
@@ -91,7 +91,7 @@ def test_pixels_without_depth_do_not_count(data: Path, tmp_path: Path, register)
     scenes = reader.Dataset(data).split("test")
     truths = iter([scenes[i]["segmentation"] for i in range(2)])
     register(lambda clip: Prediction(np.where(clip.valid, next(truths), 9).astype(np.int64), 0))
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     table = load_scenes(tmp_path / "out", load_runs(tmp_path / "out")[0])
     assert pooled(table, "ari") == pooled(table, "msc_fg") == 1
     assert table["ignored"].tolist() == [np.sum(scenes[i]["sensor_valid"] == 0) for i in range(2)]
@@ -99,7 +99,7 @@ def test_pixels_without_depth_do_not_count(data: Path, tmp_path: Path, register)
 
 def test_label_maps_are_kept(data: Path, tmp_path: Path, register):
     register(lambda clip: Prediction(np.full(clip.depth.shape, 200), 200))
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     (path,) = (tmp_path / "out" / LABELS).iterdir()
     maps = list(read_labels(path))
     assert len(maps) == 2
@@ -111,7 +111,7 @@ def test_the_largest_slot_stands_in_for_an_undeclared_background(data: Path, tmp
     register(
         lambda clip: Prediction(np.where(np.arange(clip.depth.shape[-1]) < 8, 1, 6) + 0 * clip.depth.astype(int), None)
     )
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     (path,) = (tmp_path / "out" / LABELS).iterdir()
     assert {slot for _, slot in read_labels(path)} == {6}
 
@@ -127,14 +127,12 @@ def test_clips_carry_labels_for_those_only_who_say_so(
         return background(clip)
 
     register(answer, uses_labels=uses_labels, kind=kind)
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     assert seen == [uses_labels] * 2
     assert load_runs(tmp_path / "out")[0].uses_labels is uses_labels
 
 
-def test_what_is_seen_of_a_model_while_it_learns_stands_in_its_curve(
-    data: Path, tmp_path: Path, register, monkeypatch: pytest.MonkeyPatch
-):
+def test_validation_scores_stand_in_the_learning_curve(data: Path, tmp_path: Path, register):
     truth = reader.Dataset(data).split("val")[0]["segmentation"].astype(np.int64)
     model = register(background)
 
@@ -143,8 +141,8 @@ def test_what_is_seen_of_a_model_while_it_learns_stands_in_its_curve(
         model.options[-1]["watch"](lambda clip: Prediction(truth, 0), step=7, seconds=30.0)
         model.learning_curve = [{"step": 3, "loss": np.float32(2.0)}, {"step": 7, "loss": np.float32(1.0)}]
 
-    monkeypatch.setattr(model, "fit", fit)
-    run_job(job(data, tmp_path / "out", folder=tmp_path / "out" / "training" / "own"))
+    model.fit = fit
+    job(data, tmp_path / "out", folder=tmp_path / "out" / "training" / "own").run()
     first, last = load_runs(tmp_path / "out")[0].learning_curve or []
     assert first == {"step": 3.0, "loss": 2.0}
     assert last.keys() == {"step", "seconds", "loss", "ari_fg", "msc_fg"}
@@ -153,13 +151,13 @@ def test_what_is_seen_of_a_model_while_it_learns_stands_in_its_curve(
 
 def test_a_row_says_how_many_views_its_model_uses(data: Path, tmp_path: Path, register):
     register(background, views=Views("one", "all"))
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     assert load_runs(tmp_path / "out")[0].views == "1 in, 2 supervise"
 
 
 def test_the_profile_is_an_option_where_it_is_not_the_usual_one(data: Path, tmp_path: Path, register):
     model = register(background, settings={"width": 1}, profiles={"gpu": {"width": 2}})
-    run_job(job(data, tmp_path / "out", profile="gpu"))
+    job(data, tmp_path / "out", profile="gpu").run()
     assert model.options == [{"slots": 5, "profile": "gpu"}]
     assert load_runs(tmp_path / "out")[0].config == {"width": 2, "slots": 5, "profile": "gpu"}
 
@@ -168,13 +166,13 @@ def test_models_that_learn_nothing_get_no_training_clips(data: Path, tmp_path: P
     for path in data.glob("train-*.h5"):
         path.unlink()
     model = register(background, kind="classical")
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     assert model.fits == [(0, 2, 4, 10.0)]
 
 
 def test_tuning_takes_half_of_the_budget_and_is_recorded(data: Path, tmp_path: Path, register):
     model = register(background, grid=({"reach": 1}, {"reach": 2}))
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     (row,) = load_runs(tmp_path / "out")
     assert (row.tuned, row.trials) == (True, 2)
     assert row.config == {"slots": 5, "reach": 1}
@@ -184,7 +182,7 @@ def test_tuning_takes_half_of_the_budget_and_is_recorded(data: Path, tmp_path: P
 def test_one_fit_serves_all_targets(data: Path, tmp_path: Path, register):
     other = write_dataset(tmp_path / "other", scenes=1, frames=1)
     model = register(background, kind="learned")
-    run_job(job(data, tmp_path / "out", other))
+    job(data, tmp_path / "out", other).run()
     assert len(model.fits) == 1
     assert {row.key.track: row.n_scenes for row in load_runs(tmp_path / "out")} == {"data": 2, "other": 1}
 
@@ -192,13 +190,13 @@ def test_one_fit_serves_all_targets(data: Path, tmp_path: Path, register):
 def test_models_that_learn_nothing_get_each_track_s_slots(data: Path, tmp_path: Path, register):
     other = write_dataset(tmp_path / "other", scenes=1, frames=1)
     model = register(background, kind="classical")
-    run_job(job(data, tmp_path / "out", other))
+    job(data, tmp_path / "out", other).run()
     assert [options["slots"] for options in model.options] == [5, 6]
 
 
 def test_steps_are_offered_where_budgets_are_counted_in_them(data: Path, tmp_path: Path, register):
     model = register(background)
-    run_job(job(data, tmp_path / "out", steps=12))
+    job(data, tmp_path / "out", steps=12).run()
     assert model.options == [{"slots": 5, "steps": 12}]
 
 
@@ -217,7 +215,7 @@ def test_a_model_that_breaks_the_contract_is_named(data: Path, tmp_path, registe
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
     register(answer)
     with pytest.raises(BadPrediction, match=message):
-        run_job(job(data, tmp_path / "out"))
+        job(data, tmp_path / "out").run()
     assert [path for path in (tmp_path / "out").rglob("*") if path.is_file()] == []
 
 
@@ -225,10 +223,10 @@ def test_an_empty_split_is_refused(tmp_path: Path, register):
     register(background)
     empty = write_dataset(tmp_path / "empty", scenes=0)
     with pytest.raises(UsageError, match="has no scenes"):
-        run_job(job(empty, tmp_path / "out"))
+        job(empty, tmp_path / "out").run()
     register(background, grid=({"reach": 1}, {"reach": 2}))
     with pytest.raises(UsageError, match="no validation scenes"):
-        run_job(job(empty, tmp_path / "out"))
+        job(empty, tmp_path / "out").run()
 
 
 def both(clip: Clip) -> Prediction:
@@ -248,7 +246,7 @@ def test_further_segmentations_have_rows_of_their_own(data: Path, tmp_path: Path
     model = register(both, extra=("att",))
     model.learning_curve = [{"step": 1, "loss": 0.5}]
     events = []
-    run_job(with_extra(job(data, tmp_path / "out")), events.append)
+    with_extra(job(data, tmp_path / "out")).run(events.append)
     main, other = load_runs(tmp_path / "out")
     assert (main.key.model, other.key.model) == ("scripted", "scripted-att")
     assert events == ["fitted", main.key.name]
@@ -272,12 +270,12 @@ def test_a_further_segmentation_that_is_missing_or_wrong_is_named(
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
     register(lambda clip: Prediction(background(clip).labels, 0, extra), extra=("att",))
     with pytest.raises(BadPrediction, match=message):
-        run_job(with_extra(job(data, tmp_path / "out")))
+        with_extra(job(data, tmp_path / "out")).run()
 
 
 def test_a_folder_is_offered_for_the_fit_that_counts_and_kept_out_of_the_row(data: Path, tmp_path: Path, register):
     model = register(background, grid=({"reach": 1}, {"reach": 2}))
-    run_job(job(data, tmp_path / "out", folder=tmp_path / "own"))
+    job(data, tmp_path / "out", folder=tmp_path / "own").run()
     assert ["folder" in options for options in model.options] == [False, False, True]
     assert model.options[-1]["folder"] == tmp_path / "own"
     assert "folder" not in load_runs(tmp_path / "out")[0].config
@@ -285,19 +283,19 @@ def test_a_folder_is_offered_for_the_fit_that_counts_and_kept_out_of_the_row(dat
 
 def test_a_run_that_went_on_says_how_long_fitting_took_in_all(data: Path, tmp_path: Path, register):
     register(background).fit_seconds = 1000.0
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     assert load_runs(tmp_path / "out")[0].measured.fit_seconds == 1000.0
 
 
 def test_the_constants_of_a_model_are_in_its_row(data: Path, tmp_path: Path, register):
     register(background, settings={"model": {"width": 64}})
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     assert load_runs(tmp_path / "out")[0].config == {"model": {"width": 64}, "slots": 5}
 
 
 def test_what_a_model_was_fitted_with_counts_more_than_what_it_declares(data: Path, tmp_path: Path, register):
     register(background, settings={"minutes": 23}).fitted_settings = {"minutes": 12}
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     assert load_runs(tmp_path / "out")[0].config == {"minutes": 12, "slots": 5}
 
 
@@ -305,7 +303,7 @@ def test_weights_that_were_trained_before_need_no_clips(data: Path, tmp_path: Pa
     for path in [*data.glob("train-*.h5"), *data.glob("val-*.h5")]:
         path.unlink()
     model = register(background)
-    run_job(job(data, tmp_path / "out", checkpoint=tmp_path / "scripted--data--64x48"))
+    job(data, tmp_path / "out", checkpoint=tmp_path / "scripted--data--64x48").run()
     assert model.options == [{"slots": 5, "checkpoint": tmp_path / "scripted--data--64x48"}]
     assert model.fits == [(0, 0, 4, 0.0)]
     assert load_runs(tmp_path / "out")[0].pretrained == "scripted--data--64x48"
@@ -317,16 +315,16 @@ def test_rows_of_weights_state_what_these_were_trained_with(data: Path, tmp_path
         return dataclasses.replace(find_model("scripted"), priors=("slots",), views=Views("all", "all"))
 
     register(background, priors=("plane",), views=Views("one", "all"), configured=own)
-    run_job(job(data, tmp_path / "out", checkpoint=tmp_path / "mine"))
+    job(data, tmp_path / "out", checkpoint=tmp_path / "mine").run()
     (row,) = load_runs(tmp_path / "out")
     assert (row.priors, row.views) == (("slots",), "2 in, 2 supervise")
 
 
 def test_what_a_model_changes_on_a_track_reaches_it_and_its_row(data: Path, tmp_path: Path, register):
     elsewhere = register(background, kind="learned", on_tracks={"other": {"size": 2}})
-    run_job(job(data, tmp_path / "out"))
+    job(data, tmp_path / "out").run()
     there = register(background, kind="learned", on_tracks={data.name: {"size": 2}})
-    run_job(job(data, tmp_path / "again"))
+    job(data, tmp_path / "again").run()
     assert "changes" not in elsewhere.options[-1]
     assert there.options[-1]["changes"] == {"size": 2}
     (row,) = load_runs(tmp_path / "again")

@@ -1,7 +1,6 @@
-"""`obpose-bench --task editing`: scores the edits of trained models, and writes the tables."""
+"""`obpose-bench --task editing`: score the edits of trained models, and write the tables."""
 
 import glob
-import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,15 +8,15 @@ from pathlib import Path
 from benchmark.commands import arguments
 from benchmark.commands.console import prepare
 from benchmark.commands.outputs import print_path, wide_console
-from benchmark.execution.duration import GRACE_SECONDS
-from benchmark.execution.isolation import LOGS, limits, run_isolated
+from benchmark.commands.request import job_limits
+from benchmark.execution.executor import Outcome, run_jobs
+from benchmark.execution.jobs import GRACE_SECONDS
 from benchmark.execution.plan import Request, trained
-from benchmark.execution.runner import SPLIT
-from benchmark.execution.schedule import side_by_side
 from benchmark.models.registry import find_model
 from benchmark.names import REFERENCES, REFINED
 from benchmark.ranking.text import terminal
 from benchmark.results.run_folder import digest
+from benchmark.results.scoring import SPLIT
 from benchmark.tasks.editing import summary
 from benchmark.tasks.editing.job import VERSION, EditJob
 from benchmark.tasks.editing.lines import FOLDER
@@ -33,7 +32,7 @@ from obpose.storage.pretrained import content_hash
 
 
 def score_edits(values: arguments.Run, request: Request) -> int:
-    """Score what is missing, then write the tables."""
+    """Score the missing scenes, then write the tables."""
     if request.models and not request.pretrained:
         raise UsageError(
             "--task editing trains nothing; add --pretrained for weights that ship with the package, or give a folder "
@@ -55,7 +54,7 @@ def score_edits(values: arguments.Run, request: Request) -> int:
 
 
 def _with_edits(source: Source) -> Source:
-    """A track with all edits; of a dataset, those that it has."""
+    """Add all edits to a track; check that a dataset has some."""
     if isinstance(source, Track):
         return replace(source, edits=EDITS)
     kinds_in(Dataset(source.folder))
@@ -106,24 +105,21 @@ def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
 
 
 def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
-    """Run the jobs in parallel; returns the reasons of failures."""
+    """Run the jobs in parallel, and print a line for each; returns the reasons of failures."""
     console, reasons = status_console(), []
+    limits = job_limits(values, GRACE_SECONDS)
     with progress_bar(console, "scenes", sum(len(job.missing()) for job in jobs)) as advance:
 
-        def do(job: EditJob, stop: threading.Event) -> list[EditJob]:
-            def hear(event: str) -> None:
-                if event != job.name:  # a scene
-                    advance()
-
-            seconds = 60 * values.time_limit if values.time_limit else GRACE_SECONDS
-            share = limits(seconds, workers=values.workers, memory_mib=values.memory_limit)
-            ending = run_isolated(job, share, job.out / LOGS / f"{job.name}.log", stop, hear)
-            if job.name in ending.events:
+        def on_event(job: EditJob, event: str) -> None:
+            if event == job.name:
                 console.print(terminal(f"{job.track}, {job.model}: {counted(job.scenes, 'scene')}"))
-            elif not stop.is_set():
-                console.print(terminal(f"{job.track}, {job.model}: FAILED, {ending.reason}"))
-                reasons.append(ending.reason)
+            else:  # a scene
+                advance()
+
+        def on_failure(job: EditJob, outcome: Outcome) -> list[EditJob]:
+            console.print(terminal(f"{job.track}, {job.model}: FAILED, {outcome.reason}"))
+            reasons.append(outcome.reason)
             return []
 
-        side_by_side(jobs, do, values.workers)
+        run_jobs(jobs, lambda job: limits, values.workers, on_event=on_event, on_failure=on_failure)
     return reasons

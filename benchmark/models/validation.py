@@ -1,11 +1,11 @@
-"""How well a model segments while it learns, on validation clips: for curves, and never for the model.
+"""Validation scores of a model while it learns, for learning curves; the model cannot use them.
 
-The model hands over a function that segments and is told nothing; what was seen goes into a file, and into the learning
-curve when the training is over. So no score, which needs labels, can decide anything in a training.
+The model passes a function that segments clips, and gets nothing back. The scores go into a file, and into the learning
+curve when training is over. So no score, which needs labels, can influence a training.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,51 +13,50 @@ from jaxtyping import Integer
 
 from benchmark.metrics import clip_scores
 from benchmark.models.interface import Clip, Prediction
-from benchmark.results.curves import Curve, load_curve, save_curve
+from benchmark.results.csv_files import Curve, load_curve, save_curve
 
-WATCHED = "watched"
+VALIDATION = "watched"
+"""Subfolder of the run folder for these scores."""
 CLIPS, FRAMES = 16, 5
-"""The first so many validation clips are looked at, and of each so many frames, which takes seconds."""
+"""Numbers of validation clips that are scored, and of frames in each, from the first on; they take seconds."""
 SCORES = ("ari_fg", "msc_fg")
 
 Segment = Callable[[Clip], Prediction]
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
-    """Looks at a model at some steps of its training."""
+class ValidationScorer:
+    """Scores a model at some steps of its training."""
 
     clips: Sequence[Clip]
     truths: Sequence[Integer[np.ndarray, "frame view height width"]]
     path: Path
-    """Of a CSV file, which the run goes on with if it is interrupted."""
+    """CSV file of the scores; a resumed training continues it."""
 
     def __call__(self, segment: Segment, *, step: int, seconds: float) -> None:
-        """Score the model as it is after so many steps and seconds of its budget."""
+        """Score the model as it is after `step` steps and `seconds` seconds of its budget."""
         scores = [self._scores(segment, index) for index in range(min(CLIPS, len(self.clips)))]
         means = {name: _mean([score[name] for score in scores]) for name in SCORES}
-        # What a run saw after its last checkpoint, before it was killed, is seen again.
+        # A resumed training repeats the steps after its last checkpoint.
         before = [point for point in self._points() if point["step"] < step]
         save_curve(self.path, [*before, {"step": float(step), "seconds": seconds, **means}])
 
     def added_to(self, curve: Sequence[Mapping[str, float]]) -> Curve:
-        """A learning curve with the scores at its steps."""
-        seen = {point["step"]: point for point in self._points()}
-        return [{**seen.get(point.get("step", np.nan), {}), **point} for point in curve]
+        """Add the scores to the points of a learning curve at the same steps."""
+        scores = {point["step"]: point for point in self._points()}
+        return [{**scores.get(point.get("step", np.nan), {}), **point} for point in curve]
 
     def _points(self) -> Curve:
         return load_curve(self.path) or []
 
     def _scores(self, segment: Segment, index: int) -> Mapping[str, np.ndarray]:
-        clip, truth = self.clips[index], self.truths[index][:FRAMES]
-        seen = None if clip.truth is None else clip.truth[:FRAMES]
-        clip = replace(clip, rgb=clip.rgb[:FRAMES], depth=clip.depth[:FRAMES], valid=clip.valid[:FRAMES], truth=seen)
+        clip, truth = self.clips[index].select(slice(FRAMES)), self.truths[index][:FRAMES]
         found = segment(clip)
         return clip_scores(truth, found.labels, found.background, ~clip.valid)
 
 
 def _mean(values: Sequence[np.ndarray]) -> float:
-    """Over all frames in which a score is defined."""
+    """Mean over all frames in which a score is defined; nan if there are none."""
     frames = np.concatenate([*values, np.empty(0)])
     defined = frames[~np.isnan(frames)]
     return float(defined.mean()) if len(defined) else float("nan")

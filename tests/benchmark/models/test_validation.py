@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmark.execution.validation_scores import CLIPS, FRAMES, Watch
 from benchmark.models.interface import Clip, Prediction
-from benchmark.results.curves import load_curve
+from benchmark.models.validation import CLIPS, FRAMES, ValidationScorer
+from benchmark.results.csv_files import load_curve
 from tests.worlds.sphere_clips import clip_and_truth
 
 
@@ -14,9 +14,9 @@ def scenes() -> list[tuple[Clip, np.ndarray]]:
     return [clip_and_truth(seed, frames=2, resolution=(32, 24)) for seed in range(2)]
 
 
-def watch(scenes: list[tuple[Clip, np.ndarray]], folder: Path) -> Watch:
+def watch(scenes: list[tuple[Clip, np.ndarray]], folder: Path) -> ValidationScorer:
     clips, truths = zip(*scenes, strict=True)
-    return Watch(clips, truths, folder / "watched" / "run.csv")
+    return ValidationScorer(clips, truths, folder / "watched" / "run.csv")
 
 
 def right(scenes: list[tuple[Clip, np.ndarray]]):

@@ -1,16 +1,14 @@
-"""Poses on disk, in a group `poses` of the file of the label maps: one row a pose, as there may be few in any image."""
+"""Poses on disk: the group `poses` of a file of label maps, with one row per pose, as images may have few of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import h5py
 import numpy as np
 from jaxtyping import Float, Int64, Integer
 
+from benchmark.models.contract import ARRAYS, pose_fault
 from benchmark.models.interface import LARGEST_LABEL, Poses
-from benchmark.results.label_files import reading_labels
-from benchmark.results.pose_rules import ARRAYS, pose_fault
 from datagen.errors import UsageError
 from datagen.storage.safe_io import hdf5_dataset, read_hdf5
 
@@ -27,10 +25,10 @@ class PoseRows:
     values: dict[str, list[np.ndarray]] = field(default_factory=dict)
 
     def put(self, scene: int, poses: Poses) -> None:
-        """Take the poses of one scene, without those that are nan.
+        """Add the poses of one scene, except those that are nan.
 
         Raises:
-            UsageError: it has other arrays than the scenes before.
+            UsageError: the scene has other arrays than earlier scenes.
         """
         given = {name for name in ARRAYS if getattr(poses, name) is not None}
         if self.index and given != set(self.values):
@@ -42,7 +40,7 @@ class PoseRows:
             self.values.setdefault(name, []).append(getattr(poses, name)[tuple(there.T)])
 
     def write(self, file: h5py.File) -> None:
-        """Write them; without any scene that has poses, nothing."""
+        """Write all poses; nothing if no scene has any."""
         if not self.index:
             return
         group = file.create_group(GROUP)
@@ -51,28 +49,17 @@ class PoseRows:
             group[name] = np.concatenate(arrays)
 
 
-def read_poses(path: Path) -> list[Poses] | None:
-    """Read the poses of every scene of a file of label maps, in order; None where its model gave none.
-
-    Raises:
-        UsageError: there is no such file.
-        CorruptFile: it is damaged.
-    """
-    with reading_labels(path) as file:
-        return poses_in(file, range(len(hdf5_dataset(file, "labels", ndim=5))))
-
-
 def poses_in(file: h5py.File, scenes: Sequence[int]) -> list[Poses] | None:
-    """Read the poses of some scenes from an open file of label maps; None where it has no poses at all.
+    """Read the poses of some scenes from an open file of label maps; None if it has none.
 
     Raises:
-        ValueError: they are damaged, or break the rules of `benchmark.results.pose_rules`.
+        ValueError: they are damaged, or break the contract (`benchmark.models.contract`).
     """
     if GROUP not in file:
         return None
     count, frames, views = hdf5_dataset(file, "labels", ndim=5).shape[:3]
     stored = hdf5_dataset(file, f"{GROUP}/{INDEX}", ndim=2, kinds="iu")
-    # Before anything is read: a few bytes can claim to be millions of rows.
+    # Check before reading: a few bytes can declare millions of rows.
     if len(stored) > (most := count * frames * views * (LARGEST_LABEL + 1)):
         raise ValueError(f"{GROUP}/{INDEX} has {len(stored)} rows; expected at most {most}, one for each label")
     index = read_hdf5(stored)
@@ -86,7 +73,7 @@ def poses_in(file: h5py.File, scenes: Sequence[int]) -> list[Poses] | None:
 
 
 def _check_index(index: Integer[np.ndarray, "pose column"], sizes: tuple[int, int, int, int]) -> None:
-    """Check that every row names a scene, frame, view and label that exist, and no two rows the same."""
+    """Check that all rows are different, and that their scenes, frames, views and labels exist."""
     name = f"{GROUP}/{INDEX}"
     if index.shape[1] != 4:
         raise ValueError(f"{name} has shape {index.shape}; expected (poses, 4): scene, frame, view and label")
@@ -109,7 +96,7 @@ def _values(file: h5py.File, name: str, count: int) -> np.ndarray:
 def _scene(
     index: Integer[np.ndarray, "pose 4"], rows: Mapping[str, np.ndarray], scene: int, images: tuple[int, int]
 ) -> dict[str, np.ndarray]:
-    """Arrays of one scene, nan where it has no pose."""
+    """Build the arrays of one scene, nan where it has no pose."""
     mine = index[:, 0] == scene
     place = index[mine, 1:].astype(np.int64)
     size = (*images, int(place[:, 2].max(initial=0)) + 1)
@@ -119,7 +106,7 @@ def _scene(
 def _filled(
     values: Float[np.ndarray, "pose *shape"], place: Int64[np.ndarray, "pose 3"], size: tuple[int, int, int]
 ) -> Float[np.ndarray, "frame view label *shape"]:
-    """Values in their places; nan in all others."""
+    """Put values in their places; all other places are nan."""
     array = np.full((*size, *values.shape[1:]), np.nan)
     array[tuple(place.T)] = values
     return array

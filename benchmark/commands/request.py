@@ -1,9 +1,10 @@
-"""Turn the flags of `obpose-bench` into a request."""
+"""Turn the flags of `obpose-bench` into a request, and into limits of its jobs."""
 
 from pathlib import Path
 
 from benchmark.commands import arguments
 from benchmark.commands.flag_limits import check_flag
+from benchmark.execution.executor import Limits, limits
 from benchmark.execution.plan import Request, Weights
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.registry import budget_of, discover, expand, find_model, row_names
@@ -60,8 +61,18 @@ def request_of(values: arguments.Run) -> Request:
         steps=values.steps,
         pretrained=values.pretrained,
         weights=_weights(values),
-        slots=tuple(dict.fromkeys(number + 1 for number in values.slots)),
+        slots=tuple(dict.fromkeys(objects + 1 for objects in values.slots)),  # the background takes one more
         profile=values.profile,
+    )
+
+
+def job_limits(values: arguments.Run, seconds: float) -> Limits:
+    """Limits of each job, with a time limit of `seconds` unless a flag sets another."""
+    return limits(
+        60 * values.time_limit if values.time_limit else seconds,
+        workers=values.workers,
+        memory_mib=values.memory_limit,
+        threads=1 if values.deterministic else None,
     )
 
 
@@ -85,7 +96,7 @@ def _check(values: arguments.Run) -> None:
     if values.refine and values.task != "editing":
         raise UsageError("--refine is for --task editing; segmentations are scored as they are inferred.")
     if values.background_slot is not None and not values.predictions:
-        raise UsageError("--background-slot is for --predictions; models say themselves which slot is the background.")
+        raise UsageError("--background-slot is for --predictions; models declare their background themselves.")
     for flag in _NUMBERS:
         check_flag(flag.replace("_", "-"), getattr(values, flag))
     for number in values.slots:
@@ -141,7 +152,7 @@ def _weights(values: arguments.Run) -> tuple[Weights, ...]:
 
 
 def _name(values: arguments.Run, folder: Path) -> str:
-    """Name for the label maps, or weights, of a folder in tables, files and keys."""
+    """Choose the name of a folder's label maps or weights in tables, files and keys."""
     name = folder.name if values.name is None else values.name
     check_model_name(name, "Give one with --name.")
     if twin := find_twin(name, row_names(discover()[0])):

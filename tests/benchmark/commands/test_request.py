@@ -8,7 +8,7 @@ import pytest
 
 from assets import CHECKPOINTS
 from benchmark.commands.arguments import Run
-from benchmark.execution.request import request_of
+from benchmark.commands.request import request_of
 from benchmark.models.registry import GROUPS, Group
 from datagen import config
 from datagen.errors import UsageError

@@ -1,11 +1,8 @@
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from benchmark.commands.cli import main
-from benchmark.tasks.editing import command
 from benchmark.tasks.editing.lines import load_all
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.pipeline.generate import generate
@@ -52,19 +49,6 @@ def test_a_dataset_without_edits_is_refused(tmp_path: Path, capsys):
     generated.make(tmp_path / "plain", {"test": 1})
     assert run_cli(*MODEL, "--data", tmp_path / "plain", "--out", tmp_path / "out") == EXIT_USAGE
     assert "holds no edits" in capsys.readouterr().err
-
-
-def test_the_bar_counts_each_scene_once(fitting: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    seen = []
-
-    @contextmanager
-    def count(_console: object, _what: str, total: int) -> Iterator[Callable[[], None]]:
-        yield lambda: seen.append(total)
-
-    monkeypatch.setattr(command, "progress_bar", count)
-    assert run_cli(*MODEL, "--data", fitting, "--out", tmp_path) == EXIT_OK
-    # The scene of the references and that of the model.
-    assert seen == [2, 2]
 
 
 def test_refined_scenes_have_rows_of_their_own(fitting: Path, tmp_path: Path, capsys):

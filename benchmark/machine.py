@@ -8,17 +8,23 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parent.parent
 
 
 def peak_mib() -> float:
-    """Largest resident memory that this process ever had, MiB."""
+    """Largest resident memory of this process so far, MiB.
+
+    On Linux this is VmHWM, since a child process inherits its parent's ru_maxrss.
+    """
+    with suppress(OSError, StopIteration, ValueError):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / 1024
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
 
 
 def resident_mib(process: int) -> float:
-    """Memory that a process holds now, MiB; 0 where the system does not tell."""
+    """Memory that a process holds now, MiB; 0 if the system does not provide it."""
     with suppress(OSError, IndexError, ValueError):
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
@@ -32,14 +38,14 @@ def machine_mib() -> float:
 
 def cores() -> int:
     """Cores that this process may use."""
-    from joblib import cpu_count  # late: help needs no engine
+    from joblib import cpu_count  # slow import, not needed for --help
 
     return cpu_count()
 
 
 @cache
 def commit() -> str:
-    """The commit of the code, with a plus sign where files were changed since; empty outside a git checkout."""
+    """Commit of the code, with a plus sign if files differ from it; empty outside a git checkout."""
     if not (ROOT / ".git").exists():
         return ""
     with suppress(OSError):

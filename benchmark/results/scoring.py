@@ -1,0 +1,72 @@
+"""Score stored label maps into scene tables; no model runs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmark.clips import ClipSequence, read_truth
+from benchmark.metrics import clip_scores
+from benchmark.metrics.poses import pose_scores
+from benchmark.ranking.standings import Progress, silent
+from benchmark.results.labels import check_labels_fit, labels_path, locate, read_labels, read_poses
+from benchmark.results.run_folder import RunRow, save_scenes, scene_line
+from benchmark.tasks.true_poses import read_true_poses
+from datagen.errors import DatagenError
+from datagen.storage.reader import Dataset, Split
+
+SPLIT = "test"
+"""The split that is scored."""
+
+
+def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
+    """Score stored label maps, and poses if the file has some, and write the scene table.
+
+    Returns the number of frames; each view counts as a frame. Pixels without depth are ignored, as geometry gives no
+    information about them.
+
+    Raises:
+        CorruptFile: the label maps do not fit the scenes.
+    """
+    check_labels_fit(path, scenes)
+    lines = []
+    poses = read_poses(path)
+    for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
+        truth = read_truth(scenes, index)
+        scores = clip_scores(truth, labels, slot, ~clip.valid)
+        if poses is not None:
+            true = read_true_poses(scenes, index, clip, truth)
+            scores |= pose_scores(true, poses[index], truth, labels, slot, ~clip.valid)
+        lines.append(scene_line(index, scores))
+    save_scenes(out, name, lines)
+    return int(sum(line["n_frames"] for line in lines))
+
+
+def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, progress: Progress = silent) -> int:
+    """Recompute the scene tables of all finished rows from their label maps, and return their number.
+
+    Args:
+        folder: The run folder.
+        rows: Its rows.
+        data: Folders of datasets, searched first.
+        progress: Shows how many rows are done.
+
+    Raises:
+        DatagenError: the label maps or the dataset of a row are missing.
+        CorruptFile: label maps are damaged.
+    """
+    finished = [row for row in rows if row.status == "ok"]
+    # Find all before writing any table, so that an incomplete folder stays unchanged.
+    found = [_find(folder, row, data) for row in finished]
+    for row, (labels, dataset) in progress(list(zip(finished, found, strict=True)), "scoring rows"):
+        score_labels(labels, Dataset(dataset).split(SPLIT), folder, row.key.name)
+    return len(finished)
+
+
+def _find(folder: Path, row: RunRow, data: Sequence[Path]) -> tuple[Path, Path]:
+    """Find the label maps and the dataset of a row."""
+    labels = labels_path(folder, row)
+    if not labels.exists():
+        raise DatagenError(f"{labels} is missing; label maps stay on the machine that made them. Run there.")
+    dataset = locate(folder, row, data)
+    if dataset is None:
+        raise DatagenError(f"The dataset of {row.key.name} is not on this machine; name its folder with --data.")
+    return labels, dataset

@@ -1,0 +1,110 @@
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from benchmark.clips import ClipSequence
+from benchmark.execution.jobs import segment_split
+from benchmark.metrics.poses import POSE_METRICS
+from benchmark.models.classical.boxes import OracleVisibleBoxes, OracleVisibleMeans
+from benchmark.models.interface import Clip, Poses, Prediction
+from benchmark.results.labels import read_poses
+from benchmark.results.run_folder import load_runs
+from benchmark.results.scoring import rescore, score_labels
+from benchmark.tasks.true_poses import read_true_poses
+from datagen.errors import CorruptFile
+from datagen.storage.reader import Dataset, Split
+from tests.worlds import rendered
+from tests.worlds.runs import MODELS, write_runs
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    write_runs(tmp_path, scenes=2, seeds=1, models={name: MODELS[name] for name in ("merger", "splitter")})
+    return tmp_path / "run"
+
+
+def test_scores_come_out_as_before_and_progress_is_shown(run: Path, tmp_path: Path):
+    before = {path.name: path.read_bytes() for path in (run / "scenes").iterdir()}
+    heard: list[str] = []
+
+    def progress(items, title: str):
+        heard.append(f"{title} {len(items)}")
+        return items
+
+    assert rescore(run, load_runs(run), [tmp_path / "moving", tmp_path / "static"], progress=progress) == 4
+    assert {path.name: path.read_bytes() for path in (run / "scenes").iterdir()} == before
+    assert heard == ["scoring rows 4"]
+
+
+def test_label_maps_of_another_dataset_are_named(run: Path, tmp_path: Path):
+    path = next((run / "labels").glob("moving--merger--*"))
+    with h5py.File(path, "a") as file:
+        del file["labels"]
+        file["labels"] = np.zeros((1, 1, 1, 4, 4), np.uint8)
+    with pytest.raises(
+        CorruptFile, match=rf"{path.name} does not fit the dataset's scenes: it has label maps of shape"
+    ):
+        rescore(run, load_runs(run), [tmp_path / "moving", tmp_path / "static"])
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene = rendered.record(rendered.scene(views=2), resolution=(48, 48))
+    return rendered.write_dataset(tmp_path_factory.mktemp("scoring") / "data", [scene, scene])
+
+
+@pytest.fixture(scope="module")
+def scenes(data: Path) -> Split:
+    return Dataset(data).split("train")
+
+
+def true_prediction(scenes: Split, clip: Clip) -> Prediction:
+    assert clip.truth is not None
+    true = read_true_poses(scenes, 0, clip, clip.truth)
+    frames, views = clip.depth.shape[:2]
+    rotation = np.einsum("foij,ojk->foik", true.rotation, true.box_rotation)
+    size = np.broadcast_to(true.box_size, (frames, *true.box_size.shape))
+    arrays = [np.repeat(values[:, None], views, axis=1) for values in (true.box_center, rotation, size)]
+    rows = [np.concatenate([np.full_like(array[:, :, :1], np.nan), array], axis=2) for array in arrays]
+    return Prediction(clip.truth.astype(np.int64), 0, poses=Poses(*rows))
+
+
+def columns(folder: Path) -> dict[str, float]:
+    (path,) = (folder / "scenes").iterdir()
+    header, line, *_ = path.read_text().splitlines()
+    return {name: float(value) for name, value in zip(header.split(","), line.split(","), strict=True)}
+
+
+def score(predict, scenes: Split, data: Path, out: Path) -> dict[str, float]:
+    clips = ClipSequence(scenes, uses_labels=True)
+    segment_split(lambda _, clip: predict(clip), clips, out / "labels.h5", data)
+    score_labels(out / "labels.h5", scenes, out, "name")
+    return columns(out)
+
+
+def test_true_poses_come_back_without_error(scenes: Split, data: Path, tmp_path: Path):
+    found = score(lambda clip: true_prediction(scenes, clip), scenes, data, tmp_path)
+    assert found["posed"] == 1
+    assert found["box_iou"] == pytest.approx(1, abs=1e-4)
+    assert found["translation_error"] < 1e-6
+    assert found["orientation_error"] < 1e-2
+    assert (found["posed_n"], found["translation_median_n"]) == (6, 1)
+    assert found["translation_error_visible"] > 0.005
+
+
+def test_what_is_visible_leans_towards_the_camera(scenes: Split, data: Path, tmp_path: Path):
+    means = score(OracleVisibleMeans().segment, scenes, data, tmp_path / "means")
+    assert means["translation_error_visible"] == pytest.approx(0, abs=1e-6)
+    assert 0.01 < means["translation_error"] < 0.06
+    boxes = score(OracleVisibleBoxes().segment, scenes, data, tmp_path / "boxes")
+    assert boxes["posed"] == 1
+    assert boxes["translation_error"] < means["translation_error"]
+    assert 0.2 < boxes["box_iou"] < 0.95
+
+
+def test_without_poses_there_are_no_such_columns(scenes: Split, data: Path, tmp_path: Path):
+    found = score(lambda clip: Prediction(clip.truth.astype(np.int64), 0), scenes, data, tmp_path)
+    assert not set(POSE_METRICS) & set(found)
+    assert read_poses(tmp_path / "labels.h5") is None
