@@ -9,7 +9,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from datagen.console.text import counted
 from datagen.storage.safe_io import parse_json
-from obpose.config import ADDED_LATER, Config
+from obpose.config import Config
 from obpose.errors import UsageError
 
 Plain = dict[str, Any]
@@ -26,13 +26,11 @@ def to_plain(config: Any) -> Plain:
 def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
     """Rebuild a configuration of this kind: the inverse of `to_plain`.
 
-    Values of `obpose.config.ADDED_LATER` may be missing in older files; they get their defaults.
-
     Raises:
-        UsageError: another value is missing, a name is unknown, or a value is of the wrong kind.
+        UsageError: a value is missing, a name is unknown, or a value is of the wrong kind.
     """
     config = _build(kind, plain, "")
-    if missing := [name for name, _ in _kinds(kind, "") if name not in ADDED_LATER and not _has(plain, name)]:
+    if missing := [name for name, _ in _kinds(kind, "") if not _has(plain, name)]:
         others = f" and {counted(len(missing) - 1, 'other value')}" if missing[1:] else ""
         raise UsageError(f"The configuration lacks {missing[0]}{others}: the file is damaged, or was written by hand.")
     return config

@@ -1,4 +1,4 @@
-"""Pixels to points and points to the objects' boxes."""
+"""Rays and surface points of pixels, and coordinates in the objects' boxes."""
 
 from dataclasses import replace
 
@@ -7,13 +7,13 @@ from einops import rearrange, repeat
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.model.layers.numerics import all_digits
+from obpose.model.layers.numerics import full_precision
 from obpose.types import Observation, Rays
 
 _DEPTH_OF_NOTHING = 1.0
-"""Metres; stands for the depth of pixels without one, which no loss counts."""
+"""Depth in metres of rays without one, which no loss counts."""
 _TINY = 1e-12
-"""Odds of a pixel without depth or interest, before they are made to sum to one."""
+"""Unnormalised sampling probability of pixels without depth or interest."""
 
 
 def unproject(observation: Observation) -> Float[Tensor, "batch frame view height width 3"]:
@@ -24,15 +24,15 @@ def unproject(observation: Observation) -> Float[Tensor, "batch frame view heigh
 
 
 def view_directions(observation: Observation) -> Float[Tensor, "batch view height width 3"]:
-    """From the camera to each pixel's surface, world frame, per metre of planar depth."""
+    """Directions from the camera to each pixel's surface, world frame, per metre of planar depth."""
     return _camera_rays(observation)[0]
 
 
-@all_digits
+@full_precision
 def camera_rays(
     k: Float[Tensor, "*view 3 3"], world_from_camera: Float[Tensor, "*view 4 4"], height: int, width: int
 ) -> tuple[Float[Tensor, "*view height width 3"], Float[Tensor, "*view 3"]]:
-    """Directions through the middles of pixels, per metre of planar depth, and where they begin, world frame."""
+    """Directions through pixel centres, per metre of planar depth, and camera centres; world frame."""
     u = torch.arange(width, dtype=k.dtype, device=k.device) + 0.5
     v = torch.arange(height, dtype=k.dtype, device=k.device) + 0.5
     focal, middle = torch.stack([k[..., 0, 0], k[..., 1, 1]], dim=-1), k[..., :2, 2]
@@ -44,23 +44,24 @@ def camera_rays(
 
 
 def all_rays(observation: Observation) -> Rays:
-    """Every pixel of every view."""
+    """Rays of all pixels of all views."""
     batch, frame, view, height, width = observation.depth.shape
     index = torch.arange(view * height * width, device=observation.depth.device)
     return _rays(observation, repeat(index, "ray -> batch frame ray", batch=batch, frame=frame))
 
 
 def sample_rays(observation: Observation, count: int, generator: torch.Generator | None) -> Rays:
-    """`count` different pixels of each frame at random, over all its views; all of them for 0.
+    """Draw `count` different pixels of each frame, over all its views; 0 for all.
 
-    Pixels without depth are drawn only where a frame has too few with one.
+    Pixels without depth are drawn only if a frame has too few with depth.
     """
     pixels = observation.depth[0, 0].numel()
     if count == 0 or count >= pixels:
         return all_rays(observation)
-    lots = torch.rand((*observation.depth.shape[:2], pixels), generator=generator, device=observation.depth.device)
-    lots = lots + rearrange(observation.valid, "b f view height width -> b f (view height width)")
-    return _rays(observation, lots.topk(count, dim=-1, sorted=False).indices)
+    # Valid pixels have priorities above 1.
+    priority = torch.rand((*observation.depth.shape[:2], pixels), generator=generator, device=observation.depth.device)
+    priority = priority + rearrange(observation.valid, "b f view height width -> b f (view height width)")
+    return _rays(observation, priority.topk(count, dim=-1, sorted=False).indices)
 
 
 def sample_rays_where(
@@ -71,29 +72,29 @@ def sample_rays_where(
     share: float,
     generator: torch.Generator | None,
 ) -> Rays:
-    """`count` pixels of each frame, a `share` of them drawn in proportion to the interest, the others uniformly.
+    """Draw `count` pixels of each frame, a `share` of them in proportion to the interest, the others uniformly.
 
-    Drawn with replacement, and weighted so that weighted means are those over all pixels: importance sampling, with
-    weights of at most 1 / (1 - share). All pixels for a count of 0.
+    Importance sampling with replacement: weighted means estimate means over all pixels, and weights are at most
+    1 / (1 - share). A count of 0 gives all pixels.
     """
     pixels = observation.depth[0, 0].numel()
     if count == 0 or count >= pixels:
         return all_rays(observation)
     flat = "batch frame view height width -> (batch frame) (view height width)"
-    # Where a frame has no depth at all something has to be drawn; it has no weight.
+    # Frames without any depth need samples, too; their weight is 0.
     valid = rearrange(observation.valid, flat).to(interest.dtype).clamp(min=_TINY)
-    # A diverged model has interests that are no numbers, which cannot be drawn from; its losses tell.
+    # A diverged model has interests of NaN, from which nothing can be drawn; its losses reveal it later.
     interesting = valid * rearrange(interest, flat).nan_to_num().clamp(min=_TINY)
-    odds = (1 - share) * _shares(valid) + share * _shares(interesting)
-    index = odds.multinomial(count, replacement=True, generator=generator)
-    weight = _shares(valid).gather(1, index) / odds.gather(1, index)
+    probability = (1 - share) * _normalised(valid) + share * _normalised(interesting)
+    index = probability.multinomial(count, replacement=True, generator=generator)
+    weight = _normalised(valid).gather(1, index) / probability.gather(1, index)
     batch = {"batch": observation.depth.shape[0]}
     rays = _rays(observation, rearrange(index, "(batch frame) ray -> batch frame ray", **batch))
     weight = rearrange(weight, "(batch frame) ray -> batch frame ray", **batch)
     return replace(rays, weight=weight * rays.valid)
 
 
-@all_digits
+@full_precision
 def to_box(
     points: Float[Tensor, "*#shape point 3"],
     center: Float[Tensor, "*#shape 3"],
@@ -104,14 +105,14 @@ def to_box(
     return (points - center[..., None, :]) @ rotation * (2 / size)
 
 
-@all_digits
+@full_precision
 def from_box(
     points: Float[Tensor, "*#shape point 3"],
     center: Float[Tensor, "*#shape 3"],
     rotation: Float[Tensor, "*#shape 3 3"],
     size: float,
 ) -> Float[Tensor, "*#shape point 3"]:
-    """World coordinates of points given in the box, the inverse of `to_box`."""
+    """World coordinates of points in a box: the inverse of `to_box`."""
     return points @ rotation.mT * (size / 2) + center[..., None, :]
 
 
@@ -146,5 +147,5 @@ def _pick(values: Float[Tensor, "batch frame place 3"], index: Tensor) -> Float[
     return values.gather(-2, repeat(index, "b f ray -> b f ray 3"))
 
 
-def _shares(values: Float[Tensor, "image pixel"]) -> Float[Tensor, "image pixel"]:
+def _normalised(values: Float[Tensor, "image pixel"]) -> Float[Tensor, "image pixel"]:
     return values / values.sum(dim=-1, keepdim=True)

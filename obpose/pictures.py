@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 from obpose.config import Views
-from obpose.data.clips import views_apart
+from obpose.data.clips import separate_views
 from obpose.geometry import all_rays, from_box
 from obpose.model.nerf.compose import mean_colour
 from obpose.storage.files import write_whole
@@ -62,7 +62,7 @@ def write_picture(path: Path, model: Trainable, clips: Observation, views: Views
     was_training = model.training
     model.eval()
     try:
-        picture = draw(model, clips if views == "together" else views_apart(clips))
+        picture = draw(model, clips if views == "all" else separate_views(clips))
     finally:
         model.train(was_training)
     file = io.BytesIO()

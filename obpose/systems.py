@@ -1,10 +1,10 @@
-"""The systems that learn, by name: what each is configured by, how its model is made, and what tables say about it.
+"""All learned systems by name: their configuration, their builder, and their entries in tables.
 
     system = find_system("obsurf-no-overlap")
     config = system.config("cpu", {"train.seed": 3})
     model = build_model(config)
 
-PyTorch takes seconds to import, so that only building a model does it.
+Importing PyTorch takes seconds, so only building a model does it.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,42 +28,42 @@ Changes = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Architecture:
-    """Systems that differ in nothing but the values of one kind of configuration."""
+    """Systems that differ only in the values of one kind of configuration."""
 
     name: str
-    """Stands in checkpoints."""
+    """Name in checkpoints."""
     config: type
-    """The kind of configuration, a dataclass whose defaults are the profile `cpu`."""
+    """Class of the configuration, a dataclass whose defaults are the profile `cpu`."""
     profiles: Mapping[str, Changes]
     build: Callable[[Any], "Trainable"]
-    """Makes a model with fresh weights."""
+    """Function that builds a model with fresh weights."""
     check: Callable[[Any], None]
-    """Lets a configuration pass only if a model can be made of it and trained."""
+    """Function that raises an error if a configuration cannot be built and trained."""
 
 
 @dataclass(frozen=True)
 class System:
-    """One entry of the tables."""
+    """Learned system of the tables."""
 
     architecture: Architecture
     changes: Changes
-    """What it changes in the configuration, beside the profile."""
+    """Configuration changes, beside those of the profile."""
     description: str
     priors: tuple[str, ...]
-    """What it is told beyond the images, out of `benchmark.models.model_spec.PRIORS`."""
+    """Knowledge beyond the images, of `benchmark.models.model_spec.PRIORS`."""
     version: int = 1
-    """Rises when its results change."""
+    """Version, raised when results change."""
     uses_labels: bool = False
-    """Whether it learns from labels."""
+    """Whether the system is trained with labels."""
     extra: tuple[str, ...] = ("att",)
-    """What tables show of it beside its labels: `att`, the attention masks."""
+    """Outputs that tables show beside the labels: `att`, the attention masks."""
     searched: Changes = field(default_factory=dict)
-    """What it changes besides in the profile `cpu`, for which it was chosen by a search."""
+    """Further changes in the profile `cpu`, chosen for it by a search."""
     on_tracks: Mapping[str, Changes] = field(default_factory=dict)
-    """What it changes besides where it is trained on a track of this name."""
+    """Further changes for training on a track, by its name."""
 
     def config(self, profile: str = "cpu", changes: Changes | None = None) -> Any:
-        """Its configuration; the changes come last.
+        """Make the configuration; `changes` are applied last.
 
         Raises:
             KeyError: an unknown profile or name.
@@ -73,15 +73,15 @@ class System:
         return override(self.architecture.config(), all_changes)
 
     def known(self, changes: Changes) -> dict[str, Any]:
-        """Those changes that its configuration has a value for: measures of the scene are not all for everybody."""
+        """Select the changes whose names the configuration has: systems use different statistics of the scene."""
         names = {name for name, _ in dotted_values(self.architecture.config())}
         return {name: value for name, value in changes.items() if name in names}
 
 
 def _build_obpose(config: Config) -> "Trainable":
-    from obpose.model.obpose import ObPose
+    from obpose.model.build import build_obpose
 
-    return ObPose(config)
+    return build_obpose(config)
 
 
 def _build_obsurf(config: ObsurfConfig) -> "Trainable":
@@ -91,9 +91,9 @@ def _build_obsurf(config: ObsurfConfig) -> "Trainable":
 
 
 def _build_supervised(config: SupervisedConfig) -> "Trainable":
-    from obpose.baselines.supervised import Supervised
+    from obpose.baselines.supervised import build_supervised
 
-    return Supervised(config)
+    return build_supervised(config)
 
 
 OBPOSE = Architecture("obpose", Config, PROFILES, _build_obpose, check_bounds)
@@ -119,7 +119,7 @@ DESCRIPTIONS = {
 
 
 _LARGER_BOXES: dict[str, Changes] = {"multishape": {"model.pose.box_size": 0.35}}
-"""Objects are up to 28 cm long there, and at most 18 cm on the other tracks; elsewhere boxes have edges of 20 cm."""
+"""Changes for objects of up to 28 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
 
 
 def _obpose_system(variant: str) -> System:
@@ -129,7 +129,7 @@ def _obpose_system(variant: str) -> System:
 
 
 def priors_of(config: Any) -> tuple[str, ...]:
-    """What a model of this configuration is told beyond the images, out of `benchmark.models.model_spec.PRIORS`.
+    """Knowledge of a model with this configuration beyond the images, of `benchmark.models.model_spec.PRIORS`.
 
     Raises:
         TypeError: as `architecture_of`.
@@ -138,18 +138,18 @@ def priors_of(config: Any) -> tuple[str, ...]:
 
 
 def _priors(config: Config) -> tuple[str, ...]:
-    """What a variant of ObPose is told."""
+    """Knowledge of a variant of ObPose."""
     model = config.model
     has_boxes = model.pose.conditioning in ("location", "full")
     priors = {
         "slots": True,
-        "background slot": model.background == "component",
+        "background slot": model.has_background,
         "camera pose": True,
-        # In their boxes shapes are estimated, which end at the floor.
-        "plane": model.table is not None or (has_boxes and model.floor is not None),
+        # In boxes, shapes are estimated that end at the floor.
+        "plane": model.table is not None or has_boxes,
         "object size": has_boxes,
     }
-    return tuple(name for name, told in priors.items() if told)
+    return tuple(name for name, used in priors.items() if used)
 
 
 SYSTEMS: dict[str, System] = {
@@ -174,14 +174,14 @@ SYSTEMS: dict[str, System] = {
         extra=(),
     ),
 }
-"""By the names of the benchmark's models and of `obpose-train --variant`."""
+"""Systems by the names of the benchmark's models and of `obpose-train --variant`."""
 
 
 def find_system(name: str) -> System:
-    """The system of that name.
+    """Find a system by name.
 
     Raises:
-        UsageError: there is none, and says which name is near.
+        UsageError: there is none; the message suggests a similar name.
     """
     if name not in SYSTEMS:
         raise unknown_name("variant", name, SYSTEMS)
@@ -189,10 +189,10 @@ def find_system(name: str) -> System:
 
 
 def architecture_of(config: object) -> Architecture:
-    """The architecture that a configuration is of.
+    """Find the architecture that a configuration belongs to.
 
     Raises:
-        TypeError: of none of these.
+        TypeError: there is none.
     """
     for architecture in ARCHITECTURES.values():
         if type(config) is architecture.config:
@@ -201,9 +201,9 @@ def architecture_of(config: object) -> Architecture:
 
 
 def system_of(config: object) -> str:
-    """The name of the system that a configuration is of: the one whose values it shares most, in any profile.
+    """Name the system, in any profile, that shares the most values with a configuration.
 
-    A run changes some values of its system, such as slots and the measures of its scenes.
+    A run changes some values of its system, such as slots and the statistics of its scenes.
 
     Raises:
         TypeError: as `architecture_of`.
@@ -222,6 +222,15 @@ def _differing(own: Mapping[str, Any], config: Any) -> int:
     return sum(own[name] != value for name, value in dotted_values(config))
 
 
+def slots_for(segments: int) -> dict[str, int]:
+    """Configuration change for a dataset with this many segments per scene, the background included.
+
+    Datasets and the benchmark count the background, `model.slots` does not. This is the only conversion;
+    `obpose.config.ModelConfig.segments` is its inverse.
+    """
+    return {"model.slots": segments - 1}
+
+
 def build_model(config: Any) -> "Trainable":
-    """The model of a configuration, with fresh weights."""
+    """Build the model of a configuration, with fresh weights."""
     return architecture_of(config).build(config)

@@ -1,4 +1,4 @@
-"""What `obpose.training.loop` asks of a model, so that other architectures are trained by the same loop."""
+"""Interface between models and `obpose.training.loop`, which trains all architectures."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar, Protocol, runtime_checkable
@@ -12,34 +12,38 @@ from obpose.types import Observation, Segmentation
 
 @runtime_checkable
 class Configuration(Protocol):
-    """Everything that a run depends on, beside its data: a frozen dataclass, of which the training reads one part."""
+    """All settings of a run, except for its data: a frozen dataclass of which the training reads `train`."""
 
     @property
     def train(self) -> TrainConfig:
-        """How the model is trained."""
+        """Settings of the training."""
         ...
 
 
 class Trainable(nn.Module, ABC):
-    """A model that says its own losses; nothing else about it matters to the training."""
+    """Model that computes its own losses, which is all that the training needs."""
 
-    sees: ClassVar[type[Observation]] = Observation
-    """What a training step is given: only a model that says `LabelledObservation` ever gets a label."""
+    observation_type: ClassVar[type[Observation]] = Observation
+    """Input of a training step. Only models that declare `LabelledObservation` ever get labels."""
 
     @property
     def background_slot(self) -> int | None:
-        """The label that is meant as background; None if none is."""
+        """Label of the background; None if no label stands for it."""
         return 0
 
     @abstractmethod
     def losses(
         self, observation: Observation, *, step: int, fraction: float, generator: torch.Generator | None
     ) -> dict[str, Tensor]:
-        """Loss terms by name: `total`, their weighted sum, which is minimised, and the unweighted terms, for logs.
+        """Compute the loss terms by name: `total`, which is minimised, and the unweighted terms, for logs.
 
-        So many steps were made before this one, and that share of the budget, 0 to 1, is used up.
+        Args:
+            observation: Clips of the batch.
+            step: Number of steps before this one.
+            fraction: Share of the budget that is used, 0 to 1.
+            generator: Source of all randomness.
         """
 
     @abstractmethod
     def segment(self, observation: Observation) -> Segmentation:
-        """Labels of every pixel of whole clips, without any randomness."""
+        """Label every pixel of whole clips, without randomness."""

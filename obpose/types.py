@@ -1,8 +1,8 @@
-"""The values that the parts of the model hand to each other.
+"""Values that the parts of the model pass to each other.
 
-Axes in this package: batch, frame, view, height, width; `point`: the cells of the embedding grid of all views
-of a frame, view by view and row by row; `slot`: the objects; `component`: the background (first) and the slots; `ray`:
-pixels at which fields are evaluated; `sample`: points of one slot. World frame and metres unless said.
+Axes in this package: batch, frame, view, height, width; `point`: the cells of the embedding grid of all views of a
+frame, view by view and row by row; `slot`: the objects; `component`: the background (first) and the slots; `ray`:
+pixels at which fields are evaluated; `sample`: points of one slot. World frame and metres unless noted otherwise.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 Draw = Literal["sample", "mean"]
-"""Whether latents are drawn from their posterior or stand at its mean."""
+"""Source of latents: a sample of the posterior, or its mean."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """RGB-D clips of several scenes, as `obpose.data.datasets.SceneDataset` gives them, with a batch axis."""
+    """RGB-D clips of several scenes: items of `obpose.data.datasets.SceneDataset` with a batch axis."""
 
     rgb: Float[Tensor, "batch frame view height width 3"]
     """sRGB in 0..1."""
@@ -32,13 +32,13 @@ class Observation:
     """Poses of the cameras with OpenCV axes, metres."""
 
     def to(self, device: torch.device | str) -> "Observation":
-        """The same on another device."""
+        """Copy to another device."""
         return replace(self, **{field.name: getattr(self, field.name).to(device) for field in fields(self)})
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledObservation(Observation):
-    """The same with labels: only for models that say that they see them (`obpose.trainable.Trainable.sees`)."""
+    """RGB-D clips with labels, only for models with this `obpose.trainable.Trainable.observation_type`."""
 
     segmentation: Int[Tensor, "batch frame view height width"]
     """Object ids, 0 = background."""
@@ -46,37 +46,41 @@ class LabelledObservation(Observation):
 
 @dataclass(frozen=True, eq=False)
 class Embeddings:
-    """What the backbone says of the points of the embedding grid (paper, section Encoder)."""
+    """Embeddings of the points of the grid (paper, section Encoder)."""
 
     points: Float[Tensor, "batch frame point 3"]
     """World frame, metres; 0 where not valid."""
     valid: Bool[Tensor, "batch frame point"]
     """Whether the point was observed."""
+    position: Float[Tensor, "batch frame point 3"]
+    """Position, -1..1 in the workspace; its middle where not valid."""
     rgb: Float[Tensor, "batch frame point 3"]
     """Observed colour, standardised."""
     colour: Float[Tensor, "batch frame point colour"]
-    """zeta_c, for the IC-SBP; without channels where there is none."""
+    """zeta_c, for the IC-SBP; without channels if there is none."""
     features: Float[Tensor, "batch frame point feature"]
-    """zeta_f, and the observed colours if wanted, for the other encoders."""
+    """zeta_f for the other encoders, and the standardised colours if wanted."""
     scene: Float[Tensor, "batch frame scene"]
-    """One code of the whole frame, for the background."""
+    """One code of the whole frame, for the background; without channels if there is none."""
+    log_prescope: Float[Tensor, "batch frame point 2"] | None
+    """Log of s^p: the background's mask, then the scope s_0 that the objects share. None without a pre-scope."""
 
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """Soft attention masks of the IC-SBP. At each point the masks and the remaining scope sum to one."""
+    """Soft attention masks. At each point the masks and the remaining scope sum to one."""
 
     log_masks: Float[Tensor, "batch frame component point"]
     """Log of the masks, the background's first."""
     log_scope: Float[Tensor, "batch frame point"]
-    """Log of s_K, what no slot has taken."""
+    """Log of s_K, the scope that no slot has taken."""
     active: Bool[Tensor, "batch slot"]
-    """Slots in use; an idle one has mask 0 (its log is very negative) throughout the clip."""
+    """Whether a slot is in use; the masks of inactive slots are 0 (their logs very negative) throughout the clip."""
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """The objects' cubes: where, how turned, and the length of an edge."""
+    """Cubes of the objects: centre, orientation and edge."""
 
     center: Float[Tensor, "batch frame slot 3"]
     """T, in the world, metres."""
@@ -88,10 +92,10 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Latent:
-    """A sequence of Gaussian latents with the prior that was predicted for each from those before it."""
+    """Sequence of Gaussian latents, each with the prior that was predicted from the latents before it."""
 
     z: Float[Tensor, "*shape latent"]
-    """What is passed on: a sample, or the mean."""
+    """Value that is used: a sample, or the mean."""
     mean: Float[Tensor, "*shape latent"]
     std: Float[Tensor, "*shape latent"]
     prior_mean: Float[Tensor, "*shape latent"]
@@ -103,11 +107,12 @@ class Rays:
     """Pixels at which the fields are evaluated. Losses are their weighted means."""
 
     index: Int[Tensor, "batch frame ray"]
-    """Place of the pixel among those of all views of the frame, view by view, row by row."""
+    """Index of the pixel among those of all views of the frame, view by view, row by row."""
     valid: Bool[Tensor, "batch frame ray"]
     """Whether its depth was observed."""
     weight: Float[Tensor, "batch frame ray"]
-    """0 where not valid; 1 where all pixels were equally likely to be drawn, else the smaller the likelier."""
+    """0 where not valid; 1 if all pixels were equally likely to be drawn, otherwise the inverse sampling probability,
+    up to a factor."""
     colour: Float[Tensor, "batch frame ray 3"]
     """sRGB in 0..1."""
     origin: Float[Tensor, "batch frame ray 3"]
@@ -123,31 +128,31 @@ class Decoded:
     """The fields at one point of each ray."""
 
     logits: Float[Tensor, "batch frame component ray"]
-    """Density logits sigma_k; `obpose.model.nerf.compose.OUTSIDE` outside a slot's box and for idle slots."""
+    """Density logits sigma_k; `obpose.model.nerf.compose.OUTSIDE` outside a slot's box and for inactive slots."""
     colours: Float[Tensor, "batch frame component ray 3"] | None
-    """c_k in 0..1; None where only densities were asked for."""
+    """c_k in 0..1; None if only densities were requested."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What the voxels of the objects' fields tell of them."""
+    """Centres of the objects, from the voxels of their fields."""
 
     center: Float[Tensor, "batch frame slot 3"]
     """T_shape: midpoint of the occupied voxels' bounding box, world frame, metres."""
     found: Bool[Tensor, "batch frame slot"]
-    """Whether enough voxels are occupied for it to mean something."""
+    """Whether enough voxels are occupied for a meaningful centre."""
 
 
 @dataclass(frozen=True, eq=False)
 class Inference:
-    """What the model infers from a clip; `model.decode` turns it into densities and colours anywhere."""
+    """Result of inference on a clip, which `obpose.model.obpose.ObPose.decode` turns into densities and colours."""
 
     embeddings: Embeddings
     masks: Masks
     observed_center: Float[Tensor, "batch frame slot 3"]
     """T: mean of the observed points, weighted by the mask."""
     boxes: Boxes
-    """At T_hat, with R."""
+    """Boxes with centre T_hat and rotation R."""
     where: Latent | None
     """Shape batch frame slot; None without pose conditioning."""
     what: Latent
@@ -158,16 +163,16 @@ class Inference:
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Labels of every pixel: 0 = background, or nothing was observed; 1.. = slots."""
+    """Labels of every pixel: 0 for the background and for pixels without depth, then the slots from 1 on."""
 
     labels: Int[Tensor, "batch frame view height width"]
-    """What counts; of ObPose the argmax of the composed density at the observed surface."""
+    """The labels that are scored; ObPose's are the argmax of the composed density at the observed surface."""
     attention: Int[Tensor, "batch frame view height width"]
     """Argmax of the attention masks, upsampled."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneSegmentation(Segmentation):
-    """Labels with what they came of."""
+    """Labels with the inference they come from."""
 
     inference: Inference

@@ -7,7 +7,7 @@ from obpose.config import Config, FieldConfig, override
 
 _SLOT_ATTENTION: dict[str, Any] = {
     "model.attention.kind": "slots",
-    "model.attention.evaluation_rounds": 0,
+    "model.attention.posterior_refinements": 0,
     "model.pose.conditioning": "world",
     "train.object_rays": 0.0,
     "train.warmup": 0,
@@ -17,21 +17,21 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "obpose": {},
     "obpose-loc": {"model.pose.conditioning": "location"},
     "obpose-none": {"model.pose.conditioning": "none"},
-    "obpose-l2": {"loss.attention": "l2", "loss.mask": 5.0},
+    "obpose-l2": {"loss.attention": "l2", "loss.attention_weight": 5.0},
     "obpose-sharp": {"loss.air_growth": 10.0},
     "obpose-as-published": {
         "model.attention.semi_convolution": 0.0,
         "model.attention.semi_colour": 0.0,
-        "model.attention.looks": 0,
+        "model.attention.mean_shift_steps": 0,
         "model.attention.evaluation_seeds": "greedy",
-        "model.attention.evaluation_division": "sticks",
-        "model.attention.evaluation_rounds": 0,
-        "model.attention.idle_in_training": "bernoulli",
+        "model.attention.evaluation_division": "stick_breaking",
+        "model.attention.posterior_refinements": 0,
+        "model.attention.inactive_in_training": "bernoulli",
         "model.backbone.scene_means": "none",
         "model.table": None,
         "model.pose.box_size": 0.4,
         "model.pose.max_translation": 0.1,
-        "model.attention.mask_power": 1.0,
+        "model.attention.mask_exponent": 1.0,
         "model.pose.points": "all",
         "model.latent.radius": 0.025,
         "model.latent.frequencies": 0,
@@ -60,7 +60,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "slot-attention": _SLOT_ATTENTION,
     "slot-attention-as-published": {
         **_SLOT_ATTENTION,
-        "model.slot_attention.distribution": "untrained",
+        "model.attention.slot_distribution": "untrained",
         "model.object_field.density": "squashed",
         "model.background_field.density": "squashed",
     },
@@ -113,5 +113,5 @@ def make_config(variant: str = "obpose", profile: str = "cpu", **changes: Any) -
 
 
 def searched_in(profile: str, searched: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Give the values that a search chose, but only in the profile `cpu` it was run in; larger networks need others."""
+    """Give the values chosen by the search in the profile `cpu`, where it was run; none in other profiles."""
     return searched if profile == "cpu" else {}

@@ -25,7 +25,7 @@ import assets
 from datagen.console.command_line import given_arguments
 from datagen.console.text import counted
 from obpose.commands.edit_arguments import Add, Fit, Infer, Learn, Mesh, Move, Remove, Render, Rotate, Sample, Swap
-from obpose.data.clips import clip_part
+from obpose.data.clips import select_part
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
 from obpose.errors import EXIT_OK, Interrupted, UsageError, run_program
@@ -157,7 +157,7 @@ def _fit(values: Fit) -> None:
     whole = (read_clip(values.data, "train", i) for i in _places(min(count, MOST)))
     tables = find_tables(origin, whole, refinements=STEPS)
     _say(f"Looking at the first frames of {counted(count, 'clip')}.")
-    clips = (clip_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
+    clips = (select_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
     save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips), tables))
     print(f"Fitted to {counted(count, 'clip')}, for obpose-edit sample: {origin.folder}")
 

@@ -25,7 +25,7 @@ from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program, unknown_name
 from obpose.storage.files import check_no_dataset
-from obpose.systems import System, find_system
+from obpose.systems import System, find_system, slots_for
 
 if TYPE_CHECKING:
     from obpose.training.validation import Score
@@ -125,10 +125,10 @@ def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
 
 
 def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:
-    """Configuration changes that follow from the flags; `model.slots` excludes the background."""
+    """Configuration changes that follow from the flags."""
     own = system.on_tracks.get(values.track or "", {})
     budget = {} if values.minutes is None else {"train.minutes": values.minutes}
-    return {**own, "model.slots": data.slots - 1, "train.seed": values.seed, "train.steps": values.steps, **budget}
+    return {**own, **slots_for(data.slots), "train.seed": values.seed, "train.steps": values.steps, **budget}
 
 
 def _in_words(settings: TrainConfig) -> str:

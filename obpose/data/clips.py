@@ -152,24 +152,24 @@ class LabelledArrayClips(ArrayClips):
         return {**super().window(index, start, frames), "segmentation": labels}
 
 
-def stack(windows: Sequence[Mapping[str, Tensor]], sees: type[Observation] = Observation) -> dict[str, Tensor]:
-    """Stack windows of equal size into a batch, with only the fields of the observation type `sees`.
+def stack(windows: Sequence[Mapping[str, Tensor]], kind: type[Observation] = Observation) -> dict[str, Tensor]:
+    """Stack windows of equal size into a batch, with only the fields of the observation type `kind`.
 
     Raises:
         UsageError: a field is missing, such as the labels of a supervised model.
     """
-    names = [field.name for field in fields(sees)]
+    names = [field.name for field in fields(kind)]
     if missing := [name for name in names if any(name not in window for window in windows)]:
         raise UsageError(f"The clips have no {missing[0]}, which this model learns from; give it clips with labels.")
     return {name: torch.stack([window[name] for window in windows]) for name in names}
 
 
-def observation_of(windows: Sequence[Mapping[str, Tensor]], sees: type[Observed] = Observation) -> Observed:
-    """Stack windows of equal size into an observation of type `sees`."""
-    return sees(**stack(windows, sees))
+def observation_of(windows: Sequence[Mapping[str, Tensor]], kind: type[Observed] = Observation) -> Observed:
+    """Stack windows of equal size into an observation of type `kind`."""
+    return kind(**stack(windows, kind))
 
 
-def one_view(observation: Observed, generator: torch.Generator | None) -> Observed:
+def random_view(observation: Observed, generator: torch.Generator | None) -> Observed:
     """Keep one random view of each clip."""
     clips, device = torch.arange(len(observation.depth)), observation.depth.device
     view = torch.randint(observation.depth.shape[2], clips.shape, generator=generator, device=device)
@@ -180,7 +180,7 @@ def one_view(observation: Observed, generator: torch.Generator | None) -> Observ
     return replace(observation, **chosen)
 
 
-def views_apart(observation: Observed) -> Observed:
+def separate_views(observation: Observed) -> Observed:
     """Turn every view into a separate clip of one view."""
     images, cameras = "batch frame view ... -> (batch view) frame 1 ...", "batch view ... -> (batch view) 1 ..."
     names = [field.name for field in fields(observation)]
@@ -190,7 +190,7 @@ def views_apart(observation: Observed) -> Observed:
     )
 
 
-def clip_part(observation: Observed, *, frames: slice | Int[Tensor, " some"] = _ALL, views: slice = _ALL) -> Observed:
+def select_part(observation: Observed, *, frames: slice | Int[Tensor, " some"] = _ALL, views: slice = _ALL) -> Observed:
     """Select frames and views of an observation."""
     names = [field.name for field in fields(observation)]
     values = {name: getattr(observation, name) for name in names}

@@ -1,4 +1,4 @@
-"""Datasets on disk as PyTorch datasets of clips, without labels unless asked for."""
+"""Datasets on disk as PyTorch datasets of clips; labels only on request."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ Window = Literal["first", "random", "all"]
 
 
 class SceneDataset(Dataset[dict[str, Tensor]]):
-    """One split of a dataset folder; each item is a clip, or a window of one.
+    """Split of a dataset folder; each item is a clip, or a window of one.
 
     An item is a dict of tensors:
 
@@ -29,9 +29,9 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
     - `k`: Float32 "view 3 3", camera matrices in pixels, pixel centres at +0.5
     - `world_from_camera`: Float32 "view 4 4", poses of the cameras with OpenCV axes, metres
     - each field named in `extra`, under its name, with its axes in `datagen.schema.FIELDS`; depths in metres, other
-      integers as int64, floats as float32. This is the only way to labels: `extra=["segmentation"]`.
+      integers as int64, floats as float32. Labels are read only by `extra=["segmentation"]`.
 
-    Files are opened on first use in each process, so that the dataset can be sent to any number of loader workers.
+    Files are opened on first use in each process, so that any number of loader workers can share the dataset.
     """
 
     def __init__(
@@ -46,22 +46,22 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         extra: Sequence[str] = (),
         seed: int = 0,
     ):
-        """Choose what to read; of the dataset itself only its description is read now.
+        """Read the description of the dataset, and choose what items hold.
 
         Args:
-            folder: Of a dataset made by obpose-datagen.
+            folder: Folder of a dataset made by obpose-datagen.
             split: `train`, `val` or `test`.
             frames: Length of a window; None for whole clips.
-            window: `first`: each clip's first frames; `random`: a new place in each epoch (see `set_epoch`), a function
-                of seed, epoch and index alone; `all`: clips are cut into as many windows as fit, an item each.
-            views: How many views, from the first on, or which ones; None for all.
-            depth: `observed`: what the sensor saw, where the recipe has one; `clean`: the exact depth.
+            window: `first`: each clip's first frames; `random`: a random start, which depends only on seed, epoch (see
+                `set_epoch`) and index; `all`: clips are cut into as many windows as fit, each an item.
+            views: Number of views, from the first on, or indices of views; None for all.
+            depth: `observed`: depth of the sensor, if the recipe has one; `clean`: the exact depth.
             extra: Names of further fields.
-            seed: Of the random windows.
+            seed: Seed of the random windows.
 
         Raises:
             UsageError: the dataset, the split, a view or a field does not exist, windows are longer than clips, or a
-                value is of another kind.
+                value has the wrong type.
             CorruptFile: the dataset's description is damaged.
         """
         dataset = reader.Dataset(folder)
@@ -77,7 +77,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._sensor = _one_of(depth, ("observed", "clean"), "depth") == "observed" and sensor
         self._extra = _known_fields(extra, _numeric_fields(dataset.groups))
         self._seed = _not_negative(seed, "seed")
-        # In shared memory, so that workers that outlive an epoch see the number of the next one.
+        # In shared memory, so that persistent workers see the number of the next epoch.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
 
     def set_epoch(self, epoch: int) -> None:
@@ -90,12 +90,12 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
 
     @property
     def recipe(self) -> str:
-        """Name of the recipe that the dataset was made with."""
+        """Name of the dataset's recipe."""
         return self._scenes.spec["recipe"]["name"]
 
     @property
     def settings_hash(self) -> str:
-        """SHA-256 of the settings that the dataset was made with: all but how many scenes it has."""
+        """SHA-256 of the dataset's settings, except for the number of scenes."""
         return self._scenes.settings_hash
 
     @property
@@ -113,11 +113,11 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         return self.window(scene, self._start(index, window), self._frames)
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Read some frames of a scene, wherever the dataset's own windows are (see `obpose.data.clips.ClipSource`).
+        """Read frames of a scene, independently of the dataset's windows (see `obpose.data.clips.ClipSource`).
 
         Raises:
             IndexError: there is no such scene.
-            UsageError: its clip has no such frames.
+            UsageError: the clip has no such frames.
             CorruptFile: a file is damaged.
         """
         if not 0 <= index < len(self._scenes):
@@ -160,7 +160,7 @@ def _rgb(stored: np.ndarray) -> Tensor:
 
 
 def _tensor(name: str, array: np.ndarray) -> Tensor:
-    """Depths in metres, other integers as int64, floats as float32."""
+    """Convert depths to metres, other integers to int64, floats to float32."""
     if schema.FIELDS[name].unit == "0.1 mm":
         return torch.from_numpy(schema.decode_depth(array))
     return torch.from_numpy(array.astype(np.int64 if array.dtype.kind == "u" else np.float32))

@@ -1,4 +1,4 @@
-"""A trained model on images whose pixels lie closer together or farther apart than those it was trained on."""
+"""Adapt a trained model to images with another spacing of surface points than in training."""
 
 import copy
 
@@ -8,17 +8,17 @@ from obpose.model.obpose import ObPose
 from obpose.types import Observation
 
 TOLERANCE = 1.3
-"""Spacings that differ by less are taken for the same: scenes of one kind differ as much."""
+"""Largest ratio of spacings that count as equal; scenes of one kind differ by as much."""
 
 
 def surface_spacing(observation: Observation) -> float | None:
-    """Median distance in metres between the surface points of neighbouring pixels; None where nothing was seen."""
+    """Median distance in metres between the surface points of neighbouring pixels; None without any depth."""
     distances = neighbour_distances(observation)
     return float(distances.median()) if len(distances) else None
 
 
 def spacing_note(model: ObPose, observation: Observation) -> str:
-    """How far neighbouring pixels lie apart on the surfaces, in training too, and whether that is something else."""
+    """Describe the spacing of surface points here and in training, and whether they differ."""
     trained, spacing = model.config.model.spacing, surface_spacing(observation)
     if spacing is None:
         return "no neighbouring pixels have a depth"
@@ -31,10 +31,10 @@ def spacing_note(model: ObPose, observation: Observation) -> str:
 
 
 def fitting_model(model: ObPose, observation: Observation) -> ObPose:
-    """The model with its neighbourhoods scaled to the images' spacing, where that is another; the weights are shared.
+    """Scale the model's neighbourhoods to the images' spacing, if it differs; the weights are shared.
 
     A neighbourhood spans a fixed number of pixels. Its radius in metres follows from the distance between the surface
-    points of neighbouring pixels, which depth, focal length and resolution decide.
+    points of neighbouring pixels, which depends on depth, focal length and resolution.
     """
     trained, spacing = model.config.model.spacing, surface_spacing(observation)
     if spacing is None or 1 / TOLERANCE < spacing / trained < TOLERANCE:

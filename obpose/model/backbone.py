@@ -1,15 +1,14 @@
 """U-Net of KPConv layers on the organised point cloud (paper, section Encoder; Thomas et al. 2019).
 
-The neighbours of a point are those of its 3x3 window on the image grid, weighted by where they lie in space; the paper
-searches balls in space. The geometry of a level is computed once and shared by its layers. The input layer looks at
-single points, the authors' at neighbourhoods: at full resolution a KPConv costs most. Within, the points of all images
-stand in one row, image by image and row by row.
+The neighbours of a point are those of its 3x3 window on the image grid, weighted by their positions in space; the paper
+searches balls in space. The geometry of a level is computed once and shared by its layers. The input layer is applied
+to single points and the authors' to neighbourhoods, because a KPConv costs most at full resolution. Internally, the
+points of all images are one flat list, image by image and row by row.
 """
 
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any, Literal
 
 import torch
 import torch.nn.functional as F
@@ -18,10 +17,18 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from obpose.config import BackboneConfig
-from obpose.model.layers.grid import Grid, Windows, all_places, on_grid, thin, upsample, windows
+from obpose.model.layers.grid import Grid, Windows, all_places, on_grid, subsample, upsample, windows
 from obpose.model.layers.kernel_points import kernel_points
 from obpose.model.layers.kpconv import KPConv, influence
 from obpose.model.layers.mlp import Linear
+
+WIDTHS = (16, 32, 64, 64)
+"""Channels of each level; each level has half the resolution of the previous one. [code]"""
+RADIUS = 2.0
+"""Radius of a KPConv neighbourhood in units of the distance between neighbouring points of the level. [ours, that of a
+3x3 window; code: 0.025 m where points are some 6 mm apart, then both doubled]"""
+EMBEDDING = 16
+"""D: channels of the point embeddings. [code]"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,20 +39,20 @@ class BackboneOutput:
     """World frame, metres; 0 where not valid."""
     valid: Bool[Tensor, "image height width"]
     rgb: Float[Tensor, "image height width 3"]
-    """Their colours, standardised (`standard_colours`)."""
+    """Standardised colours (`standard_colours`)."""
     embedding: Float[Tensor, "image height width embedding"]
     """zeta."""
     scene: Float[Tensor, "image scene"]
-    """One code of the whole image."""
+    """Code of the whole image; without channels if the backbone has none."""
 
 
 def standard_colours(rgb: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
-    """Colours in 0..1 to about mean 0 and deviation 1."""
+    """Standardise colours in 0..1 to a mean of about 0 and a standard deviation of about 1."""
     return (rgb - 0.5) * 5
 
 
 def plain_colours(standardised: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
-    """Back to 0..1."""
+    """Convert standardised colours back to 0..1."""
     return standardised / 5 + 0.5
 
 
@@ -55,23 +62,22 @@ class Level:
 
     grid: Grid
     around: Windows | None
-    """Of all points; None where no block needs them."""
+    """Windows around all points; None if no block needs them."""
     kept: Int[Tensor, " kept"]
-    """Which points the next level keeps."""
+    """Indices of the points that the next level keeps."""
     around_kept: Windows
-    """Of those."""
+    """Windows around the kept points."""
 
 
 class Backbone(nn.Module):
-    """Encoder over all levels, decoder back to the `output_level`, and a code of the scene from the deepest."""
+    """Encoder over all levels, decoder back to the `output_level`, and a code of the scene from the deepest level."""
 
     kernel: Tensor
 
-    def __init__(self, config: BackboneConfig, *, scene: Literal["coded", "left out"] = "coded"):
-        """With fresh weights; the code of the scene can be left out where nothing reads it."""
+    def __init__(self, config: BackboneConfig, *, scene_code: bool = True, widths: tuple[int, ...] = WIDTHS):
+        """Initialise the weights; `scene_code` says whether a code of the scene is computed."""
         super().__init__()
         self.config = config
-        widths = config.widths
         self.register_buffer("kernel", kernel_points(), persistent=False)
         self.input = nn.Sequential(Linear(6, widths[0]), nn.LayerNorm(widths[0]), nn.ReLU())
         self.down = nn.ModuleList(Block(fine, coarse) for fine, coarse in pairwise(widths))
@@ -82,9 +88,9 @@ class Backbone(nn.Module):
         self.up = nn.ModuleList(Up(coarse, fine) for fine, coarse in pairwise(widths[config.output_level :]))
         last = widths[config.output_level]
         self.head = nn.Sequential(
-            nn.Linear(last, last), nn.LayerNorm(last), nn.LeakyReLU(0.1), nn.Linear(last, config.embedding)
+            nn.Linear(last, last), nn.LayerNorm(last), nn.LeakyReLU(0.1), nn.Linear(last, EMBEDDING)
         )
-        self.scene = SceneCode(widths, means=config.scene_means == "given") if scene == "coded" else NoSceneCode()
+        self.scene = SceneCode(widths, means=config.scene_means == "given") if scene_code else None
 
     def forward(
         self,
@@ -96,38 +102,53 @@ class Backbone(nn.Module):
         center: Float[Tensor, "3"],
         workspace_radius: float = 1.0,
     ) -> BackboneOutput:
-        """Points, in world coordinates and metres, with colours, to embeddings.
+        """Compute embeddings of points with colours.
 
-        `spacing` is the distance of neighbouring points of the whole image, `center` the middle of the workspace,
-        `workspace_radius` the radius of the scene's code, all in metres.
+        Args:
+            points: World frame, metres.
+            rgb: Colours in 0..1.
+            valid: Whether a pixel has a point.
+            spacing: Distance between neighbouring points of the full image, metres.
+            center: Middle of the workspace, metres.
+            workspace_radius: Radius of the scene's code, metres.
         """
-        grid, kept = thin(Grid(points, valid), self.config.input_stride)
-        rgb = standard_colours(rgb).reshape(-1, 3)[kept].masked_fill(~grid.valid.view(-1, 1), 0)
+        grid = Grid(points.masked_fill(~valid[..., None], 0).contiguous(), valid.contiguous())
+        # Input: standardised colour and position in the workspace, 0 where there is no point.
+        rgb = standard_colours(rgb).reshape(-1, 3).masked_fill(~valid.reshape(-1, 1), 0)
         position = (grid.points.view(-1, 3) - center) / workspace_radius
-        features = torch.cat([rgb, position], dim=-1).masked_fill(~grid.valid.view(-1, 1), 0)
+        features = torch.cat([rgb, position], dim=-1).masked_fill(~valid.reshape(-1, 1), 0)
+        # Encoder, code of the scene, decoder.
         levels = self._levels(grid, spacing)
         skips = self._encode(levels, features)
         grids = [level.grid for level in levels]
-        images = [on_grid(values, at) for values, at in zip(skips, grids, strict=True)]
-        scene = self.scene(grids, images, on_grid(rgb, grid), self.kernel, center=center, radius=workspace_radius)
+        scene = points.new_zeros(len(points), 0)
+        if self.scene is not None:
+            images = [on_grid(values, at) for values, at in zip(skips, grids, strict=True)]
+            scene = self.scene(grids, images, on_grid(rgb, grid), self.kernel, center=center, radius=workspace_radius)
         embedding = self.head(self._decode(levels, skips))
+        # Colours of the points of the output level.
         for level in levels[: self.config.output_level]:
             rgb = rgb[level.kept]
-        at = levels[self.config.output_level].grid
+        at = grids[self.config.output_level]
         return BackboneOutput(at.points, at.valid, on_grid(rgb, at), embedding, scene)
 
+    @property
+    def scene_size(self) -> int:
+        """Channels of the code of the scene."""
+        return 0 if self.scene is None else self.scene.size
+
     def grid_size(self, height: int, width: int) -> tuple[int, int]:
-        """Rows and columns of the embeddings of an image of that size."""
-        stride = 2**self.config.output_level * self.config.input_stride
+        """Rows and columns of the embeddings of an image of this size."""
+        stride = 2**self.config.output_level
         return -(-height // stride), -(-width // stride)
 
     @torch.no_grad()
     def _levels(self, grid: Grid, spacing: float) -> list[Level]:
         levels = []
         for depth, blocks in enumerate(self.config.blocks):
-            radius = self.config.radius * spacing * self.config.input_stride * 2**depth
+            radius = RADIUS * spacing * 2**depth
             geometry = partial(windows, grid, radius=radius, kernel=self.kernel)
-            coarse, kept = thin(grid, 2)
+            coarse, kept = subsample(grid)
             around = geometry(all_places(grid)) if blocks else None
             levels.append(Level(grid, around, kept, around.at(kept) if around else geometry(kept)))
             grid = coarse
@@ -156,14 +177,14 @@ class Backbone(nn.Module):
 
 
 class SceneCode(nn.Module):
-    """One code of an image: a KPConv of the deepest level around the workspace's middle, means of levels, mean colour.
+    """Code of an image: a KPConv of the deepest level around the workspace's middle, means of levels, and mean colour.
 
-    The mean colour stands there as it is. The authors only have the KPConv, as a sum; the background's latent then
-    hardly hears of what a scene has of its own, the table's colour above all, and collapses to its prior.
+    The mean colour is appended unchanged. The authors have the KPConv only, as a sum. The background's latent then
+    hardly depends on what distinguishes a scene, such as the table's colour, and collapses to its prior.
     """
 
     def __init__(self, widths: tuple[int, ...], *, means: bool = True):
-        """Means and mean colour can be left out."""
+        """Initialise the weights; `means` says whether means and mean colour are part of the code."""
         super().__init__()
         self.means = means
         self.around = KPConv(widths[-1], widths[-1])
@@ -174,46 +195,36 @@ class SceneCode(nn.Module):
     def forward(
         self, grids: list[Grid], features: list[Tensor], rgb: Tensor, kernel: Tensor, *, center: Tensor, radius: float
     ) -> Float[Tensor, "image scene"]:
-        """From the features of all levels and the colours of the first; `center` and `radius` in metres."""
+        """Compute codes from features of all levels and colours of the first; `center` and `radius` are in metres."""
         deepest = grids[-1]
+        # KPConv around the middle of the workspace, with a mean over points.
         weights = influence((deepest.points - center) / radius, kernel) * deepest.valid[..., None]
-        shares = weights / weights.sum(dim=(1, 2), keepdim=True).clamp(min=1e-3)
+        influences = weights / weights.sum(dim=(1, 2), keepdim=True).clamp(min=1e-3)
         around = self.around(
             rearrange(features[-1], "image y x channel -> image (y x) channel"),
-            rearrange(shares, "image y x kernel -> image (y x) kernel"),
+            rearrange(influences, "image y x kernel -> image (y x) kernel"),
         )
         if not self.means:
             return self.out(around)
+        # Means of all levels, and the mean colour.
         means = [masked_mean(level, grid.valid) for level, grid in zip(features, grids, strict=True)]
         code = self.out(torch.cat([around, *means], dim=-1))
         return torch.cat([code, masked_mean(rgb, grids[0].valid)], dim=-1)
 
 
-class NoSceneCode(nn.Module):
-    """In its place where nothing reads it."""
-
-    size = 0
-
-    def forward(self, grids: list[Grid], *_: Any, **__: Any) -> Float[Tensor, "image 0"]:
-        """Of every image, nothing."""
-        points = grids[0].points
-        return points.new_zeros(len(points), 0)
-
-
 def masked_mean(
     features: Float[Tensor, "image height width channel"], valid: Bool[Tensor, "image height width"]
 ) -> Float[Tensor, "image channel"]:
-    """Mean over the valid places; 0 without any."""
+    """Mean over the valid points; 0 if there are none."""
     weights = valid[..., None].to(features.dtype)
     return (features * weights).sum(dim=(1, 2)) / weights.sum(dim=(1, 2)).clamp(min=1)
 
 
 class Block(nn.Module):
-    """Narrow KPConv with a skip; at some of the points where their places are given.
+    """Bottleneck KPConv with a skip connection; strided if the indices of kept points are given.
 
-    As the authors' but for its norms and its skip. Features are normalised point by point, so that nothing depends on
-    how many points there are, and only once, at the end of the branch, where theirs are after three layers. The skip
-    takes the point itself, theirs the largest neighbour.
+    Deviations: one point-wise layer norm at the end of the branch instead of three group norms, so that results do not
+    depend on the number of points. The skip takes the point itself, the authors' the largest neighbour.
     """
 
     def __init__(self, inputs: int, outputs: int):
@@ -228,7 +239,8 @@ class Block(nn.Module):
     def forward(
         self, features: Float[Tensor, "point inputs"], around: Windows, kept: Int[Tensor, " kept"] | None = None
     ) -> Float[Tensor, "kept outputs"]:
-        """Features of a level to features of the windows' points."""
+        """Map the features of a level to features of the windows' points."""
+        # Branch and skip connection.
         neighbours = around.gather(F.relu(self.before(features)))
         branch = F.relu(self.norm(self.after(self.convolution(neighbours, around.influences))))
         own = features if kept is None else features.index_select(0, kept)
@@ -236,7 +248,7 @@ class Block(nn.Module):
 
 
 class Up(nn.Module):
-    """Adds the features of a coarser level to those of a finer one."""
+    """Sum of the upsampled features of a coarser level and those of a finer one."""
 
     def __init__(self, coarse: int, fine: int):
         super().__init__()
@@ -250,5 +262,5 @@ class Up(nn.Module):
         fine: Float[Tensor, "image height width fine"],
         fine_grid: Grid,
     ) -> Float[Tensor, "image height width fine"]:
-        """Upsamples the one and adds the other."""
+        """Upsample the coarse features and add the fine ones."""
         return upsample(self.coarse(coarse), coarse_grid.valid, like=fine_grid) + self.fine(fine)

@@ -1,10 +1,11 @@
 """ObPose: from RGB-D clips to posed object fields and a background field (paper, sections Encoder and Decoder).
 
-The paper's ablations and the other systems of its tables but one are values of it (`obpose.variants.VARIANTS`).
+The paper's ablations and the other systems of its tables, except ObSuRF, are configurations of it
+(`obpose.variants.VARIANTS`). `obpose.model.build` builds the parts.
 """
 
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -14,202 +15,358 @@ from torch import Tensor
 
 from obpose.config import Config
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
+from obpose.model.attention.heads import Heads
+from obpose.model.attention.interface import Attended, Attention
 from obpose.model.attention.posterior import posterior_masks
 from obpose.model.attention.summary import not_largest
-from obpose.model.backbone import plain_colours
-from obpose.model.encoder import SceneEncoder, fixed
-from obpose.model.losses.objective import Evidence, loss_terms
-from obpose.model.losses.observation import log_likelihood
+from obpose.model.attention.upsample import masks_at
+from obpose.model.backbone import Backbone, plain_colours
+from obpose.model.layers.latent import RecurrentLatent
+from obpose.model.losses.attention import attention_loss, attention_warmup
+from obpose.model.losses.objective import observation_terms, weighted_terms
+from obpose.model.losses.observation import colour_log_likelihood
+from obpose.model.losses.regularisers import kl, remaining_scope, translation
 from obpose.model.nerf.along import Decode, FieldsAlongRays, fields_along
-from obpose.model.nerf.components import Background, Colours, decode, decode_background
+from obpose.model.nerf.components import Background, Codes, Colours, Fields, decode, decode_background
 from obpose.model.nerf.field import Field
 from obpose.model.nerf.voxels import estimate_shape
-from obpose.model.nerf.world import decode_world
-from obpose.types import Decoded, Inference, Latent, Masks, Observation, Rays, SceneSegmentation, Shape
+from obpose.model.perception import Points, embed, pixel_owners, select_input_views
+from obpose.model.pose.crop import BoxSamples, gather_box
+from obpose.model.pose.encoder import ObjectEncoder
+from obpose.model.pose.location import observed_center
+from obpose.model.pose.orientation import observed_rotation
+from obpose.model.pose.where import Where
+from obpose.trainable import Trainable
+from obpose.types import (
+    Boxes,
+    Decoded,
+    Draw,
+    Embeddings,
+    Inference,
+    Latent,
+    Masks,
+    Observation,
+    Rays,
+    SceneSegmentation,
+)
 
-Points = Float[Tensor, "batch frame ray 3"]
+RayPoints = Float[Tensor, "batch frame ray 3"]
 
 
-class ObPose(SceneEncoder):
-    """The model of the paper, its ablations, and IC-SBP and slot attention over world-frame fields."""
+class ObPose(Trainable):
+    """Model of the paper, its ablations, and IC-SBP and slot attention over world-frame fields.
 
-    def __init__(self, config: Config):
-        """Build it with fresh weights, drawn from PyTorch's global generator."""
-        super().__init__(config)
-        model, latent = config.model, config.model.latent
-        self.object_field = Field(model.object_field, latent.what, model.weights)
-        self.background_field = None
-        if model.background == "component":
-            self.background_field = Field(model.background_field, latent.background, model.weights)
+    Inference: backbone and heads (embeddings) - attention (masks) - `where` and orientation (boxes) - `what` and
+    background latents. The decoder turns boxes and latents into fields, which the losses compare with the observation.
+    """
 
-    def losses(
-        self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
-    ) -> dict[str, Tensor]:
-        """Loss terms and their weighted sum (paper, section Training); in the warm-up without any objects."""
-        if step < self.config.train.warmup:
-            evidence = self._observe_background(observation, generator)
-        else:
-            evidence = self._observe(observation, generator)
-        return loss_terms(evidence, self.config.loss, fraction=fraction)
+    center: Tensor
 
-    @torch.no_grad()
-    def segment(self, observation: Observation) -> SceneSegmentation:
-        """Labels of every pixel, from posterior means: argmax of the composed density, 0 where there is no depth."""
-        first = inference = self.infer(observation)
-        for _ in range(self.config.model.attention.evaluation_rounds):
-            masks = self._posterior_masks(observation, inference)
-            inference = self.infer_under(observation, inference.embeddings, masks)
-        size = observation.depth.shape
-        rays = all_rays(observation)
-        points = rays.origin + rays.direction * rays.depth[..., None]
-        logits = self.decode(inference, points, rays.direction, where_background="in boxes").logits
-        return SceneSegmentation(
-            labels=(logits.argmax(dim=2) * rays.valid).reshape(size),
-            attention=self.pixel_owners(first.masks, first.embeddings.valid, observation),
-            inference=inference,
+    def __init__(
+        self,
+        config: Config,
+        *,
+        backbone: Backbone,
+        heads: Heads,
+        attention: Attention,
+        where_encoder: ObjectEncoder | None,
+        where: Where | None,
+        what_encoder: ObjectEncoder | None,
+        what: RecurrentLatent,
+        background: RecurrentLatent | None,
+        object_field: Field,
+        background_field: Field | None,
+    ):
+        """Compose the parts.
+
+        Args:
+            config: Settings of all parts.
+            backbone: Embeddings of points.
+            heads: Inputs of the attention and of the encoders.
+            attention: Masks, and with slot attention codes of the slots.
+            where_encoder: Encoder of the unrotated boxes at the observed centres; None without pose conditioning.
+            where: z_where and translation; None without pose conditioning.
+            what_encoder: Encoder of the boxes; None if the attention gives codes.
+            what: z_what.
+            background: z_bg; None without a background component.
+            object_field: Field that all objects share.
+            background_field: Field of the background; None without a background component.
+        """
+        super().__init__()
+        self.config = config
+        self.backbone, self.heads, self.attention = backbone, heads, attention
+        self.where_encoder, self.where, self.what_encoder, self.what = where_encoder, where, what_encoder, what
+        self.background, self.object_field, self.background_field = background, object_field, background_field
+        self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
+
+    @property
+    def background_slot(self) -> int | None:
+        """Label 0 if the background is a component; otherwise 0 marks only pixels without depth."""
+        return 0 if self.config.model.has_background else None
+
+    # Inference (paper, section 2.1)
+
+    def infer(
+        self, observation: Observation, *, draw: Draw = "mean", generator: torch.Generator | None = None
+    ) -> Inference:
+        """Masks, poses and latents of a clip. Attention follows the rules for training in training mode."""
+        points = unproject(observation)
+        embeddings = self.embed(observation, points)
+        attended = self.attention(embeddings, generator)
+        return self.encode(observation, points, embeddings, attended, draw=draw, generator=generator)
+
+    def embed(self, observation: Observation, points: Points) -> Embeddings:
+        """Embeddings of the surface points."""
+        return embed(self.backbone, self.heads, observation, points, config=self.config.model, center=self.center)
+
+    def encode(
+        self,
+        observation: Observation,
+        points: Points,
+        embeddings: Embeddings,
+        attended: Attended,
+        *,
+        draw: Draw = "mean",
+        generator: torch.Generator | None = None,
+    ) -> Inference:
+        """Poses and latents under given masks."""
+        model, masks = self.config.model, attended.masks
+        center = observed_center(
+            masks.log_masks, embeddings.points, embeddings.valid, exponent=model.attention.mask_exponent
+        )
+        upright = torch.eye(3, dtype=center.dtype, device=center.device).expand(*center.shape, 3)
+        # Where: boxes {T_hat, R}; without pose conditioning every box is the workspace.
+        where = None
+        boxes = Boxes(self.center.expand_as(center), upright, model.workspace_size)
+        if self.where is not None and self.where_encoder is not None:
+            at_observed = Boxes(center, upright, model.pose.box_size)
+            where = self.where(self.where_encoder(self._crop(embeddings, masks, at_observed)), draw, generator)
+            rotation = upright
+            if model.pose.conditioning == "full":
+                owners = self.pixel_owners(masks, embeddings, observation)
+                rotation = observed_rotation(points, owners, slots=center.shape[2])
+            boxes = Boxes(center + self.where.translation(where.z), rotation, model.pose.box_size)
+        # What: shape and appearance in the frame of the box.
+        codes = attended.slot_codes
+        if codes is None:
+            assert self.what_encoder is not None
+            codes = self.what_encoder(self._crop(embeddings, masks, boxes))
+        what = self.what(codes, draw, generator)
+        background = None
+        if self.background is not None:
+            background = self.background(attended.background_code, draw, generator)
+        return Inference(embeddings, masks, center, boxes, where, what, background)
+
+    def pixel_owners(self, masks: Masks, embeddings: Embeddings, observation: Observation) -> Tensor:
+        """Component with the largest attention mask at each pixel; 0 for pixels without depth."""
+        grid = self.backbone.grid_size(*observation.depth.shape[3:])
+        return pixel_owners(masks, embeddings.valid, observation, grid=grid)
+
+    def _crop(self, embeddings: Embeddings, masks: Masks, boxes: Boxes) -> BoxSamples:
+        return gather_box(
+            embeddings.points,
+            embeddings.valid,
+            embeddings.features,
+            masks.log_masks[:, :, 1:],
+            fixed(boxes),
+            samples=self.config.model.latent.samples,
+            whose=self.config.model.pose.points,
         )
 
-    def _posterior_masks(self, observation: Observation, inference: Inference) -> Masks:
-        """Which component each point of the grid is of, by density and colour of the fields there."""
-        embeddings, loss = inference.embeddings, self.config.loss
-        views = observation.depth.shape[2]
-        cameras = repeat(
-            observation.world_from_camera[..., :3, 3],
-            "b v c -> b f (v point) c",
-            f=embeddings.points.shape[1],
-            point=embeddings.points.shape[2] // views,
-        )
-        seen = self.decode(inference, embeddings.points, embeddings.points - cameras, "with", "in boxes")
-        assert seen.colours is not None
-        likelihood = log_likelihood(
-            seen.colours, plain_colours(embeddings.rgb), std=loss.colour_std, likelihood="joint"
-        )
-        return posterior_masks(inference.masks, seen.logits, likelihood[..., 0], embeddings.valid)
+    # Decoding (paper, section 2.2)
+
+    @property
+    def fields(self) -> Fields:
+        """Fields of objects and background, and their place in the world."""
+        model = self.config.model
+        return Fields(self.object_field, self.background_field, self.center, model.background_size, model.table)
 
     def decode(
         self,
         inference: Inference,
-        points: Points,
-        directions: Points,
+        points: RayPoints,
+        directions: RayPoints,
         colours: Colours = "without",
         where_background: Background = "everywhere",
     ) -> Decoded:
-        """Densities, and colours if asked for, of all components at world points.
-
-        Boxes are held fixed, they take no gradient. Where the order of the components is all that counts, the
-        background's field is wanted `in boxes` only.
-        """
-        active, what = inference.masks.active, inference.what.z
+        """Densities, and colours if requested, of all components at world points; boxes get no gradient."""
+        boxes = None if self.config.model.pose.conditioning == "world" else fixed(inference.boxes)
         background = None if inference.background is None else inference.background.z
-        options = self._world | {"colours": colours, "floor": self.config.model.table}
-        fields = self.object_field, self.background_field
-        if self.config.model.pose.conditioning == "world":
-            return decode_world(*fields, active, what, background, points, directions, **options)
-        options |= {"where_background": where_background}
-        return decode(*fields, fixed(inference.boxes), active, what, background, points, directions, **options)
+        codes = Codes(inference.masks.active, inference.what.z, background, boxes)
+        return decode(self.fields, codes, points, directions, colours=colours, where_background=where_background)
 
-    @property
-    def _world(self) -> dict[str, Any]:
-        return {"workspace_center": self.center, "workspace_size": self.config.model.background_size}
-
-    def _observe(self, observation: Observation, generator: torch.Generator | None) -> Evidence:
-        """Everything that the losses compare, along some rays."""
-        seen = self.seen(observation, generator)
-        points = unproject(seen)
-        embeddings, log_prescope = self.embed(seen, points)
-        count = self._rays_of(seen, observation)
-        if log_prescope is not None:
-            rays = self._sample_rays(seen, log_prescope[..., 1].exp(), count, generator)
-            inference = self.infer_from(seen, points, embeddings, log_prescope, "sample", generator)
-        else:
-            inference = self.infer_from(seen, points, embeddings, log_prescope, "sample", generator)
-            rays = self._sample_rays(seen, not_largest(inference.masks.log_masks.detach()), count, generator)
-        decode = partial(self.decode, inference)
-        return Evidence(
-            fields=fields_along(rays, decode, self.config.loss, generator),
-            beyond=self._beyond(seen, observation, decode, generator),
-            background=inference.background,
-            embeddings=embeddings,
-            log_prescope=log_prescope,
-            **self._sizes(seen),
+    @torch.no_grad()
+    def segment(self, observation: Observation) -> SceneSegmentation:
+        """Label every pixel, from posterior means: argmax of the composed density, 0 for pixels without depth."""
+        points = unproject(observation)
+        embeddings = self.embed(observation, points)
+        attended = self.attention(embeddings, None)
+        inference = self.encode(observation, points, embeddings, attended)
+        # Masks become posteriors, given the decoded fields.
+        for _ in range(self.config.model.attention.posterior_refinements):
+            masks = self._posterior_masks(observation, inference)
+            inference = self.encode(observation, points, embeddings, replace(attended, masks=masks))
+        # Argmax of the density at the observed surface; outside of all boxes it is the background.
+        rays = all_rays(observation)
+        surface = rays.origin + rays.direction * rays.depth[..., None]
+        logits = self.decode(inference, surface, rays.direction, where_background="in boxes").logits
+        return SceneSegmentation(
+            labels=(logits.argmax(dim=2) * rays.valid).reshape(observation.depth.shape),
+            attention=self.pixel_owners(attended.masks, embeddings, observation),
             inference=inference,
-            shape=None if self.where is None else self._estimate_shape(observation, inference, generator),
         )
+
+    def _posterior_masks(self, observation: Observation, inference: Inference) -> Masks:
+        """Posterior over components at each point of the grid, by density and colour of the fields there."""
+        embeddings = inference.embeddings
+        frames, count = embeddings.points.shape[1:3]
+        cameras = repeat(
+            observation.world_from_camera[..., :3, 3],
+            "b v c -> b f (v point) c",
+            f=frames,
+            point=count // observation.depth.shape[2],
+        )
+        found = self.decode(inference, embeddings.points, embeddings.points - cameras, "with", "in boxes")
+        assert found.colours is not None
+        likelihood = colour_log_likelihood(found.colours, plain_colours(embeddings.rgb)).sum(dim=-1)
+        return posterior_masks(inference.masks, found.logits, likelihood, embeddings.valid)
+
+    # Training (paper, section 3)
+
+    def losses(
+        self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
+    ) -> dict[str, Tensor]:
+        """Compute the loss terms and their weighted sum; without objects in the warm-up."""
+        encoded = select_input_views(observation, self.config.train.views, generator)
+        points = unproject(encoded)
+        embeddings = self.embed(encoded, points)
+        terms_of = self._warmup_terms if step < self.config.train.warmup else self._terms
+        terms = terms_of(observation, encoded, points, embeddings, generator)
+        return weighted_terms(terms, self.config.loss, fraction=fraction)
+
+    def _terms(
+        self,
+        observation: Observation,
+        encoded: Observation,
+        points: Points,
+        embeddings: Embeddings,
+        generator: torch.Generator | None,
+    ) -> dict[str, Tensor]:
+        """Terms of L_obs, L_att and L_others; `encoded` are the views of the observation that are encoded."""
+        # Rays where objects are expected: by the pre-scope, or without one outside of the largest component.
+        rays = None
+        if embeddings.log_prescope is not None:
+            rays = self._sample_rays(encoded, observation, embeddings.log_prescope[..., 1].exp(), generator)
+        attended = self.attention(embeddings, generator)
+        inference = self.encode(encoded, points, embeddings, attended, draw="sample", generator=generator)
+        masks, active = inference.masks, inference.masks.active
+        if rays is None:
+            rays = self._sample_rays(encoded, observation, not_largest(masks.log_masks.detach()), generator)
+        # L_obs.
+        decode = partial(self.decode, inference)
+        fields = fields_along(rays, decode, generator)
+        terms = self._observation_terms(fields, encoded, observation, decode, generator)
+        if inference.background is not None:
+            terms["kl_background"] = kl(inference.background)
+        # L_att.
+        log_masks = self._masks_at(masks.log_masks, rays, embeddings, encoded)
+        terms["attention"] = attention_loss(log_masks, fields, self.config.loss)
+        # L_others.
+        terms["scope"] = remaining_scope(masks.log_scope, embeddings.valid)
+        terms["kl_what"] = kl(inference.what, active[:, None])
+        if inference.where is not None:
+            shape = estimate_shape(
+                self.object_field,
+                fixed(inference.boxes),
+                active,
+                inference.what.z,
+                observation,
+                resolution=self.config.model.voxels,
+                # The authors take all frames; for speed it is one per clip.
+                frame=_random_frame(observation, generator),
+                generator=generator,
+            )
+            terms["translation"] = translation(inference.boxes.center, shape.center, shape.found, active)
+            terms["kl_where"] = kl(inference.where, active[:, None])
+        return terms
+
+    def _warmup_terms(
+        self,
+        observation: Observation,
+        encoded: Observation,
+        points: Points,
+        embeddings: Embeddings,
+        generator: torch.Generator | None,
+    ) -> dict[str, Tensor]:
+        """Terms of the warm-up, in which the background has to explain everything."""
+        assert self.background is not None
+        rays = sample_rays(encoded, self._rays_of(encoded, observation), generator)
+        background = self.background(self.attention.background_code(embeddings, generator), "sample", generator)
+        decode = partial(self._decode_background, background)
+        fields = fields_along(rays, decode, generator)
+        terms = self._observation_terms(fields, encoded, observation, decode, generator)
+        terms["kl_background"] = kl(background)
+        if embeddings.log_prescope is not None:
+            log_prescope = self._masks_at(embeddings.log_prescope.mT, rays, embeddings, encoded)
+            terms["attention"] = attention_warmup(log_prescope, fields)
+        return terms
+
+    def _decode_background(
+        self, background: Latent, points: RayPoints, directions: RayPoints, colours: Colours
+    ) -> Decoded:
+        return decode_background(self.fields, background.z, points, directions, colours=colours)
+
+    def _observation_terms(
+        self,
+        fields: FieldsAlongRays,
+        encoded: Observation,
+        observation: Observation,
+        decode: Decode,
+        generator: torch.Generator | None,
+    ) -> dict[str, Tensor]:
+        """Terms of L_obs; if not all views are encoded, half of the rays and of the weight are of all views."""
+        terms = observation_terms(fields, self.config.loss)
+        if encoded is observation:
+            return terms
+        rays = sample_rays(observation, self.config.train.rays - self._rays_of(encoded, observation), generator)
+        others = observation_terms(fields_along(rays, decode, generator), self.config.loss)
+        return {name: (term + others[name]) / 2 for name, term in terms.items()}
+
+    def _rays_of(self, encoded: Observation, observation: Observation) -> int:
+        """Number of rays through encoded views."""
+        rays = self.config.train.rays
+        return rays if encoded is observation else rays // 2
 
     @torch.no_grad()
     def _sample_rays(
         self,
+        encoded: Observation,
         observation: Observation,
         scope: Float[Tensor, "batch frame point"],
-        count: int,
         generator: torch.Generator | None,
     ) -> Rays:
-        """More of them where objects are expected, which `scope` says of the embedding grid."""
-        views, height, width = observation.depth.shape[2:]
+        """Draw rays, a share of them where the `scope` on the embedding grid expects objects."""
+        views, height, width = encoded.depth.shape[2:]
         rows, columns = self.backbone.grid_size(height, width)
         scope = rearrange(scope, "b f (v h w) -> (b f) v h w", v=views, h=rows, w=columns)
         interest = F.interpolate(scope, size=(height, width), mode="nearest")
-        interest = rearrange(interest, "(b f) v h w -> b f v h w", b=len(observation.depth))
-        share = self.config.train.object_rays
-        return sample_rays_where(observation, count, interest, share=share, generator=generator)
+        interest = rearrange(interest, "(b f) v h w -> b f v h w", b=len(encoded.depth))
+        count, share = self._rays_of(encoded, observation), self.config.train.object_rays
+        return sample_rays_where(encoded, count, interest, share=share, generator=generator)
 
-    def _observe_background(self, observation: Observation, generator: torch.Generator | None) -> Evidence:
-        """The same where the background has to explain everything."""
-        seen = self.seen(observation, generator)
-        rays = sample_rays(seen, self._rays_of(seen, observation), generator)
-        embeddings, log_prescope = self.embed(seen, unproject(seen))
-        background = self.infer_background(embeddings, "sample", generator)
-        assert background is not None
-        decode = partial(self._decode_background, background)
-        return Evidence(
-            fields=fields_along(rays, decode, self.config.loss, generator),
-            beyond=self._beyond(seen, observation, decode, generator),
-            background=background,
-            embeddings=embeddings,
-            log_prescope=log_prescope,
-            **self._sizes(seen),
-        )
+    def _masks_at(self, log_masks: Tensor, rays: Rays, embeddings: Embeddings, encoded: Observation) -> Tensor:
+        """Log masks of the grid at the pixels of rays."""
+        views, *size = encoded.depth.shape[2:]
+        height, width = size
+        grid = (views, *self.backbone.grid_size(height, width))
+        return masks_at(log_masks, embeddings.valid, rays.index, grid=grid, size=(height, width))
 
-    def _rays_of(self, seen: Observation, observation: Observation) -> int:
-        """How many rays go through pixels that are encoded: half of them where there are others."""
-        rays = self.config.train.rays
-        return rays if seen is observation else rays // 2
 
-    def _beyond(
-        self, seen: Observation, observation: Observation, decode: Decode, generator: torch.Generator | None
-    ) -> FieldsAlongRays | None:
-        """The fields along rays of all views, where not all are encoded."""
-        if seen is observation:
-            return None
-        rays = sample_rays(observation, self.config.train.rays - self._rays_of(seen, observation), generator)
-        return fields_along(rays, decode, self.config.loss, generator)
+def fixed(boxes: Boxes) -> Boxes:
+    """Boxes without a gradient."""
+    return Boxes(boxes.center.detach(), boxes.rotation, boxes.size)
 
-    def _sizes(self, observation: Observation) -> dict[str, Any]:
-        """Of the embedding grid and of the images."""
-        views, height, width = observation.depth.shape[2:]
-        return {"grid": (views, *self.backbone.grid_size(height, width)), "size": (height, width)}
 
-    def _decode_background(self, background: Latent, points: Points, directions: Points, colours: Colours) -> Decoded:
-        assert self.background_field is not None
-        return decode_background(
-            self.background_field, background.z, points, directions, **self._world, colours=colours
-        )
-
-    def _estimate_shape(
-        self, observation: Observation, inference: Inference, generator: torch.Generator | None
-    ) -> Shape:
-        """T_shape on one frame of each clip, drawn at random; the authors take all."""
-        batch, frames = observation.depth.shape[:2]
-        model = self.config.model
-        return estimate_shape(
-            self.object_field,
-            fixed(inference.boxes),
-            inference.masks.active,
-            inference.what.z,
-            observation,
-            resolution=model.voxels,
-            threshold=model.voxel_threshold,
-            floor=model.floor,
-            frame=torch.randint(frames, (batch,), generator=generator, device=observation.depth.device),
-            generator=generator,
-        )
+def _random_frame(observation: Observation, generator: torch.Generator | None) -> Tensor:
+    batch, frames = observation.depth.shape[:2]
+    return torch.randint(frames, (batch,), generator=generator, device=observation.depth.device)

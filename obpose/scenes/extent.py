@@ -6,7 +6,7 @@ from torch import Tensor
 
 from obpose.geometry import from_box
 from obpose.model.nerf.field import Conditioning
-from obpose.model.nerf.voxels import lattice_points, occupancy
+from obpose.model.nerf.voxels import THRESHOLD, lattice_points, occupancy
 from obpose.model.obpose import ObPose
 
 LEAST_VOXELS = 8
@@ -26,7 +26,7 @@ def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
         lattice = lattice * codes.detail.alone
         lattice = lattice[(lattice.abs() <= 1).all(dim=-1)]
     logits, _ = model.object_field.density(lattice, codes)
-    return lattice[occupancy(logits) > model.config.model.voxel_threshold]
+    return lattice[occupancy(logits) > THRESHOLD]
 
 
 def above_table(extent: Float[Tensor, "corner 3"], height: float) -> Float[Tensor, "some 3"]:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from obpose.data.clips import clip_part
+from obpose.data.clips import select_part
 from obpose.data.resolution import fitting_model
 from obpose.model.nerf.detail import no_detail
 from obpose.model.obpose import ObPose
@@ -62,7 +62,7 @@ def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: 
     scene = refine(model, observation, scene, steps=refinements)
     # Light and table are the same in all frames, of which some are enough.
     frames = torch.linspace(0, scene.frames - 1, min(LOOKED_AT, scene.frames)).round().long()
-    observation, part = clip_part(observation, frames=frames), _part(scene, frames)
+    observation, part = select_part(observation, frames=frames), _part(scene, frames)
     light = find_light(model, observation, part)
     return replace(scene, light=light, pattern=find_pattern(model, observation, replace(part, light=light)))
 
@@ -75,8 +75,8 @@ def _part(scene: Scene, frames: Int[Tensor, " some"]) -> Scene:
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:
     """All views where the model was trained with all at once, or else the first."""
-    together = model.config.train.views == "together"
-    return observation if together else clip_part(observation, views=slice(1))
+    together = model.config.train.views == "all"
+    return observation if together else select_part(observation, views=slice(1))
 
 
 def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) -> Scene:

@@ -13,8 +13,9 @@ from trimesh.visual import ColorVisuals
 
 from obpose.errors import UsageError
 from obpose.geometry import from_box
+from obpose.model.nerf.along import JITTER
 from obpose.model.nerf.field import Conditioning
-from obpose.model.nerf.voxels import occupancy
+from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene
@@ -39,12 +40,12 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
     lattice = torch.cartesian_prod(steps, steps, steps)
     density = occupancy(model.object_field.density(lattice, codes)[0]).view(resolution, resolution, resolution)
     around = np.pad(density.numpy(), 1)
-    if around.max() <= settings.voxel_threshold:
+    if around.max() <= THRESHOLD:
         raise UsageError(
             f"Object {name} is dense at none of {resolution} x {resolution} x {resolution} points of its box; there is "
             "nothing to make a mesh of, unless more of them (--cells) find something."
         )
-    corners, faces, _, _ = marching_cubes(around, settings.voxel_threshold)
+    corners, faces, _, _ = marching_cubes(around, THRESHOLD)
     # The padding lies a step outside the box; what it closes is cut off there.
     in_box = torch.from_numpy((corners - 1) * (2 / (resolution - 1)) - 1).to(lattice.dtype).clamp(-1, 1)
     center, rotation = scene.center[frame, place], scene.rotation[frame, place]
@@ -52,7 +53,7 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
     mesh = trimesh.Trimesh(vertices.numpy(), faces, process=False)
     mesh.fix_normals()
     outwards = torch.from_numpy(np.array(mesh.vertex_normals)).to(lattice.dtype) @ rotation
-    colours = _colours(model, codes, in_box, outwards, behind=2 * model.config.loss.jitter / settings.pose.box_size)
+    colours = _colours(model, codes, in_box, outwards, behind=2 * JITTER / settings.pose.box_size)
     mesh.visual = ColorVisuals(mesh, vertex_colors=_bytes(colours))
     return mesh
 

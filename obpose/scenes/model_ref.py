@@ -6,6 +6,7 @@ from pathlib import Path
 
 from obpose.config import Config
 from obpose.errors import CorruptFile, UsageError
+from obpose.model.layers.latent import LATENT
 from obpose.model.obpose import ObPose
 from obpose.scenes.scene import Scene
 from obpose.storage.checkpoint import MODEL, load_obpose, read_config
@@ -77,10 +78,9 @@ def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
             f"The scene was made with other weights than those in {place}, to which its objects mean nothing. Give "
             "--checkpoint with the right ones, or infer the scene again."
         )
-    latent = found.model.config.model.latent
-    if (scene.what.shape[-1], scene.background.shape[-1]) != (latent.what, latent.background):
+    if (scene.what.shape[-1], scene.background.shape[-1]) != (LATENT, LATENT):
         raise CorruptFile(
             f"The scene is damaged: its latents have {scene.what.shape[-1]} and {scene.background.shape[-1]} values, "
-            f"those of its model {latent.what} and {latent.background}; make it again, into another folder."
+            f"those of its model {LATENT}; make it again, into another folder."
         )
     return found

@@ -13,7 +13,7 @@ from torch import Tensor
 from obpose.geometry import all_rays, sample_rays_where
 from obpose.model.losses.objective import observation_terms
 from obpose.model.nerf.along import fields_along
-from obpose.model.nerf.components import Background, Colours, decode
+from obpose.model.nerf.components import Background, Codes, Colours, decode
 from obpose.model.nerf.detail import Detail, roughness
 from obpose.model.obpose import ObPose
 from obpose.scenes.scene import Scene
@@ -71,8 +71,8 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     with torch.enable_grad():
         for _ in range(steps):
             rays = sample_rays_where(observation, count, shown, share=0.5, generator=noise)
-            terms = observation_terms(fields_along(rays, decoding, loss, noise), loss)
-            total = loss.colour * terms["colour"] + loss.surface * terms["surface"] + AIR * loss.air * terms["air"]
+            terms = observation_terms(fields_along(rays, decoding, noise), loss)
+            total = terms["colour"] + terms["surface"] + AIR * terms["air"]
             total = total + roughness(leaves.detail, neighbours=NEIGHBOURS, size=SIZE) / pixels
             for leaf, slope in zip(leaves.all(), torch.autograd.grad(total, leaves.all()), strict=True):
                 leaf.grad = slope
@@ -92,7 +92,6 @@ def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Dec
     frames, objects = scene.what.shape[:2]
     owner = torch.arange(objects).repeat(frames)
     active = torch.ones(1, objects, dtype=torch.bool)
-    settings = model.config.model
 
     def at(
         points: Float[Tensor, "1 frame ray 3"],
@@ -100,22 +99,10 @@ def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Dec
         colours: Colours,
         where_background: Background = "everywhere",
     ) -> Decoded:
-        return decode(
-            model.object_field,
-            model.background_field,
-            Boxes(leaves.center[None], scene.rotation[None], settings.pose.box_size),
-            active,
-            leaves.what[None],
-            leaves.background[None],
-            points,
-            directions,
-            workspace_center=model.center,
-            workspace_size=settings.background_size,
-            colours=colours,
-            floor=settings.table,
-            where_background=where_background,
-            detail=Detail(leaves.detail, owner),
-        )
+        boxes = Boxes(leaves.center[None], scene.rotation[None], model.config.model.pose.box_size)
+        detail = Detail(leaves.detail, owner)
+        codes = Codes(active, leaves.what[None], leaves.background[None], boxes, detail)
+        return decode(model.fields, codes, points, directions, colours=colours, where_background=where_background)
 
     return at
 

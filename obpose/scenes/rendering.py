@@ -11,9 +11,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import camera_rays
+from obpose.model.nerf.along import JITTER
 from obpose.model.nerf.detail import Detail
 from obpose.model.nerf.field import Conditioning
 from obpose.model.nerf.marching import Component, Picture, make_component, march, moved, thickness_towards
+from obpose.model.nerf.voxels import THRESHOLD
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.light import beams, strength
 from obpose.scenes.appearance.table_texture import pattern_at
@@ -137,7 +139,7 @@ class Renderer:
                 step=config.spacing,
                 sigma_max=_SHADING / config.spacing,
                 floor=config.table,
-                threshold=config.voxel_threshold,
+                threshold=THRESHOLD,
             )
             for beam in beams(toward)
         ]
@@ -145,15 +147,15 @@ class Renderer:
 
     def quadrature(self, camera: Camera) -> dict[str, Any]:
         """Between which depths rays are sampled, how densely, and what counts as opaque, for a camera."""
-        config, spacing = self.model.config, self.model.config.model.spacing
+        spacing = self.model.config.model.spacing
         near, far = _reach(camera, self.model)
         return {
             "near": near,
             "far": far,
             "samples": max(1, round((far - near) / spacing * _STEPS)),
             "sigma_max": _OPAQUE / spacing,
-            "threshold": config.model.voxel_threshold,
-            "behind": config.loss.jitter,
+            "threshold": THRESHOLD,
+            "behind": JITTER,
         }
 
     def components(self, scene: Scene, frame: int) -> list[Component]:
@@ -170,7 +172,7 @@ class Renderer:
                 center=model.center,
                 rotation=torch.eye(3),
                 size=settings.background_size,
-                threshold=settings.voxel_threshold,
+                threshold=THRESHOLD,
                 bounded=False,
                 resolution=_BACKGROUND_CELLS,
                 layers=_BACKGROUND_LAYERS,
@@ -186,7 +188,7 @@ class Renderer:
         model = self.model
         center, rotation = scene.center[frame, place], scene.rotation[frame, place]
         box = {"center": center, "rotation": rotation, "size": model.config.model.pose.box_size}
-        box |= {"threshold": model.config.model.voxel_threshold}
+        box |= {"threshold": THRESHOLD}
         known = self._keep(
             scene.look(frame, place),
             lambda: make_component(

@@ -1,1 +1,1 @@
-"""Parts of the training loop in `obpose.training.loop`."""
+"""Training loop, and its parts."""

@@ -79,17 +79,17 @@ def batches(
     *,
     first_step: int,
     readers: int,
-    sees: type[Observation] = Observation,
+    kind: type[Observation] = Observation,
 ) -> Iterator[dict[str, Tensor]]:
     """Iterate endlessly over the batches of this process from a step on; `readers` processes read ahead, 0 for none.
 
-    Batches hold only the fields of `sees`, the observation type of the model.
+    Batches hold only the fields of `kind`, the observation type of the model.
 
     Raises:
         DatagenError, OSError: a clip cannot be read; errors in reader processes are raised unchanged.
     """
     loader = DataLoader(
-        _Steps(source, sampling, share, sees),
+        _Steps(source, sampling, share, kind),
         batch_size=None,
         sampler=count(first_step),  # pyright: ignore[reportArgumentType]
         num_workers=readers,
@@ -123,14 +123,14 @@ class _Steps(Dataset[dict[str, Tensor] | Exception]):
     Errors are returned, because raising in a reader process would add its traceback to the message.
     """
 
-    def __init__(self, source: ClipSource, sampling: Sampling, share: Share, sees: type[Observation]):
-        self._source, self._sampling, self._share, self._sees = source, sampling, share, sees
+    def __init__(self, source: ClipSource, sampling: Sampling, share: Share, kind: type[Observation]):
+        self._source, self._sampling, self._share, self._kind = source, sampling, share, kind
 
     def __getitem__(self, step: int) -> dict[str, Tensor] | Exception:
         windows = self._share.of(self._sampling.windows(step))
         try:
             clips = [self._source.window(window.clip, window.start, window.frames) for window in windows]
-            return stack(clips, self._sees)
+            return stack(clips, self._kind)
         except (DatagenError, OSError) as error:
             return error.with_traceback(None)
 

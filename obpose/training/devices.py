@@ -1,4 +1,4 @@
-"""Where a training computes: Lightning Fabric for device, precision and several processes."""
+"""Device, precision and processes of a training, with Lightning Fabric."""
 
 import ctypes
 import os
@@ -14,14 +14,14 @@ from obpose.config import TrainConfig
 from obpose.errors import UsageError
 
 _MEMORY = {-1: 2**31 - 1, -2: 2**26, -3: 2**25}
-"""Options of mallopt(3): never trim; grow by 64 MiB; blocks under 32 MiB, the most it takes, come from the heap."""
+"""Options of mallopt(3): never trim; grow by 64 MiB; allocate blocks under 32 MiB, the maximum, on the heap."""
 
 
 def make_fabric(device: str, config: TrainConfig) -> Fabric:
-    """One process, or those that `torchrun` started, each on a device of its own.
+    """Set up this process, or all processes of `torchrun`, each with its own device.
 
     Raises:
-        UsageError: there is no such device, or it cannot compute with this precision.
+        UsageError: there is no such device, or it does not support the precision.
     """
     accelerator = _accelerator(device)
     if accelerator == "cpu" and config.precision != "32-true":
@@ -29,7 +29,7 @@ def make_fabric(device: str, config: TrainConfig) -> Fabric:
     processes, here = (int(os.environ.get(name, 1)) for name in ("WORLD_SIZE", "LOCAL_WORLD_SIZE"))
     if processes == 1:
         return Fabric(accelerator=accelerator, devices=1, precision=config.precision)
-    # Warm-up trains some parameters only, and the others get no gradient.
+    # In the warm-up, only some parameters get a gradient.
     strategy = DDPStrategy(
         find_unused_parameters=True, process_group_backend="gloo" if accelerator == "cpu" else "nccl"
     )
@@ -43,17 +43,16 @@ def make_fabric(device: str, config: TrainConfig) -> Fabric:
 
 
 def leave() -> None:
-    """Part from the other processes, if there are any.
+    """Leave the process group, if there is one.
 
-    What does that at the end of the interpreter comes too late for the threads of gloo: now and then they end a process
-    that has done its work with an abort.
+    At the exit of the interpreter it would be too late: threads of gloo sometimes abort a finished process.
     """
     if torch.distributed.is_available() and torch.distributed.is_initialized():
         torch.distributed.destroy_process_group()
 
 
 def keep_memory() -> None:
-    """Let a GNU C library keep freed memory: to ask for it anew costs a tenth to a third of a step on a CPU."""
+    """Let the GNU C library keep freed memory, which saves a tenth to a third of the time of a step on a CPU."""
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):
@@ -63,13 +62,13 @@ def keep_memory() -> None:
 
 
 def noise_of(step: int, *, seed: int, process: int, device: torch.device) -> torch.Generator:
-    """The noise of one step in one process: nothing about it has to be saved for a run to go on exactly."""
+    """Generator of the noise of a step in a process, so that a run resumes exactly without saved generator states."""
     number = np.random.SeedSequence([seed, 2, step, process]).generate_state(1)[0]
     return torch.Generator(device).manual_seed(int(number))
 
 
 def mean_over_processes(fabric: Fabric, values: Float[Tensor, " value"]) -> Float[Tensor, " value"]:
-    """The values, averaged over all processes."""
+    """Average values over all processes."""
     if fabric.world_size == 1:
         return values
     reduced = fabric.all_reduce(values.to(fabric.device), reduce_op="mean")

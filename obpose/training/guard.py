@@ -1,4 +1,4 @@
-"""Stops a training whose numbers are no longer finite, before they reach the weights, and says where it began."""
+"""Checks that losses and gradients are finite, before they change the weights."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from obpose.errors import Diverged
 
 _NAMED = 3
-"""Parameters that a message names."""
+"""Largest number of parameters named in a message."""
 _ADVICE = (
     "Try half the learning rate (--set train.learning_rate=...), --set train.clip=1, another --seed, or look for clips "
     "with depths or poses that are not finite."
@@ -18,10 +18,10 @@ _ADVICE = (
 def check_finite(
     losses: Mapping[str, float], gradient_norm: float, parameters: Iterable[tuple[str, nn.Parameter]], *, step: int
 ) -> None:
-    """Let a step pass only with finite losses and gradients.
+    """Check the losses and gradients of a step.
 
     Raises:
-        Diverged: names the loss terms, or the parameters whose gradient it is, and what to try.
+        Diverged: some are not finite; the message names the terms or parameters, and what to try.
     """
     if math.isfinite(losses["total"]) and math.isfinite(gradient_norm):
         return
@@ -36,10 +36,10 @@ def check_finite(
 
 
 def check_validation(losses: Mapping[str, float], *, step: int) -> None:
-    """Let a training go on only with a finite loss on validation clips: the last step may have blown up the weights.
+    """Check the losses on validation clips, because the last step may have spoiled the weights.
 
     Raises:
-        Diverged: names the loss terms, and what to try.
+        Diverged: some are not finite; the message names the terms, and what to try.
     """
     if math.isfinite(losses["total"]):
         return

@@ -8,19 +8,18 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from obpose.data.clips import views_apart
+from obpose.data.clips import separate_views
 from obpose.errors import UsageError
 from obpose.storage.checkpoint import Build, TrainingState, put_weights
 from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.storage.tensors import State
 from obpose.trainable import Configuration, Trainable
-from obpose.training.budget import is_skipped
 from obpose.training.devices import mean_over_processes, noise_of
 from obpose.training.guard import check_finite
 
 
 @dataclass(frozen=True)
-class Learned:
+class StepResult:
     """Losses and gradient norm of a step."""
 
     losses: dict[str, float]
@@ -41,7 +40,7 @@ class Learner:
         optimizer = torch.optim.Adam(self.model.parameters(), lr=config.train.learning_rate, fused=True)
         self._module, self._optimizer = fabric.setup(_Losses(self.model, config), optimizer)
 
-    def learn(self, batch: Mapping[str, Tensor], *, step: int, fraction: float, learning_rate: float) -> Learned:
+    def step(self, batch: Mapping[str, Tensor], *, step: int, fraction: float, learning_rate: float) -> StepResult:
         """Take one step; `fraction` is the used share of the budget.
 
         Raises:
@@ -58,11 +57,10 @@ class Learner:
         norm = self._clip()
         values = torch.stack([term.detach().float() for term in terms.values()])
         *losses, gradient_norm = torch.cat([mean_over_processes(self._fabric, values), norm[None]]).tolist()
-        learned = Learned(dict(zip(terms, losses, strict=True)), gradient_norm)
-        check_finite(learned.losses, gradient_norm, self.model.named_parameters(), step=step + 1)
-        if not is_skipped(self._config, fraction, gradient_norm):
-            self._optimizer.step()
-        return learned
+        result = StepResult(dict(zip(terms, losses, strict=True)), gradient_norm)
+        check_finite(result.losses, gradient_norm, self.model.named_parameters(), step=step + 1)
+        self._optimizer.step()
+        return result
 
     def weights(self) -> State:
         """Give the weights of the model, for a checkpoint."""
@@ -107,7 +105,7 @@ class _Losses(nn.Module):
     def forward(
         self, tensors: Mapping[str, Tensor], *, step: int, fraction: float, generator: torch.Generator
     ) -> dict[str, Tensor]:
-        observation = self.model.sees(**tensors)
+        observation = self.model.observation_type(**tensors)
         if self._views == "apart":
-            observation = views_apart(observation)
+            observation = separate_views(observation)
         return self.model.losses(observation, step=step, fraction=fraction, generator=generator)

@@ -70,16 +70,8 @@ class Trained:
     """Validation results, for inspection only."""
 
 
-def say_nothing(status: Status) -> None:
-    """Ignore the status."""
-
-
 Look = Callable[[Trainable, int, float], None]
 """Callback at each validation; it gets the model in evaluation mode, the finished steps and the seconds."""
-
-
-def look_away(model: Trainable, step: int, seconds: float) -> None:
-    """Ignore the model."""
 
 
 def train(
@@ -88,8 +80,8 @@ def train(
     config: Configuration,
     *,
     folder: Path | None = None,
-    report: Report = say_nothing,
-    look: Look = look_away,
+    report: Report = lambda status: None,
+    look: Look = lambda model, step, seconds: None,
     score: Score | None = None,
     device: str = "auto",
     tensorboard: bool = False,
@@ -120,36 +112,20 @@ def train(
     fabric = make_fabric(device, config.train)
     fabric.launch()
     try:
-        return _train(fabric, source, val_source, config, folder, report, look, score, tensorboard, build)
+        learner = Learner(fabric, config, build)
+        writes = folder is not None and fabric.is_global_zero
+        with claimed(folder) if folder and writes else nullcontext():
+            progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
+            record = Record(folder, config, steps=progress.step, tensorboard=tensorboard) if folder and writes else None
+            run = _Run(fabric, learner, source, val_source, config, progress, record, report, look, score)
+            try:
+                with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
+                    run.go_on(request)
+            finally:
+                if record:
+                    record.close()
     finally:
         leave()
-
-
-def _train(
-    fabric: Fabric,
-    source: ClipSource,
-    val_source: ClipSource | None,
-    config: Configuration,
-    folder: Path | None,
-    report: Report,
-    look: Look,
-    score: Score | None,
-    tensorboard: bool,
-    build: Build,
-) -> Trained:
-    learner = Learner(fabric, config, build)
-    with claimed(folder) if folder and fabric.is_global_zero else nullcontext():
-        progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
-        record = None
-        if folder and fabric.is_global_zero:
-            record = Record(folder, config, steps=progress.step, tensorboard=tensorboard)
-        run = _Run(fabric, learner, source, val_source, config, progress, record, report, look, score)
-        try:
-            with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
-                run.go_on(request)
-        finally:
-            if record:
-                record.close()
     return Trained(learner.model.cpu().eval(), config, progress.step, progress.seconds, tuple(progress.curve))
 
 
@@ -192,17 +168,17 @@ class _Run:
         while fraction < 1:
             rate = learning_rate(settings, fraction)
             with watch.running():
-                learned = self.learner.learn(next(feed), step=progress.step, fraction=fraction, learning_rate=rate)
+                result = self.learner.step(next(feed), step=progress.step, fraction=fraction, learning_rate=rate)
             progress.step += 1
             progress.seconds = self._agree(watch.seconds)
             before, fraction = fraction, budget.fraction(progress.step, progress.seconds)
             if self.record:
-                self.record.log_step(progress.step, progress.seconds, rate, learned)
+                self.record.log_step(progress.step, progress.seconds, rate, result)
             if budget.validation_is_due(before, fraction):
                 self._validate(fraction)
             if self.fabric.is_global_zero:
                 latest = progress.curve[-1] if progress.curve else None
-                self.report(Status(progress.step, progress.seconds, fraction, learned.losses, latest))
+                self.report(Status(progress.step, progress.seconds, fraction, result.losses, latest))
             if self._agree(float(request.received is not None)):
                 self._stop(request)
             if self.record and self.record.save_is_due():
@@ -222,7 +198,12 @@ class _Run:
         share = Share(fabric.global_rank, fabric.world_size)
         readers = readers_for(fabric.device)
         return batches(
-            self.source, sampling, share, first_step=self.progress.step, readers=readers, sees=self.learner.model.sees
+            self.source,
+            sampling,
+            share,
+            first_step=self.progress.step,
+            readers=readers,
+            kind=self.learner.model.observation_type,
         )
 
     def _agree(self, value: float) -> float:
@@ -278,7 +259,7 @@ def _resume(learner: Learner, folder: Path, config: Configuration, processes: in
         began, progress = _how_far(state.info)
     except (AttributeError, KeyError, TypeError, ValueError):
         raise CorruptFile(f"{folder / TRAINING} does not say how far it came; begin anew with another --out.") from None
-    if progress.step and not state.optimizer and not config.train.skip:
+    if progress.step and not state.optimizer:
         raise CorruptFile(f"{folder / TRAINING} lacks the state of the optimiser; begin anew with another --out.")
     if began != processes:
         raise UsageError(

@@ -1,10 +1,10 @@
-"""What a training leaves in its folder: checkpoints, curves and pictures.
+"""Files of a training: checkpoints, curves and pictures.
 
 RUN/config.json, model.safetensors     the model, for `obpose.storage.checkpoint.load`
-RUN/training.safetensors               what the training needs to go on
+RUN/training.safetensors               the state from which the training resumes
 RUN/training.csv, validation.csv       curves
-RUN/pictures/                          what the model makes of some clips, as it learns
-RUN/tensorboard/                       the curves again, if asked for
+RUN/pictures/                          pictures of some clips, at each validation
+RUN/tensorboard/                       the curves for TensorBoard, if requested
 """
 
 import time
@@ -15,35 +15,35 @@ from obpose.data.clips import ClipSource, observation_of
 from obpose.pictures import write_picture
 from obpose.storage.checkpoint import STEPS, VALIDATIONS, TrainingState, save_model, save_training
 from obpose.trainable import Configuration, Trainable
-from obpose.training.learner import Learned, Learner
+from obpose.training.learner import Learner, StepResult
 from obpose.training.logs import CsvLog, TensorBoardLog
 from obpose.training.validation import CurvePoint
 
 SAVE_SECONDS = 180.0
-"""Between two checkpoints, time of day."""
+"""Wall time between two checkpoints."""
 PICTURE_CLIPS = 3
-"""The first so many clips are drawn."""
+"""Number of clips that are drawn, from the first on."""
 
 
 class Record:
-    """Writes one run's folder; the folder belongs to this process alone."""
+    """Writer of a run's folder, which only this process may write."""
 
     def __init__(self, folder: Path, config: Configuration, *, steps: int, tensorboard: bool):
-        """Begin, or go on after so many steps."""
+        """Start, or resume after `steps` steps."""
         self._folder, self._config = folder, config
         self._steps = CsvLog(folder / STEPS, steps=steps)
         self._validations = CsvLog(folder / VALIDATIONS, steps=steps)
         self._board = TensorBoardLog(folder / "tensorboard", steps=steps) if tensorboard else None
         self._saved = time.monotonic()
 
-    def log_step(self, step: int, seconds: float, learning_rate: float, learned: Learned) -> None:
+    def log_step(self, step: int, seconds: float, learning_rate: float, result: StepResult) -> None:
         """Add a row to the curves of the training."""
         row = {
             "step": step,
             "seconds": round(seconds, 3),
             "learning_rate": learning_rate,
-            "gradient_norm": learned.gradient_norm,
-            **learned.losses,
+            "gradient_norm": result.gradient_norm,
+            **result.losses,
         }
         self._steps.write(row)
         if self._board:
@@ -56,7 +56,7 @@ class Record:
             self._board.write("validation", point.row())
 
     def draw(self, model: Trainable, source: ClipSource, *, step: int, device: Any) -> None:
-        """Draw what the model makes of some clips."""
+        """Draw pictures of the model's results on some clips."""
         frames = min(self._config.train.frames, source.frames_of_clip)
         windows = [source.window(index, 0, frames) for index in range(min(PICTURE_CLIPS, len(source)))]
         path = self._folder / "pictures" / f"step-{step:07d}.png"
@@ -70,10 +70,10 @@ class Record:
         self._saved = time.monotonic()
 
     def save_is_due(self) -> bool:
-        """Whether the last checkpoint is minutes old."""
+        """Whether the last checkpoint is older than `SAVE_SECONDS`."""
         return time.monotonic() - self._saved > SAVE_SECONDS
 
     def close(self) -> None:
-        """Write what is waiting."""
+        """Flush pending values."""
         if self._board:
             self._board.close()

@@ -1,4 +1,4 @@
-"""Stopping between two steps when the process is asked to end."""
+"""Stop between two steps on SIGTERM or SIGINT."""
 
 import signal
 import threading
@@ -9,22 +9,22 @@ from types import FrameType
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 ECHO_SECONDS = 1.0
-"""Another signal within this time is the same request: shells, schedulers and `torchrun` pass on what came already."""
+"""Time within which a second signal belongs to the same request, because shells and `torchrun` forward signals."""
 
 
 class StopRequest:
-    """Whether and how somebody asked to stop."""
+    """Request to stop, and its signal."""
 
     received: signal.Signals | None = None
     when: float = 0.0
-    """Seconds, of the clock that only goes forward."""
+    """Monotonic time of the signal, seconds."""
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """Take note of SIGTERM and SIGINT in the place of dying; a later one has its usual effect.
+    """Record SIGTERM and SIGINT instead of exiting; a later signal has its usual effect.
 
-    Python lets only the main thread do so; elsewhere nothing is changed.
+    Python allows this in the main thread only; in other threads nothing is changed.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

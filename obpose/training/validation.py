@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from obpose.config import TrainConfig
-from obpose.data.clips import ClipSource, observation_of, views_apart
+from obpose.data.clips import ClipSource, observation_of, separate_views
 from obpose.data.labels import Labels, segment_clip
 from obpose.trainable import Trainable
 from obpose.types import Observation
@@ -90,7 +90,7 @@ def validation_losses(
     noise = torch.Generator(device).manual_seed(_SEED)
     sums: dict[str, float] = {}
     scenes = 0
-    for observation in _batches(source, config, model.sees):
+    for observation in _batches(source, config, model.observation_type):
         with torch.no_grad():
             terms = model.losses(observation.to(device), step=step, fraction=fraction, generator=noise)
         number = len(observation.depth)
@@ -114,12 +114,12 @@ def validation_score(
     return float(np.mean(defined)) if defined else None
 
 
-def _batches(source: ClipSource, config: TrainConfig, sees: type[Observation]) -> Iterator[Observation]:
+def _batches(source: ClipSource, config: TrainConfig, kind: type[Observation]) -> Iterator[Observation]:
     frames = min(config.frames, source.frames_of_clip)
     for first in range(0, _clips(source), config.batch):
         indices = range(first, min(first + config.batch, _clips(source)))
-        observation = observation_of([source.window(index, 0, frames) for index in indices], sees)
-        yield views_apart(observation) if config.views == "apart" else observation
+        observation = observation_of([source.window(index, 0, frames) for index in indices], kind)
+        yield separate_views(observation) if config.views == "separate" else observation
 
 
 def _clips(source: ClipSource) -> int:

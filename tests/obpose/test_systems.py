@@ -77,7 +77,7 @@ def test_a_system_that_uses_labels_is_one_whose_model_sees_them():
     torch.manual_seed(0)
     for name in ("obpose", "obsurf", "supervised"):
         system = SYSTEMS[name]
-        assert (build_model(system.config()).sees is LabelledObservation) is system.uses_labels
+        assert (build_model(system.config()).observation_type is LabelledObservation) is system.uses_labels
 
 
 def test_a_misspelt_name_gets_a_hint():

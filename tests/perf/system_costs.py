@@ -50,12 +50,12 @@ def cost_of(name: str) -> Cost:
     clips = config.train.batch * (config.train.frames // frames)
     seen = table_scene(batch=clips, frames=frames, height=SIZE, width=SIZE, spheres=OBJECTS)
     batch = {field.name: getattr(seen, field.name) for field in fields(seen)}
-    if learner.model.sees is LabelledObservation:
+    if learner.model.observation_type is LabelledObservation:
         batch["segmentation"] = torch.stack([labels_by_colour(rgb) for rgb in seen.rgb])
     times = []
     for step in range(STEPS + 1):
         start = time.process_time()
-        learner.learn(batch, step=config.train.warmup + step, fraction=0.5, learning_rate=1e-4)
+        learner.step(batch, step=config.train.warmup + step, fraction=0.5, learning_rate=1e-4)
         times.append(time.process_time() - start)
     return Cost(
         parameters=sum(parameter.numel() for parameter in learner.model.parameters()),

@@ -16,17 +16,17 @@ from itertools import count
 from statistics import median
 from typing import Any
 
+import obpose.model.encoder
 import torch
 from lightning_fabric import Fabric
+from obpose.model.pose.what import What
 from torch import Tensor
 from torch.autograd.graph import Node
 
-import obpose.model.encoder
 import obpose.model.obpose
 from obpose.config import Config
 from obpose.model.obpose import ObPose
 from obpose.model.pose.encoder import ObjectEncoder
-from obpose.model.pose.what import What
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import Observation
@@ -163,7 +163,7 @@ def _learner(config: Config, clips: Observation) -> Callable[[], None]:
     numbers = count(config.train.warmup)
 
     def learn() -> None:
-        learner.learn(batch, step=next(numbers), fraction=0.5, learning_rate=1e-4)
+        learner.step(batch, step=next(numbers), fraction=0.5, learning_rate=1e-4)
 
     return learn
 

@@ -52,7 +52,7 @@ def _configured(name: str, folder: Path) -> ModelSpec:
 
 
 def _views(config: Any) -> Views:
-    return {"together": Views("all", "all"), "one": Views("one", "all"), "apart": Views("one", "one")}[
+    return {"all": Views("all", "all"), "random": Views("one", "all"), "separate": Views("one", "one")}[
         config.train.views
     ]
 

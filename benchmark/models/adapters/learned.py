@@ -13,12 +13,12 @@ from benchmark.models.adapters.poses import poses_of
 from benchmark.models.adapters.settings import settings_of
 from benchmark.models.interface import Clip, Prediction
 from datagen.errors import UsageError
-from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, views_apart
+from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views
 from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
 from obpose.model.obpose import ObPose
 from obpose.storage.checkpoint import load
-from obpose.systems import find_system
+from obpose.systems import find_system, slots_for
 from obpose.trainable import Trainable
 from obpose.training.loop import CurvePoint, train
 
@@ -49,8 +49,8 @@ class LearnedSegmenter:
         changes: Mapping[str, Any] | None = None,
         watch: Watch | None = None,
     ):
-        """Options as in `benchmark.models.interface`; `slots` counts the background, which configurations do not."""
-        self._changes = {"model.slots": slots - 1, "train.steps": steps, **(changes or {})}
+        """Set options as in `benchmark.models.interface`; `slots` counts the background."""
+        self._changes = {**slots_for(slots), "train.steps": steps, **(changes or {})}
         self._profile, self._watch = profile, watch
         self._system, self._folder, self._checkpoint = find_system(system), folder, checkpoint
 
@@ -75,11 +75,11 @@ class LearnedSegmenter:
         source = ArrayClips([clip])
         observation = observation_of([source.window(0, 0, source.frames_of_clip)]).to(device_of(model))
         model = fitting_model(model, observation) if isinstance(model, ObPose) else model
-        if self._views == "together":
+        if self._views == "all":
             found, axes = model.segment(observation), "1 frame view h w -> frame view h w"
             poses = None
         else:
-            apart = views_apart(observation)
+            apart = separate_views(observation)
             found, axes = model.segment(apart), "view frame 1 h w -> frame view h w"
             poses = poses_of(model, found, apart)
         labels, attention = (rearrange(maps, axes).cpu().numpy() for maps in (found.labels, found.attention))

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from benchmark.studies.claims.scenes import Account, Found, Scene
 from obpose.geometry import from_box
-from obpose.model.nerf.voxels import lattice_points, observed_free, occupancy
+from obpose.model.nerf.voxels import FLOOR, THRESHOLD, lattice_points, observed_free, occupancy
 
 Framing = Literal["none", "location", "full"]
 FRAMINGS: tuple[Framing, ...] = ("none", "location", "full")
@@ -97,10 +97,9 @@ def occupied(
     directions = every - observation.world_from_camera[0, 0, :3, 3]
     decoded = model.decode(account.segmentation.inference, every[None], directions[None], "with")
     assert decoded.colours is not None
-    dense = occupancy(decoded.logits[:, :, 1 + found.slot]) > model.config.model.voxel_threshold
+    dense = occupancy(decoded.logits[:, :, 1 + found.slot]) > THRESHOLD
     dense &= ~observed_free(rearrange(every, "frame cell xyz -> 1 frame 1 cell xyz"), observation)[:, :, 0]
-    if model.config.model.floor is not None:
-        dense &= every[None, ..., 2] >= model.config.model.floor
+    dense &= every[None, ..., 2] >= FLOOR
     return dense[0, found.frames], decoded.colours[0, found.frames, 1 + found.slot]
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from benchmark.studies.claims.scenes import Account
 from obpose.geometry import all_rays
-from obpose.model.nerf.components import points_in_boxes, spread
+from obpose.model.nerf.components import points_in_boxes, scatter
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.render import render
 from obpose.model.nerf.voxels import Voxels, occupied_voxels, shape_of
@@ -99,8 +99,6 @@ def estimate_voxels(account: Account, resolution: int) -> Voxels:
         inference.what.z,
         account.scene.observation,
         resolution=resolution,
-        threshold=model.config.model.voxel_threshold,
-        floor=model.config.model.floor,
     )
 
 
@@ -147,8 +145,7 @@ def _objects_alone(account: Account) -> Callable[[Tensor, Tensor], Decoded]:
         codes = model.object_field.condition(rearrange(inference.what.z, "b f s d -> (b f s) d")).at(inside.owner)
         logits, _ = model.object_field.density(inside.points, codes)
         shape = (*inference.what.z.shape[:3], points.shape[2])
-        spread_logits = spread(logits, inside.index, shape, OUTSIDE)
-        return Decoded(spread_logits, points.new_zeros(()).expand(*shape, 3))
+        return Decoded(scatter(logits, inside.index, shape, OUTSIDE), points.new_zeros(()).expand(*shape, 3))
 
     return decode
 

@@ -13,7 +13,7 @@ from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
 from datagen.schema import SceneRecord
 from datagen.storage.reader import Dataset
-from obpose.data.clips import clip_part, observation_of
+from obpose.data.clips import observation_of, select_part
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import fitting_model
 from obpose.scenes.model_ref import Origin
@@ -58,7 +58,7 @@ def infer_objects(origin: Origin, folder: Path, split: str, scenes: int) -> Obje
     records, source = Dataset(folder).split(split), SceneDataset(folder, split)
     rows, missed = [], 0
     for index in range(min(scenes, len(records))):
-        observation = clip_part(observation_of([source.window(index, 0, source.frames_of_clip)]), views=slice(1))
+        observation = select_part(observation_of([source.window(index, 0, source.frames_of_clip)]), views=slice(1))
         found = fitting_model(origin.model, observation).segment(observation)
         record = records[index]
         truth, labels = record["segmentation"][:, 0], found.labels[0, :, 0].numpy()

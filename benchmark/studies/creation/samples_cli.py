@@ -126,7 +126,7 @@ def _framed(tile: np.ndarray) -> np.ndarray:
 
 
 def _model(origin: Origin) -> Segmenter:
-    model = LearnedSegmenter("obpose", slots=origin.model.config.model.slots + 1, checkpoint=origin.folder)
+    model = LearnedSegmenter("obpose", slots=origin.model.config.model.segments, checkpoint=origin.folder)
     model.fit([], [], seed=0, budget=0.0)
     return model
 

@@ -12,7 +12,7 @@ from benchmark.metrics.images import depth_errors, psnr, ssim
 from datagen import schema
 from datagen.geometry import project, unproject
 from datagen.storage.reader import Dataset, Split
-from obpose.data.clips import clip_part, observation_of
+from obpose.data.clips import observation_of, select_part
 from obpose.data.datasets import SceneDataset
 from obpose.scenes.infer import cameras_of, infer_scene
 from obpose.scenes.model_ref import Origin
@@ -84,7 +84,7 @@ def measure_views(
         observation = observation_of([source.window(index, 0, source.frames_of_clip)])
         cameras = cameras_of(observation)
         for seen in range(number):
-            one = clip_part(observation, views=slice(seen, seen + 1))
+            one = select_part(observation, views=slice(seen, seen + 1))
             scene = infer_scene(origin, one, refinements=refinements)
             for frame in spread(source.frames_of_clip, frames):
                 truth = read_views(records, index, frame)

@@ -1,4 +1,4 @@
-"""A slot's neural field: density from the point and the slot, colour also from the ray and the image."""
+"""Neural field of a slot: density from point and slot, colour also from ray and image."""
 
 import torch
 import torch.nn.functional as F
@@ -7,19 +7,22 @@ from torch import Tensor, nn
 
 from obpose.baselines.obsurf.config import DecoderConfig
 
+DEPTH = 4
+"""Number of hidden layers. [code]"""
+
 
 class SlotField(nn.Module):
-    """An MLP in which every hidden layer's input is shifted and scaled by the slot ("ain" in the published code).
+    """MLP in which the input of every hidden layer is shifted and scaled by the slot ("ain" in the published code).
 
-    Density never sees the image's features. As published nothing is normalised. Between the last hidden layer and the
-    colours the published code has a linear layer more, which changes nothing before another.
+    Density does not depend on the image's features. As published, nothing is normalised. The published code has another
+    linear layer before the one of the colours, which is redundant.
     """
 
     def __init__(self, config: DecoderConfig, *, code: int, slot: int, pixel: int):
-        """Sizes of the points' code, of slots, and of the image's features."""
+        """Initialise the weights, for codes of points, slots and image features with these numbers of channels."""
         super().__init__()
         self.config = config
-        inputs = [code] + [config.width] * (config.depth - 1)
+        inputs = [code] + [config.width] * (DEPTH - 1)
         self.shifts = nn.ModuleList(nn.Linear(slot, size) for size in inputs)
         scales = [nn.Linear(slot, size) for size in inputs]
         if config.unit_scales:
@@ -35,7 +38,7 @@ class SlotField(nn.Module):
     def density(
         self, encoded: Float[Tensor, "image point code"], slots: Float[Tensor, "image slot width"]
     ) -> tuple[Float[Tensor, "image slot point"], Float[Tensor, "image slot point hidden"]]:
-        """Density logits of all slots at points given by their Fourier code, and hidden values for `colour`."""
+        """Compute density logits of all slots at points given by their Fourier code, and hidden values for `colour`."""
         values = encoded[:, None]
         for shift, scale, layer in zip(self.shifts, self.scales, self.hidden, strict=True):
             values = layer((values + shift(slots)[:, :, None]) * scale(slots)[:, :, None]).relu_()
@@ -47,7 +50,7 @@ class SlotField(nn.Module):
         directions: Float[Tensor, "image point 3"],
         pixels: Float[Tensor, "image point pixel"],
     ) -> Float[Tensor, "image slot point 3"]:
-        """Colours in 0..1 along unit directions, with the image's features at the points' pixels."""
+        """Compute colours in 0..1 along unit directions, with the image's features at the points' pixels."""
         seen = torch.cat([directions, pixels], dim=-1) if self.config.pixel_features else directions
         values = F.relu(self.colour_hidden(hidden) + self.colour_seen(seen)[:, None])
         return torch.sigmoid(self.colour_out(values))

@@ -1,4 +1,4 @@
-"""From an image with its rays to a grid of features, the tokens of the slot attention."""
+"""Encoder from an image with its rays to a grid of features, the tokens of the slot attention."""
 
 import torch
 import torch.nn.functional as F
@@ -9,17 +9,19 @@ from torch import Tensor, nn
 from obpose.baselines.obsurf.config import ImageEncoderConfig
 
 _GROUPS = 4
+"""Groups of the norms. [ours]"""
 
 
 class ImageEncoder(nn.Module):
-    """A residual network without pooling and a head that works cell by cell.
+    """Residual network without pooling, with a head on each cell.
 
-    As published but for two things. Norms are over groups of channels, theirs over batches, which here are of a few
-    images: so no image depends on the others. What is the same at every pixel, the code of the camera's position, is
-    added after the first convolution: which is what the convolution makes of it, but for the border.
+    As published, with two exceptions. Norms are over groups of channels instead of batches, which are small here, so
+    that images do not depend on each other. The code of the camera's position is added after the first convolution,
+    which is equivalent except at the border, because it is the same at every pixel.
     """
 
     def __init__(self, config: ImageEncoderConfig, *, camera_code: int):
+        """Initialise the weights, for codes of the camera's position with `camera_code` channels."""
         super().__init__()
         self.config = config
         width = config.width
@@ -41,10 +43,10 @@ class ImageEncoder(nn.Module):
         points: Float[Tensor, "image height width 4"],
         camera: Float[Tensor, "image code"],
     ) -> Float[Tensor, "image rows columns feature"]:
-        """Features of the cells of the grid.
+        """Compute the features of the grid's cells.
 
-        `rays` are unit vectors in the world, `points` what was seen there, in units, with a 1 where anything was and
-        zeros elsewhere; they are looked at only if the configuration says so.
+        `rays` are unit vectors in the world. `points` are surface points in units with a validity channel, used only if
+        the configuration says so.
         """
         seen = torch.cat([rgb, rays, points] if self.config.points else [rgb, rays], dim=-1)
         features = self.stem(rearrange(seen, "image h w c -> image c h w")) + self.camera(camera)[..., None, None]
@@ -53,7 +55,7 @@ class ImageEncoder(nn.Module):
 
 
 class ResidualBlock(nn.Module):
-    """Two convolutions beside a skip."""
+    """Two convolutions with a skip connection."""
 
     def __init__(self, width: int, *, stride: int):
         super().__init__()
@@ -65,7 +67,7 @@ class ResidualBlock(nn.Module):
     def forward(
         self, features: Float[Tensor, "image channel height width"]
     ) -> Float[Tensor, "image channel rows columns"]:
-        """The same at the same resolution, or at half of it."""
+        """Apply the block, which may halve the resolution."""
         branch = F.relu(self.norms[0](self.first(features)))
         return F.relu(self.norms[1](self.second(branch)) + self.skip(features))
 

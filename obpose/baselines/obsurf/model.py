@@ -1,8 +1,7 @@
 """ObSuRF: one image of a scene to slots, slots to neural fields, supervised along rays of all views.
 
-Clips are images that have nothing to do with each other, as in both published uses: each frame has slots of its own,
-and in training one of its views, drawn at random, is the input. At evaluation each view is segmented from its own
-image.
+As in both published uses, the frames of a clip are independent: each has its own slots. In training, a random view of a
+frame is the input. At evaluation, each view is segmented from its own image.
 """
 
 from dataclasses import dataclass
@@ -19,20 +18,23 @@ from obpose.baselines.obsurf.decoder import SlotField
 from obpose.baselines.obsurf.encoder import ImageEncoder
 from obpose.baselines.obsurf.projection import code_size, fourier_code, nearest_cells, project
 from obpose.baselines.obsurf.slots import SlotAttention, Slots
-from obpose.data.clips import one_view, views_apart
+from obpose.data.clips import random_view, separate_views
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject, view_directions
 from obpose.model.attention.summary import not_largest
+from obpose.model.nerf.along import NEAR_SHARE
 from obpose.model.nerf.points import air_points, surface_points
 from obpose.trainable import Trainable
 from obpose.types import Observation, Rays, Segmentation
 
+JITTER = 0.07
+"""Distance behind the surface up to which fields are fitted, units of planar depth. [code: along the ray]"""
 _STRIDE, _OFFSET = 4, 2
-"""Of the pixels at which it is looked for objects, before rays are drawn."""
+"""Stride and offset of the pixels at which objects are expected, before rays are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
 class Encoded:
-    """What is known of scenes from one image each."""
+    """Codes of scenes from one image each."""
 
     slots: Slots
     features: Float[Tensor, "image rows columns width"]
@@ -43,26 +45,27 @@ class Encoded:
 
 
 class Obsurf(Trainable):
-    """The model with depth, as published but for its projection and the norms of its encoder."""
+    """ObSuRF with depth, as published except for its projection and the norms of its encoder."""
 
     center: Tensor
 
     def __init__(self, config: ObsurfConfig):
-        """Build it with fresh weights, drawn from PyTorch's global generator."""
+        """Initialise the weights from PyTorch's global generator."""
         super().__init__()
         self.config = config
         model, width = config.model, config.model.encoder.width
-        code = code_size(first=model.first_octave, last=model.last_octave)
+        code = code_size(last=model.last_octave)
         self.encoder = ImageEncoder(model.encoder, camera_code=code)
-        self.attention = SlotAttention(model.attention, slots=model.slots + 1, width=width)
+        self.attention = SlotAttention(slots=model.segments, width=width)
         self.field = SlotField(model.decoder, code=code, slot=width, pixel=width)
         self.register_buffer("center", torch.tensor(model.workspace_center), persistent=False)
 
     def losses(
         self, observation: Observation, *, step: int, fraction: float, generator: torch.Generator | None = None
     ) -> dict[str, Tensor]:
-        """Loss terms and their weighted sum; pixels without depth do not count."""
-        inputs = one_view(observation, generator)
+        """Compute the loss terms and their weighted sum; pixels without depth do not count."""
+        # Encode one view of each frame.
+        inputs = random_view(observation, generator)
         batch, frames = observation.depth.shape[:2]
         noise = torch.randn(
             (batch * frames, *self.attention.evaluation_noise.shape), generator=generator, device=self.center.device
@@ -73,23 +76,25 @@ class Obsurf(Trainable):
 
     @property
     def background_slot(self) -> None:
-        """No slot is told to be the background."""
+        """None, because no slot stands for the background."""
         return None
 
     @torch.no_grad()
     def segment(self, observation: Observation) -> Segmentation:
-        """The densest slot at each pixel's observed surface, each image by itself.
+        """Label every pixel with the densest slot at its surface, image by image.
 
-        Which slot covers the background may differ from image to image: 0 is the one with most pixels of its image.
+        The slot of the background differs between images, so the slot with most pixels of an image becomes 0.
         """
         batch, frames, views = observation.depth.shape[:3]
-        apart = views_apart(observation)
-        encoded = self.encode(apart, repeat(self.attention.evaluation_noise, "k w -> i k w", i=batch * frames * views))
-        rays = all_rays(apart)
+        separate = separate_views(observation)
+        encoded = self.encode(
+            separate, repeat(self.attention.evaluation_noise, "k w -> i k w", i=batch * frames * views)
+        )
+        rays = all_rays(separate)
         logits, _ = self._densities(encoded, rays.origin + rays.direction * rays.depth[..., None])
         owners = rearrange(logits.argmax(dim=2), "b f (h w) -> (b f) h w", h=observation.depth.shape[3])
-        valid = rearrange(apart.valid, "b f 1 h w -> (b f) h w")
-        largest = _largest(owners, valid, slots=self.config.model.slots + 1)
+        valid = rearrange(separate.valid, "b f 1 h w -> (b f) h w")
+        largest = _largest(owners, valid, slots=self.config.model.segments)
         labels, attention = (
             rearrange(_swapped(maps, largest) * valid, "(b v f) h w -> b f v h w", b=batch, v=views)
             for maps in (owners, _upsampled(encoded))
@@ -97,7 +102,7 @@ class Obsurf(Trainable):
         return Segmentation(labels, attention)
 
     def encode(self, observation: Observation, noise: Float[Tensor, "image slot width"]) -> Encoded:
-        """Slots and features of images, clip by clip and frame by frame, of a single view."""
+        """Encode the images of one view, clip by clip and frame by frame."""
         frames, _, height, width = observation.depth.shape[1:]
         cameras = observation.k, observation.world_from_camera
         k, poses = (repeat(camera, "b 1 i j -> (b f) i j", f=frames) for camera in cameras)
@@ -109,26 +114,26 @@ class Obsurf(Trainable):
             rearrange(observation.rgb, "b f 1 h w c -> (b f) h w c"),
             repeat(rays, "b h w c -> (b f) h w c", f=frames),
             rearrange(points, "b f 1 h w c -> (b f) h w c"),
-            fourier_code(self.to_units(poses[:, :3, 3]), first=model.first_octave, last=model.last_octave),
+            fourier_code(self.to_units(poses[:, :3, 3]), last=model.last_octave),
         )
         tokens = rearrange(features, "i rows columns w -> i (rows columns) w")
         return Encoded(self.attention(tokens, noise), features, k, poses, (height, width))
 
     def to_units(self, points: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
-        """World coordinates in metres as units around the middle of the workspace."""
+        """Convert world coordinates in metres to units around the middle of the workspace."""
         return (points - self.center) * self.config.model.units_per_metre
 
     @torch.no_grad()
     def _sample_rays(self, observation: Observation, encoded: Encoded, generator: torch.Generator | None) -> Rays:
-        """A share of them where the densest slot of a frame is not, looked for at some pixels of all views."""
+        """Draw rays, a share of them outside of the largest slot of a frame, as found at some pixels of all views."""
         count, share = self.config.train.rays, self.config.train.object_rays
         if not share:
             return sample_rays(observation, count, generator)
-        looks, valid = (
+        points, valid = (
             pixels[:, :, :, _OFFSET::_STRIDE, _OFFSET::_STRIDE]
             for pixels in (unproject(observation), observation.valid)
         )
-        logits, _ = self._densities(encoded, rearrange(looks, "b f v h w xyz -> b f (v h w) xyz"))
+        logits, _ = self._densities(encoded, rearrange(points, "b f v h w xyz -> b f (v h w) xyz"))
         log_shares = rearrange(losses.log_share(logits), "b f slot point -> (b f) 1 slot point")
         seen = rearrange(valid, "b f v h w -> (b f) 1 1 (v h w)")
         elsewhere = not_largest(log_shares.masked_fill(~seen, -torch.inf))
@@ -141,40 +146,41 @@ class Obsurf(Trainable):
     def _loss_terms(
         self, encoded: Encoded, rays: Rays, fraction: float, generator: torch.Generator | None
     ) -> dict[str, Tensor]:
-        config, model = self.config.loss, self.config.model
-        sigma_max = model.sigma_max
-        units = model.units_per_metre * rays.direction.norm(dim=-1)
-        behind = surface_points(rays, config.jitter / model.units_per_metre, generator)
-        before, inverse_rho = air_points(rays, config.near_share, generator)
+        # Fields at the surface and in the air.
+        scale = self.config.model.units_per_metre
+        units = scale * rays.direction.norm(dim=-1)
+        behind = surface_points(rays, JITTER / scale, generator)
+        before, inverse_rho = air_points(rays, NEAR_SHARE, generator)
         surface, hidden = self._densities(encoded, behind)
         in_air, _ = self._densities(encoded, before)
         composed = losses.mean_colour(surface, self._colours(encoded, hidden, behind, rays))
         terms = {
-            "colour": losses.colour(composed, rays.colour, rays.weight, std=config.colour_std),
-            "surface": losses.surface(surface, rays.weight, sigma_max=sigma_max),
-            "air": losses.air(in_air, inverse_rho * units, rays.weight, sigma_max=sigma_max),
+            "colour": losses.colour(composed, rays.colour, rays.weight, std=self.config.loss.colour_std),
+            "surface": losses.surface(surface, rays.weight),
+            "air": losses.air(in_air, inverse_rho * units, rays.weight),
         }
-        weights = {"colour": config.colour, "surface": config.surface, "air": config.air}
-        if config.overlap:
-            terms["overlap"] = losses.overlap(surface, rays.weight, sigma_max=sigma_max)
-            weights["overlap"] = losses.overlap_weight(config, fraction)
+        # Weighted sum.
+        weights = dict.fromkeys(terms, 1.0)
+        if self.config.loss.overlap:
+            terms["overlap"] = losses.overlap(surface, rays.weight)
+            weights["overlap"] = losses.overlap_weight(self.config.loss, fraction)
         total = sum((weights[name] * term for name, term in terms.items()), start=surface.new_zeros(()))
         return {"total": total, **{name: term.detach() for name, term in terms.items()}}
 
     def _densities(
         self, encoded: Encoded, points: Float[Tensor, "batch frame ray 3"]
     ) -> tuple[Float[Tensor, "batch frame slot ray"], Float[Tensor, "image slot ray hidden"]]:
-        """Density logits of all slots at world points, and what their colours are made from."""
+        """Compute density logits of all slots at world points, and hidden values for colours."""
         model = self.config.model
         flat = rearrange(self.to_units(points), "b f ray xyz -> (b f) ray xyz")
-        code = fourier_code(flat, first=model.first_octave, last=model.last_octave)
+        code = fourier_code(flat, last=model.last_octave)
         logits, hidden = self.field.density(code, encoded.slots.codes)
         return rearrange(logits, "(b f) slot ray -> b f slot ray", b=len(points)), hidden
 
     def _colours(
         self, encoded: Encoded, hidden: Tensor, points: Float[Tensor, "batch frame ray 3"], rays: Rays
     ) -> Float[Tensor, "batch frame slot ray 3"]:
-        """Colours of all slots; a point takes the input image's features at its pixel, none from behind the camera."""
+        """Compute colours of all slots, with the input image's features at the points' pixels; 0 behind the camera."""
         flat = rearrange(points, "b f ray xyz -> (b f) ray xyz")
         pixels, before = project(flat, encoded.k, encoded.world_from_camera)
         grid = (encoded.features.shape[1], encoded.features.shape[2])
@@ -187,7 +193,7 @@ class Obsurf(Trainable):
 
 
 def _upsampled(encoded: Encoded) -> Int[Tensor, "image height width"]:
-    """The slot that attends most to each pixel."""
+    """Slot with the largest attention at each pixel."""
     rows, columns = encoded.features.shape[1:3]
     maps = rearrange(
         encoded.slots.attention, "i slot (rows columns) -> i slot rows columns", rows=rows, columns=columns
@@ -196,7 +202,7 @@ def _upsampled(encoded: Encoded) -> Int[Tensor, "image height width"]:
 
 
 def _largest(owners: Int[Tensor, "image height width"], valid: Tensor, *, slots: int) -> Int[Tensor, " image"]:
-    """The slot with most pixels of each image."""
+    """Slot with most pixels of each image."""
     pixels = F.one_hot(owners.flatten(1), slots) * valid.flatten(1)[..., None]
     return pixels.sum(dim=1).argmax(dim=-1)
 
@@ -204,6 +210,6 @@ def _largest(owners: Int[Tensor, "image height width"], valid: Tensor, *, slots:
 def _swapped(
     owners: Int[Tensor, "image height width"], first: Int[Tensor, " image"]
 ) -> Int[Tensor, "image height width"]:
-    """Slots numbered such that one of each image is 0, and slot 0 has its number."""
+    """Swap the numbers of one slot of each image and of slot 0."""
     number = first[:, None, None].expand_as(owners)
     return torch.where(owners == number, 0, torch.where(owners == 0, number, owners))

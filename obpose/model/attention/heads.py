@@ -1,61 +1,69 @@
 """Point-wise heads on the backbone's embedding (paper, section Encoder; pre-scope in section IC-SBP)."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import log_softmax, pad
 
-from obpose.config import AttentionConfig, BackboneConfig
+from obpose.config import ModelConfig
+from obpose.model.backbone import EMBEDDING
 from obpose.model.layers.mlp import Linear, mlp
 
+COLOUR = 8
+"""D_c: channels of the colour embeddings, which the attention clusters. The position is added to three of them, the
+colour to three more. [code]"""
+FEATURE = 16
+"""D_f: channels of the features, which the encoders use. [code]"""
 _HIDDEN = 32
-"""Width of the heads' hidden layer, as in the authors' code."""
+"""Width of the heads' hidden layer. [code]"""
 
 
 class HeadOutputs(NamedTuple):
-    """What the heads say of each point; where it is not valid, that does not matter."""
+    """Outputs of the heads for each point; arbitrary where the point is not valid."""
 
     colour: Float[Tensor, "batch frame point colour"]
     """zeta_c, for the IC-SBP; without channels for slot attention."""
     features: Float[Tensor, "batch frame point feature"]
-    """zeta_f, for the other encoders; without channels where there are none."""
+    """zeta_f for the other encoders, and the standardised colours if wanted; without channels if there is no head."""
     log_prescope: Float[Tensor, "batch frame point 2"] | None
-    """Log of s^p: the background's mask, then the scope s_0 that the objects share. None where there is none."""
+    """Log of s^p: the background's mask, then the scope s_0 that the objects share. None without a background."""
 
 
 class Heads(nn.Module):
-    """Colour, feature and pre-scope head; only the feature head for slot attention.
+    """Colour, feature and pre-scope head; for slot attention only the feature head.
 
-    Deviations from the paper: the position enters the colour head through a linear layer, as in the authors' code,
-    and is added to the first three channels of its output, times a constant (semi-convolutional embedding, Novotny et
-    al. 2018), because without it nothing tells equal objects apart at the start. So is the colour to the next three:
-    without it objects that touch are one for long. The pre-scope is read from the embedding before these additions:
-    whether a point is background should not change along the table. ReLU in place of the authors' ELU,
-    which with an embedding for every pixel is a notable part of a training step on a CPU.
+    Deviations from the paper:
+
+    - The position enters the colour head through a linear layer, as in the authors' code. Times a constant, it is also
+      added to the first three output channels (semi-convolutional embedding, Novotny et al. 2018). Without it, nothing
+      distinguishes equal objects at the start.
+    - The colour is added to the next three channels. Without it, touching objects stay merged for long.
+    - The pre-scope is read before these additions: being background should not depend on the place on the table.
+    - ReLU instead of the authors' ELU, which takes a notable part of a training step on a CPU.
+    - The observed colours are appended to zeta_f, so that the latents need not wait for the backbone.
     """
 
-    def __init__(
-        self,
-        backbone: BackboneConfig,
-        attention: AttentionConfig,
-        *,
-        background: Literal["component", "none"] = "component",
-        features: bool = True,
-    ):
-        """Pre-scope and features can be left out."""
+    def __init__(self, config: ModelConfig, *, features: bool = True):
+        """Initialise the weights; `features` says whether there is a feature head."""
         super().__init__()
-        self.semi_convolution = attention.semi_convolution
-        self.semi_colour = attention.semi_colour
+        attention, icsbp = config.attention, config.attention.kind == "icsbp"
+        self.semi_convolution, self.semi_colour = attention.semi_convolution, attention.semi_colour
+        self.appends_colours = features and config.latent.colours == "given"
         self.colour = self.features = self.prescope = None
-        if attention.kind == "icsbp":
-            self.position = Linear(3, backbone.embedding, bias=False)
-            self.colour = mlp(backbone.embedding, _HIDDEN, backbone.colour, activation=nn.ReLU)
+        if icsbp:
+            self.position = Linear(3, EMBEDDING, bias=False)
+            self.colour = mlp(EMBEDDING, _HIDDEN, COLOUR, activation=nn.ReLU)
         if features:
-            self.features = mlp(backbone.embedding, _HIDDEN, backbone.feature, activation=nn.ReLU)
-        if attention.kind == "icsbp" and background == "component":
-            self.prescope = mlp(backbone.colour, _HIDDEN, 2, activation=nn.ReLU)
+            self.features = mlp(EMBEDDING, _HIDDEN, FEATURE, activation=nn.ReLU)
+        if icsbp and config.has_background:
+            self.prescope = mlp(COLOUR, _HIDDEN, 2, activation=nn.ReLU)
+
+    @property
+    def feature_size(self) -> int:
+        """Channels of the features."""
+        return (0 if self.features is None else FEATURE) + (3 if self.appends_colours else 0)
 
     def forward(
         self,
@@ -71,14 +79,14 @@ class Heads(nn.Module):
         `points` are in the world frame, metres, `rgb` standardised, `center` is the middle of the workspace.
         """
         features = embedding[..., :0] if self.features is None else self.features(embedding)
+        if self.appends_colours:
+            features = torch.cat([features, rgb], dim=-1)
         if self.colour is None:
             return HeadOutputs(embedding[..., :0], features, None)
         position = (points - center) * valid[..., None]
         colour = self.colour(embedding + self.position(position))
-        seen = torch.cat([self.semi_convolution * position, self.semi_colour * rgb], dim=-1)
-        shift = pad(seen, (0, colour.shape[-1] - seen.shape[-1]))
-        return HeadOutputs(
-            colour=colour + shift,
-            features=features,
-            log_prescope=None if self.prescope is None else log_softmax(self.prescope(colour), dim=-1),
-        )
+        log_prescope = None if self.prescope is None else log_softmax(self.prescope(colour), dim=-1)
+        # Semi-convolutional embedding: position, then colour.
+        shift = torch.cat([self.semi_convolution * position, self.semi_colour * rgb], dim=-1)
+        colour = colour + pad(shift, (0, colour.shape[-1] - shift.shape[-1]))
+        return HeadOutputs(colour, features, log_prescope)

@@ -1,14 +1,14 @@
 """Instance colouring stick-breaking process for video (paper, section IC-SBP; Engelcke et al. 2021, GENESIS-V2).
 
-Masks are kept as logarithms, but where seeds look. Seeds are points of the first frame, chosen slot by slot. The
-paper's stay there, and where a point is at the edge of its object its mask covers half of it. An addition lets seeds
-move to the mean embedding under their masks, a few times in the first frame, and again in every later one from where
-they were in the frame before, since with embeddings that hold the position an object slides out of a mask that stays.
-Where seeds are has no gradient, but for the embeddings that they are means of; the masks of all frames are then
-computed at once.
+Masks are kept as logarithms. Seeds are points of the first frame, chosen slot by slot. In the paper they stay there,
+and the mask of a seed at the edge of its object covers half of it. As an addition, seeds move by mean shift: a few
+steps in the first frame, and again in every later frame from their position in the frame before. Embeddings contain the
+position, so an object would otherwise slide out of its mask. Gradients reach seeds only through the embeddings of which
+they are the mean. The masks of all frames are then computed at once.
 """
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -17,25 +17,61 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from obpose.config import AttentionConfig
-from obpose.model.attention.kernels import initial_sigma, log_alpha
+from obpose.config import AttentionConfig, ModelConfig
+from obpose.model.attention.interface import EXCLUDED, Attended, Attention
 from obpose.model.layers.numerics import log1mexp, sharpen
-from obpose.types import Masks
+from obpose.types import Embeddings, Masks
 
 Seeds = Literal["stochastic", "greedy", "densest"]
-Idle = Literal["never", "bernoulli", "threshold"]
-Division = Literal["sticks", "shares"]
-Remainder = Literal["apart", "slot"]
+Inactive = Literal["never", "bernoulli", "threshold"]
+Division = Literal["stick_breaking", "softmax"]
 
-EXCLUDED = -1e4
-"""Log mask of an idle slot, and of all slots at an invalid point: lower than any other, finite in half precision."""
-
-_SEEN = 0.5
-"""A sharpened mask that sums to less, in points, covers nothing of which the middle could be told."""
-_LEAST = -80.0
-"""Log of next to nothing."""
+INACTIVE_SCOPE = 0.7
+"""Remaining scope that counts as large for the `threshold` rule of inactive slots. [ours]"""
+MOST_ALPHA = 1e-6
+"""Log alpha is at most minus this, so that a seed never takes all of a point. [code: alpha of at most 1 - 1e-6]"""
+LEAST_ALPHA = 1e3
+"""Log alpha is at least minus this, so that it and its gradient are finite at every distance."""
+_LEAST_POINTS = 0.5
+"""A seed does not move if its sharpened mask sums to less than this many points."""
+_LEAST_LOG = -80.0
 _CANDIDATES = 256
-"""So many points are compared for the densest."""
+"""Number of candidates for the densest point."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Rules that differ between training and evaluation."""
+
+    seeds: Seeds
+    """`stochastic`: argmax of u * scope with u uniform in 0..1 (GENESIS-V2); `greedy`: argmax of the scope; `densest`:
+    the candidate with the largest scope around it, summed under its kernel."""
+    inactive: Inactive
+    """A slot is inactive if a Bernoulli draw from the remaining scope selects no point (`bernoulli`, as in the
+    authors' code), or if fewer than `inactive_points` points have a remaining scope over `INACTIVE_SCOPE`
+    (`threshold`)."""
+    division: Division
+    """Division of points within reach of several slots."""
+
+
+def training_rules(config: AttentionConfig) -> Rules:
+    """Rules in training."""
+    return Rules("stochastic", config.inactive_in_training, "stick_breaking")
+
+
+def evaluation_rules(config: AttentionConfig) -> Rules:
+    """Deterministic rules at evaluation."""
+    return Rules(config.evaluation_seeds, "threshold", config.evaluation_division)
+
+
+def initial_sigma(slots: int) -> float:
+    """Bandwidth sigma at which alpha is one half at a squared distance of 1/K."""
+    return 1 / (slots * math.log(2))
+
+
+def log_alpha(distance: Float[Tensor, "*shape"], log_sigma: Float[Tensor, ""]) -> Float[Tensor, "*shape"]:
+    """Log of the Gaussian kernel psi, -d^2/sigma, within bounds that keep log alpha and log(1 - alpha) finite."""
+    return -(distance.square() * torch.exp(-log_sigma) + MOST_ALPHA).clamp(max=LEAST_ALPHA)
 
 
 def whole_scope(valid: Bool[Tensor, "batch frame point"]) -> Float[Tensor, "batch frame point 2"]:
@@ -43,59 +79,62 @@ def whole_scope(valid: Bool[Tensor, "batch frame point"]) -> Float[Tensor, "batc
     return torch.stack([torch.where(valid, EXCLUDED, 0.0), torch.where(valid, 0.0, EXCLUDED)], dim=-1)
 
 
-class ICSBP(nn.Module):
+class ICSBP(Attention):
     """Clusters point embeddings into soft masks, one slot after the other, each around a seed from the first frame."""
 
     log_sigma: Tensor
 
-    def __init__(self, config: AttentionConfig, *, slots: int):
-        """`slots` only sets the initial bandwidth."""
+    def __init__(self, config: ModelConfig):
+        """Initialise the bandwidth of the kernel."""
         super().__init__()
-        self.config = config
-        self.log_sigma = nn.Parameter(torch.tensor(math.log(initial_sigma(config.kernel, slots=slots))))
+        self.config, self._slots, self._has_background = config.attention, config.slots, config.has_background
+        self.log_sigma = nn.Parameter(torch.tensor(math.log(initial_sigma(config.slots))))
 
-    def forward(
+    def forward(self, embeddings: Embeddings, generator: torch.Generator | None) -> Attended:
+        """Masks of all frames, by the rules for training in training mode, else by those for evaluation."""
+        rules = training_rules(self.config) if self.training else evaluation_rules(self.config)
+        prescope = whole_scope(embeddings.valid) if embeddings.log_prescope is None else embeddings.log_prescope
+        found = (embeddings.colour, embeddings.valid, prescope)
+        masks = self.masks(*found, slots=self._slots, rules=rules, generator=generator)
+        if not self._has_background:
+            masks = add_remainder_slot(masks)
+        return Attended(masks, slot_codes=None, background_code=embeddings.scene)
+
+    def background_code(self, embeddings: Embeddings, generator: torch.Generator | None) -> Tensor:
+        """Code of the background: that of the scene, for which no masks are needed."""
+        return embeddings.scene
+
+    def masks(
         self,
         colour: Float[Tensor, "batch frame point colour"],
         valid: Bool[Tensor, "batch frame point"],
         log_prescope: Float[Tensor, "batch frame point 2"],
         *,
         slots: int,
-        seeds: Seeds,
-        idle: Idle,
-        division: Division = "sticks",
-        remainder: Remainder = "apart",
+        rules: Rules,
         generator: torch.Generator | None,
     ) -> Masks:
-        """Masks of the background and of `slots` objects in every frame, and of one more that takes the `remainder`.
+        """Masks of the background and of `slots` objects in every frame.
 
-        A slot is idle where the rule `idle` says so of the scope left to it in the first frame, and where that frame
-        has no valid point: `bernoulli` as in the authors' code, where a draw of the scope at each point finds none;
-        `threshold` where fewer than `idle_points` points have a scope over `idle_scope`. Points that are not valid
-        belong to the background and have no influence. What several slots reach is divided by breaking sticks, or in
-        shares.
+        Slots are also inactive if the first frame has no valid point. Invalid points belong to the background and have
+        no influence.
         """
         wide = torch.promote_types(colour.dtype, torch.float32)
         colour, log_prescope = colour.to(wide), log_prescope.to(wide)
-        first, active, log_claims = self._choose_seeds(
-            colour[:, 0],
-            valid[:, 0],
-            log_prescope[:, 0, :, 1].detach(),
-            slots=slots,
-            seeds=seeds,
-            idle=idle,
-            generator=generator,
+        # Seeds in the first frame, then in all frames.
+        log_scope = log_prescope[:, 0, :, 1].detach()
+        first, active, log_residual_scope = self._choose_seeds(
+            colour[:, 0], valid[:, 0], log_scope, slots=slots, rules=rules, generator=generator
         )
-        if self.config.looks:
-            places = self._follow(colour, valid, log_prescope, first, active)
+        if self.config.mean_shift_steps:
+            seeds = self._follow(colour, valid, log_prescope, first, active)
         else:
-            places = repeat(first, "b slot colour -> b frame slot colour", frame=colour.shape[1])
-        alpha = self._log_alpha(colour, places)
-        if division == "sticks":
-            masks = _break_sticks(alpha, log_prescope, valid, active)
-        else:
-            masks = _share(alpha, log_prescope, valid, active, log_claims, self.config.mask_power)
-        return masks if remainder == "apart" else _take_remainder(masks)
+            seeds = repeat(first, "b slot colour -> b frame slot colour", frame=colour.shape[1])
+        # Masks from the distances to the seeds.
+        alpha = self._log_alpha(colour, seeds)
+        if rules.division == "stick_breaking":
+            return break_sticks(alpha, log_prescope, valid, active)
+        return divide_by_softmax(alpha, log_prescope, valid, active, log_residual_scope, self.config.mask_exponent)
 
     def _follow(
         self,
@@ -105,17 +144,19 @@ class ICSBP(nn.Module):
         first: Float[Tensor, "batch slot colour"],
         active: Bool[Tensor, "batch slot"],
     ) -> Float[Tensor, "batch frame slot colour"]:
-        """Seeds of all frames, each looked for from where it was in the frame before."""
+        """Seeds of all frames, by mean shift from their position in the frame before."""
         scope = log_prescope[..., 1].detach().exp() * valid
-        seed, places = first, []
+        seed, seeds = first, []
         for frame in range(colour.shape[1]):
-            for _ in range(self.config.looks):
+            for _ in range(self.config.mean_shift_steps):
                 with torch.no_grad():
-                    alpha = _exp(self._alpha_around(seed, colour[:, frame])) * active[..., None]
-                    masks = scope[:, frame, None] * alpha * _left_before(alpha)
-                seed = _look(seed.detach(), masks**self.config.mask_power, colour[:, frame])
-            places.append(seed)
-        return torch.stack(places, dim=1)
+                    # m_k = s_{k-1} alpha_k (paper, section IC-SBP).
+                    alpha = _exp(self._log_alpha_at(seed, colour[:, frame])) * active[..., None]
+                    remaining = pad(1 - alpha[:, :-1], (0, 0, 1, 0), value=1).cumprod(dim=1)
+                    masks = scope[:, frame, None] * alpha * remaining
+                seed = mean_shift(seed.detach(), masks**self.config.mask_exponent, colour[:, frame])
+            seeds.append(seed)
+        return torch.stack(seeds, dim=1)
 
     def _choose_seeds(
         self,
@@ -124,63 +165,63 @@ class ICSBP(nn.Module):
         log_scope: Float[Tensor, "batch point"],
         *,
         slots: int,
-        seeds: Seeds,
-        idle: Idle,
+        rules: Rules,
         generator: torch.Generator | None,
     ) -> tuple[Float[Tensor, "batch slot colour"], Bool[Tensor, "batch slot"], Float[Tensor, "batch slot"]]:
-        """The embeddings of the points of the first frame that are the slots' seeds, and which slots are in use.
+        """Choose the slots' seeds among the points of the first frame, and which slots are active.
 
-        What a slot leaves to the next is what is left around the place that its seed will move to. The last value is
-        the log of a slot's claim, 0..1: the share of the scope there that the slots before it have left.
+        The scope left to the next slot depends on the seed after its mean shift. The third value is the log of a
+        slot's residual scope: the share, 0..1, of the scope around its seed that earlier slots have left.
         """
+        exponent = self.config.mask_exponent
         whole = log_scope = log_scope.masked_fill(~valid, EXCLUDED)
-        chosen, active, log_claims = [], [], []
+        chosen, active, log_residual_scope = [], [], []
         for _ in range(slots):
-            active.append(self._find_points(log_scope, idle, generator) & valid.any(dim=-1))
-            seed = _pick(colour, self._choose_seed(colour, log_scope, seeds, generator))
+            active.append(self._is_active(log_scope, rules, generator) & valid.any(dim=-1))
+            # Seed, and its mean shift.
+            seed = _pick(colour, self._choose_seed(colour, log_scope, rules, generator))
             chosen.append(seed)
             with torch.no_grad():
-                for _ in range(self.config.looks):
-                    log_mask = log_scope[:, None] + self._alpha_around(seed, colour)
-                    seed = _look(seed, _exp(sharpen(log_mask, self.config.mask_power)), colour)
-                alpha = self._alpha_around(seed, colour)[:, 0]
-                near = sharpen(alpha, self.config.mask_power)
-                log_claims.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
+                for _ in range(self.config.mean_shift_steps):
+                    log_mask = log_scope[:, None] + self._log_alpha_at(seed, colour)
+                    seed = mean_shift(seed, _exp(sharpen(log_mask, exponent)), colour)
+                alpha = self._log_alpha_at(seed, colour)[:, 0]
+                near = sharpen(alpha, exponent)
+                log_residual_scope.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
+                # s_k = s_{k-1} (1 - alpha_k) (paper, section IC-SBP).
                 log_scope = log_scope + log1mexp(alpha) * active[-1][:, None]
-        return torch.cat(chosen, dim=1), torch.stack(active, dim=-1), torch.stack(log_claims, dim=-1)
+        return torch.cat(chosen, dim=1), torch.stack(active, dim=-1), torch.stack(log_residual_scope, dim=-1)
 
     @torch.no_grad()
     def _choose_seed(
         self,
         colour: Float[Tensor, "batch point colour"],
         log_scope: Float[Tensor, "batch point"],
-        seeds: Seeds,
+        rules: Rules,
         generator: torch.Generator | None,
     ) -> Int[Tensor, "batch 1"]:
-        """Place of the argmax of u * s with u uniform in 0..1 (GENESIS-V2), or of s, or of the densest point.
-
-        The densest point has the largest scope around it, summed under its kernel, of those with an own scope over
-        `idle_scope`, or of the points with the largest scope where there are more.
-        """
-        if seeds == "stochastic":
+        """Index of the next seed."""
+        if rules.seeds == "stochastic":
             return (_uniform(log_scope, generator).log() + log_scope).argmax(dim=-1, keepdim=True)
-        if seeds == "greedy":
+        if rules.seeds == "greedy":
             return log_scope.argmax(dim=-1, keepdim=True)
+        # Densest: candidates are the points with the largest scope, and count if it is over the threshold.
         best = log_scope.topk(min(_CANDIDATES, log_scope.shape[-1]), dim=-1)
-        around = self._alpha_around(_pick(colour, best.indices), colour) + log_scope[:, None]
-        density = around.exp().sum(dim=-1) * (best.values > math.log(self.config.idle_scope))
+        around = self._log_alpha_at(_pick(colour, best.indices), colour) + log_scope[:, None]
+        density = around.exp().sum(dim=-1) * (best.values > math.log(INACTIVE_SCOPE))
         return best.indices.gather(1, density.argmax(dim=-1, keepdim=True))
 
-    def _find_points(
-        self, log_scope: Float[Tensor, "batch point"], idle: Idle, generator: torch.Generator | None
+    def _is_active(
+        self, log_scope: Float[Tensor, "batch point"], rules: Rules, generator: torch.Generator | None
     ) -> Bool[Tensor, "batch"]:
-        if idle == "never":
+        """Whether a slot with this remaining scope is active."""
+        if rules.inactive == "never":
             return torch.ones_like(log_scope[:, 0], dtype=torch.bool)
-        if idle == "bernoulli":
+        if rules.inactive == "bernoulli":
             return (_uniform(log_scope, generator).log() < log_scope).any(dim=-1)
-        return (log_scope > math.log(self.config.idle_scope)).sum(dim=-1) >= self.config.idle_points
+        return (log_scope > math.log(INACTIVE_SCOPE)).sum(dim=-1) >= self.config.inactive_points
 
-    def _alpha_around(
+    def _log_alpha_at(
         self, seeds: Float[Tensor, "batch seed colour"], colour: Float[Tensor, "batch point colour"]
     ) -> Float[Tensor, "batch seed point"]:
         return self._log_alpha(colour[:, None], seeds[:, None])[:, 0]
@@ -188,49 +229,25 @@ class ICSBP(nn.Module):
     def _log_alpha(
         self, colour: Float[Tensor, "batch frame point colour"], seeds: Float[Tensor, "batch frame slot colour"]
     ) -> Float[Tensor, "batch frame slot point"]:
-        # Differences, not the matrix product, which has no digits left where embeddings are large and near each other.
+        # By differences: the matrix product loses all digits if embeddings are large and close to each other.
         distance = torch.cdist(seeds, colour, compute_mode="donot_use_mm_for_euclid_dist")
-        return log_alpha(distance, self.log_sigma.to(colour.dtype), self.config.kernel)
+        return log_alpha(distance, self.log_sigma.to(colour.dtype))
 
 
-def _look(
+def mean_shift(
     seed: Float[Tensor, "batch slot colour"],
     weights: Float[Tensor, "batch slot point"],
     colour: Float[Tensor, "batch point colour"],
 ) -> Float[Tensor, "batch slot colour"]:
-    """The mean embedding under each sharpened mask; a seed whose mask covers next to nothing waits where it was.
+    """Move seeds to the mean embedding under their sharpened masks; seeds of nearly empty masks stay.
 
-    So does that of an object out of sight.
+    So seeds of objects out of sight wait where they were.
     """
     total = weights.sum(dim=-1, keepdim=True)
-    return torch.where(total >= _SEEN, weights @ colour / total.clamp(min=_SEEN), seed)
+    return torch.where(total >= _LEAST_POINTS, weights @ colour / total.clamp(min=_LEAST_POINTS), seed)
 
 
-def _left_before(alpha: Float[Tensor, "batch slot point"]) -> Float[Tensor, "batch slot point"]:
-    """What the slots before each leave to it."""
-    return pad(1 - alpha[:, :-1], (0, 0, 1, 0), value=1).cumprod(dim=1)
-
-
-def _exp(logarithm: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """Shares of which sums are made, where next to nothing is as good as nothing.
-
-    On a CPU the exponential of what has none in single precision takes ten times as long.
-    """
-    return logarithm.clamp(min=_LEAST).exp()
-
-
-def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:
-    drawn = torch.rand(like.shape, generator=generator, device=like.device, dtype=like.dtype)
-    return drawn.clamp(min=torch.finfo(like.dtype).tiny)
-
-
-def _pick(
-    colour: Float[Tensor, "batch point colour"], places: Int[Tensor, "batch place"]
-) -> Float[Tensor, "batch place colour"]:
-    return colour.gather(1, repeat(places, "b place -> b place colour", colour=colour.shape[-1]))
-
-
-def _break_sticks(
+def break_sticks(
     alpha: Float[Tensor, "batch frame slot point"],
     log_prescope: Float[Tensor, "batch frame point 2"],
     valid: Bool[Tensor, "batch frame point"],
@@ -238,38 +255,41 @@ def _break_sticks(
 ) -> Masks:
     """Masks m_k = s_{k-1} alpha_k with s_k = s_{k-1} (1 - alpha_k) (paper, section IC-SBP), from log alpha.
 
-    Deviations, as in the authors' code: s_0 is the pre-scope, so there is a background mask, and the last slot takes
-    no remainder: s_K stays apart, and a loss penalises it.
+    Deviations, as in the authors' code: s_0 is the pre-scope, so there is a background mask. The last slot does not
+    take the remainder: s_K is kept separately, and a loss penalises it.
     """
-    left = _left(alpha, active)
+    left = _log_left(alpha, active)
+    # s_k = s_{k-1} (1 - alpha_k), in log space.
     scopes = torch.cat([log_prescope[:, :, None, :, 1], left], dim=2).cumsum(dim=2)
     return _masks(scopes[:, :, :-1] + alpha, scopes[:, :, -1], log_prescope, valid, active)
 
 
-def _share(
+def divide_by_softmax(
     alpha: Float[Tensor, "batch frame slot point"],
     log_prescope: Float[Tensor, "batch frame point 2"],
     valid: Bool[Tensor, "batch frame point"],
     active: Bool[Tensor, "batch slot"],
-    log_claims: Float[Tensor, "batch slot"],
-    power: float,
+    log_residual_scope: Float[Tensor, "batch slot"],
+    exponent: float,
 ) -> Masks:
-    """Masks that take as much of the pre-scope as sticks do, in all, in shares by powers of alpha and claim.
+    """Divide the scope that stick breaking would assign by a softmax over powers of alpha times residual scope.
 
-    An addition. A stick that is broken first takes a third of a neighbour that is as far away as the kernel is wide,
-    whatever the neighbour's own slot; in shares the nearer slot takes nearly all. Their order has no influence but by
-    the claims, which keep a slot that sits on what others left from halving their objects.
+    An addition. In stick breaking the first slot takes a third of a neighbour at a distance of one kernel width. In the
+    softmax the nearer slot takes nearly all. The residual scope keeps slots that start on what others left from taking
+    half of their objects.
     """
-    left = _left(alpha, active).sum(dim=2)
+    # Scope that stick breaking takes in all: 1 - prod_k (1 - alpha_k).
+    left = _log_left(alpha, active).sum(dim=2)
     taken = log1mexp(left.clamp(max=-torch.finfo(left.dtype).tiny)) + log_prescope[..., 1]
-    strength = sharpen(alpha + rearrange(log_claims, "b slot -> b 1 slot 1"), power)
+    # Shares by powers of alpha times residual scope.
+    strength = sharpen(alpha + rearrange(log_residual_scope, "b slot -> b 1 slot 1"), exponent)
     in_use = rearrange(active, "b slot -> b 1 slot 1")
-    shares = strength.masked_fill(~in_use, EXCLUDED).log_softmax(dim=2)
-    return _masks(taken[:, :, None] + shares, left + log_prescope[..., 1], log_prescope, valid, active)
+    log_shares = strength.masked_fill(~in_use, EXCLUDED).log_softmax(dim=2)
+    return _masks(taken[:, :, None] + log_shares, left + log_prescope[..., 1], log_prescope, valid, active)
 
 
-def _take_remainder(masks: Masks) -> Masks:
-    """One slot more, which takes what the others leave: m_K = s_{K-1}, as in the paper's equation and GENESIS-V2."""
+def add_remainder_slot(masks: Masks) -> Masks:
+    """Add a slot that takes the remaining scope: m_K = s_{K-1}, as in the paper's equation and GENESIS-V2."""
     return Masks(
         log_masks=torch.cat([masks.log_masks, masks.log_scope[:, :, None]], dim=2),
         log_scope=torch.full_like(masks.log_scope, EXCLUDED),
@@ -277,10 +297,10 @@ def _take_remainder(masks: Masks) -> Masks:
     )
 
 
-def _left(
+def _log_left(
     alpha: Float[Tensor, "batch frame slot point"], active: Bool[Tensor, "batch slot"]
 ) -> Float[Tensor, "batch frame slot point"]:
-    """Log of what each slot leaves of what it gets."""
+    """Log of the share that each slot leaves: log(1 - alpha), 0 for inactive slots."""
     return log1mexp(alpha) * rearrange(active, "b slot -> b 1 slot 1")
 
 
@@ -298,3 +318,19 @@ def _masks(
         log_scope=log_scope.masked_fill(~valid, EXCLUDED),
         active=active,
     )
+
+
+def _exp(logarithm: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """Exponential that avoids subnormal numbers, which are ten times as slow on a CPU."""
+    return logarithm.clamp(min=_LEAST_LOG).exp()
+
+
+def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:
+    drawn = torch.rand(like.shape, generator=generator, device=like.device, dtype=like.dtype)
+    return drawn.clamp(min=torch.finfo(like.dtype).tiny)
+
+
+def _pick(
+    colour: Float[Tensor, "batch point colour"], index: Int[Tensor, "batch place"]
+) -> Float[Tensor, "batch place colour"]:
+    return colour.gather(1, repeat(index, "b place -> b place colour", colour=colour.shape[-1]))

@@ -1,7 +1,7 @@
-"""Masks from the fields that were read under other masks: the E-step of the mixture that the fields are (our addition).
+"""Masks as posteriors, given the fields that were inferred under earlier masks (our addition).
 
-An attention mask knows nothing of what the fields make of its points. A point at a border, or of an object that two
-masks share, is explained by one of them better than by the other, in density or in colour.
+Attention masks do not depend on what the fields make of their points. Points at a border, or of an object that two
+masks share, are explained better by one of the fields, in density or in colour. This is an E-step of their mixture.
 """
 
 from dataclasses import replace
@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from obpose.model.attention.icsbp import EXCLUDED
+from obpose.model.attention.interface import EXCLUDED
 from obpose.model.nerf.compose import log_share
 from obpose.types import Masks
 
@@ -21,10 +21,10 @@ def posterior_masks(
     log_likelihood: Float[Tensor, "batch frame component point"],
     valid: Bool[Tensor, "batch frame point"],
 ) -> Masks:
-    """Masks m_k in proportion to sigma_hat_k N(x | c_k), from density logits and colours' log likelihoods.
+    """Masks m_k in proportion to sigma_hat_k N(x | c_k), from density logits and log-likelihoods of the colours.
 
-    That is the posterior of the mixture in the first term of L_obs (paper, section Training), the colour channels
-    together. Nothing is left over; points that are not valid are the background's, whose component is the first.
+    This is the posterior of the mixture in the first term of L_obs (paper, section Training), with one likelihood for
+    all colour channels. No scope remains. Invalid points belong to the background, which is the first component.
     """
     posterior = (log_share(logits) + log_likelihood).log_softmax(dim=2).clamp(min=EXCLUDED)
     nobody = torch.full_like(posterior, EXCLUDED)

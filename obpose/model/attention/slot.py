@@ -1,47 +1,42 @@
-"""Slot attention over the points of a clip (Locatello et al. 2020; the paper's ablation in the place of the IC-SBP).
+"""Slot attention over the points of a clip (Locatello et al. 2020; the paper's ablation instead of the IC-SBP).
 
-Object slots are alike: they share their distribution and all weights. The background's slot has its own of both but
-for the keys, as in the authors' code. Slots of a frame begin where those of the frame before ended.
+Object slots share their distribution and all weights. The background's slot has its own, except for the keys, as in the
+authors' code. Slots of a frame start from those of the frame before.
 
-In training the first slots are samples, which pass gradients on to the distribution (in the authors' code, and in that
-of others, they do not, and nothing of the distribution is learned or saved). At evaluation nothing may be random, and
-equal slots would stay equal for ever: the noise of the objects' slots was drawn once and is saved with the weights, the
-background's is its mean.
+In training the first slots are samples through which gradients reach the distribution. In the authors' code they do not
+reach it, and the distribution is neither learned nor saved. Evaluation must not be random, but equal slots would stay
+equal: the noise of the object slots is drawn once and saved with the weights. The background slot starts at its mean.
 """
-
-from typing import NamedTuple
 
 import torch
 from einops import rearrange
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from obpose.config import SlotAttentionConfig, Weights
-from obpose.model.attention.icsbp import EXCLUDED
+from obpose.config import ModelConfig, Weights
+from obpose.model.attention.interface import EXCLUDED, Attended, Attention
+from obpose.model.attention.summary import mean_under
 from obpose.model.layers.mlp import mlp, pass_on
 from obpose.model.nerf.field import positional_encoding
-from obpose.types import Masks
+from obpose.types import Embeddings, Masks
 
-_LEAST_SHARE = 1e-8
-"""Is added to the slots' shares before they are normalised over tokens, as in the paper of slot attention."""
+ITERATIONS = 3
+"""Iterations in each frame. [code]"""
+WIDTH = 32
+"""Channels of a slot. [code]"""
+POSITION_FREQUENCIES = 1
+"""Number of frequencies: tokens get sin and cos of 2^i pi p, for i below this, beside position p. [ours; code: 0]"""
+_EPSILON = 1e-8
+"""Added to the attention before it is normalised over tokens, as in the paper of slot attention."""
 _QUERY_GAIN = 2.0
-"""Of queries and keys where weights are orthogonal: slots share out the points from the start. PyTorch's own weights
-give all slots nearly the same of every point, and so nearly the same codes."""
+"""Gain of orthogonal queries and keys, with which slots divide the points from the start. With PyTorch's own weights,
+all slots get nearly the same share of every point, and so nearly the same codes."""
 _EVALUATION_SEED = 0
-"""Of the other draw of a distribution that is not learned."""
-
-
-class Slots(NamedTuple):
-    """What slot attention finds."""
-
-    masks: Masks
-    """At each valid point the slots' shares of the last iteration, which sum to one; no scope remains."""
-    objects: Float[Tensor, "batch frame slot width"]
-    background: Float[Tensor, "batch frame width"] | None
+"""Seed of the untrained distribution at evaluation."""
 
 
 class SlotKind(nn.Module):
-    """Distribution and weights of slots that are alike."""
+    """Distribution and weights of one kind of slots: of the objects, or of the background."""
 
     mean: Tensor
     log_std: Tensor
@@ -49,17 +44,17 @@ class SlotKind(nn.Module):
     other_log_std: Tensor
     noise: Tensor
 
-    def __init__(self, config: SlotAttentionConfig, *, noise: Float[Tensor, "slot width"], weights: Weights):
-        """There are as many slots as there is noise, that of evaluation."""
+    def __init__(self, *, noise: Float[Tensor, "slot width"], learned: bool, weights: Weights):
+        """Initialise the weights; `noise` is that of evaluation, a row for each slot."""
         super().__init__()
-        width, self._learned = config.width, config.distribution == "learned"
-        mean, log_std = _fresh(width), _fresh(width)
-        if self._learned:
+        width, self._learned = noise.shape[-1], learned
+        mean, log_std = _glorot(width), _glorot(width)
+        if learned:
             self.mean, self.log_std = nn.Parameter(mean), nn.Parameter(log_std)
         else:
             other = torch.Generator().manual_seed(_EVALUATION_SEED)
-            parts = {"mean": mean, "log_std": log_std, "other_mean": _fresh(width, other)}
-            for name, part in (parts | {"other_log_std": _fresh(width, other)}).items():
+            parts = {"mean": mean, "log_std": log_std, "other_mean": _glorot(width, other)}
+            for name, part in (parts | {"other_log_std": _glorot(width, other)}).items():
                 self.register_buffer(name, part, persistent=False)
         self.register_buffer("noise", noise)
         self.query = nn.Sequential(nn.LayerNorm(width), _linear(width, weights, gain=_QUERY_GAIN))
@@ -68,7 +63,7 @@ class SlotKind(nn.Module):
         self.refine = nn.Sequential(nn.LayerNorm(width), mlp(width, width, width))
 
     def first(self, batch: int, generator: torch.Generator | None) -> Float[Tensor, "batch slot width"]:
-        """Slots before the first frame: mean + std * noise, in training with fresh noise."""
+        """Slots before the first frame: mean + std * noise, with fresh noise in training."""
         shape = (batch, *self.noise.shape)
         if self.training:
             noise = torch.randn(shape, generator=generator, device=self.mean.device)
@@ -85,99 +80,89 @@ class SlotKind(nn.Module):
         return moved + self.refine(moved)
 
 
-class SlotAttention(nn.Module):
-    """Slots compete for points, three times a frame."""
+class SlotAttention(Attention):
+    """Slots that compete for points, in a few iterations per frame."""
 
-    def __init__(
-        self,
-        config: SlotAttentionConfig,
-        *,
-        features: int,
-        slots: int,
-        background: bool,
-        weights: Weights = "orthogonal",
-    ):
-        """`slots` without the background's; `features` are those of a point."""
+    def __init__(self, config: ModelConfig, *, features: int, width: int = WIDTH, iterations: int = ITERATIONS):
+        """Initialise the weights, for points with `features` channels."""
         super().__init__()
-        width = config.width
-        self.config = config
-        self.position = nn.Linear(3 + 6 * config.position_frequencies, width, bias=False)
+        self._iterations, self._width, self._appends_means = iterations, width, config.latent.means == "given"
+        self.size = width + (features + 3 if self._appends_means else 0)
+        kind = {"learned": config.attention.slot_distribution == "learned", "weights": config.weights}
+        self.position = nn.Linear(3 + 6 * POSITION_FREQUENCIES, width, bias=False)
         self.features = mlp(features, width, width)
         self.tokens = nn.Sequential(nn.LayerNorm(width), mlp(width, width, width), nn.LayerNorm(width))
-        self.key = _linear(width, weights, gain=_QUERY_GAIN)
-        self.objects = SlotKind(config, noise=torch.randn(slots, width), weights=weights)
-        self.background = None
-        if background:
-            self.background = SlotKind(config, noise=torch.zeros(1, width), weights=weights)
+        self.key = _linear(width, config.weights, gain=_QUERY_GAIN)
+        self.objects = SlotKind(noise=torch.randn(config.object_components, width), **kind)
+        self.background = SlotKind(noise=torch.zeros(1, width), **kind) if config.has_background else None
 
-    def forward(
-        self,
-        points: Float[Tensor, "batch frame point 3"],
-        valid: Bool[Tensor, "batch frame point"],
-        features: Float[Tensor, "batch frame point feature"],
-        *,
-        generator: torch.Generator | None,
-    ) -> Slots:
-        """Slots and masks of all frames; `points` are -1..1 in the workspace."""
-        tokens = self._tokens(points, features)
+    def forward(self, embeddings: Embeddings, generator: torch.Generator | None) -> Attended:
+        """Slots and masks of all frames; masks are those of the last iteration and leave no scope."""
+        # Tokens, keys and values of all frames.
+        encoded = positional_encoding(embeddings.position, POSITION_FREQUENCIES)
+        position = self.position(torch.cat([embeddings.position, encoded], dim=-1))
+        tokens = self.tokens(self.features(embeddings.features) + position)
         keys, values = self.key(tokens), [kind.value(tokens) for kind in self._kinds()]
-        slots = [kind.first(len(points), generator) for kind in self._kinds()]
+        # Slots, frame by frame.
+        slots = [kind.first(len(tokens), generator) for kind in self._kinds()]
         of_frames = []
-        for frame in range(points.shape[1]):
+        for frame in range(tokens.shape[1]):
             here = [value[:, frame] for value in values]
-            slots, logits = self._settle(slots, keys[:, frame], here, valid[:, frame])
+            slots, logits = self._iterate(slots, keys[:, frame], here, embeddings.valid[:, frame])
             of_frames.append((*slots, logits))
         *background, objects, logits = (torch.stack(parts, dim=1) for parts in zip(*of_frames, strict=True))
-        masks = _masks(logits, valid, background=self.background is not None)
-        return Slots(masks, objects, background[0][:, :, 0] if background else None)
+        masks = _masks(logits, embeddings.valid, background=self.background is not None)
+        background_code = background[0][:, :, 0] if background else None
+        # An addition: the mean of features and position under a slot's mask ends its code.
+        if self._appends_means:
+            found = torch.cat([embeddings.features, embeddings.position], dim=-1)
+            means = mean_under(masks.log_masks, embeddings.valid, found)
+            objects = torch.cat([objects, means[:, :, 1:]], dim=-1)
+            if background_code is not None:
+                background_code = torch.cat([background_code, means[:, :, 0]], dim=-1)
+        return Attended(masks, objects, background_code)
 
-    def _settle(
+    def background_code(self, embeddings: Embeddings, generator: torch.Generator | None) -> Tensor:
+        """Code of the background's slot."""
+        code = self(embeddings, generator).background_code
+        assert code is not None
+        return code
+
+    def _iterate(
         self,
         slots: list[Float[Tensor, "batch _ width"]],
         keys: Float[Tensor, "batch point width"],
         values: list[Float[Tensor, "batch point width"]],
         valid: Bool[Tensor, "batch point"],
     ) -> tuple[list[Float[Tensor, "batch _ width"]], Float[Tensor, "batch component point"]]:
-        """The slots of one frame, and the logits of their shares in the last iteration."""
+        """Compute the slots of one frame, and the attention logits of the last iteration."""
         logits = self._logits(slots, keys)
-        for left in reversed(range(self.config.iterations)):
-            shares = _shares(logits, valid).split([own.shape[1] for own in slots], dim=1)
-            updates = [share @ value for share, value in zip(shares, values, strict=True)]
+        for left in reversed(range(self._iterations)):
+            # Softmax over the slots, then a mean over the valid points (Locatello et al. 2020, eq. 1 and 2).
+            attention = (logits.softmax(dim=1) + _EPSILON) * valid[:, None]
+            attention = attention / attention.sum(dim=-1, keepdim=True).clamp(min=_EPSILON)
+            parts = attention.split([own.shape[1] for own in slots], dim=1)
+            updates = [part @ value for part, value in zip(parts, values, strict=True)]
             slots = [kind.move(own, update) for kind, own, update in zip(self._kinds(), slots, updates, strict=True)]
             if left:
                 logits = self._logits(slots, keys)
         return slots, logits
 
     def _kinds(self) -> list[SlotKind]:
-        """The background's first."""
+        """Kinds of slots, the background first."""
         return [self.objects] if self.background is None else [self.background, self.objects]
-
-    def _tokens(
-        self, points: Float[Tensor, "batch frame point 3"], features: Float[Tensor, "batch frame point feature"]
-    ) -> Float[Tensor, "batch frame point width"]:
-        frequencies = self.config.position_frequencies
-        position = torch.cat([points, positional_encoding(points, frequencies)], dim=-1)
-        return self.tokens(self.features(features) + self.position(position))
 
     def _logits(
         self, slots: list[Float[Tensor, "batch _ width"]], keys: Float[Tensor, "batch point width"]
     ) -> Float[Tensor, "batch component point"]:
         queries = torch.cat([kind.query(own) for kind, own in zip(self._kinds(), slots, strict=True)], dim=1)
-        return queries @ keys.mT * self.config.width**-0.5
-
-
-def _shares(
-    logits: Float[Tensor, "batch component point"], valid: Bool[Tensor, "batch point"]
-) -> Float[Tensor, "batch component point"]:
-    """Softmax over the slots, then normalised over the valid points."""
-    shares = (logits.softmax(dim=1) + _LEAST_SHARE) * valid[:, None]
-    return shares / shares.sum(dim=-1, keepdim=True).clamp(min=_LEAST_SHARE)
+        return queries @ keys.mT * self._width**-0.5
 
 
 def _masks(
     logits: Float[Tensor, "batch frame component point"], valid: Bool[Tensor, "batch frame point"], *, background: bool
 ) -> Masks:
-    """As of the IC-SBP: a background's mask comes first in any case, and has the points that are not valid."""
+    """Masks like those of the IC-SBP: the background comes first in any case, and has the invalid points."""
     there = rearrange(valid, "b f point -> b f 1 point")
     log_masks = logits.log_softmax(dim=2).masked_fill(~there, EXCLUDED)
     first = log_masks[:, :, :1] if background else torch.full_like(log_masks[:, :, :1], EXCLUDED)
@@ -196,7 +181,7 @@ def _linear(width: int, weights: Weights, *, gain: float = 1.0) -> nn.Linear:
     return layer
 
 
-def _fresh(width: int, generator: torch.Generator | None = None) -> Float[Tensor, " width"]:
-    """Uniform as Glorot and Bengio (2010) have it, as in the authors' code."""
+def _glorot(width: int, generator: torch.Generator | None = None) -> Float[Tensor, " width"]:
+    """Draw uniformly as in Glorot and Bengio (2010), as in the authors' code."""
     bound = (6 / (1 + width)) ** 0.5
     return (2 * torch.rand(width, generator=generator) - 1) * bound

@@ -1,12 +1,12 @@
-"""What masks say in short: the mean of what lies under one (GENESIS-V2), and where the largest component is not."""
+"""Summaries of masks: means under them (GENESIS-V2), and the points outside of the largest one."""
 
 import torch
 from einops import rearrange
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-_LITTLE = 1e-6
-"""Masks that sum to less than this count as this."""
+_LEAST = 1e-6
+"""Smallest divisor, for empty masks."""
 
 
 def mean_under(
@@ -14,13 +14,13 @@ def mean_under(
     valid: Bool[Tensor, "batch frame point"],
     values: Float[Tensor, "batch frame point value"],
 ) -> Float[Tensor, "batch frame slot value"]:
-    """Mean over the valid points, weighted by the mask, which has a gradient; 0 where there are none."""
+    """Mean over the valid points, weighted by the mask, which gets a gradient; 0 where there are none."""
     weights = log_masks.exp() * rearrange(valid, "b f point -> b f 1 point")
-    return weights @ torch.where(valid[..., None], values, 0.0) / weights.sum(dim=-1, keepdim=True).clamp(min=_LITTLE)
+    return weights @ torch.where(valid[..., None], values, 0.0) / weights.sum(dim=-1, keepdim=True).clamp(min=_LEAST)
 
 
 def not_largest(log_masks: Float[Tensor, "batch frame component point"]) -> Float[Tensor, "batch frame point"]:
-    """What the component with the largest mask of a clip leaves, 0..1: where objects are, if it is the background."""
+    """One minus the mask of a clip's largest component: where objects are, if that is the background."""
     masks = log_masks.exp()
     largest = masks.sum(dim=(1, 3)).argmax(dim=1)
     return (1 - masks[torch.arange(len(masks)), :, largest]).clamp(min=0.0)

@@ -1,4 +1,4 @@
-"""Masks of the embedding grid at pixels of the image (paper, section Training: the masks meet the decoder there)."""
+"""Masks of the embedding grid at pixels of the image, where losses compare them with the decoder (paper, 3)."""
 
 import math
 
@@ -12,7 +12,7 @@ _SMALLEST = -80.0
 """Log masks are not below this: e^-80 is about the smallest probability in single precision."""
 
 _INVALID = 1e-20
-"""Weight of a cell without a point: none, unless its neighbours have none either."""
+"""Weight of a cell without a point: negligible, unless its neighbours have no points either."""
 
 
 def masks_at(
@@ -25,9 +25,9 @@ def masks_at(
 ) -> Float[Tensor, "batch frame component ray"]:
     """Log of the masks at the pixels `index`, counted through all views, by bilinear interpolation of the masks.
 
-    `grid` is (view, height, width) of the points, `size` (height, width) of the image. Cells that are not valid are
-    left out, the weights of the others made to sum to one; so the masks and the scope still do. Deviation: the
-    authors' code interpolates between the three points nearest in space, which needs a search.
+    `grid` is (view, height, width) of the points, `size` (height, width) of the image. Invalid cells are left out, and
+    the weights of the others sum to one, so that masks and scope still do. Deviation: the authors' code interpolates
+    between the three nearest points in space, which needs a search.
     """
     masks, present = log_masks.exp(), valid[:, :, None].to(log_masks.dtype).clamp(min=_INVALID)
     summed = _interpolate(torch.cat([masks * present, present], dim=2), index, grid=grid, size=size)
@@ -44,9 +44,10 @@ def _interpolate(
 ) -> Float[Tensor, "batch frame channel ray"]:
     (height, width), (views, rows, columns) = size, grid
     pixel = index % (height * width)
+    # Positions of the pixels on the grid.
     row = _position(pixel // width, pixels=height, cells=rows) + index // (height * width) * rows
     column = _position(pixel % width, pixels=width, cells=columns)
-    # grid_sample knows one image: that of all views below each other. Positions stay within their view.
+    # The views below each other form one image for grid_sample. Positions stay within their view.
     place = torch.stack([_from_minus_one(column, columns), _from_minus_one(row, views * rows)], dim=-1)
     sampled = grid_sample(
         rearrange(values, "b f c (row column) -> (b f) c row column", column=columns),
@@ -58,14 +59,14 @@ def _interpolate(
 
 
 def _position(pixel: Int[Tensor, "*shape"], *, pixels: int, cells: int) -> Float[Tensor, "*shape"]:
-    """Where the middle of a pixel is along one axis, in cells, 0 = the middle of the first.
+    """Position of a pixel's centre along one axis in cells, where 0 is the centre of the first cell.
 
-    A cell is as many pixels long as it takes to cover the axis; the last one may stick out.
+    A cell has as many pixels as it takes to cover the axis; the last one may extend beyond the border.
     """
     length = math.ceil(pixels / cells)
     return ((pixel + 0.5) / length - 0.5).clamp(min=0, max=cells - 1)
 
 
 def _from_minus_one(position: Float[Tensor, "*shape"], cells: int) -> Float[Tensor, "*shape"]:
-    """Positions 0..cells-1 as -1..1, as `grid_sample` wants them."""
+    """Convert positions 0..cells-1 to the -1..1 of `grid_sample`."""
     return position * (2 / max(cells - 1, 1)) - 1

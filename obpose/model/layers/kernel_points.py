@@ -1,4 +1,4 @@
-"""Where the kernel points of a KPConv lie (Thomas et al. 2019, supplementary material, section B)."""
+"""Positions of the kernel points of a KPConv (Thomas et al. 2019, supplementary material, section B)."""
 
 from functools import lru_cache
 
@@ -12,17 +12,17 @@ SHELL = 0.66
 
 
 def kernel_points(count: int = 15) -> Float[Tensor, "kernel 3"]:
-    """One point at the origin and the others evenly on a sphere, in units of the radius.
+    """Place one point at the origin and the others evenly on a sphere, in units of the radius.
 
-    Thomas et al. let the points repel each other while the origin attracts them; with 15 points one rests at the origin
-    and the others at nearly the same distance from it, here at exactly the same.
+    In Thomas et al. points repel each other and the origin attracts them. With 15 points, one rests at the origin and
+    the others at nearly equal distances from it; here the distances are exactly equal.
     """
     return torch.tensor(_disposition(count), dtype=torch.float32)
 
 
 @lru_cache
 def _disposition(count: int) -> list[list[float]]:
-    """Descends on the Coulomb energy of points on the sphere."""
+    """Minimise the Coulomb energy of points on the sphere by gradient descent."""
     directions = _spiral(count - 1)
     for _ in range(400):
         differences = directions[:, None] - directions
@@ -33,7 +33,7 @@ def _disposition(count: int) -> list[list[float]]:
 
 
 def _spiral(count: int) -> Float[Tensor, "point 3"]:
-    """Fibonacci spiral, pushed to a side: its symmetry would lead to a saddle of the energy."""
+    """Fibonacci spiral, shifted to break its symmetry, which would lead to a saddle of the energy."""
     place = torch.arange(count, dtype=torch.float64) + 0.5
     height = 1 - 2 * place / count
     angle = place * torch.pi * (3 - 5**0.5)

@@ -6,21 +6,21 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from obpose.model.layers.numerics import all_digits
+from obpose.model.layers.numerics import full_precision
 
 EXTENT = 0.48
-"""sigma, the reach of a kernel point, in units of the radius of the neighbourhood."""
+"""sigma: extent of a kernel point, in units of the radius of the neighbourhood."""
 
 
 @torch.no_grad()
-@all_digits
+@full_precision
 def influence(
     offsets: Float[Tensor, "*points 3"], kernel: Float[Tensor, "kernel 3"], *, extent: float = EXTENT
 ) -> Float[Tensor, "*points kernel"]:
     """Influence of each kernel point at each offset (Thomas et al., eq. 3): max(0, 1 - |y - k| / extent).
 
-    Offsets and kernel points are in units of the radius. Geometry takes no gradient. |y|^2 - 2 y k + |k|^2 in place of
-    the difference saves the three coordinates of every pair; it needs all digits.
+    Offsets and kernel points are in units of the radius. There is no gradient. |y|^2 - 2 y k + |k|^2 instead of the
+    difference avoids storing three coordinates per pair, and needs full precision.
     """
     offsets, kernel = offsets / extent, kernel / extent
     own = offsets.square() @ offsets.new_ones(3, 1)
@@ -31,8 +31,7 @@ def influence(
 class KPConv(nn.Module):
     """Sum over neighbours and kernel points of influence times a linear map of the neighbour's features (eq. 1, 2).
 
-    The influences are an argument so that layers with the same geometry share them; a neighbour that does not count has
-    influence 0.
+    The influences are an argument, so that layers with the same geometry share them. Those of invalid neighbours are 0.
     """
 
     def __init__(self, inputs: int, outputs: int, *, kernel: int = 15):
@@ -43,7 +42,7 @@ class KPConv(nn.Module):
     def forward(
         self, features: Float[Tensor, "point neighbour inputs"], influences: Float[Tensor, "point neighbour kernel"]
     ) -> Float[Tensor, "point outputs"]:
-        """Features of the neighbours to features of the points."""
+        """Map features of the neighbours to features of the points."""
         gathered = torch.bmm(influences.mT, features)
         inputs = features.shape[-1]
         weight = rearrange(self.weight, "outputs (inputs kernel) -> outputs (kernel inputs)", inputs=inputs)

@@ -1,4 +1,4 @@
-"""The small networks that heads, encoders and latents end in."""
+"""Small networks at the ends of heads, encoders and latents."""
 
 from itertools import pairwise
 
@@ -9,9 +9,9 @@ from torch import Tensor, nn
 
 
 def mlp(*sizes: int, activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
-    """Linear layers of these widths with activations between them, none after the last.
+    """Linear layers of these widths with activations between them.
 
-    The paper says MLP without more; the authors' is always Linear-ELU-Linear.
+    The paper does not specify its MLPs; the authors' code has Linear-ELU-Linear.
     """
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
@@ -20,14 +20,14 @@ def mlp(*sizes: int, activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
 
 
 class Linear(nn.Linear):
-    """PyTorch's, faster to train on a CPU where many rows with few inputs become wider.
+    """Linear layer that trains faster on a CPU if it widens many rows with few inputs.
 
     The gradient of its weight is a product of two tall matrices, which takes up to six times as long if the narrower
-    one comes second. The order follows from how the weight lies in memory.
+    one comes second. The memory layout of the weight decides their order.
     """
 
     def forward(self, input: Float[Tensor, "*rows inputs"]) -> Float[Tensor, "*rows outputs"]:
-        """A linear map of the last axis."""
+        """Map the last axis."""
         if self.in_features >= self.out_features:
             return super().forward(input)
         return F.linear(input, self.weight.t().contiguous().t(), self.bias)
@@ -36,8 +36,8 @@ class Linear(nn.Linear):
 def pass_on(layer: nn.Linear, *, gain: float = 1.0, outputs: int | None = None) -> None:
     """Make the weights of the layer, or of its first `outputs` outputs, orthogonal, and biases 0.
 
-    PyTorch's own weights make what tells two inputs apart several times smaller. Through the layers on the way from an
-    encoder to a decoder nothing is then left at the start of training, and decoders learn to do without the latent.
+    PyTorch's own weights shrink the difference of two inputs several times in each layer. At the start of training
+    nothing would be left of it between encoder and decoder, and decoders would learn to ignore the latent.
     """
     with torch.no_grad():
         fresh = torch.empty_like(layer.weight[:outputs])

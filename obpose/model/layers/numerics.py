@@ -1,4 +1,4 @@
-"""Small functions that are exact where their textbook formulas overflow, vanish or lose all digits."""
+"""Numerically stable functions, where textbook formulas overflow, underflow or lose precision."""
 
 import math
 from collections.abc import Callable
@@ -13,8 +13,8 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-def all_digits(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Geometry that is not rounded where networks compute in half precision, to a percent of the scene's size."""
+def full_precision(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Decorator for geometry, which half precision would round to a percent of the scene's size."""
 
     @wraps(function)
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
@@ -26,7 +26,7 @@ def all_digits(function: Callable[Arguments, Result]) -> Callable[Arguments, Res
 
 
 def log1mexp(x: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """log(1 - exp(x)) for x < 0: the log of what is left of a share whose log is x.
+    """Log of 1 - exp(x) for x < 0.
 
     Exact to rounding from x = -1e-38 down to minus infinity, and so is its gradient, -1 / (exp(-x) - 1).
     """
@@ -34,7 +34,7 @@ def log1mexp(x: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
 
 
 class _Log1mExp(torch.autograd.Function):
-    """Own gradient, because that of either branch divides 0 by 0 where the other is meant."""
+    """Function with its own gradient, because each branch divides 0 by 0 where the other one applies."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
@@ -48,22 +48,22 @@ class _Log1mExp(torch.autograd.Function):
 
 
 _NOTHING = 80.0
-"""A term that is so much smaller than the largest, as a logarithm, adds nothing in double precision either."""
+"""Log terms this much smaller than the largest contribute nothing, even in double precision."""
 
 
 def log_sum_exp(x: Float[Tensor, "*shape"], *, dim: int) -> Tensor:
-    """Log sum exp(x) along one axis, as `torch.logsumexp`, to the same bits.
+    """Log of the sum of exp(x) along one axis, bit-identical to `torch.logsumexp`.
 
-    Terms that add nothing get no gradient, where theirs would be less than e^-80. On a CPU exponentials without a
-    normal number in single precision take ten times as long, and most components are nothing in most places.
+    Negligible terms get no gradient; theirs would be less than e^-80. Exponentials that are subnormal in single
+    precision take ten times as long on a CPU, and most components are negligible at most points.
     """
     least = x.detach().amax(dim, keepdim=True) - _NOTHING
     return torch.maximum(x, least).logsumexp(dim)
 
 
-def sharpen(log_masks: Float[Tensor, "*shape"], power: float) -> Float[Tensor, "*shape"]:
-    """Log of a power of masks, by which means over points are weighted.
+def sharpen(log_masks: Float[Tensor, "*shape"], exponent: float) -> Float[Tensor, "*shape"]:
+    """Log of a power of masks, which weights means over points.
 
-    A hundredth of a mask at each of a thousand points of the table weighs as much as a small object; its cube does not.
+    A mask of 0.01 at a thousand points of the table weighs as much as a small object; its cube does not.
     """
-    return power * log_masks
+    return exponent * log_masks

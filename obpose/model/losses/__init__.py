@@ -1,1 +1,1 @@
-"""Loss terms, one function each, unweighted, and their sum."""
+"""Loss terms, one unweighted function each, and their weighted sum."""

@@ -1,32 +1,33 @@
-"""How well the fields explain what was observed (paper, L_obs). Weighted means over rays, in log space throughout."""
+"""Likelihood of the observation under the fields (paper, L_obs): weighted means over rays, in log space."""
 
 import math
-from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.layers.numerics import log_sum_exp
-from obpose.model.nerf.compose import air_density, log_density
+from obpose.model.nerf.along import FieldsAlongRays
+from obpose.model.nerf.compose import SIGMA_MAX, air_density, log_density
 
+COLOUR_STD = 0.1
+"""sigma_std: standard deviation of a component's colour. [code]"""
 _LEAST = 1e-6
-"""Weights that sum to less count as this."""
-
-ColourLikelihood = Literal["channel", "joint"]
+"""Smallest divisor of weighted means."""
 
 
-def log_likelihood(
-    colours: Float[Tensor, "batch frame component ray 3"],
-    target: Float[Tensor, "batch frame ray 3"],
-    *,
-    std: float,
-    likelihood: ColourLikelihood,
-) -> Float[Tensor, "batch frame component ray channel"]:
-    """Log N(x | c_k, std^2), for each colour channel (channel = 3), or of the three together (channel = 1)."""
-    distance = (target[:, :, None] - colours) / std
-    each = -0.5 * distance.square() - math.log(std * math.sqrt(2 * math.pi))
-    return each if likelihood == "channel" else each.sum(dim=-1, keepdim=True)
+def colour_log_likelihood(
+    colours: Float[Tensor, "batch frame component ray 3"], target: Float[Tensor, "batch frame ray 3"]
+) -> Float[Tensor, "batch frame component ray 3"]:
+    """Log N(x | c_k, sigma_std^2) of each colour channel; the sum over channels is that of the whole colour."""
+    distance = (target[:, :, None] - colours) / COLOUR_STD
+    return -0.5 * distance.square() - math.log(COLOUR_STD * math.sqrt(2 * math.pi))
+
+
+def surface_likelihood(fields: FieldsAlongRays) -> Float[Tensor, "batch frame component ray 3"]:
+    """Log-likelihood of the observed colours under each component at the surface."""
+    assert fields.surface.colours is not None
+    return colour_log_likelihood(fields.surface.colours, fields.rays.colour)
 
 
 def colour_mixture(
@@ -36,21 +37,18 @@ def colour_mixture(
 ) -> Float[Tensor, ""]:
     """First term of L_obs (paper): -log sum_k N(x | c_k, std^2) sigma_hat_k / sigma_max, summed over channels.
 
-    Deviation: with `channel` likelihoods there is a mixture for each colour channel, as in the authors' code, where the
-    paper's is one over the three together. No constant is added inside the logarithm: far colours keep a gradient.
+    Deviation: one mixture per colour channel, as in the authors' code, instead of one over all three. No constant is
+    added inside the logarithm, so that far colours keep a gradient.
     """
     mixture = log_sum_exp(log_share[..., None] + log_likelihood, dim=2)
     return mean_over(-mixture.sum(dim=-1), weight)
 
 
 def surface(
-    logits: Float[Tensor, "batch frame component ray"],
-    weight: Float[Tensor, "batch frame ray"],
-    *,
-    sigma_max: float,
+    logits: Float[Tensor, "batch frame component ray"], weight: Float[Tensor, "batch frame ray"]
 ) -> Float[Tensor, ""]:
     """Second term of L_obs (paper): -log sigma(p_surface)."""
-    return mean_over(-log_density(logits) - math.log(sigma_max), weight)
+    return mean_over(-log_density(logits) - math.log(SIGMA_MAX), weight)
 
 
 def air(
@@ -58,13 +56,12 @@ def air(
     inverse_rho: Float[Tensor, "batch frame ray"],
     weight: Float[Tensor, "batch frame ray"],
     *,
-    sigma_max: float,
     saturation: float | None,
 ) -> Float[Tensor, ""]:
     """Third term of L_obs (paper): sigma(p_air) / rho_air, with `air_density`'s continuation where it saturates."""
-    return mean_over(sigma_max * air_density(logits, saturation=saturation) * inverse_rho, weight)
+    return mean_over(SIGMA_MAX * air_density(logits, saturation=saturation) * inverse_rho, weight)
 
 
 def mean_over(values: Float[Tensor, "*shape"], weight: Float[Tensor, "*shape"]) -> Float[Tensor, ""]:
-    """Weighted mean; 0 where all weights are, whatever the values."""
+    """Weighted mean; 0 if all weights are 0, even if values are not finite."""
     return torch.where(weight > 0, values * weight, 0.0).sum() / weight.sum().clamp(min=_LEAST)

@@ -1,4 +1,4 @@
-"""Losses beside those of the observation and the attention masks (paper, L_others)."""
+"""Regularisers of scope, translation and latents (paper, L_others)."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -11,7 +11,7 @@ from obpose.types import Latent
 def remaining_scope(
     log_scope: Float[Tensor, "batch frame point"], valid: Bool[Tensor, "batch frame point"]
 ) -> Float[Tensor, ""]:
-    """What no slot has taken, s_K (paper, L_others). Deviation: the mean over valid points, not the sum."""
+    """Remaining scope s_K (paper, L_others). Deviation: the mean over valid points, not the sum."""
     return mean_over(log_scope.exp(), valid.to(log_scope.dtype))
 
 
@@ -21,10 +21,10 @@ def translation(
     found: Bool[Tensor, "batch frame slot"],
     active: Bool[Tensor, "batch slot"],
 ) -> Float[Tensor, ""]:
-    """Square metres between T_hat and T^shape (paper, L_others), summed over slots, mean over frames.
+    """Squared distance in metres of T_hat and T^shape (paper, L_others), summed over slots, mean over frames.
 
-    `shape` is a target without gradient; slots that are idle or whose shape was not found do not count. The authors'
-    code divides by the batch size twice, this once.
+    `shape` is a target without gradient. Inactive slots and shapes that were not found do not count. Deviation: the
+    authors' code divides by the batch size twice.
     """
     square = (predicted - shape.detach()).square().sum(dim=-1)
     return torch.where(found & active[:, None], square, 0.0).sum(dim=-1).mean()
@@ -33,8 +33,9 @@ def translation(
 def kl(latent: Latent, mask: Bool[Tensor, "..."] | None = None) -> Float[Tensor, ""]:
     """KL(q || p) of a sequence of Gaussians (paper, L_others), summed over dimensions and slots, mean over frames.
 
-    `mask`, broadcast to batch, frame, slot, leaves out idle slots.
+    `mask`, broadcast to batch, frame, slot, excludes inactive slots.
     """
+    # Closed form for diagonal Gaussians.
     variance = (latent.std / latent.prior_std).square()
     shift = ((latent.mean - latent.prior_mean) / latent.prior_std).square()
     divergence = 0.5 * (variance + shift - 1 - variance.log()).sum(dim=-1)

@@ -1,4 +1,4 @@
-"""The fields along rays: what of them the losses compare with what was observed (paper, L_obs)."""
+"""Fields along rays, which the losses compare with the observation (paper, L_obs)."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -7,15 +7,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from obpose.config import LossConfig
 from obpose.model.nerf.components import Colours
 from obpose.model.nerf.points import air_points, surface_points
 from obpose.types import Decoded, Rays
 
+JITTER = 0.01
+"""Distance behind the surface up to which colour and density are fitted, metres of planar depth. [code]"""
+NEAR_SHARE = 0.98
+"""Share of the depth that splits the air points: half of them lie before it, half behind. [code]"""
+
 
 @runtime_checkable
 class Decode(Protocol):
-    """Densities, and colours if asked for, at world points."""
+    """Function from world points to densities, and colours if requested."""
 
     def __call__(
         self,
@@ -23,26 +27,26 @@ class Decode(Protocol):
         directions: Float[Tensor, "batch frame ray 3"],
         colours: Colours,
     ) -> Decoded:
-        """Of all components, or of some."""
+        """Evaluate all components, or some."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class FieldsAlongRays:
-    """One point at the surface of each ray, and one before it."""
+    """Fields at one point at the surface of each ray, and at one before it."""
 
     rays: Rays
     surface: Decoded
-    """With colours."""
+    """Densities and colours."""
     air: Decoded
     inverse_rho: Float[Tensor, "batch frame ray"]
-    """Of the points in the air, metres."""
+    """1 / rho_air at the points in the air, metres."""
 
 
-def fields_along(rays: Rays, decode: Decode, loss: LossConfig, generator: torch.Generator | None) -> FieldsAlongRays:
-    """Evaluate the fields at a random place near the surface and at one in the air."""
-    surface = surface_points(rays, loss.jitter, generator)
-    air, inverse_rho = air_points(rays, loss.near_share, generator)
+def fields_along(rays: Rays, decode: Decode, generator: torch.Generator | None) -> FieldsAlongRays:
+    """Evaluate the fields at a random point near the surface of each ray and at one in the air."""
+    surface = surface_points(rays, JITTER, generator)
+    air, inverse_rho = air_points(rays, NEAR_SHARE, generator)
     return FieldsAlongRays(
         rays=rays,
         surface=decode(surface, rays.direction, "with"),

@@ -1,4 +1,4 @@
-"""The fields of all components at given points: the background's everywhere, an object's only within its box."""
+"""Fields of all components at given points (paper, section Decoder)."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -18,107 +18,145 @@ from obpose.types import Boxes, Decoded
 
 Colours = Literal["with", "without"]
 Background = Literal["everywhere", "in boxes"]
+"""Points at which the background's field is evaluated. With `in boxes`, it has the logit 0 and black colours at points
+outside of all boxes, which suffices if only the order of the components counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """Fields of a model, and their place in the world."""
+
+    objects: Field
+    """Field that all objects share."""
+    background: Field | None
+    center: Float[Tensor, "3"]
+    """Centre of the cube in which the background's coordinates are -1..1, world frame, metres."""
+    size: float
+    """Edge of this cube, metres. It holds the cameras as well, so that encodings mean the same for every dataset.
+    Deviation: the authors use metres."""
+    floor: float | None
+    """Height in metres below which there are no objects; None for no limit. An addition: things on the table belong to
+    the background, also in an object's shadow, which the object's field would explain better."""
+
+    def in_cube(self, points: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
+        """Convert world points to coordinates of -1..1 in the cube."""
+        return (points - self.center) * (2 / self.size)
+
+    def above_floor(self, points: Float[Tensor, "*shape 3"]) -> Bool[Tensor, "*shape"]:
+        """Whether points are above the floor."""
+        if self.floor is None:
+            return torch.ones_like(points[..., 2], dtype=torch.bool)
+        return points[..., 2] > self.floor
+
+
+@dataclass(frozen=True, eq=False)
+class Codes:
+    """Latents of a scene, and boxes of its objects."""
+
+    active: Bool[Tensor, "batch slot"]
+    what: Float[Tensor, "batch frame slot latent"]
+    background: Float[Tensor, "batch frame background"] | None
+    boxes: Boxes | None
+    """Boxes in which objects are; None if their fields fill the world, in the coordinates of the background."""
+    detail: Detail | None = None
+    """Corrections of the objects' field, with an owner for each of batch x frame x slot."""
 
 
 @dataclass(frozen=True, eq=False)
 class InBox:
-    """A flat list of the points that lie in boxes; one in two boxes is there twice."""
+    """Flat list of points in boxes; a point in two boxes occurs twice."""
 
     points: Float[Tensor, "n 3"]
-    """In box coordinates, -1..1."""
+    """Box coordinates, -1..1."""
     index: Int[Tensor, " n"]
-    """Place among batch x frame x slot x ray."""
+    """Index in batch x frame x slot x ray."""
     owner: Int[Tensor, " n"]
-    """Place among batch x frame x slot."""
+    """Index in batch x frame x slot."""
     ray: Int[Tensor, " n"]
-    """Place among batch x frame x ray."""
+    """Index in batch x frame x ray."""
 
 
 def decode(
-    object_field: Field,
-    background_field: Field | None,
-    boxes: Boxes,
-    active: Bool[Tensor, "batch slot"],
-    z_what: Float[Tensor, "batch frame slot latent"],
-    z_background: Float[Tensor, "batch frame background"] | None,
+    fields: Fields,
+    codes: Codes,
     points: Float[Tensor, "batch frame ray 3"],
     directions: Float[Tensor, "batch frame ray 3"],
     *,
-    workspace_center: Float[Tensor, "3"],
-    workspace_size: float,
     colours: Colours,
-    floor: float | None = None,
     where_background: Background = "everywhere",
-    detail: Detail | None = None,
 ) -> Decoded:
-    """Density logits and colours of the components at world points seen along directions of any length.
-
-    Where only the order of the components counts, the background's field need not be evaluated outside the boxes: with
-    `in boxes` it has the logit 0 and black colours there. `detail`, with an owner for each of batch x frame x slot,
-    corrects the objects' field.
-
-    Addition: below the world's z = `floor`, where there is one, there are no objects. What lies on the table is the
-    background's then, also in an object's shadow, which the object's field would explain better.
-
-    Deviation from the authors' code: the background's points are not raw metres but -1..1 within the cube of edge
-    `workspace_size`, which holds the cameras as well, so that its encoding has the same meaning for every dataset.
-    """
+    """Density logits and colours of all components at world points seen along directions of any length."""
     directions = F.normalize(directions, dim=-1)
-    inside = points_in_boxes(points, boxes, active, floor=floor)
-    of_background = decode_background(
-        background_field,
-        z_background,
-        points,
-        directions,
-        workspace_center=workspace_center,
-        workspace_size=workspace_size,
-        colours=colours,
-        only=None if where_background == "everywhere" else inside.ray.unique(),
-    )
-    of_slots = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).corrected(detail)
-    codes = of_slots.at(inside.owner)
-    logits, hidden = object_field.density(inside.points, codes)
-    shape = (*z_what.shape[:3], points.shape[2])
-    all_logits = torch.cat([of_background.logits, spread(logits, inside.index, shape, OUTSIDE)], dim=2)
-    if of_background.colours is None:
+    if codes.boxes is None:
+        background = decode_background(fields, codes.background, points, directions, colours=colours)
+        objects = _in_world(fields, codes, points, directions, colours)
+    else:
+        inside = points_in_boxes(points, codes.boxes, codes.active, floor=fields.floor)
+        only = None if where_background == "everywhere" else inside.ray.unique()
+        background = decode_background(fields, codes.background, points, directions, colours=colours, only=only)
+        objects = _in_boxes(fields, codes, codes.boxes, inside, points.shape[2], directions, colours)
+    logits = torch.cat([background.logits, objects.logits], dim=2)
+    if background.colours is None or objects.colours is None:
+        return Decoded(logits=logits, colours=None)
+    return Decoded(logits=logits, colours=torch.cat([background.colours, objects.colours], dim=2))
+
+
+def _in_world(fields: Fields, codes: Codes, points: Tensor, directions: Tensor, colours: Colours) -> Decoded:
+    """Objects whose fields fill the world."""
+    conditioning = fields.objects.condition(codes.what).of_all_points()
+    logits, hidden = fields.objects.density(fields.in_cube(points)[:, :, None], conditioning)
+    there = codes.active[:, None, :, None] & fields.above_floor(points)[:, :, None]
+    logits = logits.masked_fill(~there, OUTSIDE)
+    if colours == "without":
+        return Decoded(logits=logits, colours=None)
+    return Decoded(logits, fields.objects.colour(hidden, directions[:, :, None], conditioning))
+
+
+def _in_boxes(
+    fields: Fields, codes: Codes, boxes: Boxes, inside: InBox, rays: int, directions: Tensor, colours: Colours
+) -> Decoded:
+    """Objects in boxes, which are evaluated at the points inside only."""
+    of_slots = fields.objects.condition(rearrange(codes.what, "b f s d -> (b f s) d")).corrected(codes.detail)
+    conditioning = of_slots.at(inside.owner)
+    logits, hidden = fields.objects.density(inside.points, conditioning)
+    shape = (*codes.what.shape[:3], rays)
+    all_logits = scatter(logits, inside.index, shape, OUTSIDE)
+    if colours == "without":
         return Decoded(logits=all_logits, colours=None)
-    of_objects = object_field.colour(hidden, in_box_directions(directions, boxes, inside), codes)
-    all_colours = torch.cat([of_background.colours, spread(of_objects, inside.index, shape, 0.0)], dim=2)
-    return Decoded(logits=all_logits, colours=all_colours)
+    found = fields.objects.colour(hidden, in_box_directions(directions, boxes, inside), conditioning)
+    return Decoded(all_logits, scatter(found, inside.index, shape, 0.0))
 
 
 def decode_background(
-    field: Field | None,
+    fields: Fields,
     z_background: Float[Tensor, "batch frame background"] | None,
     points: Float[Tensor, "batch frame ray 3"],
     directions: Float[Tensor, "batch frame ray 3"],
     *,
-    workspace_center: Float[Tensor, "3"],
-    workspace_size: float,
     colours: Colours,
     only: Int[Tensor, " n"] | None = None,
 ) -> Decoded:
-    """The same for the background alone, as the only component; without one it is nowhere.
+    """Density logits and colours of the background alone; a model without one has nothing there.
 
-    With `only`, places among batch x frame x ray, it is evaluated at these points, and 0 at the others.
+    With `only`, indices in batch x frame x ray, it is evaluated at these points, and 0 at the others.
     """
     shape = (*points.shape[:2], 1, points.shape[2])
-    if field is None or z_background is None:
+    if fields.background is None or z_background is None:
         nowhere = points.new_full(shape, OUTSIDE)
         return Decoded(logits=nowhere, colours=None if colours == "without" else points.new_zeros(*shape, 3))
-    at, along = (points - workspace_center) * (2 / workspace_size), F.normalize(directions, dim=-1)
-    codes = field.condition(z_background)
+    at, along = fields.in_cube(points), F.normalize(directions, dim=-1)
+    codes = fields.background.condition(z_background)
     if only is None:
         codes = codes.of_all_points()
     else:
         at, along = at.flatten(0, 2)[only], along.flatten(0, 2)[only]
         codes = codes.flatten().at(only // points.shape[2])
-    logits, hidden = field.density(at, codes)
-    of_background = None if colours == "without" else field.colour(hidden, along, codes)
+    logits, hidden = fields.background.density(at, codes)
+    found = None if colours == "without" else fields.background.colour(hidden, along, codes)
     if only is None:
-        return Decoded(logits[:, :, None], None if of_background is None else of_background[:, :, None])
-    everywhere = partial(spread, index=only, shape=shape, elsewhere=0.0)
-    return Decoded(everywhere(logits), None if of_background is None else everywhere(of_background))
+        return Decoded(logits[:, :, None], None if found is None else found[:, :, None])
+    everywhere = partial(scatter, index=only, shape=shape, elsewhere=0.0)
+    return Decoded(everywhere(logits), None if found is None else everywhere(found))
 
 
 def points_in_boxes(
@@ -128,11 +166,13 @@ def points_in_boxes(
     *,
     floor: float | None = None,
 ) -> InBox:
-    """Points above the floor that lie in boxes of active slots, box by box."""
+    """Find the points above the floor that lie in boxes of active slots, box by box."""
+    # Object-frame coordinates (paper, eq. transform).
     in_box = to_box(points[:, :, None], boxes.center, boxes.rotation, boxes.size)
     inside = (in_box.abs() <= 1).all(dim=-1) & active[:, None, :, None]
     if floor is not None:
         inside &= (points[..., 2] > floor)[:, :, None]
+    # Flat list of the points inside.
     index = inside.flatten().nonzero()[:, 0]
     _, _, slots, rays = inside.shape
     owner = index // rays
@@ -142,15 +182,15 @@ def points_in_boxes(
 def in_box_directions(
     directions: Float[Tensor, "batch frame ray 3"], boxes: Boxes, inside: InBox
 ) -> Float[Tensor, "n 3"]:
-    """View directions of the points in the boxes, turned with the boxes: R^-1 d."""
+    """View directions of points in boxes, in the frames of the boxes: R^-1 d."""
     rotation = rearrange(boxes.rotation, "b f s i j -> (b f s) i j")[inside.owner]
     return torch.einsum("ni,nij->nj", directions.flatten(0, 2)[inside.ray], rotation)
 
 
-def spread(
+def scatter(
     values: Float[Tensor, "n *value"], index: Int[Tensor, " n"], shape: tuple[int, ...], elsewhere: float
 ) -> Float[Tensor, "batch frame slot ray *value"]:
-    """Values of a flat list put where they belong, and `elsewhere` at all other places."""
+    """Put the values of a flat list at their indices, and `elsewhere` at all others."""
     size = torch.Size(shape).numel()
     full = values.new_full((size, *values.shape[1:]), elsewhere)
     return full.index_copy(0, index, values).unflatten(0, shape)

@@ -1,7 +1,7 @@
 """Composition of the components' fields into one scene (paper, eq. apex_norm), in log space.
 
-The paper's density is sigma_max times what is returned here: density in 0..1 is what the losses and voxels need, and
-sigma_max is written only where a rate per metre is meant.
+Densities are relative to sigma_max, in 0..1, as losses and voxels need them. The paper's density is sigma_max times
+that, and sigma_max occurs only where a rate per metre is meant.
 """
 
 import torch
@@ -12,13 +12,13 @@ from torch import Tensor
 from obpose.model.layers.numerics import log_sum_exp
 
 OUTSIDE = -30000.0
-"""Logit outside a slot's box and of idle slots: lower than what fields give, finite also in half precision."""
-
+"""Logit outside a slot's box and of inactive slots: lower than any field's, finite also in half precision."""
+SIGMA_MAX = 10.0
+"""Density of an opaque point. [code]"""
 _SMALL = -4.0
-"""Below this log of the summed softplus, tanh is taken from its series."""
-
+"""Log of the summed softplus below which tanh is computed by its series."""
 _EXPONENTIAL = -20.0
-"""Below this logit softplus is the exponential, to single precision."""
+"""Logit below which softplus equals the exponential in single precision."""
 
 
 def log_density(
@@ -41,10 +41,10 @@ def log_share(
 def solid_share(
     logits: Float[Tensor, "*shape component ray"], threshold: float
 ) -> Float[Tensor, "*shape component ray"]:
-    """Each component's density over sigma_max for pictures: 0 where the joint one is below the threshold.
+    """Each component's density over sigma_max for pictures: 0 where the joint density is below the threshold.
 
-    An addition: fields that were trained for minutes hide their objects in thin fog. The paper's voxels count as empty
-    below sigma_T, too.
+    An addition: after minutes of training, objects are surrounded by thin fog. The paper's voxels count as empty below
+    sigma_T, too.
     """
     share = log_share(logits).exp()
     return share * (share.sum(dim=-2, keepdim=True) >= threshold)
@@ -55,12 +55,13 @@ def air_density(
 ) -> Float[Tensor, "*shape ray"]:
     """Joint density over sigma_max for the air term (paper, L_obs): tanh(sum_k softplus(sigma_k)).
 
-    An addition: beyond a summed softplus of `saturation` tanh is continued by its tangent, because its own gradient is
-    exactly 0 in single precision from about 9 on: fog that dense could never clear up.
+    An addition: beyond a summed softplus of `saturation`, tanh is continued by its tangent. Its own gradient is exactly
+    0 in single precision from about 9 on, so that such dense fog could never clear.
     """
     total = F.softplus(logits).sum(dim=-2)
     if saturation is None:
         return torch.tanh(total)
+    # Tangent of tanh at the saturation.
     beyond = F.relu(total - saturation)
     slope = 1 - torch.tanh(total.new_tensor(saturation)) ** 2
     return torch.tanh(total - beyond) + slope * beyond
@@ -70,10 +71,7 @@ def mean_colour(
     logits: Float[Tensor, "*shape component ray"],
     colours: Float[Tensor, "*shape component ray 3"],
 ) -> Float[Tensor, "*shape ray 3"]:
-    """Colour of the composed scene (paper, after eq. apex_norm): sum_k sigma_hat_k c_k / sigma_max.
-
-    Black where nothing is dense.
-    """
+    """Colour of the composed scene (paper, after eq. apex_norm), sum_k sigma_hat_k c_k / sigma_max; black if empty."""
     return (log_share(logits).exp()[..., None] * colours).sum(dim=-3)
 
 
@@ -82,9 +80,10 @@ def _log_softplus(x: Tensor) -> Tensor:
 
 
 def _log_tanh_exp(u: Tensor) -> Tensor:
-    """Log tanh(e^u)."""
+    """Log of tanh(e^u)."""
     low = u.clamp(max=_SMALL)
     high = u.clamp(min=_SMALL).exp()
+    # tanh x = x - x^3 / 3 for small x.
     series = low - torch.exp(2 * low) / 3
     direct = torch.log(-torch.expm1(-2 * high)) - torch.log1p(torch.exp(-2 * high))
     return torch.where(u < _SMALL, series, direct)

@@ -1,7 +1,7 @@
-"""What a field does not know of one thing: values on a lattice in its box, which belong to that thing alone.
+"""Residual grid of an object: corrections of the field on a lattice in its box.
 
-An addition: a field that all objects share is one that was learned in minutes, and draws most of them smooth and in one
-colour. Explicit lattices are fitted within seconds (Sun, Sun and Chen 2022). They correct the field, or stand for it.
+An addition: a field that all objects share and that was trained for minutes draws most of them smooth and in one
+colour. Explicit lattices are fitted within seconds (Sun, Sun and Chen 2022). They correct the field, or replace it.
 """
 
 from dataclasses import dataclass, replace
@@ -14,45 +14,46 @@ from torch import Tensor
 from obpose.model.nerf.compose import OUTSIDE
 
 EDGE = 16
-"""Points of the lattice along each edge, the outermost on the faces of its cube."""
+"""Number of lattice points along each edge; the outermost are on the faces of the cube."""
 
 Lattices = Float[Tensor, "thing edge edge edge 4"]
-"""Logits of density and colours, or what is added to the field's; axes are x, y, z of the box, `edge` is `EDGE`."""
+"""Logits of density and colours, or corrections of the field's; axes are x, y, z of the box, `edge` is `EDGE`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Detail:
-    """Of one or more things, and whose are whose."""
+    """Residual grids of one or more objects."""
 
     lattices: Lattices
     owner: Int[Tensor, "*code"]
-    """Of each code, the place of its thing."""
+    """Index of the grid of each code."""
     alone: Float[Tensor, "thing"] | None = None
-    """Where positive, there is nothing of the thing but its lattice, in a cube around the box's middle of so many times
-    the box's edge; elsewhere, and where None, lattices are as large as the box, and correct the field."""
+    """If positive, the grid replaces the field, in a cube around the box's middle whose edge is this multiple of the
+    box's edge. Elsewhere, or if None, grids are as large as the box and correct the field."""
 
     def at(self, owner: Int[Tensor, " n"]) -> "Detail":
-        """One for each of a flat list of points; `owner` is the place of a point's code."""
+        """Select a grid for each of a flat list of points; `owner` is the index of a point's code."""
         return replace(self, owner=self.owner[owner])
 
     def corrects(self) -> Float[Tensor, "*code 1"] | float:
-        """What the field's own logits are multiplied with: 0 where the lattice is alone, else 1."""
+        """Factor on the field's own logits: 0 if the grid replaces the field, else 1."""
         return 1.0 if self.alone is None else (self.alone[self.owner, None] <= 0).to(self.alone.dtype)
 
     def of(self, points: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 4"]:
-        """Values at points of the box, -1..1, trilinear.
+        """Trilinear values at points of the box, -1..1; codes broadcast to points, as in `obpose.model.nerf.field`.
 
-        Beyond a face corrections are those at the face; of things that are alone nothing is dense there. Codes
-        broadcast to points, as in `obpose.model.nerf.field`.
+        Beyond a face, corrections are those at the face, and grids that replace the field are empty.
         """
         alone = None if self.alone is None else self.alone[self.owner][..., None]
         if alone is not None:
             points = points / torch.where(alone > 0, alone, 1.0)
+        # Cell of each point, and the weights of its corners.
         steps = ((points + 1) * ((EDGE - 1) / 2)).clamp(0, EDGE - 1)
         low = steps.detach().floor().clamp(max=EDGE - 2)
         upper = steps - low
         x, y, z = torch.stack([1 - upper, upper], dim=-1).unbind(dim=-2)
         weights = x[..., :, None, None] * y[..., None, :, None] * z[..., None, None, :]
+        # Weighted sum of the values at the corners.
         first = (low.long() * low.new_tensor([EDGE**2, EDGE, 1], dtype=torch.long)).sum(dim=-1)
         index = (first + self.owner * EDGE**3)[..., None] + _corners(points.device)
         table = self.lattices.flatten(0, 3)
@@ -65,15 +66,15 @@ class Detail:
 
 
 def no_detail(things: int, like: Tensor) -> Lattices:
-    """No corrections, of the same kind of numbers as `like`."""
+    """Grids of zeros, with the type and device of `like`."""
     return like.new_zeros(things, EDGE, EDGE, EDGE, 4)
 
 
 def roughness(lattices: Lattices, *, neighbours: float, size: float) -> Float[Tensor, ""]:
-    """Minus the log of a Gaussian prior, but for a constant.
+    """Negative log of a Gaussian prior, up to a constant.
 
     Args:
-        lattices: Corrections.
+        lattices: Residual grids.
         neighbours: Standard deviation of differences of neighbouring points, logits.
         size: Standard deviation of corrections themselves, logits.
     """
@@ -82,6 +83,6 @@ def roughness(lattices: Lattices, *, neighbours: float, size: float) -> Float[Te
 
 
 def _corners(device: torch.device) -> Int[Tensor, "8"]:
-    """Places of a cell's corners in a lattice, relative to the first."""
+    """Indices of a cell's corners in a lattice, relative to the first."""
     ends = torch.tensor([0, 1], device=device)
     return (ends[:, None, None] * EDGE**2 + ends[:, None] * EDGE + ends).flatten()

@@ -1,6 +1,6 @@
-"""A generative neural radiance field: point, view direction and latent to density and colour (paper, section Decoder).
+"""Generative neural radiance field: point, view direction and latent to density and colour (paper, section Decoder).
 
-What depends on the latent alone is computed once a code (`Field.condition`) and added to what depends on the point.
+Terms that depend on the latent alone are computed once per code (`Field.condition`) and added to those of the points.
 Codes broadcast to points: all points of a frame may share one, or each point of a flat list may have its own.
 """
 
@@ -19,51 +19,52 @@ from obpose.model.nerf.detail import Detail
 
 @dataclass(frozen=True, eq=False)
 class Conditioning:
-    """What latents add to the values of a field's layers."""
+    """Terms that latents add to a field's layers."""
 
     first: Float[Tensor, "*code width"]
     again: Float[Tensor, "*code width"]
     colour: Float[Tensor, "*code width"]
     detail: Detail | None = None
-    """Corrections of what comes out; only of codes that have a single axis, or none."""
+    """Corrections of the output; only for codes with at most one axis."""
 
     def of_all_points(self) -> "Conditioning":
-        """With an axis, before the last, for the points that share a code."""
+        """Add an axis, before the last, for the points that share a code."""
         assert self.detail is None
         return Conditioning(self.first[..., None, :], self.again[..., None, :], self.colour[..., None, :])
 
     def flatten(self) -> "Conditioning":
-        """Codes of batch x frame as a flat list."""
+        """Flatten codes of batch x frame to a list."""
         assert self.detail is None
         return Conditioning(self.first.flatten(0, 1), self.again.flatten(0, 1), self.colour.flatten(0, 1))
 
     def at(self, owner: Int[Tensor, " n"]) -> "Conditioning":
-        """One for each of a flat list of points; `owner` is the place of a point's code."""
+        """Select a code for each of a flat list of points; `owner` is its index."""
         detail = self.detail and self.detail.at(owner)
         return Conditioning(self.first[owner], self.again[owner], self.colour[owner], detail)
 
     def corrected(self, detail: Detail | None) -> "Conditioning":
-        """With the corrections of one thing for each code; with none where None."""
+        """Add corrections of one object per code; None for no corrections."""
         return replace(self, detail=detail)
 
 
 class Hidden(NamedTuple):
-    """What the colours at points are computed from."""
+    """Hidden values from which colours are computed."""
 
     values: Float[Tensor, "*value width"]
     correction: Float[Tensor, "*value 3"] | None
-    """Added to the logits of the colours."""
+    """Correction of the logits of the colours."""
 
 
 class Field(nn.Module):
-    """A ReLU MLP on the positional encoding of the point, to which the latent is added.
+    """ReLU MLP on the positional encoding of the point, to which the latent is added.
 
-    The paper leaves the layers open. As in the authors' code the latent and the point enter by addition, at the first
-    layer and again after the middle one; there they enter the next layer before its activation (as the point does in
-    Mildenhall et al. 2020), not its input: the same functions, with fewer copies.
+    The paper does not specify the layers. As in the authors' code, latent and point enter by addition, at the first
+    layer and again after the middle one. There they are added before the next layer's activation (as the point in
+    Mildenhall et al. 2020), not to its input: the same functions with fewer copies.
     """
 
     def __init__(self, config: FieldConfig, latent: int, weights: Weights = "orthogonal") -> None:
+        """Initialise the weights, for codes with `latent` channels."""
         super().__init__()
         width = config.width
         self.config = config
@@ -79,24 +80,23 @@ class Field(nn.Module):
             pass_on(self.codes)
 
     def condition(self, codes: Float[Tensor, "*code latent"]) -> Conditioning:
-        """What latents add to the layers."""
+        """Compute the terms that latents add to the layers."""
         return Conditioning(*self.codes(codes).chunk(3, dim=-1))
 
     def density(
         self, points: Float[Tensor, "*points 3"], codes: Conditioning
     ) -> tuple[Float[Tensor, "*value"], Hidden]:
-        """Density logits at points, -1..1 in the field's box, and what `colour` takes.
-
-        Points and codes broadcast to each other.
-        """
+        """Density logits at points, -1..1 in the field's box, and hidden values for `colour`; codes broadcast."""
+        # Hidden layers; point and latent enter at the first layer and again after the middle one.
         encoded = positional_encoding(points, self.config.position_frequencies)
-        # In place only on fresh results of additions: what nn.Linear gives is a view, of which autograd makes copies.
+        # In place only on results of additions, because autograd copies the views that nn.Linear gives.
         hidden = (self.first(encoded) + codes.first).relu_()
         for place, layer in enumerate(self.hidden):
             if place == min(self.config.depth // 2, len(self.hidden) - 1):
                 hidden = (layer(hidden) + self.again(encoded)).add_(codes.again).relu_()
             else:
                 hidden = layer(hidden).relu()
+        # Density, corrected by the residual grid.
         logit, correction = self.density_logit(hidden)[..., 0], None
         if codes.detail is not None:
             density, correction = codes.detail.of(points).split([1, 3], dim=-1)
@@ -109,8 +109,9 @@ class Field(nn.Module):
         directions: Float[Tensor, "*points 3"],
         codes: Conditioning,
     ) -> Float[Tensor, "*value 3"]:
-        """Colours in 0..1 seen along unit directions."""
+        """Colours in 0..1 along unit directions."""
         encoded = positional_encoding(directions, self.config.direction_frequencies)
+        # View direction and latent enter by addition.
         seen = (self.colour_hidden(hidden.values) + self.colour_direction(encoded)).add_(codes.colour).relu_()
         logits = self.colour_out(seen)
         if codes.detail is not None:
@@ -119,10 +120,10 @@ class Field(nn.Module):
 
 
 def squash(logit: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
-    """10 times the sigmoid: what the authors' slot attention for video composes in the place of the logit.
+    """Logit of the authors' slot attention for video: 10 times the sigmoid of the network's output.
 
-    Never below 0: two components alone have a density of tanh(2 ln 2) = .88, five of .998, wherever and whatever the
-    weights. It is here to be compared with.
+    It is never below 0, so that two components have a density of at least tanh(2 ln 2) = .88 everywhere, and five of
+    .998, whatever the weights.
     """
     return 10 * torch.sigmoid(logit)
 

@@ -1,12 +1,12 @@
-"""Volume rendering that leaves out empty space: the picture of `obpose.model.nerf.render`, of far fewer points.
+"""Volume rendering that skips empty space: the images of `obpose.model.nerf.render`, with far fewer evaluations.
 
-Each component has a grid of cells that may hold something, made from its field once. Rays are marched front to back,
-some samples at a time; a component is evaluated only at samples in such cells (an object's within its box), colours
-only where light comes from, and rays that nothing shines through any more stop.
+Each component has an occupancy grid, computed from its field once. Rays are marched front to back, some samples at a
+time. A component is evaluated only at samples in occupied cells (an object's within its box), and colours only where
+light comes from. Opaque rays stop.
 
-Each cell is asked at a few points, so what is thinner than they lie apart, and away from cells that are full, can be
-left out. Tables, and most of the fog that a background's field has where no camera of training looked, are flat and
-thin: a background is asked at many heights. Lumps of that fog can be missed, and their pictures have less of it.
+A cell is tested at a few points, so that thin structures away from occupied cells can be missed. Tables are thin, and
+so is most of the fog of a background's field outside the views of training. Backgrounds are therefore tested at many
+heights. Lumps of fog can be missed, and are then absent from the image.
 """
 
 import math
@@ -24,44 +24,43 @@ from obpose.model.nerf.render import light_from
 from obpose.model.nerf.voxels import lattice_points
 
 _AT_ONCE = 16
-"""Samples of a ray that are evaluated before it is asked whether it goes on."""
+"""Number of samples of a ray between two tests of whether it stops."""
 _DARK = 1e-3
-"""A ray that lets through less than this stops; light below a tenth of it has no colour."""
+"""Transmittance below which a ray stops; colours are not computed for a tenth of it."""
 _LEAST, _LESS = 1e-3, 0.25
-"""Cells in and around which the density over sigma_max is less than this, or than this share of the threshold, are
-empty."""
+"""Density over sigma_max, and share of the threshold, below which cells are empty if their neighbours are, too."""
 _BALL = 0.8661
-"""Radius of the ball around a cube, in its edges: a little more than sqrt(3) / 2."""
+"""Radius of the ball around a cube, in edges: slightly more than sqrt(3) / 2."""
 _CHUNK = 1 << 17
-"""Points of a grid that are evaluated at once, so that memory does not grow with it."""
+"""Number of points of a grid that are evaluated at once, to bound memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """The field of one object or of the background, and where it may be dense."""
+    """Field of one object or of the background, with its occupancy grid."""
 
     field: Field
     codes: Conditioning
-    """Of a single code."""
+    """Conditioning on a single code."""
     center: Float[Tensor, "3"]
     rotation: Float[Tensor, "3 3"]
     """World from the box's frame."""
     size: float
     """Edge of the field's cube, metres."""
     bounded: bool
-    """Whether the field ends with its cube, as an object's does."""
+    """Whether the field ends at its cube, like an object's."""
     cells: Bool[Tensor, "x y z"]
-    """Which cells of the cube may hold something."""
+    """Whether a cell of the cube may be occupied."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What a camera sees; light that meets nothing is black, and its depth that of the far end."""
+    """Rendered image by component. Light from beyond the far end is black."""
 
     colours: Float[Tensor, "component ray 3"]
-    """What each component adds to the colour, 0..1."""
+    """Contribution of each component to the colour, 0..1."""
     depths: Float[Tensor, "component ray"]
-    """What each adds to the mean planar depth, metres: its share of the light times the mean depth of that share."""
+    """Contribution of each component to the mean planar depth, metres: its share of the light times the mean depth."""
     weights: Float[Tensor, "component ray"]
     """Share of the light that comes from each component; together the opacity."""
     far: float
@@ -69,12 +68,12 @@ class Picture:
 
     @property
     def colour(self) -> Float[Tensor, "ray 3"]:
-        """0..1."""
+        """Colour, 0..1."""
         return self.colours.sum(dim=0)
 
     @property
     def depth(self) -> Float[Tensor, "ray"]:
-        """Mean planar depth at which light comes from, metres."""
+        """Mean planar depth of the light's origin, metres."""
         return self.depths.sum(dim=0) + (1 - self.weights.sum(dim=0)) * self.far
 
 
@@ -91,22 +90,24 @@ def make_component(
     layers: int = 1,
     threshold: float = 0.0,
 ) -> Component:
-    """Look for the cells of the field's cube, `resolution` along each edge, that are not empty for this threshold.
+    """Compute the occupancy grid of a field, with `resolution` cells along each edge, for a threshold.
 
-    `codes` is of a single code. Each cell is asked at so many points, one above another along the cube's last axis.
+    `codes` is the conditioning on a single code. Each cell is tested at `layers` points along the cube's last axis.
     """
+    # Points of each cell, one above another.
     steps = (torch.arange(layers).to(codes.first) + 0.5) / layers - 0.5
     within = F.pad(steps[:, None] * (2 / resolution), (2, 0))
     points = (lattice_points(resolution, None, codes.first)[:, None] + within).flatten(0, 1)
     logits = torch.cat([field.density(part, codes)[0] for part in points.split(_CHUNK)])
     dense = (log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)).unflatten(0, (-1, layers)).any(dim=-1)
+    # A cell is occupied if it or a neighbour is dense.
     grid = dense.view(1, 1, resolution, resolution, resolution).to(points.dtype)
     cells = F.max_pool3d(grid, 3, stride=1, padding=1)[0, 0] > 0
     return Component(field, codes, center, rotation, size, bounded, cells)
 
 
 def moved(component: Component, center: Float[Tensor, "3"], rotation: Float[Tensor, "3 3"]) -> Component:
-    """The same elsewhere; nothing has to be looked for again."""
+    """Move a component, with its occupancy grid."""
     return replace(component, center=center, rotation=rotation)
 
 
@@ -124,22 +125,20 @@ def march(
     threshold: float = 0.0,
     behind: float = 0.0,
 ) -> Picture:
-    """Render the composed components.
-
-    Where `behind` is 0 and no full cell is missed, the values are those of `obpose.model.nerf.render.render`.
+    """Render the composed components, like `obpose.model.nerf.render.render` if no occupied cell is missed.
 
     Args:
-        components: The background first, if there is one.
+        components: Components, the background first.
         origin: Camera centres, world frame, metres.
         direction: Per metre of planar depth.
-        near: Planar depth to begin at, metres.
-        far: Planar depth to end at, metres.
-        samples: Points along a ray, in the middles of equal intervals.
+        near: First planar depth, metres.
+        far: Last planar depth, metres.
+        samples: Number of points along a ray, in the middles of equal intervals.
         sigma_max: Density of an opaque point per metre of planar depth.
-        floor: Bounded components are nowhere below this height in the world, metres; None for no floor.
-        threshold: Density over sigma_max below which nothing is there; no more than that of the components.
-        behind: Colours are those of so much more planar depth, metres: half of what they are trained on lies up to
-            `loss.jitter` behind the surface, and light mostly comes from before it.
+        floor: Height in the world below which bounded components are empty, metres; None for no floor.
+        threshold: Density over sigma_max below which space is empty; at most that of the components.
+        behind: Planar depth, metres, that is added where colours are evaluated. Colours are trained up to
+            `obpose.model.nerf.along.JITTER` behind the surface, and light mostly comes from before it.
     """
     rays, length = len(origin), (far - near) / samples
     colours = origin.new_zeros(len(components), rays, 3)
@@ -150,11 +149,13 @@ def march(
     for first in range(0, samples, _AT_ONCE):
         count = min(_AT_ONCE, samples - first)
         depths = near + (first + torch.arange(count, dtype=origin.dtype, device=origin.device) + 0.5) * length
+        # Light from the next samples of the rays that are not opaque yet.
         points = origin[alive, None] + direction[alive, None] * depths[:, None]
-        look = _Look(sigma_max * length, floor, threshold, behind)
-        lit = _evaluate(components, points, direction[alive], passed[alive], look)
+        settings = _Settings(sigma_max * length, floor, threshold, behind)
+        lit = _evaluate(components, points, direction[alive], passed[alive], settings)
         if lit is None:
             continue
+        # Accumulate it, and stop opaque rays.
         met = alive[lit.ray]
         colours[:, met] += lit.colours
         depth[:, met] += (lit.weights * depths).sum(dim=-1)
@@ -177,26 +178,25 @@ def thickness_towards(
     floor: float | None,
     threshold: float,
 ) -> Float[Tensor, "ray"]:
-    """Optical thickness of bounded components, composed as in `march`, on the way from points towards one direction.
-
-    What is opaque may have less than it has.
+    """Optical thickness of bounded components between points and a distant light; a lower bound where it is opaque.
 
     Args:
-        components: All bounded.
-        origin: World frame, metres.
-        direction: Of length 1.
-        step: Distance of samples, metres.
+        components: Bounded components, composed as in `march`.
+        origin: Points, world frame, metres.
+        direction: Unit vector towards the light.
+        step: Distance between samples, metres.
         sigma_max: Density of an opaque point per metre.
         floor: As in `march`.
         threshold: As in `march`.
     """
     total = origin.new_zeros(len(origin))
+    # Rays between the components and the light.
     first, last = _between(components, origin, direction)
     alive = (last > first).nonzero()[:, 0]
     chunk = (torch.arange(_AT_ONCE, dtype=origin.dtype, device=origin.device) + 0.5) * step
     while len(alive):
         points = origin[alive, None] + (first[alive, None] + chunk)[..., None] * direction
-        met = _meet(components, points, _Look(sigma_max * step, floor, threshold, 0.0))
+        met = _meet(components, points, _Settings(sigma_max * step, floor, threshold, 0.0))
         if met is not None:
             total[alive[met.ray]] += met.optical.sum(dim=(0, 2))
         first = first + _AT_ONCE * step
@@ -205,8 +205,8 @@ def thickness_towards(
 
 
 @dataclass(frozen=True)
-class _Look:
-    """How fields are seen; see `march`."""
+class _Settings:
+    """Settings of `march`."""
 
     thickness: float
     """Optical thickness of a sample of density 1."""
@@ -217,22 +217,22 @@ class _Look:
 
 @dataclass(frozen=True, eq=False)
 class _Met:
-    """Of the rays that meet anything."""
+    """Densities along the rays that meet occupied cells."""
 
     ray: Int[Tensor, " ray"]
-    """Their places among all that were asked for."""
+    """Indices of these rays among all."""
     places: list[Int[Tensor, " _"]]
-    """Of each component, its samples among those of these rays."""
+    """Indices of each component's samples among those of these rays."""
     optical: Float[Tensor, "component ray sample"]
     """Optical thickness."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Lit:
-    """Of the rays that meet anything."""
+    """Light along the rays that meet occupied cells."""
 
     ray: Int[Tensor, " ray"]
-    """Their places among all that were asked for."""
+    """Indices of these rays among all."""
     colours: Float[Tensor, "component ray 3"]
     weights: Float[Tensor, "component ray sample"]
     passed: Float[Tensor, "ray"]
@@ -243,44 +243,47 @@ def _evaluate(
     points: Float[Tensor, "ray sample 3"],
     direction: Float[Tensor, "ray 3"],
     passed: Float[Tensor, "ray"],
-    look: _Look,
+    settings: _Settings,
 ) -> _Lit | None:
-    """Light from the next samples of each ray; None where there is nothing."""
-    met = _meet(components, points, look)
+    """Compute the light from the next samples of each ray; None if they are empty."""
+    met = _meet(components, points, settings)
     if met is None:
         return None
     points, direction, passed = points[met.ray], direction[met.ray], passed[met.ray]
     flat, (rays, count, _) = points.flatten(0, 1), points.shape
+    # Light of each sample and component: Mildenhall et al. 2020, eq. 3.
     weights = passed[:, None] * light_from(met.optical)
     colours = points.new_zeros(len(components), rays, 3)
     unit = F.normalize(direction, dim=-1)
     for component, light, index, colour in zip(components, weights.flatten(1), met.places, colours, strict=True):
         index = index[light[index] > _DARK / 10]
         owner = index // count
-        at = flat[index] + look.behind * direction[owner]
+        at = flat[index] + settings.behind * direction[owner]
         _, hidden = component.field.density(in_box(component, at), component.codes)
         seen = component.field.colour(hidden, unit[owner] @ component.rotation, component.codes)
         colour.index_add_(0, owner, light[index, None] * seen)
     return _Lit(met.ray, colours, weights, passed * torch.exp(-met.optical.sum(dim=(0, 2))))
 
 
-def _meet(components: list[Component], points: Float[Tensor, "ray sample 3"], look: _Look) -> _Met | None:
-    """How dense the components are at the next samples of each ray; None where there is nothing."""
-    found = [_inside(component, points, look.floor) for component in components]
+def _meet(components: list[Component], points: Float[Tensor, "ray sample 3"], settings: _Settings) -> _Met | None:
+    """Compute the densities at the next samples of each ray; None if they are empty."""
+    # Samples in occupied cells, and the rays they are on.
+    found = [_inside(component, points, settings.floor) for component in components]
     ray, places = _met(points, [index for index, _ in found])
     if not len(ray):
         return None
     size = (len(ray), points.shape[1])
+    # Densities there; elsewhere components are empty.
     logits = points.new_full((len(components), size[0] * size[1]), OUTSIDE)
     for place, (component, index, (_, at)) in enumerate(zip(components, places, found, strict=True)):
         logits[place, index] = component.field.density(at, component.codes)[0]
-    return _Met(ray, places, look.thickness * solid_share(logits, look.threshold).unflatten(1, size))
+    return _Met(ray, places, settings.thickness * solid_share(logits, settings.threshold).unflatten(1, size))
 
 
 def _met(
     points: Float[Tensor, "ray sample 3"], found: list[Int[Tensor, " _"]]
 ) -> tuple[Int[Tensor, " n"], list[Int[Tensor, " _"]]]:
-    """Rays with any of the points that were found, and these points counted among the samples of such rays only."""
+    """Find the rays of these samples, and the samples' indices among those of such rays only."""
     rays, count, _ = points.shape
     met = torch.zeros(rays, dtype=torch.bool, device=points.device)
     for index in found:
@@ -292,12 +295,13 @@ def _met(
 def _inside(
     component: Component, points: Float[Tensor, "ray sample 3"], floor: float | None
 ) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
-    """Which of the points, ray by ray, lie in cells that may hold something, and where in the component's cube."""
+    """Find the points in occupied cells, ray by ray, and their coordinates in the component's cube."""
     count = points.shape[1]
     rays = _passing(component, points) if component.bounded else torch.arange(len(points), device=points.device)
     flat = points[rays].flatten(0, 1)
     at = in_box(component, flat)
     resolution = len(component.cells)
+    # Occupancy of the cells of the points.
     within = (at.abs() <= 1).all(dim=-1)
     cell = ((at + 1) * (resolution / 2)).floor().long().clamp(0, resolution - 1)
     there = component.cells[cell[:, 0], cell[:, 1], cell[:, 2]]
@@ -312,7 +316,7 @@ def _inside(
 
 
 def _passing(component: Component, points: Float[Tensor, "ray sample 3"]) -> Int[Tensor, " n"]:
-    """Rays whose samples, which lie on a line each, come into the ball around the component's cube."""
+    """Find the rays whose samples pass through the ball around the component's cube."""
     first, along = points[:, 0], points[:, -1] - points[:, 0]
     share = ((component.center - first) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=1e-12)
     nearest = first + share.clamp(0, 1)[:, None] * along
@@ -322,7 +326,7 @@ def _passing(component: Component, points: Float[Tensor, "ray sample 3"]) -> Int
 def _between(
     components: list[Component], origin: Float[Tensor, "ray 3"], direction: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "ray"], Float[Tensor, "ray"]]:
-    """How far from its origin a ray first comes into a ball around a component's cube, and leaves the last, metres."""
+    """Distances at which a ray enters the first ball around a component's cube and leaves the last, metres."""
     first, last = origin.new_full((len(origin),), math.inf), origin.new_zeros(len(origin))
     for component in components:
         to = component.center - origin
@@ -335,5 +339,5 @@ def _between(
 
 
 def in_box(component: Component, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-    """World points in the coordinates of the component's field, -1..1 in its cube."""
+    """Convert world points to coordinates of the component's field, -1..1 in its cube."""
     return to_box(points, component.center, component.rotation, component.size)

@@ -1,4 +1,4 @@
-"""Where along a ray the fields are evaluated: at the observed surface and in the air before it (paper, L_obs)."""
+"""Points along rays: at the observed surface and in the air before it (paper, L_obs)."""
 
 import torch
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from obpose.types import Rays
 
 
 def surface_points(rays: Rays, jitter: float, generator: torch.Generator | None) -> Float[Tensor, "batch frame ray 3"]:
-    """Points up to `jitter` metres of planar depth behind the observed surface, uniformly; on it for jitter 0."""
+    """Draw points uniformly up to `jitter` metres of planar depth behind the observed surface."""
     if jitter == 0:
         return _at_depth(rays, rays.depth)
     return _at_depth(rays, rays.depth + jitter * _uniform(rays, generator))
@@ -17,9 +17,9 @@ def surface_points(rays: Rays, jitter: float, generator: torch.Generator | None)
 def air_points(
     rays: Rays, near_share: float, generator: torch.Generator | None
 ) -> tuple[Float[Tensor, "batch frame ray 3"], Float[Tensor, "batch frame ray"]]:
-    """One point before the surface of each ray, and 1 / rho_air, in metres of planar depth.
+    """Draw a point before the surface of each ray; also give 1 / rho_air, in metres of planar depth.
 
-    A fair coin tells whether it lies uniformly in the first `near_share` of the depth or in the rest, next to the
+    With equal probability, it lies uniformly in the first `near_share` of the depth or in the rest, next to the
     surface. The mean of f / rho is the integral of f over the planar depth from the camera to the surface.
     """
     within = _uniform(rays, generator)

@@ -1,4 +1,4 @@
-"""Volume rendering of the composed scene: slow and exact, for tests and figures; training never needs it."""
+"""Volume rendering of the composed scene, slow and exact, for tests and figures; training does not need it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from obpose.types import Decoded
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """What a camera would see."""
+    """Rendered image, ray by ray."""
 
     colour: Float[Tensor, "batch frame ray 3"]
-    """0..1, on black where the ray meets nothing."""
+    """0..1, on a black background."""
     depth: Float[Tensor, "batch frame ray"]
-    """Mean planar depth at which light comes from; the last depth stands for what goes through."""
+    """Mean planar depth of the light's origin; `far` for light from beyond."""
     weights: Float[Tensor, "batch frame component ray"]
     """Share of the light that comes from each component; together the opacity."""
 
@@ -41,23 +41,26 @@ def render(
         decode: Densities and colours at points seen along directions.
         origin: Camera centres.
         direction: Per metre of planar depth.
-        near: Planar depth to begin at, metres.
-        far: Planar depth to end at, metres.
-        samples: Points along a ray, in the middles of equal intervals.
-        sigma_max: Density of an opaque point per metre of planar depth. The loss's 10 leaves objects of a few
-            centimetres half transparent; pictures are sharp with some hundreds.
-        threshold: Density over sigma_max below which nothing is there (`obpose.model.nerf.compose.solid_share`).
+        near: First planar depth, metres.
+        far: Last planar depth, metres.
+        samples: Number of points along a ray, in the middles of equal intervals.
+        sigma_max: Density of an opaque point per metre of planar depth. With the loss's 10, objects of a few
+            centimetres are half transparent; pictures are sharp with some hundreds.
+        threshold: Density over sigma_max below which space is empty (`obpose.model.nerf.compose.solid_share`).
     """
+    # Points along the rays.
     edges = torch.linspace(near, far, samples + 1, dtype=origin.dtype, device=origin.device)
     depths = (edges[:-1] + edges[1:]) / 2
     along = repeat(direction, "b f r xyz -> b f (r sample) xyz", sample=samples)
     points = origin[..., None, :] + direction[..., None, :] * depths[:, None]
     points = rearrange(points, "b f r sample xyz -> b f (r sample) xyz")
+    # Densities and colours (paper, eq. apex_norm).
     decoded = decode(points, along)
     if decoded.colours is None:
         raise ValueError("Rendering needs colours, but `decode` gave none; let it decode with colours.")
     shares = rearrange(solid_share(decoded.logits, threshold), "b f c (r sample) -> b f c r sample", sample=samples)
     colours = rearrange(decoded.colours, "b f c (r sample) rgb -> b f c r sample rgb", sample=samples)
+    # Quadrature (Mildenhall et al. 2020, eq. 3).
     weights = light_from(sigma_max * (far - near) / samples * shares)
     through = 1 - weights.sum(dim=(2, 4))
     return Rendering(
@@ -71,5 +74,6 @@ def light_from(thickness: Float[Tensor, "*batch component ray sample"]) -> Float
     """Share of a ray's light from each sample and component, given their optical thickness."""
     total = thickness.sum(dim=-3)
     transmitted = torch.exp(total - total.cumsum(dim=-1))
+    # Light that a sample stops, divided among the components by density.
     stopped = -torch.expm1(-total) * transmitted
     return (stopped / total.clamp(min=1e-12))[..., None, :, :] * thickness

@@ -1,6 +1,6 @@
-"""Shapes of the objects from their fields, by voxels in place of volume rendering (paper, end of section Decoder).
+"""Shapes of objects from voxels of their fields, instead of volume rendering (paper, end of section Decoder).
 
-Nothing here has a gradient: T_shape is a target.
+Nothing has a gradient, because T_shape is a target.
 """
 
 from dataclasses import dataclass, replace
@@ -11,23 +11,27 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import from_box
-from obpose.model.layers.numerics import all_digits
+from obpose.model.layers.numerics import full_precision
 from obpose.model.nerf.compose import log_density
 from obpose.model.nerf.field import Field
 from obpose.model.pose.minimum_volume import orient
 from obpose.types import Boxes, Observation, Shape
 
 MIN_VOXELS = 4
-"""Fewer occupied voxels tell nothing of where an object is. A cube of 3 cm fills about 6 of 12^3 in a box of 20 cm. The
-authors ask for more than 10, of 24^3 in a box of 40 cm."""
+"""Smallest number of occupied voxels for which a shape counts as found. A cube of 3 cm fills about 6 of 12^3 in a box
+of 20 cm. [ours; code: more than 10 of 24^3 in a box of 40 cm]"""
+THRESHOLD = 0.5
+"""sigma_T: occupancy above which a voxel belongs to the object. [code]"""
+FLOOR = -0.002
+"""Height in metres above the world's z = 0 below which voxels do not belong to an object. [code]"""
 
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Cells of the objects' boxes."""
+    """Voxels of the objects' boxes."""
 
     points: Float[Tensor, "batch frame slot voxel 3"]
-    """One point in each, world frame, metres."""
+    """One point in each voxel, world frame, metres."""
     occupied: Bool[Tensor, "batch frame slot voxel"]
 
 
@@ -40,8 +44,8 @@ def estimate_shape(
     observation: Observation,
     *,
     resolution: int,
-    threshold: float,
-    floor: float | None,
+    threshold: float = THRESHOLD,
+    floor: float | None = FLOOR,
     frame: Int[Tensor, " batch"] | None = None,
     generator: torch.Generator | None = None,
 ) -> Shape:
@@ -49,14 +53,14 @@ def estimate_shape(
 
     Args:
         object_field: The field that all objects share.
-        boxes: Where to look.
+        boxes: Boxes of the objects.
         active: Slots in use; others are never found.
         z_what: Codes of the objects.
-        observation: Where the depth images saw through a voxel, it is empty.
+        observation: Depth images; a voxel through which a camera saw is empty.
         resolution: S, voxels along an edge of a box.
         threshold: sigma_T.
         floor: Height in the world, metres, below which there are no objects; None for no floor.
-        frame: Only look at this frame of each clip; nothing is found in the others.
+        frame: Frame of each clip to use; nothing is found in the others. None for all.
         generator: Draws a point in each voxel; without one it is the centre.
     """
     options = {"resolution": resolution, "threshold": threshold, "floor": floor, "generator": generator}
@@ -87,15 +91,16 @@ def occupied_voxels(
     observation: Observation,
     *,
     resolution: int,
-    threshold: float,
-    floor: float | None,
+    threshold: float = THRESHOLD,
+    floor: float | None = FLOOR,
     generator: torch.Generator | None = None,
 ) -> Voxels:
     """Voxels where sigma_v = tanh(softplus(f(p_v, z_k))) > sigma_T (paper, end of section Decoder).
 
-    Deviations, as in the authors' code: what lies below the floor or in space that was observed to be free is empty
-    whatever the field says, which takes away the bias towards the visible side. Such voxels are not evaluated.
+    Deviations, as in the authors' code: voxels below the floor or in observed free space are empty and not evaluated.
+    This removes the bias towards the visible side.
     """
+    # Voxels that may be occupied: of active slots, above the floor, not seen through.
     lattice = lattice_points(resolution, generator, boxes.center)
     points = from_box(lattice, boxes.center, boxes.rotation, boxes.size)
     possible = active[:, None, :, None] & ~observed_free(points, observation)
@@ -103,6 +108,7 @@ def occupied_voxels(
         possible &= points[..., 2] >= floor
     index = possible.flatten().nonzero()[:, 0]
     owner, voxel = index // len(lattice), index % len(lattice)
+    # Density at these voxels: tanh(softplus(f(p_v, z_k))).
     codes = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).at(owner)
     logits, _ = object_field.density(lattice[voxel], codes)
     occupied = torch.zeros_like(possible).flatten()
@@ -116,7 +122,7 @@ def occupancy(logits: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
 
 
 def lattice_points(resolution: int, generator: torch.Generator | None, like: Tensor) -> Float[Tensor, "voxel 3"]:
-    """A point in each cell of the box -1..1: its centre, or uniformly drawn, the same for all boxes."""
+    """One point in each cell of the box -1..1: its centre, or drawn uniformly, the same for all boxes."""
     steps = torch.arange(resolution, dtype=like.dtype, device=like.device)
     corners = torch.cartesian_prod(steps, steps, steps)
     within = 0.5
@@ -125,11 +131,12 @@ def lattice_points(resolution: int, generator: torch.Generator | None, like: Ten
     return (corners + within) * (2 / resolution) - 1
 
 
-@all_digits
+@full_precision
 def observed_free(
     points: Float[Tensor, "batch frame slot voxel 3"], observation: Observation, margin: float = 0.0
 ) -> Bool[Tensor, "batch frame slot voxel"]:
-    """Whether some camera saw a surface more than `margin` metres behind the point."""
+    """Whether a camera saw a surface more than `margin` metres behind the point."""
+    # Pixels of the points.
     flat = rearrange(points, "b f s v xyz -> b f (s v) xyz")
     rotation, center = observation.world_from_camera[..., :3, :3], observation.world_from_camera[..., :3, 3]
     in_camera = torch.einsum("bfpi,bvij->bfvpj", flat, rotation)
@@ -137,6 +144,7 @@ def observed_free(
     pixel = torch.einsum("bfvpi,bvji->bfvpj", in_camera, observation.k)
     before = pixel[..., 2] > 0
     column, row = (pixel[..., :2] / pixel[..., 2:].clamp(min=1e-6)).floor().unbind(-1)
+    # Depth at these pixels.
     height, width = observation.depth.shape[-2:]
     seen = before & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     place = torch.where(seen, row * width + column, 0).long()
@@ -147,11 +155,11 @@ def observed_free(
 
 
 def shape_of(voxels: Voxels) -> Shape:
-    """Middle of the occupied voxels' bounding box along the world's axes.
+    """T_shape: the centre of the occupied voxels' bounding box along the world's axes.
 
-    Deviation: the paper's T_shape is, like T, a mean of points; the middle does not depend on where they are dense, as
-    in the authors' code.
+    Deviation, as in the authors' code: the paper's T_shape is a mean of points, which depends on their density.
     """
+    # Bounding box of the occupied voxels.
     found = voxels.occupied.sum(dim=-1) >= MIN_VOXELS
     without = ~voxels.occupied[..., None]
     low = reduce(voxels.points.masked_fill(without, torch.inf), "b f s v xyz -> b f s xyz", "min")
@@ -159,22 +167,12 @@ def shape_of(voxels: Voxels) -> Shape:
     return Shape(center=torch.where(found[..., None], (low + high) / 2, 0.0), found=found)
 
 
-def orientation_of(
-    voxels: Voxels, *, grid_level: int, refinements: int, tolerance: float
-) -> Float[Tensor, "batch frame slot 3 3"]:
+def orientation_of(voxels: Voxels) -> Float[Tensor, "batch frame slot 3 3"]:
     """R_shape, world from object (paper, end of section Decoder): the tightest boxes around the occupied voxels.
 
-    For figures and analyses: boxes are turned as the observed points are, which are finer than voxels, as in the
-    authors' code.
+    For analyses only. As in the authors' code, the rotation of boxes is that of the observed points, which are finer.
     """
-    return orient(
-        voxels.points,
-        voxels.occupied,
-        grid_level=grid_level,
-        refinements=refinements,
-        tolerance=tolerance,
-        min_points=MIN_VOXELS,
-    )
+    return orient(voxels.points, voxels.occupied, min_points=MIN_VOXELS)
 
 
 def _pick(values: Tensor, frame: Int[Tensor, " batch"]) -> Tensor:

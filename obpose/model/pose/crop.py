@@ -1,4 +1,4 @@
-"""The points that an object encoder sees: the slot's own in its box, in its frame, with masked features."""
+"""Input of an object encoder: the slot's own points in its box, in its frame, with masked features."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +14,7 @@ from obpose.types import Boxes
 
 @dataclass(frozen=True, eq=False)
 class BoxSamples:
-    """Some points of each box, in no order."""
+    """Points of each box, in no particular order."""
 
     points: Float[Tensor, "batch frame slot sample 3"]
     """Object frame, in -1..1; 0 where not valid."""
@@ -23,7 +23,7 @@ class BoxSamples:
     mask: Float[Tensor, "batch frame slot sample"]
     """The slot's mask; 0 where not valid."""
     valid: Bool[Tensor, "batch frame slot sample"]
-    """Whether there is a point at all."""
+    """Whether there is a point."""
 
 
 def gather_box(
@@ -36,18 +36,20 @@ def gather_box(
     samples: int,
     whose: Literal["own", "all"],
 ) -> BoxSamples:
-    """The points in each box that are the slot's; where there are more than `samples`, those with the largest masks.
+    """Gather the slot's own points in each box; of more than `samples`, those with the largest masks.
 
-    Features are zeta_f * no_grad(m) (paper, section Object Location and Orientation Conditioned Encoding). The slot's
-    are the points at which no other slot has a larger mask. The paper also leaves out those at which the background's
-    is larger, ours are the support of the object as well; the authors' code takes `all` points in the box, and fields
-    then claim the neighbours. There is no gradient into the boxes and the positions.
+    Features are zeta_f * no_grad(m) (paper, section Object Location and Orientation Conditioned Encoding). A slot's own
+    points are those at which no other slot has a larger mask. The paper also excludes points at which the background's
+    is larger, which here are kept as the support of the object. The authors' code takes `all` points in the box, and
+    fields then claim the neighbours. Boxes and positions get no gradient.
     """
     with torch.no_grad():
+        # Own points in the box (paper, eq. transform).
         in_box = _to_boxes(points, boxes)
         inside = (in_box.abs().amax(dim=-1) <= 1) & valid[:, :, None]
         if whose == "own":
             inside &= log_masks >= log_masks.amax(dim=2, keepdim=True)
+        # Points with the largest masks.
         index, chosen = _largest(log_masks, inside, samples)
         mask = log_masks.gather(-1, index).exp().masked_fill(~chosen, 0)
         near = in_box.gather(-2, repeat(index, "b f s n -> b f s n 3")) * chosen[..., None]
@@ -71,7 +73,7 @@ def _largest(
 def _pick(
     features: Float[Tensor, "batch frame point feature"], index: Int[Tensor, "batch frame slot sample"]
 ) -> Float[Tensor, "batch frame slot sample feature"]:
-    """Rows of a flat table, which is what differentiates fast."""
+    """Select rows of a flat table, which is differentiated fast."""
     batch, frame, point, _ = features.shape
     first = torch.arange(batch * frame, device=features.device) * point
     rows = index + rearrange(first, "(b f) -> b f 1 1", b=batch)

@@ -1,11 +1,12 @@
-"""Encodes the points of an object's box (paper, section Object Location and Orientation Conditioned Encoding).
+"""Encoder of the points of an object's box (paper, section Object Location and Orientation Conditioned Encoding).
 
 A point-wise network, a KPConv from the points onto anchors among them, and a KPConv of the anchors at the middle of the
-box. The authors use the four levels of their backbone with radii of 5 to 40 mm, less than the distance of the points:
-each point is its own only neighbour. Ours are in units of the box and with the default radius hold neighbours wherever
-points are closer than a fifth of its edge to each other. Sines and cosines of the position and layer norms (where the
-authors have group norms) are there because codes start to depend on shapes several times sooner with them. For the same
-reason the mean of the features over the slot's mask, colours among them, ends the code as it is.
+box. The authors use the four levels of their backbone with radii of 5 to 40 mm, less than the distance of the points,
+so that no point has neighbours. Our radius is in units of the box; with the default, points have neighbours if they are
+closer than a fifth of its edge.
+
+With sines and cosines of the position, and layer norms instead of the authors' group norms, codes depend on shapes
+several times sooner. For the same reason, the mean of the features under the slot's mask is appended to the code.
 """
 
 from dataclasses import dataclass
@@ -20,45 +21,49 @@ from obpose.config import LatentConfig
 from obpose.model.layers.kernel_points import kernel_points
 from obpose.model.layers.kpconv import KPConv, influence
 from obpose.model.layers.mlp import mlp
-from obpose.model.layers.numerics import all_digits
+from obpose.model.layers.numerics import full_precision
 from obpose.model.nerf.field import positional_encoding
 from obpose.model.pose.crop import BoxSamples
 
 SPREAD = 0.65
-"""Scale of the places near which anchors are looked for, laid out like kernel points; half the box's edge is 1."""
+"""Scale of the target positions of anchors, which are arranged like kernel points; half the box's edge is 1."""
 NEIGHBOURS = 16
-"""The nearest so many samples are an anchor's neighbours, as far as they are in reach."""
+"""Largest number of neighbours of an anchor."""
 REACH = 1.2
 """Radius of the neighbourhood of the box's middle, in the same units."""
 _POINT_WIDTH = 16
 _ANCHOR_WIDTH = 32
-_LITTLE = 1e-3
-"""Masks that sum to less than this count as this."""
+_LEAST = 1e-3
+"""Smallest divisor, for empty masks."""
 _FAR = 1e4
-"""Distance squared of samples that there are not."""
+"""Squared distance of missing samples."""
+WIDTH = 64
+"""Width of the encoder. [code]"""
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhoods:
-    """How the samples of each box, the axis `box` being batch, frame and slot in one, lie to each other."""
+    """Neighbourhoods of the samples of each box, where the axis `box` is batch, frame and slot in one."""
 
     index: Int[Tensor, "box anchor neighbour"]
-    """Which sample is the neighbour."""
+    """Index of the neighbour among the samples."""
     influences: Float[Tensor, "box anchor neighbour kernel"]
-    """Of the neighbours' kernel points, over the number of neighbours in reach: denser clouds are not louder."""
+    """Influences of kernel points at the neighbours, divided by the number of neighbours in reach, so that the density
+    of the cloud does not matter."""
     central: Float[Tensor, "box anchor kernel"]
-    """The same of the anchors as neighbours of the box's middle. All are 0 in a box without points."""
+    """Influences at the anchors as neighbours of the box's middle. All are 0 in a box without points."""
 
 
 class ObjectEncoder(nn.Module):
-    """From the samples of a box to one code; the order of the samples does not matter."""
+    """Network from the samples of a box to one code, invariant to the order of the samples."""
 
     kernel: Float[Tensor, "kernel 3"]
     places: Float[Tensor, "anchor 3"]
 
-    def __init__(self, features: int, config: LatentConfig):
+    def __init__(self, features: int, config: LatentConfig, *, width: int = WIDTH):
+        """Initialise the weights, for points with `features` channels."""
         super().__init__()
-        self.config, width = config, config.encoder
+        self.config = config
         self.register_buffer("kernel", kernel_points(), persistent=False)
         self.register_buffer("places", SPREAD * kernel_points(), persistent=False)
         pooled = width + _ANCHOR_WIDTH + _POINT_WIDTH
@@ -72,16 +77,18 @@ class ObjectEncoder(nn.Module):
         self.size = width + (features if config.means == "given" else 0)
 
     def forward(self, samples: BoxSamples) -> Float[Tensor, "batch frame slot width"]:
-        """The codes of all boxes at once."""
+        """Encode all boxes at once."""
         points, features, mask, valid = (
             rearrange(part, "b f slot ... -> (b f slot) ...")
             for part in (samples.points, samples.features, samples.mask, samples.valid)
         )
+        # Point-wise network, then a KPConv onto the anchors.
         near = neighbourhoods(points, valid, places=self.places, kernel=self.kernel, radius=self.config.radius)
         encoded = positional_encoding(points, self.config.frequencies)
         pointwise = elu(self._points(torch.cat([points, encoded, features, mask[..., None]], dim=-1)))
         around = self._around(_neighbours(pointwise, near.index), rearrange(near.influences, "b a n k -> (b a) n k"))
         anchors = elu(self._anchors(elu(self._around_norm(around)))).unflatten(0, near.index.shape[:2])
+        # Pooling: a KPConv at the middle of the box, the maximum of the anchors, the mean of the points.
         pooled = [
             elu(self._middle_norm(self._middle(anchors, near.central))),
             anchors.amax(dim=1),
@@ -94,7 +101,7 @@ class ObjectEncoder(nn.Module):
 
 
 @torch.no_grad()
-@all_digits
+@full_precision
 def neighbourhoods(
     points: Float[Tensor, "box sample 3"],
     valid: Bool[Tensor, "box sample"],
@@ -103,13 +110,15 @@ def neighbourhoods(
     kernel: Float[Tensor, "kernel 3"],
     radius: float,
 ) -> Neighbourhoods:
-    """Anchors are the samples nearest to some places in the box, their neighbours the nearest to them within `radius`.
+    """Choose as anchors the samples nearest to `places` in the box, and as neighbours those nearest within `radius`.
 
     One sample may be the anchor of several places.
     """
     missing = torch.where(valid, 0, _FAR)[:, None]
+    # Anchors: the nearest samples to the target positions.
     anchor = (_square_distances(places.expand(len(points), -1, -1), points) + missing).argmin(dim=-1)
     at = points.gather(1, anchor[..., None].expand(-1, -1, 3))
+    # Neighbours: the nearest samples to the anchors.
     count = min(NEIGHBOURS, points.shape[1])
     near = (_square_distances(at, points) + missing).topk(count, dim=-1, largest=False, sorted=False)
     offsets = _neighbours(points, near.indices).unflatten(0, anchor.shape) - at[:, :, None]
@@ -135,14 +144,14 @@ def _averaging(
 
 
 def _mean(weighted: Float[Tensor, "box sample width"], mask: Float[Tensor, "box sample"]) -> Float[Tensor, "box width"]:
-    """Of features that were multiplied by the mask; 0 where it is."""
-    return weighted.sum(dim=1) / mask.sum(dim=1, keepdim=True).clamp(min=_LITTLE)
+    """Mean of features that were multiplied by the mask; 0 for an empty mask."""
+    return weighted.sum(dim=1) / mask.sum(dim=1, keepdim=True).clamp(min=_LEAST)
 
 
 def _neighbours(
     table: Float[Tensor, "box sample width"], index: Int[Tensor, "box anchor neighbour"]
 ) -> Float[Tensor, "points neighbour width"]:
-    """Rows of one flat table, which is what differentiates fast; `points` are box and anchor in one."""
+    """Select rows of a flat table, which is differentiated fast; `points` are box and anchor in one."""
     first = torch.arange(table.shape[0], device=table.device) * table.shape[1]
     rows = index + first[:, None, None]
     return table.flatten(0, 1).index_select(0, rows.flatten()).view(-1, index.shape[2], table.shape[2])

@@ -1,8 +1,8 @@
-"""How an object is turned: the orientation of the tightest box around its points, followed through the frames.
+"""Orientation of an object: that of the tightest box around its points, followed through the frames.
 
 The paper's *minimum volume principle* (section Object Location and Orientation Conditioned Encoding): of many rotations
-those are kept whose axis-aligned box around the turned points is nearly the smallest, and of these that nearest to the
-orientation in the frame before. Nothing here has a gradient.
+keep those whose axis-aligned box around the rotated points is nearly the smallest, and take the one nearest to the
+orientation in the frame before. Nothing has a gradient.
 """
 
 import math
@@ -13,7 +13,7 @@ from einops import rearrange, repeat
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from obpose.model.layers.numerics import all_digits
+from obpose.model.layers.numerics import full_precision
 from obpose.model.pose.rotations import (
     box_grid,
     box_rotations,
@@ -22,49 +22,53 @@ from obpose.model.pose.rotations import (
     small_rotations,
 )
 
+GRID_LEVEL = 1
+"""HEALPix level of the rotation grid before refinement. Of its 576 (1) or 4608 (2) rotations, the 24 or 204 that are
+distinct under the symmetry of a box are used. [code: 3, all 36,864]"""
+REFINEMENTS = 8
+"""Rounds of local refinement; the last one rotates boxes by at most 0.6 degrees. [ours]"""
+TOLERANCE = 0.01
+"""beta: boxes of up to 1 + beta times the smallest volume are candidates. [code]"""
 _STARTS = 8
-"""Best rotations of the grid that are refined."""
-
+"""Number of rotations of the grid that are refined."""
 _SCATTERED = 9
-"""Rotations tried around each of them in a round, beside those about the axes of its box."""
-
+"""Number of rotations tried around each in a round, beside those about the axes of its box."""
 _REACH = math.radians(40)
-"""How far from it they lie in the first round, at level 0 of the grid; half at each further level."""
-
+"""Largest angle of tried rotations in the first round at level 0 of the grid; half at each further level."""
 _SHRINK = 0.6
-"""Of the reach, from round to round."""
-
+"""Factor on this angle from round to round."""
 _THICKNESS = 1e-2
-"""Added to the edges of a box, in units of the cloud's radius: else all boxes flush with a flat cloud are alike."""
+"""Length added to the edges of a box, in units of the cloud's radius, because boxes of flat clouds have no volume."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clouds:
-    """The points that boxes are put around. Points come first, which is what makes their extremes cheap to find."""
+    """Point clouds. The point axis comes first, which makes extremes cheap to find."""
 
     points: Float[Tensor, "point *box 3"]
-    """From the middle of the cloud, along the world's axes, metres. What was not valid lies on a point that was."""
+    """Relative to the middle of the cloud, along the world's axes, metres. Invalid points copy a valid one."""
     thickness: Float[Tensor, "*box"]
     """Metres to add to each edge of a box."""
 
 
 @torch.no_grad()
-@all_digits
+@full_precision
 def orient(
     points: Float[Tensor, "batch frame slot point 3"],
     valid: Bool[Tensor, "batch frame slot point"],
     *,
-    grid_level: int,
-    refinements: int,
-    tolerance: float,
     min_points: int,
+    grid_level: int = GRID_LEVEL,
+    refinements: int = REFINEMENTS,
+    tolerance: float = TOLERANCE,
 ) -> Float[Tensor, "batch frame slot 3 3"]:
     """R, world from object, of every object in every frame, from its observed points in the world frame.
 
     Columns are the axes of its box. See `find_candidates` for `grid_level` and `refinements`, `follow` for `tolerance`.
-    With fewer than `min_points` points an object keeps the orientation of the frame before, at first the identity.
+    An object with fewer than `min_points` points keeps the orientation of the frame before, initially the identity.
     """
     batch, frames = points.shape[:2]
+    # Candidates of all frames at once, then frame by frame the nearest one.
     clouds = gather_clouds(
         rearrange(points.float(), "b f s point xyz -> (f b s) point xyz"),
         rearrange(valid, "b f s point -> (f b s) point"),
@@ -83,11 +87,15 @@ def orient(
 
 
 @torch.no_grad()
-@all_digits
+@full_precision
 def minimum_volume_rotation(
-    points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box point"], *, grid_level: int, refinements: int
+    points: Float[Tensor, "box point 3"],
+    valid: Bool[Tensor, "box point"],
+    *,
+    grid_level: int = GRID_LEVEL,
+    refinements: int = REFINEMENTS,
 ) -> Float[Tensor, "box 3 3"]:
-    """World from box, for the tightest box around each cloud; which of its 24 names it has is left open."""
+    """World from box, for the tightest box around each cloud, in any of its 24 equivalent orientations."""
     clouds = gather_clouds(points.float(), valid)
     candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
     best = _volumes(clouds, candidates).argmin(dim=-1)
@@ -95,7 +103,7 @@ def minimum_volume_rotation(
 
 
 def gather_clouds(points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box point"]) -> Clouds:
-    """Points from the middle of what they span, invalid ones moved to where they have no say."""
+    """Centre points on the middle of their bounding box, and replace invalid ones by a valid one."""
     first = repeat(valid.int().argmax(dim=-1), "box -> box 1 xyz", xyz=3)
     there = torch.where(valid[..., None], points, points.gather(1, first))
     middle = (there.amin(dim=1, keepdim=True) + there.amax(dim=1, keepdim=True)) / 2
@@ -103,18 +111,22 @@ def gather_clouds(points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box
     return Clouds(centred, _THICKNESS * centred.norm(dim=-1).amax(dim=0))
 
 
-def find_candidates(clouds: Clouds, *, grid_level: int, refinements: int) -> Float[Tensor, "box candidate 3 3"]:
-    """Orientations of small boxes around each cloud.
+def find_candidates(
+    clouds: Clouds, *, grid_level: int = GRID_LEVEL, refinements: int = REFINEMENTS
+) -> Float[Tensor, "box candidate 3 3"]:
+    """Find orientations of small boxes around each cloud.
 
-    The paper takes them from an equivolumetric grid, HEALPix directions times turns. Deviations: of each 24 rotations
-    of the grid (of level `grid_level`) that give the same box we look at one, and we refine the best in `refinements`
-    rounds, because even the best of 36,864 rotations has a box larger by 17 % than the tightest. Meanwhile only the
-    outermost points are looked at.
+    The paper takes them from an equivolumetric grid: HEALPix directions times rotations about them. Deviations: one of
+    each 24 rotations of the grid (of level `grid_level`) with the same box is tried, and the best are refined in
+    `refinements` rounds, because the best of 36,864 rotations still has a box 17 % too large. Only the outermost points
+    are used.
     """
     corners = _outermost(clouds)
+    # Smallest boxes of the grid.
     grid = box_grid(grid_level).to(corners.points)
     smallest = _shared_volumes(corners, grid).topk(min(_STARTS, len(grid)), dim=-1, largest=False)
     rotation = grid[smallest.indices]
+    # Local refinement with shrinking rotations.
     for turn in range(refinements):
         rotation = _improve(corners, rotation, _tried_around(_REACH / 2**grid_level * _SHRINK**turn).to(rotation))
     return rotation
@@ -125,20 +137,20 @@ def follow(
     candidates: Float[Tensor, "frame box candidate 3 3"],
     seen: Bool[Tensor, "frame box"],
     *,
-    tolerance: float,
+    tolerance: float = TOLERANCE,
 ) -> Float[Tensor, "frame box 3 3"]:
-    """In each frame, of the nearly smallest boxes that nearest to the frame before (paper, same section).
+    """Choose in each frame, among the nearly smallest boxes, the one nearest to the frame before (paper, same section).
 
-    Those are the boxes whose volume is in [V_min, (1 + beta) V_min] with `tolerance` as beta. Each has 24 orientations;
-    taken is that at the least geodesic distance from the frame before, or from the identity in the first frame. The
-    orientation of the frame before is itself a candidate, as it would be in a fine enough grid, and stays where an
-    object is not `seen`.
+    Volumes of these boxes are in [V_min, (1 + beta) V_min] with `tolerance` as beta. Of their 24 orientations each, the
+    one with the smallest geodesic distance to the frame before (first: to the identity) is chosen. The orientation of
+    the frame before is itself a candidate, as in a fine grid, and is kept in frames in which an object is not `seen`.
     """
     before = repeat(torch.eye(3).to(candidates), "i j -> box i j", box=candidates.shape[1])
     orientations = []
     for frame, found in enumerate(candidates):
         rotation = torch.cat([found, before[:, None]], dim=1)
         volume = _volumes(Clouds(clouds.points[:, frame], clouds.thickness[frame]), rotation)
+        # Candidates: volumes in [V_min, (1 + beta) V_min].
         small = volume <= (1 + tolerance) * volume.amin(dim=-1, keepdim=True)
         before = torch.where(seen[frame, :, None, None], _nearest(rotation, small, before), before)
         orientations.append(before)
@@ -146,19 +158,19 @@ def follow(
 
 
 def _volumes(clouds: Clouds, rotation: Float[Tensor, "box candidate 3 3"]) -> Float[Tensor, "box candidate"]:
-    """Of the boxes along the axes of these rotations."""
+    """Volumes of the boxes along the axes of these rotations."""
     return _aligned_volume(_into(rotation, clouds.points), clouds.thickness[:, None])
 
 
 def _shared_volumes(clouds: Clouds, rotations: Float[Tensor, "rotation 3 3"]) -> Float[Tensor, "*box rotation"]:
-    """The same for rotations that all clouds share: one matrix product."""
+    """Volumes for rotations that all clouds share, by one matrix product."""
     every = rearrange(clouds.points, "point ... xyz -> (point ...) xyz")
     along = every @ rearrange(rotations, "rotation xyz edge -> xyz (rotation edge)")
     return _aligned_volume(along.reshape(*clouds.points.shape[:-1], -1, 3), clouds.thickness[..., None])
 
 
 def _aligned_volume(points: Tensor, thickness: Tensor) -> Tensor:
-    """Of the axis-aligned boxes around points, of which the first axis counts, and a little on each edge."""
+    """Volumes of the axis-aligned boxes around points (the first axis), with some thickness added to each edge."""
     return (points.amax(dim=0) - points.amin(dim=0) + thickness[..., None]).prod(dim=-1)
 
 
@@ -170,7 +182,7 @@ def _into(
 
 
 def _outermost(clouds: Clouds) -> Clouds:
-    """Of each cloud the points farthest in 24 directions and their opposites: one near every corner of its hull."""
+    """Select the extreme points of each cloud in 24 directions and their opposites, which are near hull corners."""
     half = healpix_directions(1).chunk(2)[0].to(clouds.points)
     along = clouds.points @ half.mT
     index = torch.cat([along.max(dim=0).indices, along.min(dim=0).indices], dim=-1)
@@ -179,9 +191,10 @@ def _outermost(clouds: Clouds) -> Clouds:
 
 
 def _tried_around(reach: float) -> Float[Tensor, "tried 3 3"]:
-    """Turns by at most `reach` radians.
+    """Rotations by at most `reach` radians.
 
-    None, so that no box grows; about the box's own axes, the only ones that keep it flush with a side; scattered ones.
+    The identity, so that no box grows; rotations about the box's own axes, which keep it flush with a side; scattered
+    ones.
     """
     own_axes = rotation_from_vector(reach * torch.cat([torch.eye(3), -torch.eye(3)]))
     return torch.cat([torch.eye(3)[None], own_axes, small_rotations(_SCATTERED, reach)])
@@ -190,9 +203,9 @@ def _tried_around(reach: float) -> Float[Tensor, "tried 3 3"]:
 def _improve(
     corners: Clouds, rotation: Float[Tensor, "box start 3 3"], tried: Float[Tensor, "tried 3 3"]
 ) -> Float[Tensor, "box start 3 3"]:
-    """Of the rotations R T with T `tried` those with the smallest boxes.
+    """Choose among the rotations R T, with T of `tried`, those with the smallest boxes.
 
-    Points go into the frames R first: from there on the rotations tried are the same for all.
+    In the frames R, the rotations T are the same for all clouds.
     """
     starts = rotation.shape[1]
     turned = Clouds(_into(rotation, corners.points), repeat(corners.thickness, "box -> box start", start=starts))
@@ -204,11 +217,12 @@ def _nearest(
     small: Bool[Tensor, "box candidate"],
     before: Float[Tensor, "box 3 3"],
 ) -> Float[Tensor, "box 3 3"]:
-    """Of the 24 orientations of each `small` box the one with the greatest trace of before^-1 R.
+    """Choose among the 24 orientations of each `small` box the one with the largest trace of before^-1 R.
 
-    The paper's geodesic distance falls as the trace grows, so that its arccos is not needed.
+    The paper's geodesic distance falls as the trace grows, so its arccos is not needed.
     """
     named = box_rotations().to(rotation)
+    # tr(before^-1 R E) for each of the 24 rotations E.
     relative = before[:, None].mT @ rotation
     traces = torch.einsum("bcij,eji->bce", relative, named).masked_fill(~small[..., None], -torch.inf)
     best = traces.flatten(start_dim=1).argmax(dim=-1)

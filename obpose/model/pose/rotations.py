@@ -1,7 +1,7 @@
-"""Rotations: an even grid over all of them, the 24 that turn a box into itself, and distances between them.
+"""Rotations: an even grid, the 24 symmetries of a box, and distances.
 
-The grid is what the paper's orientation search starts from (section Object Location and Orientation Conditioned
-Encoding): HEALPix directions times turns about them (Yershova et al. 2010).
+The grid is the start of the paper's orientation search (section Object Location and Orientation Conditioned
+Encoding): HEALPix directions times rotations about them (Yershova et al. 2010).
 """
 
 import math
@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 _PLASTIC = 1.22074408460575947536
-"""Root of x^4 = x + 1: its powers give the evenest known sequence of points in a cube (Roberts 2018)."""
+"""Root of x^4 = x + 1, whose powers give an evenly distributed sequence of points in a cube (Roberts 2018)."""
 
 
 def healpix_directions(level: int) -> Float[Tensor, "direction 3"]:
@@ -24,10 +24,10 @@ def healpix_directions(level: int) -> Float[Tensor, "direction 3"]:
 
 @lru_cache(maxsize=8)
 def rotation_grid(level: int) -> Float[Tensor, "rotation 3 3"]:
-    """72 * 8^level rotations, each standing for the same volume of SO(3) (Yershova et al. 2010).
+    """Grid of 72 * 8^level rotations, each representing the same volume of SO(3) (Yershova et al. 2010).
 
-    Every HEALPix direction is where the z axis goes, with 6 * 2^level turns about it. The neighbours of a rotation are
-    60, 30, 15 degrees away at levels 0, 1, 2.
+    The z axis is rotated to every HEALPix direction, with 6 * 2^level rotations about it. The neighbours of a rotation
+    are 60, 30, 15 degrees away at levels 0, 1, 2.
     """
     z = healpix_directions(level).double()
     azimuth, polar = torch.atan2(z[:, 1], z[:, 0]), torch.acos(z[:, 2].clamp(-1, 1))
@@ -38,7 +38,7 @@ def rotation_grid(level: int) -> Float[Tensor, "rotation 3 3"]:
 
 @lru_cache(maxsize=1)
 def box_rotations() -> Float[Tensor, "24 3 3"]:
-    """The rotations that turn a cube into itself, the identity first."""
+    """Rotations that map a cube to itself, the identity first."""
     axes = torch.eye(3)
     signed = [
         axes[list(order)] * torch.tensor(signs)[:, None]
@@ -50,36 +50,36 @@ def box_rotations() -> Float[Tensor, "24 3 3"]:
 
 @lru_cache(maxsize=8)
 def box_grid(level: int) -> Float[Tensor, "rotation 3 3"]:
-    """Those of the grid that are as near to the identity as any of their 24 equivalents: a fundamental domain."""
+    """Rotations of the grid that are at least as near to the identity as their 24 equivalents: a fundamental domain."""
     grid = rotation_grid(level)
     traces = torch.einsum("gij,eij->ge", grid, box_rotations())
     return grid[traces[:, 0] >= traces.amax(dim=1) - 1e-6]
 
 
 def equivalents(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 24 3 3"]:
-    """The orientations of the same box with its axes named anew; the rotation itself comes first."""
+    """Orientations of the same box with its axes permuted; the rotation itself comes first."""
     return rotation[..., None, :, :] @ box_rotations().to(rotation)
 
 
 def geodesic_distance(a: Float[Tensor, "*shape 3 3"], b: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape"]:
     """Angle between two rotations, radians (paper, d_SO(3)).
 
-    The paper's arccos((tr(a b^-1) - 1) / 2) loses all digits near 0 and leaves its domain by rounding; this is the same
-    angle from the chord |a - b| = 2 sqrt(2) sin(angle / 2).
+    The paper's arccos((tr(a b^-1) - 1) / 2) loses all digits near 0 and can leave its domain by rounding. This is the
+    same angle from the chord |a - b| = 2 sqrt(2) sin(angle / 2).
     """
     chord = torch.linalg.matrix_norm(a - b)
     return 2 * torch.asin((chord / math.sqrt(8)).clamp(max=1))
 
 
 def rotation_from_vector(vector: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3 3"]:
-    """The rotation about a vector by its length in radians (Rodrigues), by way of the quaternion."""
+    """Rotation about a vector by its length in radians (Rodrigues), via the quaternion."""
     half = vector.norm(dim=-1, keepdim=True) / 2
     # sinc(x) = sin(pi x) / (pi x), which is 1 at 0.
     return rotation_from_quaternion(torch.cat([half.cos(), vector / 2 * torch.sinc(half / math.pi)], dim=-1))
 
 
 def rotation_from_quaternion(wxyz: Float[Tensor, "*shape 4"]) -> Float[Tensor, "*shape 3 3"]:
-    """The rotation of a quaternion of any length but 0."""
+    """Rotation of a quaternion of any length but 0."""
     w, x, y, z = (wxyz / wxyz.norm(dim=-1, keepdim=True)).unbind(dim=-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -90,13 +90,13 @@ def rotation_from_quaternion(wxyz: Float[Tensor, "*shape 4"]) -> Float[Tensor, "
 
 
 def random_rotations(count: int, generator: torch.Generator | None = None) -> Float[Tensor, "count 3 3"]:
-    """Rotations drawn evenly from all of them."""
+    """Rotations drawn uniformly from SO(3)."""
     return rotation_from_quaternion(torch.randn((count, 4), generator=generator))
 
 
 @lru_cache(maxsize=64)
 def small_rotations(count: int, angle: float) -> Float[Tensor, "count 3 3"]:
-    """Rotations by at most `angle` radians, spread evenly and always the same."""
+    """Fixed, evenly spread rotations by at most `angle` radians."""
     steps = torch.arange(1, count + 1, dtype=torch.float64)[:, None]
     radius, height, turn = (0.5 + steps / _PLASTIC ** torch.arange(1, 4)).frac().unbind(dim=1)
     z, azimuth = 2 * height - 1, 2 * math.pi * turn
@@ -106,7 +106,7 @@ def small_rotations(count: int, angle: float) -> Float[Tensor, "count 3 3"]:
 
 
 def _ring(ring: int, side: int) -> Float[Tensor, "direction 3"]:
-    """One ring of pixel centres: rings grow from a pole to 4 * side pixels, and shrink again towards the other."""
+    """Pixel centres of one ring; rings grow from a pole to 4 * side pixels and shrink towards the other pole."""
     from_pole = min(ring, 4 * side - ring)
     if from_pole < side:
         count, shift, z = 4 * from_pole, 0.5, math.copysign(1 - from_pole**2 / (3 * side**2), 2 * side - ring)

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import all_rays
+from obpose.model.nerf.along import JITTER
 from obpose.model.obpose import ObPose
 from obpose.scenes.refine import fields_of
 from obpose.scenes.rendering import Renderer
@@ -44,7 +45,7 @@ def shown_background(model: ObPose, observation: Observation, scene: Scene, *, m
     """
     rays = all_rays(observation)
     surface = rays.origin + rays.direction * rays.depth[..., None]
-    behind = model.config.loss.jitter / 2 * rays.direction
+    behind = JITTER / 2 * rays.direction
     decoded = fields_of(model, scene)(surface + behind, rays.direction, "with")
     assert decoded.colours is not None
     near = ((surface - model.center).abs() <= model.config.model.workspace_size).all(dim=-1)

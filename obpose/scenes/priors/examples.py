@@ -13,6 +13,7 @@ from torch import Tensor
 from datagen.console.text import counted
 from datagen.pipeline.parallel import make_all
 from obpose.errors import CorruptFile
+from obpose.model.layers.latent import LATENT
 from obpose.model.nerf.detail import EDGE
 from obpose.model.obpose import ObPose
 from obpose.scenes.clip import read_clip
@@ -64,7 +65,7 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
         write_whole(paths[index], contents)
         if number % 10 == 0:
             say(f"{number} of {counted(len(missing), 'clip')}")
-    latent = origin.model.config.model.latent.what
+    latent = LATENT
     return [_read(path, latent) for path in paths]
 
 

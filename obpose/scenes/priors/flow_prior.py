@@ -10,6 +10,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from obpose.errors import CorruptFile, UsageError
+from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.gaussian import Mixture, ScenePrior, learned_prior, load_prior
@@ -64,7 +65,7 @@ def load_flow(origin: Origin) -> FlowPrior:
         raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit learn, or give another --prior.")
     rest = load_prior(origin)
     with torch.random.fork_rng(devices=[]):
-        flow = Flow(origin.model.config.model.latent.what)
+        flow = Flow(LATENT)
     expected = {name: Form(torch.float16, form.shape) for name, form in forms_of(flow.state_dict()).items()}
 
     def check(found: Forms) -> None:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from datagen.console.text import counted
 from obpose.errors import CorruptFile, UsageError
+from obpose.model.layers.latent import LATENT
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.table_texture import SPOT
 from obpose.scenes.model_ref import Origin
@@ -176,9 +177,9 @@ def load_prior(origin: Origin) -> ScenePrior:
 
 def _check_file(model: ObPose, found: Forms) -> None:
     """Check names, types and shapes: two mixtures, a part of the table, and optionally tables."""
-    latent = model.config.model.latent
     expected = {"low": Form(torch.float32, (2,)), "high": Form(torch.float32, (2,))}
-    for name, size in zip(_MIXTURES, (latent.what, latent.background), strict=True):
+    size = LATENT
+    for name in _MIXTURES:
         parts = _length(found, f"{name}.weights")
         shapes = (parts,), (parts, size), (parts, size, size)
         expected |= {f"{name}.{part}": Form(torch.float32, shape) for part, shape in zip(_PARTS, shapes, strict=True)}

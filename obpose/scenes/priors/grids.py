@@ -16,7 +16,7 @@ from torch import Tensor
 from obpose.geometry import to_box
 from obpose.model.nerf.detail import EDGE
 from obpose.model.nerf.field import Conditioning
-from obpose.model.nerf.voxels import occupancy
+from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.extent import LEAST_VOXELS, above_table, shape_extent
 from obpose.scenes.rendering import object_codes
@@ -88,7 +88,7 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
     if len(extent) < LEAST_VOXELS:
         return None
     points, density, _ = around(extent, MARGIN)
-    dense = points[occupancy(density) > model.config.model.voxel_threshold]
+    dense = points[occupancy(density) > THRESHOLD]
     if len(dense) < LEAST_VOXELS:
         return None
     points, density, colour = around(dense, margin=float(points[1, 2] - points[0, 2]))

@@ -12,7 +12,7 @@ from torch import Tensor
 from datagen.console.text import counted
 from obpose.errors import UsageError
 from obpose.model.nerf.detail import no_detail
-from obpose.model.nerf.voxels import occupancy
+from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.light import Light
 from obpose.scenes.appearance.table_texture import Pattern
@@ -171,7 +171,7 @@ def _draw_codes(
 
 def _draw_grids(model: ObPose, prior: FlowPrior, objects: int, generator: torch.Generator) -> Grids:
     """Draw grids of objects that have enough voxels; after too many attempts, any grids."""
-    threshold = model.config.model.voxel_threshold
+    threshold = THRESHOLD
     grids = _drawn_again(
         lambda count: sample_grids(prior.flow, count, generator).apart(),
         lambda grid: int((occupancy(grid.values[..., 0]) > threshold).sum()),

@@ -16,6 +16,7 @@ from datagen.console.text import counted
 from datagen.storage.safe_io import brief_reason, read_json
 from obpose.data.datasets import SceneDataset
 from obpose.errors import CorruptFile, Diverged, UsageError
+from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.examples import Examples, Say, find_examples, joined
 from obpose.scenes.priors.flow import Flow, describe, flow_loss, mirrored, sample_grids
@@ -107,7 +108,7 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
 def _fresh(origin: Origin, lesson: Lesson) -> Flow:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(lesson.seed)
-        return Flow(origin.model.config.model.latent.what)
+        return Flow(LATENT)
 
 
 def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say: Say) -> Flow:

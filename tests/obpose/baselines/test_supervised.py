@@ -4,11 +4,10 @@ from dataclasses import fields
 import pytest
 import torch
 
-from obpose.baselines.supervised import Supervised, matched_cross_entropy
+from obpose.baselines.supervised import Supervised, build_supervised, matched_cross_entropy
 from obpose.config import SupervisedConfig, override
-from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, stack, views_apart
+from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views, stack
 from obpose.errors import UsageError
-from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
 from obpose.trainable import Trainable
 from obpose.types import LabelledObservation, Observation
@@ -19,7 +18,7 @@ from tests.worlds.sphere_clips import clip_and_truth
 
 def _model() -> Supervised:
     torch.manual_seed(0)
-    return Supervised(override(SupervisedConfig(), {"model.spacing": 0.024}))
+    return build_supervised(override(SupervisedConfig(), {"model.spacing": 0.024}))
 
 
 def _labelled(labels: torch.Tensor | None = None, *, frames: int = 2, holes: float = 0.0) -> LabelledObservation:
@@ -101,8 +100,8 @@ def test_the_total_is_ten_times_the_cross_entropy_and_a_quarter_of_the_scope():
 
 def test_pixels_without_depth_do_not_count():
     model, scene = _model().eval(), _labelled(frames=1, holes=0.3)
-    embeddings, log_prescope = model.embed(scene, unproject(scene))
-    log_masks = model.log_masks_at_pixels(model.attend(embeddings, log_prescope, None), embeddings.valid, scene)
+    _, masks = model.masks(scene, None)
+    log_masks = masks.log_masks
     seen = scene.valid.flatten()
     expected = matched_cross_entropy(log_masks[..., seen], scene.segmentation.view(1, 1, -1)[..., seen])
     torch.testing.assert_close(model.losses(scene, step=0)["cross_entropy"], expected.detach())
@@ -116,18 +115,18 @@ def test_labels_have_no_influence_on_a_segmentation():
 def test_nobody_else_sees_labels():
     others = {kind for kind in _kinds(Trainable) if kind.__module__.startswith("obpose.")} - {Supervised}
     assert ObPose in others
-    assert all(kind.sees is Observation for kind in others)
+    assert all(kind.observation_type is Observation for kind in others)
     assert "segmentation" not in {field.name for field in fields(Observation)}
     window = ToyClips(labels=True).window(0, 0, 2)
     assert "segmentation" not in stack([window])
-    assert "segmentation" in stack([window], Supervised.sees)
+    assert "segmentation" in stack([window], Supervised.observation_type)
 
 
 def test_without_labels_there_is_nothing_to_learn_from():
     with pytest.raises(TypeError, match="expected a LabelledObservation"):
         _model().losses(table_scene(), step=0)
     with pytest.raises(UsageError, match="no segmentation, which this model learns from"):
-        stack([ToyClips().window(0, 0, 2)], Supervised.sees)
+        stack([ToyClips().window(0, 0, 2)], Supervised.observation_type)
 
 
 def test_labels_of_arrays_come_only_from_the_source_that_is_named_for_them():
@@ -143,7 +142,7 @@ def test_labels_of_arrays_come_only_from_the_source_that_is_named_for_them():
 def test_views_apart_keep_their_labels():
     clip, truth = clip_and_truth(views=2)
     source = LabelledArrayClips([type(clip)(**{**vars(clip), "truth": truth})])
-    apart = views_apart(observation_of([source.window(0, 0, 2)], LabelledObservation))
+    apart = separate_views(observation_of([source.window(0, 0, 2)], LabelledObservation))
     assert torch.equal(apart.segmentation[1, :, 0], torch.from_numpy(truth[:2, 1]).long())
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from obpose.data.clips import ArrayClips, ClipSource, observation_of, one_view, views_apart
+from obpose.data.clips import ArrayClips, ClipSource, observation_of, random_view, separate_views
 from obpose.data.datasets import SceneDataset
 from obpose.errors import UsageError
 from tests.obpose.toy import ToyClips
@@ -54,7 +54,7 @@ def test_labels_stay_behind():
 def test_views_apart_are_scenes_in_the_order_of_clips_and_views():
     source = ArrayClips([clip_and_truth(seed, views=3)[0] for seed in (0, 1)])
     together = observation_of([source.window(index, 0, 2) for index in (0, 1)])
-    apart = views_apart(together)
+    apart = separate_views(together)
     assert apart.depth.shape == (6, 2, 1, 48, 64)
     for clip in (0, 1):
         for view in (0, 1, 2):
@@ -68,7 +68,7 @@ def test_one_view_of_each_clip_is_drawn_with_its_camera():
     together = observation_of([source.window(index, 0, 2) for index in (0, 1)])
     drawn = set()
     for seed in range(12):
-        one = one_view(together, torch.Generator().manual_seed(seed))
+        one = random_view(together, torch.Generator().manual_seed(seed))
         assert one.depth.shape == (2, 2, 1, 48, 64)
         for clip in (0, 1):
             (view,) = (

@@ -99,14 +99,14 @@ def test_light_and_pattern_are_looked_for_in_some_frames_of_a_long_clip(monkeypa
 
 
 def test_what_was_inferred_can_be_fitted_afterwards_to_the_views_that_the_model_gets():
-    origin = Origin(some_model(**{"train.views": "one"}), Path("folder"), "name", "hash")
+    origin = Origin(some_model(**{"train.views": "random"}), Path("folder"), "name", "hash")
     clip = table_scene(batch=1, frames=1, views=3, height=20, width=20)
     later = fit_to_frames(infer_scene(origin, clip), origin.model, clip, refinements=2)
     assert alike(later, infer_scene(origin, clip, refinements=2))
 
 
 def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cameras():
-    origin = Origin(some_model(**{"train.views": "one"}), Path("folder"), "name", "hash")
+    origin = Origin(some_model(**{"train.views": "random"}), Path("folder"), "name", "hash")
     clip = table_scene(batch=1, frames=1, views=3)
     scene = infer_scene(origin, clip)
     assert len(scene.cameras) == 3
@@ -115,7 +115,7 @@ def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cam
     torch.testing.assert_close(infer_scene(origin, alone).what, scene.what)
 
 
-@pytest.mark.parametrize(("trained", "views"), [("together", 3), ("one", 1)])
+@pytest.mark.parametrize(("trained", "views"), [("all", 3), ("random", 1)])
 def test_models_see_the_views_that_they_were_trained_with(trained: str, views: int):
     clip = table_scene(batch=1, frames=1, views=3)
     seen = views_as_trained(some_model(**{"train.views": trained}), clip)
@@ -123,7 +123,7 @@ def test_models_see_the_views_that_they_were_trained_with(trained: str, views: i
 
 
 def test_labels_are_of_the_views_that_the_model_got_and_name_the_objects():
-    origin = Origin(some_model(**{"train.views": "one"}), Path("folder"), "name", "hash")
+    origin = Origin(some_model(**{"train.views": "random"}), Path("folder"), "name", "hash")
     inferred = infer_labelled(origin, table_scene(batch=1, frames=2, views=3))
     assert inferred.labels.shape[:2] == (2, 1)
     assert set(inferred.labels.unique().tolist()) <= {0, *inferred.scene.ids}

@@ -79,7 +79,7 @@ def test_a_scene_in_which_nothing_is_found_is_refused(
     claims_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     model = untrained()
-    blind = override(model.config, {"model.attention.idle_points": 10**6})
+    blind = override(model.config, {"model.attention.inactive_points": 10**6})
     save_model(tmp_path / "blind", model.state_dict(), blind, {})
     assert claims(claims_dataset, tmp_path / "out", "--checkpoint", f"full={tmp_path / 'blind'}") == EXIT_USAGE
     assert "No object of this scene is followed" in capsys.readouterr().err

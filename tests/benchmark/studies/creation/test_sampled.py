@@ -10,6 +10,7 @@ from benchmark.models.interface import Prediction
 from benchmark.studies.creation.sampled import ari_fg, labelled, looks, mean_ari_fg, real_scenes, sampled_scenes
 from benchmark.studies.creation.samples_cli import COLUMNS, GAP, main, shipped_to_segment
 from datagen.storage.reader import Dataset
+from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.flow_prior import named_prior, save_flow
@@ -101,7 +102,7 @@ def test_the_command_prints_and_draws(
         assert picture.size == (width, 4 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
-    save_flow(origin, Flow(origin.model.config.model.latent.what))
+    save_flow(origin, Flow(LATENT))
     assert main([*flags, "--found", "0"]) == 0
     assert "| sampled, prior flow |" in capsys.readouterr().out
 

@@ -234,7 +234,7 @@ def test_extents_are_those_of_fields_with_their_details():
 
 def test_objects_are_found_as_scenes_are_inferred():
     # Codes that do not depend on the field, so that it can be chosen by them.
-    of = Origin(some_model(**{"model.attention.evaluation_rounds": 0}), Path("folder"), "name", "hash")
+    of = Origin(some_model(**{"model.attention.posterior_refinements": 0}), Path("folder"), "name", "hash")
     clips = [table_scene(batch=1, frames=2, height=16, width=16, seed=seed) for seed in (0, 1)]
     scenes = [infer_scene(of, clip) for clip in clips]
     middle = float(torch.stack([scene.what[-1, :, 0] for scene in scenes]).median())
