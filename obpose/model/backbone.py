@@ -112,10 +112,10 @@ class Backbone(nn.Module):
             center: Middle of the workspace, metres.
             workspace_radius: Radius of the scene's code, metres.
         """
-        grid = Grid(points, valid)
+        grid = Grid(points.masked_fill(~valid[..., None], 0).contiguous(), valid.contiguous())
         # Input: standardised colour and position in the workspace, 0 where there is no point.
         rgb = standard_colours(rgb).reshape(-1, 3).masked_fill(~valid.reshape(-1, 1), 0)
-        position = (points.reshape(-1, 3) - center) / workspace_radius
+        position = (grid.points.view(-1, 3) - center) / workspace_radius
         features = torch.cat([rgb, position], dim=-1).masked_fill(~valid.reshape(-1, 1), 0)
         # Encoder, code of the scene, decoder.
         levels = self._levels(grid, spacing)
@@ -197,6 +197,7 @@ class SceneCode(nn.Module):
     ) -> Float[Tensor, "image scene"]:
         """Compute codes from features of all levels and colours of the first; `center` and `radius` are in metres."""
         deepest = grids[-1]
+        # KPConv around the middle of the workspace, with a mean over points.
         weights = influence((deepest.points - center) / radius, kernel) * deepest.valid[..., None]
         influences = weights / weights.sum(dim=(1, 2), keepdim=True).clamp(min=1e-3)
         around = self.around(
@@ -205,6 +206,7 @@ class SceneCode(nn.Module):
         )
         if not self.means:
             return self.out(around)
+        # Means of all levels, and the mean colour.
         means = [masked_mean(level, grid.valid) for level, grid in zip(features, grids, strict=True)]
         code = self.out(torch.cat([around, *means], dim=-1))
         return torch.cat([code, masked_mean(rgb, grids[0].valid)], dim=-1)
@@ -238,6 +240,7 @@ class Block(nn.Module):
         self, features: Float[Tensor, "point inputs"], around: Windows, kept: Int[Tensor, " kept"] | None = None
     ) -> Float[Tensor, "kept outputs"]:
         """Map the features of a level to features of the windows' points."""
+        # Branch and skip connection.
         neighbours = around.gather(F.relu(self.before(features)))
         branch = F.relu(self.norm(self.after(self.convolution(neighbours, around.influences))))
         own = features if kept is None else features.index_select(0, kept)

@@ -50,7 +50,7 @@ COMPUTATIONS: dict[str, Callable[[], Tensor]] = {
         draw(1, 1, 500, 3, seed=4),
         torch.ones(1, 1, 500, dtype=torch.bool),
         min_points=1,
-        power=3.0,
+        exponent=3.0,
     ),
 }
 

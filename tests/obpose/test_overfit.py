@@ -13,10 +13,10 @@ import pytest
 import torch
 
 from benchmark.metrics import clip_scores
-from obpose.baselines.supervised import Supervised
+from obpose.baselines.supervised import build_supervised
 from obpose.config import SupervisedConfig, TrainConfig, override
 from obpose.config_bounds import check_bounds
-from obpose.model.obpose import ObPose
+from obpose.model.build import build_obpose
 from obpose.trainable import Trainable
 from obpose.training.budget import learning_rate
 from obpose.types import LabelledObservation
@@ -110,7 +110,7 @@ def test_slot_attention_tells_objects_apart_that_stand_anywhere():
 
 def fresh_model(system: str, changes: dict[str, Any]) -> Trainable:
     if system == "supervised":
-        return Supervised(override(SupervisedConfig(), SCENE | changes))
+        return build_supervised(override(SupervisedConfig(), SCENE | changes))
     config = make_config(system, **SCENE, **changes)
     check_bounds(config)
-    return ObPose(config)
+    return build_obpose(config)

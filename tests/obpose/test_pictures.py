@@ -80,11 +80,11 @@ def test_boxes_have_twelve_edges_of_their_size():
     torch.testing.assert_close(edges.mean(dim=(1, 2)), center[0, 0])
 
 
-@pytest.mark.parametrize("views", ["together", "apart"])
+@pytest.mark.parametrize("views", ["all", "separate"])
 def test_a_picture_is_written_and_the_model_trains_on(tmp_path: Path, views):
     model = Painted(toy_config()).train()
     write_picture(tmp_path / "new" / "a.png", model, clips(views=2), views)
     picture = Image.open(io.BytesIO((tmp_path / "new" / "a.png").read_bytes()))
-    rows = 4 if views == "together" else 8
+    rows = 4 if views == "all" else 8
     assert picture.size == (len(COLUMNS) * SIZE * FACTOR, HEADER + rows * SIZE * FACTOR)
     assert model.training

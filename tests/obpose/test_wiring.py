@@ -7,10 +7,10 @@ import torch
 from einops import repeat
 
 from obpose.geometry import all_rays, from_box, unproject
-from obpose.model import encoder as encoding
 from obpose.model import obpose as modelling
 from obpose.model.backbone import plain_colours
-from obpose.model.losses.observation import log_likelihood
+from obpose.model.build import build_obpose
+from obpose.model.losses.observation import colour_log_likelihood
 from obpose.model.obpose import ObPose
 from obpose.model.pose.rotations import rotation_from_vector
 from obpose.types import Observation
@@ -30,7 +30,7 @@ def scene() -> Observation:
 def model() -> ObPose:
     """Untrained, but that its pre-scope expects objects everywhere."""
     torch.manual_seed(0)
-    model = ObPose(make_config("obpose", **{"model.spacing": 0.024, "model.background_size": 3.0}))
+    model = build_obpose(make_config("obpose", **{"model.spacing": 0.024, "model.background_size": 3.0}))
     assert model.heads.prescope is not None
     with torch.no_grad():
         model.heads.prescope[-1].bias.copy_(torch.tensor([0.0, 5.0]))
@@ -58,7 +58,7 @@ def turned(monkeypatch: pytest.MonkeyPatch) -> torch.Tensor:
     """How every box is found to be turned."""
     rotation = rotation_from_vector(torch.tensor([0.3, -0.2, 0.6]))
     monkeypatch.setattr(
-        encoding, "observed_rotation", lambda points, *_, slots, **__: rotation.expand(*points.shape[:2], slots, 3, 3)
+        modelling, "observed_rotation", lambda points, *_, slots, **__: rotation.expand(*points.shape[:2], slots, 3, 3)
     )
     return rotation
 
@@ -86,7 +86,7 @@ def test_neighbourhoods_of_the_object_encoder_are_as_wide_as_is_configured(scene
     codes = []
     for radius in (0.5, 0.05):
         torch.manual_seed(0)
-        model = ObPose(make_config("obpose", **{"model.spacing": 0.024, "model.latent.radius": radius})).eval()
+        model = build_obpose(make_config("obpose", **{"model.spacing": 0.024, "model.latent.radius": radius})).eval()
         model.what_encoder.register_forward_hook(lambda *call: codes.append(call[2]))  # pyright: ignore
         model.infer(scene)
     assert not torch.allclose(codes[0], codes[1], atol=1e-3)
@@ -95,11 +95,11 @@ def test_neighbourhoods_of_the_object_encoder_are_as_wide_as_is_configured(scene
 def test_orientations_are_of_the_pixels_of_their_own_slots(
     model: ObPose, scene: Observation, monkeypatch: pytest.MonkeyPatch
 ):
-    calls = Calls(monkeypatch, encoding, "observed_rotation")
+    calls = Calls(monkeypatch, modelling, "observed_rotation")
     inference = model.eval().infer(scene)
     points, owners = calls.arguments[0]
     assert torch.equal(points, unproject(scene))
-    assert torch.equal(owners, model.pixel_owners(inference.masks, inference.embeddings.valid, scene))
+    assert torch.equal(owners, model.pixel_owners(inference.masks, inference.embeddings, scene))
 
 
 def test_rays_are_drawn_where_the_prescope_expects_objects(
@@ -118,10 +118,9 @@ def test_shapes_are_looked_for_in_the_boxes_as_they_are_turned_above_the_floor_i
     calls = Calls(monkeypatch, modelling, "estimate_shape")
     for seed in range(8):
         model.losses(scene, step=STEP, generator=torch.Generator().manual_seed(seed))
-    for (_, boxes, _, what, _), options in zip(calls.arguments, calls.options, strict=True):
+    for (_, boxes, _, what, _), _ in zip(calls.arguments, calls.options, strict=True):
         assert torch.equal(boxes.rotation, turned.expand_as(boxes.rotation))
         assert what.shape[1] == scene.depth.shape[1]
-        assert options["floor"] == model.config.model.floor
     assert len({int(options["frame"]) for options in calls.options}) > 1
 
 
@@ -139,7 +138,7 @@ def test_posteriors_compare_the_colours_that_the_camera_sees(
         seen = model.decode(first, points, rays.direction, "with", "in boxes")
     assert seen.colours is not None
     colours = plain_colours(first.embeddings.rgb)
-    expected = log_likelihood(seen.colours, colours, std=model.config.loss.colour_std, likelihood="joint")[..., 0]
+    expected = colour_log_likelihood(seen.colours, colours).sum(dim=-1)
     torch.testing.assert_close(logits, seen.logits, atol=1e-3, rtol=1e-3)
     torch.testing.assert_close(likelihood, expected, atol=1e-2, rtol=1e-2)
 
@@ -148,7 +147,7 @@ def test_the_background_lives_in_the_cube_that_holds_the_cameras_too(model: ObPo
     inference = model.eval().infer(scene)
     at = 0.3 * torch.randn(1, 3, 50, 3, generator=torch.Generator().manual_seed(0))
     along = torch.ones_like(at)
-    half = ObPose(make_config("obpose", **{"model.background_size": 1.5})).eval()
+    half = build_obpose(make_config("obpose", **{"model.background_size": 1.5})).eval()
     half.load_state_dict(model.state_dict())
     with torch.no_grad():
         one = model.decode(inference, at, along).logits[:, :, 0]

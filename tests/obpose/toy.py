@@ -93,7 +93,7 @@ def _inference(observation: Observation) -> Inference:
     background = {name: value[:, :, 0] for name, value in latents.items()}
     center = torch.tensor([0.0, 0.0, 1.0]).expand(batch, frames, SLOTS, 3)
     return Inference(
-        embeddings=Embeddings(points, valid, points, points, points, points[:, :, 0]),
+        embeddings=Embeddings(points, valid, points, points, points, points, points[:, :, 0], None),
         masks=Masks(
             torch.zeros(batch, frames, 1 + SLOTS, 1),
             torch.zeros(batch, frames, 1),

@@ -55,7 +55,7 @@ def cost_of(name: str) -> Cost:
     times = []
     for step in range(STEPS + 1):
         start = time.process_time()
-        learner.learn(batch, step=config.train.warmup + step, fraction=0.5, learning_rate=1e-4)
+        learner.step(batch, step=config.train.warmup + step, fraction=0.5, learning_rate=1e-4)
         times.append(time.process_time() - start)
     return Cost(
         parameters=sum(parameter.numel() for parameter in learner.model.parameters()),

@@ -10,7 +10,7 @@ from statistics import median
 import pytest
 import torch
 
-from obpose.model.obpose import ObPose
+from obpose.model.build import build_obpose
 from obpose.training.devices import keep_memory
 from tests.perf.training_step import Step, clips, config_for_clips, measure_steps, sgemm_rate
 from tests.worlds.observations import table_scene
@@ -75,7 +75,7 @@ def test_inference():
     """Labels of all pixels of a clip of 10 frames, all slots in use, which those of a fresh model are not else."""
     torch.manual_seed(0)
     in_use = {"model.attention.inactive_points": 0}
-    model = ObPose(config_for_clips("obpose", "cpu", **{"model.spacing": 0.006}, **in_use)).eval()
+    model = build_obpose(config_for_clips("obpose", "cpu", **{"model.spacing": 0.006}, **in_use)).eval()
     clip = table_scene(frames=10, height=128, width=128, spheres=4)
     times = []
     for _ in range(6):

@@ -11,8 +11,8 @@ import trimesh
 from pytest_benchmark.fixture import BenchmarkFixture
 from torch import Tensor
 
-from obpose.config import PoseConfig
 from obpose.model.pose.minimum_volume import minimum_volume_rotation, orient
+from obpose.model.pose.orientation import MIN_PIXELS
 from obpose.model.pose.rotations import equivalents, geodesic_distance
 from tests.obpose.clouds import random_boxes, random_shapes
 
@@ -23,9 +23,6 @@ MOST_MILLISECONDS = 1.0
 LEAST_SPEEDUP = 4.0
 STEP = "orientation in a training step: 4 clips of 5 frames of 4 objects of 160 points"
 MOST_MILLISECONDS_A_STEP = 30.0
-
-POSE = PoseConfig()
-SEARCH = {"grid_level": POSE.grid_level, "refinements": POSE.refinements}
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +53,7 @@ def test_trimesh(benchmark: BenchmarkFixture, shapes: Tensor):
 def test_training_step(benchmark: Any):
     clips = random_shapes(OBJECTS, 160).unflatten(0, (4, 5, 4))
     valid = torch.ones(clips.shape[:-1], dtype=torch.bool)
-    benchmark(lambda: orient(clips, valid, **SEARCH, tolerance=POSE.tolerance, min_points=POSE.min_pixels))
+    benchmark(lambda: orient(clips, valid, min_points=MIN_PIXELS))
     assert 1000 * benchmark.stats.stats.median <= MOST_MILLISECONDS_A_STEP
 
 
@@ -84,7 +81,7 @@ def test_error_by_number_of_points(points: int):
 
 
 def tightest(clouds: Tensor) -> Tensor:
-    return minimum_volume_rotation(clouds, torch.ones(clouds.shape[:2], dtype=torch.bool), **SEARCH)
+    return minimum_volume_rotation(clouds, torch.ones(clouds.shape[:2], dtype=torch.bool))
 
 
 def oriented_bounds(clouds: Tensor) -> list[Any]:

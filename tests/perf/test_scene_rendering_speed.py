@@ -12,6 +12,7 @@ from typing import TypeVar
 import torch
 
 from benchmark.metrics.images import psnr
+from obpose.model.nerf.along import JITTER
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import fit_to_frames, infer_scene
 from obpose.scenes.model_ref import load_origin
@@ -37,7 +38,7 @@ def test_a_picture_is_that_of_dense_sampling_and_takes_a_tenth_of_the_time(tiny_
     first, again, smooth = (median(cpu_seconds(fresh, scene, antialiased=each)) for each in (False, False, True))
     # What it is timed against evaluates fields once a sample, where equal pictures need colours from behind as well.
     _, seconds = timed(lambda: densely(fresh[0], scene, camera))
-    equal, longer = timed(lambda: densely(fresh[0], scene, camera, behind=origin.model.config.loss.jitter))
+    equal, longer = timed(lambda: densely(fresh[0], scene, camera, behind=JITTER))
     image = fresh[0].render(scene, antialiased=False)
     equality = psnr(equal.colour[0, 0].view_as(image.rgb).numpy(), image.rgb.numpy())
     print(

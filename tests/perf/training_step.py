@@ -163,7 +163,7 @@ def _learner(config: Config, clips: Observation) -> Callable[[], None]:
     numbers = count(config.train.warmup)
 
     def learn() -> None:
-        learner.learn(batch, step=next(numbers), fraction=0.5, learning_rate=1e-4)
+        learner.step(batch, step=next(numbers), fraction=0.5, learning_rate=1e-4)
 
     return learn
 

@@ -34,6 +34,8 @@ class DecoderConfig:
     unit_scales: bool = False
     """Whether the slots' scales are initialised to 1. [ours; published they are small at first, and fresh logits of
     different points differ by about a thousandth]"""
+    pixel_features: bool = True
+    """Whether colours depend on the image's features at a point's pixel. [code]"""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,9 @@ class ObsurfModelConfig:
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training
     (`obpose.data.scene_stats.measure_scene`)."""
+    units_per_metre: float = 10.0
+    """Length of a metre in units of CLEVR. Edges of CLEVR's objects are 0.7 to 1.4 units, ours 5 to 28 cm. [ours; in
+    `clevr3d` a unit of CLEVR is 0.1 m]"""
 
     @property
     def segments(self) -> int:
@@ -63,6 +68,13 @@ class ObsurfLossConfig:
 
     overlap: float = 0.05
     """Weight of the overlap loss; 0 omits the term. [code]"""
+    overlap_start: float = 0.2
+    """Share of the budget after which this weight grows from 0. [code: 20,000 steps, of the 100,000 that ObPose's
+    authors make with it]"""
+    overlap_full: float = 0.4
+    """Share of the budget at which it reaches its value. [code: 40,000 steps]"""
+    colour_std: float = 0.2
+    """Standard deviation of a colour. [code]"""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from obpose.config_bounds import (
     counts,
     expect,
     not_negative,
+    positive,
 )
 
 MOST_WIDTH, MULTIPLE = 512, 4
@@ -30,7 +31,8 @@ _RULES: tuple[Rule, ...] = (
     ),
     # 2^k turns in single precision.
     ("model.last_octave", lambda value: -5 <= value <= 24, "-5 to 24"),
-    not_negative("loss.overlap"),
+    positive("model.units_per_metre loss.colour_std"),
+    not_negative("loss.overlap loss.overlap_start"),
 )
 
 
@@ -41,6 +43,8 @@ def check_obsurf_bounds(config: ObsurfConfig) -> None:
         UsageError: a value is out of bounds; the message names the first one and what is expected.
     """
     check_values(config, _RULES)
+    start, full = config.loss.overlap_start, config.loss.overlap_full
+    expect(full > start, "loss.overlap_full", full, f"more than loss.overlap_start, which is {start}")
     warmup, views = config.train.warmup, config.train.views
     expect(warmup == 0, "train.warmup", warmup, "0, as ObSuRF has no background to warm up")
     expect(views != "all", "train.views", views, "random or separate, as ObSuRF encodes single images")

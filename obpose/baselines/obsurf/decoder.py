@@ -21,6 +21,7 @@ class SlotField(nn.Module):
     def __init__(self, config: DecoderConfig, *, code: int, slot: int, pixel: int):
         """Initialise the weights, for codes of points, slots and image features with these numbers of channels."""
         super().__init__()
+        self.config = config
         inputs = [code] + [config.width] * (DEPTH - 1)
         self.shifts = nn.ModuleList(nn.Linear(slot, size) for size in inputs)
         scales = [nn.Linear(slot, size) for size in inputs]
@@ -31,7 +32,7 @@ class SlotField(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(size, config.width) for size in inputs)
         self.density_logit = nn.Linear(config.width, 1)
         self.colour_hidden = nn.Linear(config.width, config.width)
-        self.colour_seen = nn.Linear(3 + pixel, config.width, bias=False)
+        self.colour_seen = nn.Linear(3 + (pixel if config.pixel_features else 0), config.width, bias=False)
         self.colour_out = nn.Linear(config.width, 3)
 
     def density(
@@ -50,6 +51,6 @@ class SlotField(nn.Module):
         pixels: Float[Tensor, "image point pixel"],
     ) -> Float[Tensor, "image slot point 3"]:
         """Compute colours in 0..1 along unit directions, with the image's features at the points' pixels."""
-        seen = self.colour_seen(torch.cat([directions, pixels], dim=-1))
-        values = F.relu(self.colour_hidden(hidden) + seen[:, None])
+        seen = torch.cat([directions, pixels], dim=-1) if self.config.pixel_features else directions
+        values = F.relu(self.colour_hidden(hidden) + self.colour_seen(seen)[:, None])
         return torch.sigmoid(self.colour_out(values))

@@ -16,11 +16,6 @@ from obpose.model.losses.observation import mean_over
 
 SIGMA_MAX = 10.0
 """Largest density of a slot, per unit. [code]"""
-COLOUR_STD = 0.2
-"""Standard deviation of a colour. [code]"""
-OVERLAP_START, OVERLAP_FULL = 0.2, 0.4
-"""Shares of the budget between which the weight of the overlap grows from 0. [code: 20,000 and 40,000 steps, of the
-100,000 that ObPose's authors make with it]"""
 
 Logits = Float[Tensor, "batch frame slot ray"]
 Weight = Float[Tensor, "batch frame ray"]
@@ -45,9 +40,11 @@ def colour(
     composed: Float[Tensor, "batch frame ray 3"],
     target: Float[Tensor, "batch frame ray 3"],
     weight: Weight,
+    *,
+    std: float,
 ) -> Float[Tensor, ""]:
     """Colour term -log N(x | sum_k w_k c_k, std^2), summed over channels: a Gaussian instead of ObPose's mixture."""
-    squares = 0.5 * ((target - composed) / COLOUR_STD).square() + math.log(COLOUR_STD * math.sqrt(2 * math.pi))
+    squares = 0.5 * ((target - composed) / std).square() + math.log(std * math.sqrt(2 * math.pi))
     return mean_over(squares.sum(dim=-1), weight)
 
 
@@ -69,5 +66,5 @@ def overlap(logits: Logits, weight: Weight) -> Float[Tensor, ""]:
 
 def overlap_weight(config: ObsurfLossConfig, fraction: float) -> float:
     """Weight of the overlap at a fraction of the budget: 0, then growing to its final value."""
-    grown = (fraction - OVERLAP_START) / (OVERLAP_FULL - OVERLAP_START)
+    grown = (fraction - config.overlap_start) / (config.overlap_full - config.overlap_start)
     return config.overlap * min(max(grown, 0.0), 1.0)

@@ -26,9 +26,6 @@ from obpose.model.nerf.points import air_points, surface_points
 from obpose.trainable import Trainable
 from obpose.types import Observation, Rays, Segmentation
 
-UNITS_PER_METRE = 10.0
-"""Length of a metre in units of CLEVR. Edges of CLEVR's objects are 0.7 to 1.4 units, ours 5 to 28 cm. [ours; in
-`clevr3d` a unit of CLEVR is 0.1 m]"""
 JITTER = 0.07
 """Distance behind the surface up to which fields are fitted, units of planar depth. [code: along the ray]"""
 _STRIDE, _OFFSET = 4, 2
@@ -124,7 +121,7 @@ class Obsurf(Trainable):
 
     def to_units(self, points: Float[Tensor, "*shape 3"]) -> Float[Tensor, "*shape 3"]:
         """Convert world coordinates in metres to units around the middle of the workspace."""
-        return (points - self.center) * UNITS_PER_METRE
+        return (points - self.center) * self.config.model.units_per_metre
 
     @torch.no_grad()
     def _sample_rays(self, observation: Observation, encoded: Encoded, generator: torch.Generator | None) -> Rays:
@@ -150,14 +147,15 @@ class Obsurf(Trainable):
         self, encoded: Encoded, rays: Rays, fraction: float, generator: torch.Generator | None
     ) -> dict[str, Tensor]:
         # Fields at the surface and in the air.
-        units = UNITS_PER_METRE * rays.direction.norm(dim=-1)
-        behind = surface_points(rays, JITTER / UNITS_PER_METRE, generator)
+        scale = self.config.model.units_per_metre
+        units = scale * rays.direction.norm(dim=-1)
+        behind = surface_points(rays, JITTER / scale, generator)
         before, inverse_rho = air_points(rays, NEAR_SHARE, generator)
         surface, hidden = self._densities(encoded, behind)
         in_air, _ = self._densities(encoded, before)
         composed = losses.mean_colour(surface, self._colours(encoded, hidden, behind, rays))
         terms = {
-            "colour": losses.colour(composed, rays.colour, rays.weight),
+            "colour": losses.colour(composed, rays.colour, rays.weight, std=self.config.loss.colour_std),
             "surface": losses.surface(surface, rays.weight),
             "air": losses.air(in_air, inverse_rho * units, rays.weight),
         }

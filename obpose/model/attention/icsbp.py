@@ -178,6 +178,7 @@ class ICSBP(Attention):
         chosen, active, log_residual_scope = [], [], []
         for _ in range(slots):
             active.append(self._is_active(log_scope, rules, generator) & valid.any(dim=-1))
+            # Seed, and its mean shift.
             seed = _pick(colour, self._choose_seed(colour, log_scope, rules, generator))
             chosen.append(seed)
             with torch.no_grad():
@@ -258,6 +259,7 @@ def break_sticks(
     take the remainder: s_K is kept separately, and a loss penalises it.
     """
     left = _log_left(alpha, active)
+    # s_k = s_{k-1} (1 - alpha_k), in log space.
     scopes = torch.cat([log_prescope[:, :, None, :, 1], left], dim=2).cumsum(dim=2)
     return _masks(scopes[:, :, :-1] + alpha, scopes[:, :, -1], log_prescope, valid, active)
 
@@ -276,8 +278,10 @@ def divide_by_softmax(
     softmax the nearer slot takes nearly all. The residual scope keeps slots that start on what others left from taking
     half of their objects.
     """
+    # Scope that stick breaking takes in all: 1 - prod_k (1 - alpha_k).
     left = _log_left(alpha, active).sum(dim=2)
     taken = log1mexp(left.clamp(max=-torch.finfo(left.dtype).tiny)) + log_prescope[..., 1]
+    # Shares by powers of alpha times residual scope.
     strength = sharpen(alpha + rearrange(log_residual_scope, "b slot -> b 1 slot 1"), exponent)
     in_use = rearrange(active, "b slot -> b 1 slot 1")
     log_shares = strength.masked_fill(~in_use, EXCLUDED).log_softmax(dim=2)

@@ -44,6 +44,7 @@ def _interpolate(
 ) -> Float[Tensor, "batch frame channel ray"]:
     (height, width), (views, rows, columns) = size, grid
     pixel = index % (height * width)
+    # Positions of the pixels on the grid.
     row = _position(pixel // width, pixels=height, cells=rows) + index // (height * width) * rows
     column = _position(pixel % width, pixels=width, cells=columns)
     # The views below each other form one image for grid_sample. Positions stay within their view.

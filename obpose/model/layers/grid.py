@@ -49,9 +49,11 @@ def windows(grid: Grid, places: Int[Tensor, " point"], *, radius: float, kernel:
     height, width = grid.valid.shape[1:]
     beyond = grid.valid.numel()
     step = torch.arange(-1, 2, device=places.device)
+    # Neighbours in the image, which may be beyond the border.
     row, column = (places // width % height)[:, None] + step, (places % width)[:, None] + step
     inside = ((row >= 0) & (row < height))[:, :, None] & ((column >= 0) & (column < width))[:, None]
     neighbours = places[:, None] + (width * step[:, None] + step).flatten()
+    # Invalid neighbours are moved out of reach.
     points = grid.points.reshape(-1, 3) / radius
     apart = F.pad(points.masked_fill(~grid.valid.view(-1, 1), FAR), (0, 0, 0, 1), value=FAR)
     around = apart.index_select(0, neighbours.where(inside.flatten(1), beyond).flatten()).view(-1, 9, 3)
@@ -75,9 +77,11 @@ def subsample(grid: Grid) -> tuple[Grid, Int[Tensor, " kept"]]:
     farthest point sampling, which the paper leaves open.
     """
     height, width = grid.valid.shape[1:]
+    # Valid points of each cell.
     cells = F.pad(grid.valid, (0, -width % 2, 0, -height % 2))
     cells = rearrange(cells, "image (y row) (x column) -> image y x (row column)", row=2, column=2)
     best = cells.to(torch.uint8).argmax(-1)
+    # Index of the first one.
     within = torch.tensor([0, 1, width, width + 1], device=cells.device)
     corners = all_places(grid).view(grid.valid.shape)[:, ::2, ::2]
     places = (corners + within[best]).clamp(max=grid.valid.numel() - 1)

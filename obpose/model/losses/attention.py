@@ -41,6 +41,7 @@ def attention_mixture(
     Deviations: e^floor, the likelihood of an outlier, is added to both sums, so that rays that no mask can explain do
     not pull (the authors' code adds 1e-8). Each colour channel has its own mixture, as in the authors' code.
     """
+    # Targets N_k sigma_hat_k per channel, and sigma_hat_k.
     share = log_share.detach()[..., None]
     targets = torch.cat([log_likelihood.detach() + share, share], dim=-1)
     mixtures = log_sum_exp(log_masks[..., None] + targets, dim=2)
@@ -68,6 +69,7 @@ def attention_l2(
 
     N_k is the likelihood of the whole colour, the product over its channels.
     """
+    # N_k / N(0|0).
     peak = -1.5 * math.log(2 * math.pi * COLOUR_STD**2)
     match = (log_likelihood.detach().sum(dim=-1) - peak).exp()
     masks, share = log_masks.exp(), log_share.detach().exp()

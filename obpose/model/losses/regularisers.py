@@ -35,6 +35,7 @@ def kl(latent: Latent, mask: Bool[Tensor, "..."] | None = None) -> Float[Tensor,
 
     `mask`, broadcast to batch, frame, slot, excludes inactive slots.
     """
+    # Closed form for diagonal Gaussians.
     variance = (latent.std / latent.prior_std).square()
     shift = ((latent.mean - latent.prior_mean) / latent.prior_std).square()
     divergence = 0.5 * (variance + shift - 1 - variance.log()).sum(dim=-1)

@@ -167,10 +167,12 @@ def points_in_boxes(
     floor: float | None = None,
 ) -> InBox:
     """Find the points above the floor that lie in boxes of active slots, box by box."""
+    # Object-frame coordinates (paper, eq. transform).
     in_box = to_box(points[:, :, None], boxes.center, boxes.rotation, boxes.size)
     inside = (in_box.abs() <= 1).all(dim=-1) & active[:, None, :, None]
     if floor is not None:
         inside &= (points[..., 2] > floor)[:, :, None]
+    # Flat list of the points inside.
     index = inside.flatten().nonzero()[:, 0]
     _, _, slots, rays = inside.shape
     owner = index // rays

@@ -61,6 +61,7 @@ def air_density(
     total = F.softplus(logits).sum(dim=-2)
     if saturation is None:
         return torch.tanh(total)
+    # Tangent of tanh at the saturation.
     beyond = F.relu(total - saturation)
     slope = 1 - torch.tanh(total.new_tensor(saturation)) ** 2
     return torch.tanh(total - beyond) + slope * beyond
@@ -82,6 +83,7 @@ def _log_tanh_exp(u: Tensor) -> Tensor:
     """Log of tanh(e^u)."""
     low = u.clamp(max=_SMALL)
     high = u.clamp(min=_SMALL).exp()
+    # tanh x = x - x^3 / 3 for small x.
     series = low - torch.exp(2 * low) / 3
     direct = torch.log(-torch.expm1(-2 * high)) - torch.log1p(torch.exp(-2 * high))
     return torch.where(u < _SMALL, series, direct)

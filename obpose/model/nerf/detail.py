@@ -28,7 +28,7 @@ class Detail:
     owner: Int[Tensor, "*code"]
     """Index of the grid of each code."""
     alone: Float[Tensor, "thing"] | None = None
-    """Where positive, the grid replaces the field, in a cube around the box's middle whose edge is this multiple of the
+    """If positive, the grid replaces the field, in a cube around the box's middle whose edge is this multiple of the
     box's edge. Elsewhere, or if None, grids are as large as the box and correct the field."""
 
     def at(self, owner: Int[Tensor, " n"]) -> "Detail":

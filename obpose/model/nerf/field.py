@@ -87,6 +87,7 @@ class Field(nn.Module):
         self, points: Float[Tensor, "*points 3"], codes: Conditioning
     ) -> tuple[Float[Tensor, "*value"], Hidden]:
         """Density logits at points, -1..1 in the field's box, and hidden values for `colour`; codes broadcast."""
+        # Hidden layers; point and latent enter at the first layer and again after the middle one.
         encoded = positional_encoding(points, self.config.position_frequencies)
         # In place only on results of additions, because autograd copies the views that nn.Linear gives.
         hidden = (self.first(encoded) + codes.first).relu_()
@@ -95,6 +96,7 @@ class Field(nn.Module):
                 hidden = (layer(hidden) + self.again(encoded)).add_(codes.again).relu_()
             else:
                 hidden = layer(hidden).relu()
+        # Density, corrected by the residual grid.
         logit, correction = self.density_logit(hidden)[..., 0], None
         if codes.detail is not None:
             density, correction = codes.detail.of(points).split([1, 3], dim=-1)
@@ -109,6 +111,7 @@ class Field(nn.Module):
     ) -> Float[Tensor, "*value 3"]:
         """Colours in 0..1 along unit directions."""
         encoded = positional_encoding(directions, self.config.direction_frequencies)
+        # View direction and latent enter by addition.
         seen = (self.colour_hidden(hidden.values) + self.colour_direction(encoded)).add_(codes.colour).relu_()
         logits = self.colour_out(seen)
         if codes.detail is not None:

@@ -94,11 +94,13 @@ def make_component(
 
     `codes` is the conditioning on a single code. Each cell is tested at `layers` points along the cube's last axis.
     """
+    # Points of each cell, one above another.
     steps = (torch.arange(layers).to(codes.first) + 0.5) / layers - 0.5
     within = F.pad(steps[:, None] * (2 / resolution), (2, 0))
     points = (lattice_points(resolution, None, codes.first)[:, None] + within).flatten(0, 1)
     logits = torch.cat([field.density(part, codes)[0] for part in points.split(_CHUNK)])
     dense = (log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)).unflatten(0, (-1, layers)).any(dim=-1)
+    # A cell is occupied if it or a neighbour is dense.
     grid = dense.view(1, 1, resolution, resolution, resolution).to(points.dtype)
     cells = F.max_pool3d(grid, 3, stride=1, padding=1)[0, 0] > 0
     return Component(field, codes, center, rotation, size, bounded, cells)
@@ -147,11 +149,13 @@ def march(
     for first in range(0, samples, _AT_ONCE):
         count = min(_AT_ONCE, samples - first)
         depths = near + (first + torch.arange(count, dtype=origin.dtype, device=origin.device) + 0.5) * length
+        # Light from the next samples of the rays that are not opaque yet.
         points = origin[alive, None] + direction[alive, None] * depths[:, None]
         settings = _Settings(sigma_max * length, floor, threshold, behind)
         lit = _evaluate(components, points, direction[alive], passed[alive], settings)
         if lit is None:
             continue
+        # Accumulate it, and stop opaque rays.
         met = alive[lit.ray]
         colours[:, met] += lit.colours
         depth[:, met] += (lit.weights * depths).sum(dim=-1)
@@ -186,6 +190,7 @@ def thickness_towards(
         threshold: As in `march`.
     """
     total = origin.new_zeros(len(origin))
+    # Rays between the components and the light.
     first, last = _between(components, origin, direction)
     alive = (last > first).nonzero()[:, 0]
     chunk = (torch.arange(_AT_ONCE, dtype=origin.dtype, device=origin.device) + 0.5) * step
@@ -246,6 +251,7 @@ def _evaluate(
         return None
     points, direction, passed = points[met.ray], direction[met.ray], passed[met.ray]
     flat, (rays, count, _) = points.flatten(0, 1), points.shape
+    # Light of each sample and component: Mildenhall et al. 2020, eq. 3.
     weights = passed[:, None] * light_from(met.optical)
     colours = points.new_zeros(len(components), rays, 3)
     unit = F.normalize(direction, dim=-1)
@@ -261,11 +267,13 @@ def _evaluate(
 
 def _meet(components: list[Component], points: Float[Tensor, "ray sample 3"], settings: _Settings) -> _Met | None:
     """Compute the densities at the next samples of each ray; None if they are empty."""
+    # Samples in occupied cells, and the rays they are on.
     found = [_inside(component, points, settings.floor) for component in components]
     ray, places = _met(points, [index for index, _ in found])
     if not len(ray):
         return None
     size = (len(ray), points.shape[1])
+    # Densities there; elsewhere components are empty.
     logits = points.new_full((len(components), size[0] * size[1]), OUTSIDE)
     for place, (component, index, (_, at)) in enumerate(zip(components, places, found, strict=True)):
         logits[place, index] = component.field.density(at, component.codes)[0]
@@ -293,6 +301,7 @@ def _inside(
     flat = points[rays].flatten(0, 1)
     at = in_box(component, flat)
     resolution = len(component.cells)
+    # Occupancy of the cells of the points.
     within = (at.abs() <= 1).all(dim=-1)
     cell = ((at + 1) * (resolution / 2)).floor().long().clamp(0, resolution - 1)
     there = component.cells[cell[:, 0], cell[:, 1], cell[:, 2]]

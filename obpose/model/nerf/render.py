@@ -48,16 +48,19 @@ def render(
             centimetres are half transparent; pictures are sharp with some hundreds.
         threshold: Density over sigma_max below which space is empty (`obpose.model.nerf.compose.solid_share`).
     """
+    # Points along the rays.
     edges = torch.linspace(near, far, samples + 1, dtype=origin.dtype, device=origin.device)
     depths = (edges[:-1] + edges[1:]) / 2
     along = repeat(direction, "b f r xyz -> b f (r sample) xyz", sample=samples)
     points = origin[..., None, :] + direction[..., None, :] * depths[:, None]
     points = rearrange(points, "b f r sample xyz -> b f (r sample) xyz")
+    # Densities and colours (paper, eq. apex_norm).
     decoded = decode(points, along)
     if decoded.colours is None:
         raise ValueError("Rendering needs colours, but `decode` gave none; let it decode with colours.")
     shares = rearrange(solid_share(decoded.logits, threshold), "b f c (r sample) -> b f c r sample", sample=samples)
     colours = rearrange(decoded.colours, "b f c (r sample) rgb -> b f c r sample rgb", sample=samples)
+    # Quadrature (Mildenhall et al. 2020, eq. 3).
     weights = light_from(sigma_max * (far - near) / samples * shares)
     through = 1 - weights.sum(dim=(2, 4))
     return Rendering(
@@ -71,5 +74,6 @@ def light_from(thickness: Float[Tensor, "*batch component ray sample"]) -> Float
     """Share of a ray's light from each sample and component, given their optical thickness."""
     total = thickness.sum(dim=-3)
     transmitted = torch.exp(total - total.cumsum(dim=-1))
+    # Light that a sample stops, divided among the components by density.
     stopped = -torch.expm1(-total) * transmitted
     return (stopped / total.clamp(min=1e-12))[..., None, :, :] * thickness

@@ -44,6 +44,8 @@ def estimate_shape(
     observation: Observation,
     *,
     resolution: int,
+    threshold: float = THRESHOLD,
+    floor: float | None = FLOOR,
     frame: Int[Tensor, " batch"] | None = None,
     generator: torch.Generator | None = None,
 ) -> Shape:
@@ -56,10 +58,12 @@ def estimate_shape(
         z_what: Codes of the objects.
         observation: Depth images; a voxel through which a camera saw is empty.
         resolution: S, voxels along an edge of a box.
+        threshold: sigma_T.
+        floor: Height in the world, metres, below which there are no objects; None for no floor.
         frame: Frame of each clip to use; nothing is found in the others. None for all.
         generator: Draws a point in each voxel; without one it is the centre.
     """
-    options = {"resolution": resolution, "generator": generator}
+    options = {"resolution": resolution, "threshold": threshold, "floor": floor, "generator": generator}
     if frame is None:
         return shape_of(occupied_voxels(object_field, boxes, active, z_what, observation, **options))
     chosen = occupied_voxels(
@@ -87,6 +91,8 @@ def occupied_voxels(
     observation: Observation,
     *,
     resolution: int,
+    threshold: float = THRESHOLD,
+    floor: float | None = FLOOR,
     generator: torch.Generator | None = None,
 ) -> Voxels:
     """Voxels where sigma_v = tanh(softplus(f(p_v, z_k))) > sigma_T (paper, end of section Decoder).
@@ -94,15 +100,19 @@ def occupied_voxels(
     Deviations, as in the authors' code: voxels below the floor or in observed free space are empty and not evaluated.
     This removes the bias towards the visible side.
     """
+    # Voxels that may be occupied: of active slots, above the floor, not seen through.
     lattice = lattice_points(resolution, generator, boxes.center)
     points = from_box(lattice, boxes.center, boxes.rotation, boxes.size)
-    possible = active[:, None, :, None] & ~observed_free(points, observation) & (points[..., 2] >= FLOOR)
+    possible = active[:, None, :, None] & ~observed_free(points, observation)
+    if floor is not None:
+        possible &= points[..., 2] >= floor
     index = possible.flatten().nonzero()[:, 0]
     owner, voxel = index // len(lattice), index % len(lattice)
+    # Density at these voxels: tanh(softplus(f(p_v, z_k))).
     codes = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).at(owner)
     logits, _ = object_field.density(lattice[voxel], codes)
     occupied = torch.zeros_like(possible).flatten()
-    occupied[index] = occupancy(logits) > THRESHOLD
+    occupied[index] = occupancy(logits) > threshold
     return Voxels(points, occupied.view_as(possible))
 
 
@@ -149,6 +159,7 @@ def shape_of(voxels: Voxels) -> Shape:
 
     Deviation, as in the authors' code: the paper's T_shape is a mean of points, which depends on their density.
     """
+    # Bounding box of the occupied voxels.
     found = voxels.occupied.sum(dim=-1) >= MIN_VOXELS
     without = ~voxels.occupied[..., None]
     low = reduce(voxels.points.masked_fill(without, torch.inf), "b f s v xyz -> b f s xyz", "min")

@@ -1,1 +1,1 @@
-"""Where the objects are, how they are turned, and what is encoded of them."""
+"""Boxes of the objects: location, orientation, and encoders of the points inside."""

@@ -44,10 +44,12 @@ def gather_box(
     fields then claim the neighbours. Boxes and positions get no gradient.
     """
     with torch.no_grad():
+        # Own points in the box (paper, eq. transform).
         in_box = _to_boxes(points, boxes)
         inside = (in_box.abs().amax(dim=-1) <= 1) & valid[:, :, None]
         if whose == "own":
             inside &= log_masks >= log_masks.amax(dim=2, keepdim=True)
+        # Points with the largest masks.
         index, chosen = _largest(log_masks, inside, samples)
         mask = log_masks.gather(-1, index).exp().masked_fill(~chosen, 0)
         near = in_box.gather(-2, repeat(index, "b f s n -> b f s n 3")) * chosen[..., None]

@@ -115,8 +115,10 @@ def neighbourhoods(
     One sample may be the anchor of several places.
     """
     missing = torch.where(valid, 0, _FAR)[:, None]
+    # Anchors: the nearest samples to the target positions.
     anchor = (_square_distances(places.expand(len(points), -1, -1), points) + missing).argmin(dim=-1)
     at = points.gather(1, anchor[..., None].expand(-1, -1, 3))
+    # Neighbours: the nearest samples to the anchors.
     count = min(NEIGHBOURS, points.shape[1])
     near = (_square_distances(at, points) + missing).topk(count, dim=-1, largest=False, sorted=False)
     offsets = _neighbours(points, near.indices).unflatten(0, anchor.shape) - at[:, :, None]

@@ -34,7 +34,9 @@ def observed_center(
     With fewer than `min_points` points, T is that of the last frame with enough points (or of the first frame). The
     authors keep the corrected location T_hat, which `where` then corrects again.
     """
+    # Soft mean of each frame.
     center = _soft_mean(log_masks[:, :, 1:], points, valid, exponent)
+    # Slots with few points keep the location of an earlier frame.
     seen = count_points(log_masks, valid) >= min_points
     return center.gather(1, repeat(_last_seen(seen), "b f slot -> b f slot 3"))
 

@@ -68,6 +68,7 @@ def orient(
     An object with fewer than `min_points` points keeps the orientation of the frame before, initially the identity.
     """
     batch, frames = points.shape[:2]
+    # Candidates of all frames at once, then frame by frame the nearest one.
     clouds = gather_clouds(
         rearrange(points.float(), "b f s point xyz -> (f b s) point xyz"),
         rearrange(valid, "b f s point -> (f b s) point"),
@@ -121,9 +122,11 @@ def find_candidates(
     are used.
     """
     corners = _outermost(clouds)
+    # Smallest boxes of the grid.
     grid = box_grid(grid_level).to(corners.points)
     smallest = _shared_volumes(corners, grid).topk(min(_STARTS, len(grid)), dim=-1, largest=False)
     rotation = grid[smallest.indices]
+    # Local refinement with shrinking rotations.
     for turn in range(refinements):
         rotation = _improve(corners, rotation, _tried_around(_REACH / 2**grid_level * _SHRINK**turn).to(rotation))
     return rotation
@@ -147,6 +150,7 @@ def follow(
     for frame, found in enumerate(candidates):
         rotation = torch.cat([found, before[:, None]], dim=1)
         volume = _volumes(Clouds(clouds.points[:, frame], clouds.thickness[frame]), rotation)
+        # Candidates: volumes in [V_min, (1 + beta) V_min].
         small = volume <= (1 + tolerance) * volume.amin(dim=-1, keepdim=True)
         before = torch.where(seen[frame, :, None, None], _nearest(rotation, small, before), before)
         orientations.append(before)
@@ -178,7 +182,7 @@ def _into(
 
 
 def _outermost(clouds: Clouds) -> Clouds:
-    """Select the extreme points of each cloud in 24 directions and their opposites, close to the hull's corners."""
+    """Select the extreme points of each cloud in 24 directions and their opposites, which are near hull corners."""
     half = healpix_directions(1).chunk(2)[0].to(clouds.points)
     along = clouds.points @ half.mT
     index = torch.cat([along.max(dim=0).indices, along.min(dim=0).indices], dim=-1)
@@ -218,6 +222,7 @@ def _nearest(
     The paper's geodesic distance falls as the trace grows, so its arccos is not needed.
     """
     named = box_rotations().to(rotation)
+    # tr(before^-1 R E) for each of the 24 rotations E.
     relative = before[:, None].mT @ rotation
     traces = torch.einsum("bcij,eji->bce", relative, named).masked_fill(~small[..., None], -torch.inf)
     best = traces.flatten(start_dim=1).argmax(dim=-1)

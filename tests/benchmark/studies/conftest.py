@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from obpose.model.obpose import ObPose
+from obpose.model.build import build_obpose
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.storage.checkpoint import save_model
 from obpose.variants import make_config
@@ -37,7 +37,7 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("creation") / "model"
     torch.manual_seed(0)
     sizes = {"model.pose.box_size": 0.05, "model.workspace_size": 1.5, "model.attention.inactive_points": 0}
-    model = ObPose(make_config(**sizes)).eval()
+    model = build_obpose(make_config(**sizes)).eval()
     save_model(folder, model.state_dict(), model.config, {})
     return folder
 

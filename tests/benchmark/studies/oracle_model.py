@@ -8,6 +8,7 @@ import torch
 
 from benchmark.studies.inputs import InferredClip, infer_clips
 from datagen.pipeline.generate import generate
+from obpose.model.build import build_obpose
 from obpose.model.obpose import ObPose
 from obpose.types import Boxes
 from obpose.variants import make_config
@@ -26,7 +27,7 @@ def untrained(conditioning: str = "full") -> ObPose:
     torch.manual_seed(0)
     model = {"model.pose.conditioning": conditioning, "model.pose.box_size": 0.3, "model.workspace_size": 1.0}
     # All slots are in use, though a fresh pre-scope expects no object anywhere.
-    return ObPose(make_config(**model, **{"model.attention.idle_points": 0})).eval()
+    return build_obpose(make_config(**model, **{"model.attention.inactive_points": 0})).eval()
 
 
 def true_clip(folder: Path) -> InferredClip:

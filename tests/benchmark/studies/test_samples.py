@@ -19,6 +19,7 @@ from benchmark.studies.samples import (
     shipped_to_segment,
 )
 from datagen.storage.reader import Dataset
+from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.flow_prior import named_prior, save_flow
@@ -95,7 +96,7 @@ def test_the_command_compares_priors_and_draws(
     clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     save_prior(origin, learned_prior(origin.model))
-    save_flow(origin, Flow(origin.model.config.model.latent.what))
+    save_flow(origin, Flow(LATENT))
     files = {"--picture": tmp_path / "grid.png", "--csv": tmp_path / "samples.csv"}
     flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2"]
     assert main(["samples", *flags, *(str(word) for pair in files.items() for word in pair)]) == 0

@@ -4,11 +4,10 @@ from dataclasses import fields
 import pytest
 import torch
 
-from obpose.baselines.supervised import Supervised, matched_cross_entropy
+from obpose.baselines.supervised import Supervised, build_supervised, matched_cross_entropy
 from obpose.config import SupervisedConfig, override
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views, stack
 from obpose.errors import UsageError
-from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
 from obpose.trainable import Trainable
 from obpose.types import LabelledObservation, Observation
@@ -19,7 +18,7 @@ from tests.worlds.sphere_clips import clip_and_truth
 
 def _model() -> Supervised:
     torch.manual_seed(0)
-    return Supervised(override(SupervisedConfig(), {"model.spacing": 0.024}))
+    return build_supervised(override(SupervisedConfig(), {"model.spacing": 0.024}))
 
 
 def _labelled(labels: torch.Tensor | None = None, *, frames: int = 2, holes: float = 0.0) -> LabelledObservation:
@@ -101,8 +100,8 @@ def test_the_total_is_ten_times_the_cross_entropy_and_a_quarter_of_the_scope():
 
 def test_pixels_without_depth_do_not_count():
     model, scene = _model().eval(), _labelled(frames=1, holes=0.3)
-    embeddings, log_prescope = model.embed(scene, unproject(scene))
-    log_masks = model.log_masks_at_pixels(model.attend(embeddings, log_prescope, None), embeddings.valid, scene)
+    _, masks = model.masks(scene, None)
+    log_masks = masks.log_masks
     seen = scene.valid.flatten()
     expected = matched_cross_entropy(log_masks[..., seen], scene.segmentation.view(1, 1, -1)[..., seen])
     torch.testing.assert_close(model.losses(scene, step=0)["cross_entropy"], expected.detach())

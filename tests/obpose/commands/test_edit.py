@@ -19,6 +19,7 @@ from datagen.storage.reader import Dataset
 from obpose.commands import edit as edit_cli
 from obpose.commands.edit import main
 from obpose.data.datasets import SceneDataset
+from obpose.model.layers.latent import LATENT
 from obpose.scenes.appearance.light import no_light, strength
 from obpose.scenes.model_ref import load_origin, origin_of
 from obpose.scenes.priors import examples, train_flow
@@ -196,7 +197,7 @@ def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
     flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 2]
     assert run("sample", *flags, "--out", tmp_path / "before") == EXIT_OK
     assert not load_scene(tmp_path / "before").detail.any()
-    save_flow(origin, dense_flow(origin.model.config.model.latent.what))
+    save_flow(origin, dense_flow(LATENT))
     for out in ("one", "again"):
         assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
     assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK

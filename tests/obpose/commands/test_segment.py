@@ -12,7 +12,7 @@ from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
 from obpose.commands.segment import main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
-from obpose.model.obpose import ObPose
+from obpose.model.build import build_obpose
 from obpose.storage.checkpoint import save_model
 from obpose.variants import make_config
 from tests.worlds.sphere_clips import clip_and_truth
@@ -34,7 +34,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "intrinsics").write_text(",".join(str(k[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))))
     config = make_config("obpose", **{"model.slots": 2}, **measure_scene(ArrayClips([clip])).changes())
     torch.manual_seed(0)
-    model = ObPose(config)
+    model = build_obpose(config)
     with torch.no_grad():
         model.heads.prescope[-1].bias.copy_(torch.tensor([0.0, 5.0]))
     save_model(folder / "model", model.state_dict(), config, {})

@@ -8,8 +8,8 @@ from obpose.data.labels import segment_clip
 from tests.obpose.toy import ToyClips, ToyModel, toy_config
 
 
-@pytest.mark.parametrize("views", ["together", "apart"])
-def test_labels_are_a_map_of_every_frame_and_view(views: Literal["together", "apart"]):
+@pytest.mark.parametrize("views", ["all", "separate"])
+def test_labels_are_a_map_of_every_frame_and_view(views: Literal["all", "separate"]):
     window = ToyClips(views=3, labels=True).window(1, 0, 4)
     labels = segment_clip(ToyModel(toy_config()), observation_of([window]), views)
     assert labels.shape == (4, 3, 8, 8)
@@ -25,5 +25,5 @@ def test_views_apart_are_segmented_each_alone():
             return super().segment(observation)
 
     window = observation_of([ToyClips(views=3).window(1, 0, 4)])
-    segment_clip(Watched(toy_config()), window, "apart")
+    segment_clip(Watched(toy_config()), window, "separate")
     assert seen == [(3, 4, 1, 8, 8)]

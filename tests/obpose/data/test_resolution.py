@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from obpose.data.resolution import TOLERANCE, fitting_model, surface_spacing
+from obpose.model.build import build_obpose
 from obpose.model.obpose import ObPose
 from obpose.variants import make_config
 from tests.worlds.observations import table_scene
@@ -10,7 +11,7 @@ from tests.worlds.observations import table_scene
 @pytest.fixture(scope="module")
 def model() -> ObPose:
     spacing = surface_spacing(table_scene(height=32, width=32))
-    return ObPose(make_config(**{"model.spacing": spacing})).eval()
+    return build_obpose(make_config(**{"model.spacing": spacing})).eval()
 
 
 def test_twice_the_pixels_are_half_as_far_apart():

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from obpose.config import BackboneConfig
-from obpose.model.backbone import Backbone, BackboneOutput, standard_colours
+from obpose.model.backbone import EMBEDDING, Backbone, BackboneOutput, standard_colours
 
 SPACING = 0.015
 
@@ -35,21 +35,17 @@ def difference(one: BackboneOutput, other: BackboneOutput) -> float:
 @pytest.fixture(scope="module")
 def backbone() -> Backbone:
     torch.manual_seed(0)
-    return Backbone(BackboneConfig(widths=(8, 16, 16, 16)))
+    return Backbone(BackboneConfig(), widths=(8, 16, 16, 16))
 
 
-@pytest.mark.parametrize(
-    ("size", "stride", "grid"),
-    [((64, 64), 1, (32, 32)), ((80, 60), 1, (40, 30)), ((61, 47), 1, (31, 24)), ((128, 128), 2, (32, 32))],
-)
-def test_any_size_of_image(size: tuple[int, int], stride: int, grid: tuple[int, int]):
-    config = BackboneConfig(input_stride=stride, output_level=1, widths=(8, 16, 16, 16))
-    backbone = Backbone(config)
+@pytest.mark.parametrize(("size", "grid"), [((64, 64), (32, 32)), ((80, 60), (40, 30)), ((61, 47), (31, 24))])
+def test_any_size_of_image(size: tuple[int, int], grid: tuple[int, int]):
+    backbone = Backbone(BackboneConfig(output_level=1), widths=(8, 16, 16, 16))
     out = encode(backbone, *cloud(1, *size))
     assert backbone.grid_size(*size) == grid
     assert out.points.shape == (1, *grid, 3)
-    assert out.embedding.shape == (1, *grid, config.embedding)
-    assert out.scene.shape == (1, backbone.scene.size)
+    assert out.embedding.shape == (1, *grid, EMBEDDING)
+    assert out.scene.shape == (1, backbone.scene_size)
 
 
 def test_the_points_of_the_grid_are_of_those_observed(backbone: Backbone):
@@ -116,7 +112,7 @@ def test_the_scenes_code_hears_of_what_is_far_from_the_middle_by_its_means_alone
     means: Literal["given", "none"], hears: bool
 ):
     torch.manual_seed(0)
-    backbone = Backbone(BackboneConfig(widths=(8, 16, 16, 16), scene_means=means))
+    backbone = Backbone(BackboneConfig(scene_means=means), widths=(8, 16, 16, 16))
     points, rgb, valid = cloud(1, 64, 64, holes=0.0)
     corner = rgb.clone()
     corner[:, :6, :6] = 1 - corner[:, :6, :6]
@@ -124,7 +120,7 @@ def test_the_scenes_code_hears_of_what_is_far_from_the_middle_by_its_means_alone
         backbone(points, colours, valid, spacing=SPACING, center=torch.zeros(3), workspace_radius=0.15).scene
         for colours in (rgb, corner)
     )
-    assert one.shape == (1, backbone.scene.size)
+    assert one.shape == (1, backbone.scene_size)
     assert (one.sub(other).abs().max() > 0) == hears
 
 
@@ -148,13 +144,13 @@ def test_gradients_are_finite_even_of_an_image_without_points(backbone: Backbone
 
 
 def test_levels_without_blocks_and_with_two():
-    backbone = Backbone(BackboneConfig(widths=(8, 16, 16), blocks=(0, 2, 0)))
+    backbone = Backbone(BackboneConfig(blocks=(0, 2, 0)), widths=(8, 16, 16))
     assert encode(backbone, *cloud(1, 16, 16)).embedding.shape == (1, 16, 16, 16)
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_embeddings_are_those_of_the_points_that_the_output_level_has(level: int):
-    backbone = Backbone(BackboneConfig(widths=(8, 16, 16), blocks=(0, 1, 1), output_level=level))
+    backbone = Backbone(BackboneConfig(blocks=(0, 1, 1), output_level=level), widths=(8, 16, 16))
     points, rgb, valid = cloud(1, 12, 10)
     out = encode(backbone, points, rgb, valid)
     assert backbone.grid_size(12, 10) == tuple(out.valid.shape[1:])

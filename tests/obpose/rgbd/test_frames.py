@@ -7,6 +7,7 @@ import torch
 from obpose.config import override
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
+from obpose.model.build import build_obpose
 from obpose.model.obpose import ObPose
 from obpose.rgbd.frames import _given_note, _middle_of_table
 from obpose.rgbd.world import GIVEN
@@ -20,7 +21,7 @@ CLIP = clip_and_truth(frames=1, resolution=(32, 24))[0]
 @pytest.fixture(scope="module")
 def model() -> ObPose:
     """Measured on the clip."""
-    return ObPose(make_config("obpose", **measure_scene(ArrayClips([CLIP])).changes()))
+    return build_obpose(make_config("obpose", **measure_scene(ArrayClips([CLIP])).changes()))
 
 
 def seen(pose: np.ndarray) -> Observation:
@@ -60,7 +61,7 @@ def test_the_table_s_middle_is_the_origin_of_worlds_that_have_it_in_view(
     model: ObPose, center: tuple[float, float, float], middle: tuple[float, float, float]
 ):
     config = override(model.config, {"model.workspace_center": center, "model.workspace_size": 1.0})
-    assert _middle_of_table(ObPose(config)) == pytest.approx(middle)
+    assert _middle_of_table(build_obpose(config)) == pytest.approx(middle)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import math
 
 import torch
 
+from obpose.model.build import build_obpose
 from obpose.model.nerf.detail import no_detail
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.table_texture import EDGE, SPOT
@@ -26,7 +27,7 @@ def some_model(**changes: object) -> ObPose:
     """With fresh weights; all of its slots are in use."""
     torch.manual_seed(0)
     sizes = {"model.workspace_size": 1.0, "model.background_size": 2.5, "model.attention.inactive_points": 0}
-    return ObPose(make_config(**sizes, **changes)).eval()
+    return build_obpose(make_config(**sizes, **changes)).eval()
 
 
 def dense_flow(latent: int) -> Flow:

@@ -115,7 +115,7 @@ def test_a_model_that_was_trained_on_one_view_gets_one_and_the_scene_has_all_cam
     torch.testing.assert_close(infer_scene(origin, alone).what, scene.what)
 
 
-@pytest.mark.parametrize(("trained", "views"), [("together", 3), ("one", 1)])
+@pytest.mark.parametrize(("trained", "views"), [("all", 3), ("random", 1)])
 def test_models_see_the_views_that_they_were_trained_with(trained: str, views: int):
     clip = table_scene(batch=1, frames=1, views=3)
     seen = views_as_trained(some_model(**{"train.views": trained}), clip)

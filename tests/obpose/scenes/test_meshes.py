@@ -7,6 +7,7 @@ import torch
 import trimesh
 
 from obpose.errors import UsageError
+from obpose.model.nerf.along import JITTER
 from obpose.model.nerf.field import Conditioning, Hidden
 from obpose.model.obpose import ObPose
 from obpose.scenes import edit
@@ -112,7 +113,7 @@ def test_colours_are_those_of_as_far_behind_the_surface_as_they_were_trained():
     model, scene = ball_scene(0.5)
     model.object_field = Shells(0.5, latent=32)
     mesh = object_mesh(model, scene, 2, frame=1)
-    behind = 2 * model.config.loss.jitter / model.config.model.pose.box_size
+    behind = 2 * JITTER / model.config.model.pose.box_size
     assert behind > 0.05
     found = mesh.visual.vertex_colors[:, 0] / 255
     np.testing.assert_allclose(found, 0.5 - behind, atol=0.03)

@@ -8,6 +8,7 @@ import torch
 
 from benchmark.metrics.images import psnr
 from datagen.geometry import look_at
+from obpose.model.nerf.along import JITTER
 from obpose.model.obpose import ObPose
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import no_light
@@ -130,7 +131,7 @@ def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, re
     scene = replace(scene, light=no_light(), pattern=no_pattern())
     camera, renderer = scene.cameras[0].resized(24, 24), Renderer(origin.model)
     image = renderer.render(scene, camera=camera, antialiased=False)
-    dense = densely(renderer, scene, camera, behind=origin.model.config.loss.jitter)
+    dense = densely(renderer, scene, camera, behind=JITTER)
     assert len(scene.ids) > 1
     assert float(image.shares[1:].sum(dim=0).max()) > 0.9
     assert psnr(image.rgb.numpy(), dense.colour[0, 0].view_as(image.rgb).numpy()) > 60
@@ -149,7 +150,7 @@ def test_so_it_is_for_all_weights_and_from_above(name: str, elevation: int):
     scene = replace(empty, background=background, cameras=(camera,), light=no_light(), pattern=no_pattern())
     renderer = Renderer(origin.model)
     image = renderer.render(scene, antialiased=False)
-    dense = densely(renderer, scene, camera, behind=origin.model.config.loss.jitter)
+    dense = densely(renderer, scene, camera, behind=JITTER)
     assert psnr(image.rgb.numpy(), dense.colour[0, 0].view_as(image.rgb).numpy()) > 40
 
 

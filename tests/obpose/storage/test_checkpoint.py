@@ -26,9 +26,8 @@ from obpose.systems import build_model, find_system
 from tests.obpose.toy import ToyModel, toy_config
 
 SAME = {
-    "model.floor": None,
-    "model.backbone.widths": (8, 16),
-    "model.backbone.blocks": (0, 1),
+    "model.table": None,
+    "model.backbone.blocks": (0, 1, 1, 0),
     "train.learning_rate": 0.1,
 }
 CONFIGURATION = toy_config(**SAME)
@@ -152,7 +151,7 @@ def test_an_empty_configuration_is_no_configuration(run: Path):
     facts = json.loads((run / CONFIG).read_text())
     for config in ({}, {"model": {}, "loss": {}, "train": {}}):
         (run / CONFIG).write_text(json.dumps({**facts, "config": config}))
-        with pytest.raises(UsageError, match=r"config\.json: The configuration lacks model\.slots and 99 other values"):
+        with pytest.raises(UsageError, match=r"config\.json: The configuration lacks model\.slots and 62 other values"):
             load(run, ToyModel)
 
 

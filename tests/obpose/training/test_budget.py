@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from obpose.config import TrainConfig
-from obpose.training.budget import Budget, Stopwatch, is_skipped, learning_rate
+from obpose.training.budget import Budget, Stopwatch, learning_rate
 
 CPU, GPU = torch.device("cpu"), torch.device("cuda")
 
@@ -45,21 +45,9 @@ def test_the_learning_rate_falls_from_its_value_to_zero():
     assert learning_rate(TrainConfig(learning_rate=0.4, decay="none"), 0.9) == 0.4
 
 
-def test_halving_halves_in_each_half_life():
-    config = TrainConfig(learning_rate=0.4, decay="halving", half_life=0.25)
-    rates = [learning_rate(config, quarters / 4) for quarters in range(5)]
-    assert rates == pytest.approx([0.4, 0.2, 0.1, 0.05, 0.025])
-    assert learning_rate(config, 0.125) == pytest.approx(0.4 * math.sqrt(0.5))
-
-
-@pytest.mark.parametrize(
-    ("skip", "fraction", "norm", "skipped"),
-    [(200.0, 0.5, 201.0, True), (200.0, 0.5, 199.0, False), (200.0, 0.09, 1e6, False), (0.0, 0.5, 1e6, False)],
-)
-def test_steps_with_exploding_gradients_are_skipped_after_the_start(
-    skip: float, fraction: float, norm: float, skipped: bool
-):
-    assert is_skipped(TrainConfig(skip=skip), fraction, norm) is skipped
+def test_halving_halves_over_the_budget():
+    config = TrainConfig(learning_rate=0.4, decay="halving")
+    assert [learning_rate(config, part) for part in (0.0, 0.5, 1.0)] == pytest.approx([0.4, 0.4 * math.sqrt(0.5), 0.2])
 
 
 def burn(seconds: float) -> None:

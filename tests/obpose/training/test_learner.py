@@ -23,22 +23,22 @@ def batch() -> dict[str, Tensor]:
 def test_a_step_follows_the_gradient(batch: dict[str, Tensor]):
     made = learner()
     before = made.model.state_dict()["mean"].clone()
-    first = made.learn(batch, step=0, fraction=0.5, learning_rate=0.01)
+    first = made.step(batch, step=0, fraction=0.5, learning_rate=0.01)
     change = made.model.state_dict()["mean"] - before
     torch.testing.assert_close(change.abs(), torch.full((3,), 0.01), rtol=1e-3, atol=0)  # Adam's first step
-    assert made.learn(batch, step=0, fraction=0.5, learning_rate=0.01).losses["total"] < first.losses["total"]
+    assert made.step(batch, step=0, fraction=0.5, learning_rate=0.01).losses["total"] < first.losses["total"]
 
 
 def test_a_learning_rate_of_zero_changes_nothing(batch: dict[str, Tensor]):
     made = learner()
     before = {name: value.clone() for name, value in made.weights().items()}
-    made.learn(batch, step=4, fraction=0.5, learning_rate=0.0)
+    made.step(batch, step=4, fraction=0.5, learning_rate=0.0)
     assert all(torch.equal(value, before[name]) for name, value in made.weights().items())
 
 
 def test_noise_belongs_to_the_step(batch: dict[str, Tensor]):
     made = learner()
-    one, other, again = (made.learn(batch, step=step, fraction=0.5, learning_rate=0.0).losses for step in (4, 5, 4))
+    one, other, again = (made.step(batch, step=step, fraction=0.5, learning_rate=0.0).losses for step in (4, 5, 4))
     assert one == again
     assert one != other
 
@@ -47,7 +47,7 @@ def test_the_norm_is_measured_before_clipping_and_without_it(batch: dict[str, Te
     norms = []
     for clip in (0.0, 1e-6):
         made = learner(**{"train.clip": clip})
-        norms.append(made.learn(batch, step=4, fraction=0.5, learning_rate=0.0).gradient_norm)
+        norms.append(made.step(batch, step=4, fraction=0.5, learning_rate=0.0).gradient_norm)
         left = torch.stack([p.grad.norm() for p in made.model.parameters() if p.grad is not None]).norm()
         assert float(left) == pytest.approx(norms[0] if clip == 0.0 else 1e-6, rel=1e-3)
     assert norms[0] == norms[1]
@@ -56,13 +56,13 @@ def test_the_norm_is_measured_before_clipping_and_without_it(batch: dict[str, Te
 def test_state_is_taken_over_exactly(batch: dict[str, Tensor]):
     one = learner()
     for step in range(4):
-        one.learn(batch, step=step, fraction=0.5, learning_rate=0.01)
+        one.step(batch, step=step, fraction=0.5, learning_rate=0.01)
     copies = ({name: value.clone() for name, value in part.items()} for part in (one.weights(), one.optimizer_state()))
     other = learner(**{"train.seed": 7})
     other.restore(TrainingState(*copies, {}))
     for made in (one, other):
         made._config = toy_config().train  # the same noise
-        made.learn(batch, step=5, fraction=0.5, learning_rate=0.01)
+        made.step(batch, step=5, fraction=0.5, learning_rate=0.01)
     assert all(torch.equal(value, other.weights()[name]) for name, value in one.weights().items())
 
 
@@ -72,15 +72,7 @@ def test_state_of_another_optimiser_is_named():
         made.restore(TrainingState(made.weights(), {"elsewhere.exp_avg": torch.zeros(1)}, {}))
 
 
-@pytest.mark.parametrize(("fraction", "changed"), [(0.05, True), (0.5, False)])
-def test_a_skipped_step_changes_nothing(batch: dict[str, Tensor], fraction: float, changed: bool):
-    made = learner(**{"train.skip": 1e-6})
-    before = {name: value.clone() for name, value in made.weights().items()}
-    made.learn(batch, step=4, fraction=fraction, learning_rate=0.01)
-    assert any(not torch.equal(value, made.weights()[name]) for name, value in before.items()) is changed
-
-
 def test_parameters_without_a_gradient_yet_have_no_state(batch: dict[str, Tensor]):
     made = learner()
-    made.learn(batch, step=0, fraction=0.5, learning_rate=0.01)  # warm-up
+    made.step(batch, step=0, fraction=0.5, learning_rate=0.01)  # warm-up
     assert {name.rpartition(".")[0] for name in made.optimizer_state()} == {"mean"}

@@ -36,7 +36,7 @@ def test_losses_are_means_over_clips_whatever_the_batch():
 
 def test_views_apart_are_as_many_scenes():
     model, source = QuietToy(toy_config()), ToyClips(views=3)
-    together, apart = (losses(model, source, **{"train.views": views}) for views in ("together", "apart"))
+    together, apart = (losses(model, source, **{"train.views": views}) for views in ("all", "separate"))
     assert apart == pytest.approx(together, rel=1e-5)
 
 

@@ -1,6 +1,12 @@
 import pytest
 
+from obpose.baselines.obsurf import losses
 from obpose.baselines.obsurf.config import OBSURF_PROFILES
+from obpose.baselines.obsurf.decoder import DEPTH
+from obpose.baselines.obsurf.model import JITTER
+from obpose.baselines.obsurf.projection import FIRST_OCTAVE
+from obpose.baselines.obsurf.slots import HEADS, ITERATIONS
+from obpose.model.nerf.along import NEAR_SHARE
 from obpose.systems import find_system
 
 STEPS = 100_000
@@ -12,11 +18,9 @@ def test_whatever_the_size_these_constants_are_the_published_ones(profile: str):
     """Of the ObSuRF authors' code, in its configuration for CLEVR-3D."""
     config = find_system("obsurf").config(profile)
     loss, model, train = config.loss, config.model, config.train
-    assert model.sigma_max == 10
+    assert (losses.SIGMA_MAX, JITTER, NEAR_SHARE) == (10, 0.07, 0.98)
     assert train.clip == 1
-    assert (train.decay, train.half_life) == ("halving", 100_000 / STEPS)
+    assert (train.decay, loss.colour_std) == ("halving", 0.2)
     assert (loss.overlap, loss.overlap_start, loss.overlap_full) == (0.05, 20_000 / STEPS, 40_000 / STEPS)
-    assert (loss.colour, loss.surface, loss.air, loss.colour_std) == (1, 1, 1, 0.2)
-    assert (loss.jitter, loss.near_share) == (0.07, 0.98)
-    assert (model.attention.iterations, model.attention.heads) == (5, 4)
-    assert (model.decoder.depth, model.decoder.pixel_features, model.first_octave) == (4, True, -5)
+    assert (ITERATIONS, HEADS) == (5, 4)
+    assert (DEPTH, model.decoder.pixel_features, FIRST_OCTAVE) == (4, True, -5)

@@ -21,7 +21,7 @@ DIRECTIONS, PIXELS = draw(IMAGES, POINTS, 3), draw(IMAGES, POINTS, 4)
 
 
 def test_layers_are_shifted_and_scaled_before_they_are_applied():
-    module = field(depth=2)
+    module = field()
     logits, _ = module.density(ENCODED, CODES)
     values, slot = ENCODED[1, 4], CODES[1, 2]
     for shift, scale, layer in zip(module.shifts, module.scales, module.hidden, strict=True):

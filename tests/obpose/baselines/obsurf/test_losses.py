@@ -19,15 +19,9 @@ def logits(seed: int = 0) -> torch.Tensor:
 
 def test_densities_of_slots_add_up_and_each_is_below_its_largest():
     summed = 10 * torch.sigmoid(logits()).sum(dim=2)
-    torch.testing.assert_close(losses.log_density(logits(), sigma_max=10.0).exp(), summed)
+    torch.testing.assert_close(losses.log_density(logits()).exp(), summed)
     full = torch.full((1, 1, SLOTS, RAYS), 50.0)
-    torch.testing.assert_close(losses.log_density(full, sigma_max=10.0).exp(), torch.full((1, 1, RAYS), 10.0 * SLOTS))
-
-
-def test_density_is_a_rate_per_unit_of_length():
-    """A scene half the size with twice the density is as opaque."""
-    once = losses.air(logits(), 2 * EVERY, EVERY, sigma_max=10.0)
-    assert losses.air(logits(), EVERY, EVERY, sigma_max=20.0).item() == pytest.approx(once.item())
+    torch.testing.assert_close(losses.log_density(full).exp(), torch.full((1, 1, RAYS), 10.0 * SLOTS))
 
 
 def test_shares_are_those_of_densities():
@@ -37,7 +31,7 @@ def test_shares_are_those_of_densities():
 
 def test_far_logits_keep_a_gradient_at_the_surface():
     low = torch.full((1, 1, SLOTS, RAYS), -200.0, requires_grad=True)
-    loss = losses.surface(low, EVERY, sigma_max=10.0)
+    loss = losses.surface(low, EVERY)
     assert loss.item() == pytest.approx(200 - math.log(10 * SLOTS), rel=1e-4)
     loss.backward()
     assert low.grad is not None
@@ -57,9 +51,9 @@ def test_colour_is_one_gaussian_around_the_mean_of_the_slots():
 def test_nothing_overlaps_where_one_slot_explains_it_all():
     alone = torch.full((1, 1, SLOTS, RAYS), -60.0)
     alone[:, :, 1] = 20.0
-    assert losses.overlap(alone, EVERY, sigma_max=10.0).item() == pytest.approx(0, abs=1e-5)
+    assert losses.overlap(alone, EVERY).item() == pytest.approx(0, abs=1e-5)
     shared = torch.zeros(1, 1, SLOTS, RAYS)
-    assert losses.overlap(shared, EVERY, sigma_max=10.0).item() == pytest.approx(10.0)
+    assert losses.overlap(shared, EVERY).item() == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(("fraction", "weight"), [(0.0, 0.0), (0.2, 0.0), (0.3, 0.025), (0.4, 0.05), (1.0, 0.05)])
@@ -77,7 +71,7 @@ def test_the_air_term_estimates_the_integral_of_the_density():
     points, inverse_rho = air_points(ray, 0.98, torch.Generator().manual_seed(0))
     units = points.norm(dim=-1) * units_per_metre
     length = inverse_rho * units_per_metre * math.sqrt(1.36)
-    found = losses.air((0.3 * units - 3)[:, :, None], length, seen, sigma_max=10.0)
+    found = losses.air((0.3 * units - 3)[:, :, None], length, seen)
     end = depth * units_per_metre * math.sqrt(1.36)
     softplus = lambda x: math.log1p(math.exp(x))  # noqa: E731
     assert found.item() == pytest.approx(10 * (softplus(0.3 * end - 3) - softplus(-3)) / 0.3, rel=0.01)
@@ -89,5 +83,5 @@ def test_rays_without_weight_do_not_count():
     spoiled = logits()
     spoiled[..., 3:] = torch.nan
     for term in (losses.surface, losses.overlap):
-        whole = term(logits()[..., :3], EVERY[..., :3], sigma_max=10.0)
-        assert term(spoiled, some, sigma_max=10.0).item() == pytest.approx(whole.item(), rel=1e-5)
+        whole = term(logits()[..., :3], EVERY[..., :3])
+        assert term(spoiled, some).item() == pytest.approx(whole.item(), rel=1e-5)

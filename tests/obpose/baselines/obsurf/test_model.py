@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from obpose.baselines.obsurf.config import OBSURF_VARIANTS
-from obpose.baselines.obsurf.model import Encoded, Obsurf
+from obpose.baselines.obsurf.losses import SIGMA_MAX
+from obpose.baselines.obsurf.model import JITTER, Encoded, Obsurf
 from obpose.data.clips import random_view, separate_views
 from obpose.geometry import all_rays, sample_rays, unproject
 from obpose.systems import find_system
@@ -62,10 +63,10 @@ def test_colours_teach_the_layers_that_densities_share_with_them_by_themselves()
 
 
 def test_the_total_is_the_weighted_sum_with_the_overlap_as_far_as_it_has_grown():
-    model = made(**{"loss.colour": 2.0, "loss.surface": 3.0, "loss.air": 0.5, "loss.overlap": 0.1})
+    model = made(**{"loss.overlap": 0.1})
     for fraction, share in ((0.1, 0.0), (0.3, 0.5), (0.9, 1.0)):
         terms = losses(model, table_scene(), fraction)
-        weighted = 2 * terms["colour"] + 3 * terms["surface"] + 0.5 * terms["air"] + share * 0.1 * terms["overlap"]
+        weighted = terms["colour"] + terms["surface"] + terms["air"] + share * 0.1 * terms["overlap"]
         torch.testing.assert_close(terms["total"].detach(), weighted)
 
 
@@ -250,20 +251,20 @@ def test_a_scene_of_another_size_in_metres_is_the_same_in_units():
 
 
 def test_the_way_through_the_air_is_as_long_as_the_ray_in_units():
-    """With both parts of the depth of one length the estimate is exact for a density that is everywhere the same."""
-    changes = {"loss.near_share": 0.5, "train.rays": 0, "model.units_per_metre": 4.0}
+    """The estimate is unbiased: near and far samples have the mean of the whole way."""
+    changes = {"train.rays": 0, "model.units_per_metre": 4.0}
     model, scene = made(**changes), table_scene()
     with torch.no_grad():
         model.field.density_logit.weight.zero_()
         model.field.density_logit.bias.zero_()
-    density = (model.config.model.slots + 1) * model.config.model.sigma_max / 2
+    density = model.config.model.segments * SIGMA_MAX / 2
     rays = all_rays(scene)
     metres = (rays.direction * rays.depth[..., None]).norm(dim=-1).mean().item()
-    assert losses(model, scene)["air"].item() == pytest.approx(density * 4 * metres, rel=1e-4)
+    assert losses(model, scene)["air"].item() == pytest.approx(density * 4 * metres, rel=0.05)
 
 
 def test_surfaces_are_looked_for_up_to_the_jitter_behind_them_in_units(monkeypatch: pytest.MonkeyPatch):
-    model, scene = made(**{"model.units_per_metre": 4.0, "loss.jitter": 0.2, "train.rays": 0}), table_scene(frames=1)
+    model, scene = made(**{"model.units_per_metre": 4.0, "train.rays": 0}), table_scene(frames=1)
     points: list[Tensor] = []
     densities = model._densities
 
@@ -276,7 +277,7 @@ def test_surfaces_are_looked_for_up_to_the_jitter_behind_them_in_units(monkeypat
     rays = sample_rays(scene, 0, None)
     behind = (points[0] - rays.origin).norm(dim=-1) / rays.direction.norm(dim=-1) - rays.depth
     assert behind.min() >= -1e-5
-    assert 0.045 < behind.max() <= 0.2 / 4 + 1e-5
+    assert 0.016 < behind.max() <= JITTER / 4 + 1e-5
 
 
 def test_what_is_behind_the_input_camera_has_no_features_from_it(monkeypatch: pytest.MonkeyPatch):

@@ -38,7 +38,6 @@ SMALL: dict[str, Any] = {
     "train.steps": 4000,
     "train.object_rays": 0.0,
     "train.learning_rate": 2e-3,
-    "train.half_life": 0.5,
 }
 """Two slots, the background's among them."""
 FROM_COLOURS = SMALL | {

@@ -60,8 +60,8 @@ def test_cells_are_numbered_row_by_row_where_a_grid_is_wider_than_high():
 
 def test_the_fourier_code_is_the_published_one():
     point = torch.tensor([0.3, -1.0, 2.0])
-    code = fourier_code(point, first=-5, last=10)
-    assert code.shape == (99,) == (code_size(first=-5, last=10),)
+    code = fourier_code(point, last=10)
+    assert code.shape == (99,) == (code_size(last=10),)
     assert code[:3].tolist() == point.tolist()
     angle = math.pi * 0.3 * 2**-5
     assert code[3].item() == pytest.approx(math.sin(angle), abs=1e-6)

@@ -20,16 +20,16 @@ import torch
 from torch import Tensor, nn
 
 from obpose.baselines.obsurf import losses
-from obpose.baselines.obsurf.config import DecoderConfig, ImageEncoderConfig, SlotConfig
+from obpose.baselines.obsurf.config import DecoderConfig, ImageEncoderConfig
 from obpose.baselines.obsurf.decoder import SlotField
 from obpose.baselines.obsurf.encoder import ImageEncoder
-from obpose.baselines.obsurf.projection import code_size, fourier_code
+from obpose.baselines.obsurf.projection import FIRST_OCTAVE, code_size, fourier_code
 from obpose.baselines.obsurf.slots import SlotAttention
 
 pytestmark = pytest.mark.skipif("OBSURF" not in os.environ, reason="OBSURF names no checkout of the published code")
 
 IMAGES, POINTS, SLOTS, WIDTH, HIDDEN = 3, 100, 5, 48, 64
-OCTAVES = {"first": -5, "last": 3}
+OCTAVES = {"last": 3}
 SIGMA_MAX, STD = 10.0, 0.2
 
 
@@ -68,7 +68,7 @@ def double() -> Iterator[None]:
 
 @pytest.mark.usefixtures("double")
 def test_encoder(published: Any):
-    octaves = {"first": -5, "last": 10}
+    octaves = {"last": 10}
     config = ImageEncoderConfig(width=WIDTH, blocks=(2, 6), cell=4)
     ours = ImageEncoder(config, camera_code=code_size(**octaves))
     size = {"c_dim": WIDTH, "h_dim": WIDTH, "att_height": 6, "att_width": 8}
@@ -81,7 +81,7 @@ def test_encoder(published: Any):
 
 @pytest.mark.usefixtures("double")
 def test_slots(published: Any, monkeypatch: pytest.MonkeyPatch):
-    ours = SlotAttention(SlotConfig(), slots=SLOTS, width=WIDTH)
+    ours = SlotAttention(slots=SLOTS, width=WIDTH)
     size = {"height": 0, "width": 0, "dim": WIDTH, "hidden_dim": WIDTH}
     theirs = published("obsurf.layers").SlotAttention(SLOTS, **size, iters=5, self_attention=True)
     theirs.mlp[0], theirs.mlp[2] = ours.mlp[0], ours.mlp[2]
@@ -99,7 +99,7 @@ def test_slots(published: Any, monkeypatch: pytest.MonkeyPatch):
 def test_fields_and_losses(published: Any):
     ours = SlotField(DecoderConfig(width=HIDDEN), code=code_size(**OCTAVES), slot=WIDTH, pixel=WIDTH)
     sizes = {"c_dim": WIDTH, "hidden_size": HIDDEN, "num_layers": 5, "num_color_features": WIDTH}
-    code = {"start_freq": OCTAVES["first"], "num_freqs": OCTAVES["last"] + 1 - OCTAVES["first"]}
+    code = {"start_freq": FIRST_OCTAVE, "num_freqs": OCTAVES["last"] + 1 - FIRST_OCTAVE}
     theirs = published("obsurf.model.decoder_modules").NerfDecoder(
         **sizes, **code, view_dependent_values=True, net_arch="ain"
     )
@@ -124,11 +124,11 @@ def test_fields_and_losses(published: Any):
     logits, colours, target = logits[:, None], colours[:, None], target[:, None]
     composed = losses.mean_colour(logits, colours)
     same(losses.colour(composed, target, weight, std=STD), -scene.likelihood(target[:, 0]).sum(-1).mean())
-    same(losses.surface(logits, weight, sigma_max=SIGMA_MAX), -density.log().mean())
+    same(losses.surface(logits, weight), -density.log().mean())
     length = torch.rand(IMAGES, POINTS)
-    same(losses.air(logits, length[:, None], weight, sigma_max=SIGMA_MAX), (length * density).mean())
+    same(losses.air(logits, length[:, None], weight), (length * density).mean())
     overlap = density - scene.local_presence().amax(dim=1)
-    same(losses.overlap(logits, weight, sigma_max=SIGMA_MAX), overlap.mean())
+    same(losses.overlap(logits, weight), overlap.mean())
 
 
 class Block(nn.Module):

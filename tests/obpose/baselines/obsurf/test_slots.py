@@ -1,7 +1,6 @@
 import pytest
 import torch
 
-from obpose.baselines.obsurf.config import SlotConfig
 from obpose.baselines.obsurf.slots import SlotAttention, compete, gather
 
 SLOTS, WIDTH, TOKENS = 4, 8, 30
@@ -9,7 +8,7 @@ SLOTS, WIDTH, TOKENS = 4, 8, 30
 
 def attention(seed: int = 0) -> SlotAttention:
     torch.manual_seed(seed)
-    return SlotAttention(SlotConfig(), slots=SLOTS, width=WIDTH)
+    return SlotAttention(slots=SLOTS, width=WIDTH)
 
 
 def tokens(images: int = 2) -> torch.Tensor:
@@ -83,7 +82,7 @@ def test_everything_that_decides_the_slots_is_saved():
 
 def test_iterations_change_the_slots():
     torch.manual_seed(0)
-    once = SlotAttention(SlotConfig(iterations=1), slots=SLOTS, width=WIDTH)
+    once = SlotAttention(slots=SLOTS, width=WIDTH, iterations=1)
     module = attention()
     module.load_state_dict(once.state_dict())
     assert not torch.allclose(once(tokens(), noise()).codes, module(tokens(), noise()).codes, atol=0.01)

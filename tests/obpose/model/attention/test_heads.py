@@ -1,22 +1,28 @@
 import pytest
 import torch
 
-from obpose.config import AttentionConfig, BackboneConfig
+from obpose.config import AttentionConfig, LatentConfig, ModelConfig
 from obpose.model.attention.heads import HeadOutputs, Heads
+from obpose.model.backbone import EMBEDDING
 
 CENTER = torch.tensor([0.1, -0.2, 0.3])
 
 
 def _heads(semi_convolution: float = 8.0, semi_colour: float = 0.3) -> Heads:
     torch.manual_seed(0)
-    return Heads(BackboneConfig(), AttentionConfig(semi_convolution=semi_convolution, semi_colour=semi_colour))
+    return Heads(
+        ModelConfig(
+            attention=AttentionConfig(semi_convolution=semi_convolution, semi_colour=semi_colour),
+            latent=LatentConfig(colours="none"),
+        )
+    )
 
 
 def _points() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(1)
     points, rgb = torch.randn((2, 2, 3, 20, 3), generator=generator)
     valid = torch.rand((2, 3, 20), generator=generator) < 0.8
-    return points, valid, rgb, torch.randn((2, 3, 20, BackboneConfig().embedding), generator=generator)
+    return points, valid, rgb, torch.randn((2, 3, 20, EMBEDDING), generator=generator)
 
 
 def _assert_close(one: HeadOutputs, other: HeadOutputs) -> None:
@@ -106,10 +112,10 @@ def test_heads_that_nobody_reads_are_not_there():
         ("icsbp", "none", 8, False),
         ("slots", "component", 0, False),
     ):
-        heads = Heads(BackboneConfig(), AttentionConfig(kind=kind), background=background)
+        heads = Heads(ModelConfig(attention=AttentionConfig(kind=kind), background=background))
         found = heads(points, valid, rgb, embedding, center=CENTER)
         assert found.colour.shape[-1] == colours
         assert (found.log_prescope is not None) == has_prescope
         assert any(name.startswith("prescope") for name in heads.state_dict()) == has_prescope
-    bare = Heads(BackboneConfig(), AttentionConfig(), features=False)
+    bare = Heads(ModelConfig(), features=False)
     assert bare(points, valid, rgb, embedding, center=CENTER).features.shape[-1] == 0

@@ -4,13 +4,21 @@ from typing import Any
 
 import pytest
 import torch
-from obpose.model.attention.kernels import Kernel, initial_sigma
 
-from obpose.config import AttentionConfig
-from obpose.model.attention.icsbp import EXCLUDED, ICSBP, whole_scope
+from obpose.config import AttentionConfig, ModelConfig
+from obpose.model.attention.icsbp import (
+    ICSBP,
+    Rules,
+    add_remainder_slot,
+    evaluation_rules,
+    initial_sigma,
+    log_alpha,
+    training_rules,
+    whole_scope,
+)
+from obpose.model.attention.interface import EXCLUDED
 from obpose.types import Masks
 
-KERNELS: tuple[Kernel, ...] = ("gaussian", "laplacian", "epanechnikov")
 SLOTS = 4
 CHANNELS = 8
 
@@ -25,10 +33,10 @@ def _attend(
     seed: int = 0,
     **options: Any,
 ) -> Masks:
-    module = ICSBP(config or AttentionConfig(), slots=SLOTS)
-    options = {"seeds": "greedy", "idle": "never", **options}
+    module = ICSBP(ModelConfig(slots=SLOTS, attention=config or AttentionConfig()))
+    rules = Rules(**{"seeds": "greedy", "inactive": "never", "division": "stick_breaking", **options})
     generator = torch.Generator().manual_seed(seed)
-    return module(colour, valid, log_prescope, slots=slots, generator=generator, **options)
+    return module.masks(colour, valid, log_prescope, slots=slots, rules=rules, generator=generator)
 
 
 def _scene(
@@ -54,37 +62,29 @@ def _total(masks: Masks) -> torch.Tensor:
     return masks.log_masks.exp().sum(dim=2) + masks.log_scope.exp()
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("seeds", ["greedy", "stochastic"])
-@pytest.mark.parametrize("idle", ["never", "bernoulli", "threshold"])
-@pytest.mark.parametrize("division", ["sticks", "shares"])
-def test_background_masks_and_scope_sum_to_one_at_every_point(kernel: Kernel, seeds: str, idle: str, division: str):
-    masks = _attend(*_scene(), config=AttentionConfig(kernel=kernel), seeds=seeds, idle=idle, division=division)
+@pytest.mark.parametrize("inactive", ["never", "bernoulli", "threshold"])
+@pytest.mark.parametrize("division", ["stick_breaking", "softmax"])
+def test_background_masks_and_scope_sum_to_one_at_every_point(seeds: str, inactive: str, division: str):
+    masks = _attend(*_scene(), seeds=seeds, inactive=inactive, division=division)
     torch.testing.assert_close(_total(masks), torch.ones(2, 3, 40), rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_more_slots_leave_the_first_masks_alone_and_the_scope_not_larger(kernel: Kernel):
+def test_more_slots_leave_the_first_masks_alone_and_the_scope_not_larger():
     scene = _scene()
-    runs = [_attend(*scene, config=AttentionConfig(kernel=kernel), slots=slots) for slots in range(1, SLOTS + 1)]
+    runs = [_attend(*scene, slots=slots) for slots in range(1, SLOTS + 1)]
     for fewer, more in pairwise(runs):
         torch.testing.assert_close(more.log_masks[:, :, :-1], fewer.log_masks)
         assert (more.log_scope <= fewer.log_scope).all()
     assert all((masks.log_scope.exp() >= 0).all() for masks in runs)
 
 
-def _reference(
-    colour: torch.Tensor, valid: torch.Tensor, prescope: torch.Tensor, kernel: Kernel
-) -> tuple[torch.Tensor, torch.Tensor]:
+def _reference(colour: torch.Tensor, valid: torch.Tensor, prescope: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Masks and scope of one clip, greedy, frame by frame and point by point, as probabilities."""
-    sigma = initial_sigma(kernel, slots=SLOTS)
+    sigma = initial_sigma(SLOTS)
 
     def alpha(distance: float) -> float:
-        value = {
-            "gaussian": math.exp(-(distance**2) / sigma),
-            "laplacian": math.exp(-distance / sigma),
-            "epanechnikov": max(0.0, 1 - distance**2 / sigma),
-        }[kernel]
+        value = math.exp(-(distance**2) / sigma)
         return min(max(value, 0.0), 1 - 1e-6)
 
     frames, points = valid.shape
@@ -105,12 +105,11 @@ def _reference(
     return masks, scopes
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_agrees_with_loops_over_clips_frames_slots_and_points(kernel: Kernel):
+def test_agrees_with_loops_over_clips_frames_slots_and_points():
     colour, valid, log_prescope = _scene(batch=2, frames=3, points=25)
-    masks = _attend(colour, valid, log_prescope, config=AttentionConfig(kernel=kernel, looks=0))
+    masks = _attend(colour, valid, log_prescope, config=AttentionConfig(mean_shift_steps=0))
     for clip in range(2):
-        expected = _reference(colour[clip].double(), valid[clip], log_prescope[clip].double().exp(), kernel)
+        expected = _reference(colour[clip].double(), valid[clip], log_prescope[clip].double().exp())
         torch.testing.assert_close(masks.log_masks[clip].exp(), expected[0], rtol=5e-3, atol=2e-4)
         torch.testing.assert_close(masks.log_scope[clip].exp(), expected[1], rtol=5e-3, atol=2e-4)
 
@@ -127,14 +126,20 @@ def _extreme(case: str) -> tuple[torch.Tensor, torch.Tensor]:
     return colour, (200 * signs).log_softmax(dim=-1)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("case", ["apart", "equal", "near", "certain"])
-def test_log_masks_and_their_gradients_are_finite_and_exact_sums_hold_at_extremes(kernel: Kernel, case: str):
+def test_log_masks_and_their_gradients_are_finite_and_exact_sums_hold_at_extremes(case: str):
     colour, log_prescope = _extreme(case)
     valid = _scene()[1]
-    module = ICSBP(AttentionConfig(kernel=kernel), slots=SLOTS)
+    module = ICSBP(ModelConfig(slots=SLOTS))
     inputs = (colour.clone().requires_grad_(), log_prescope.clone().requires_grad_(), module.log_sigma)
-    masks = module(inputs[0], valid, inputs[1], slots=SLOTS, seeds="greedy", idle="never", generator=None)
+    masks = module.masks(
+        inputs[0],
+        valid,
+        inputs[1],
+        slots=SLOTS,
+        rules=Rules("greedy", "never", "stick_breaking"),
+        generator=None,
+    )
     assert masks.log_masks.isfinite().all()
     assert masks.log_scope.isfinite().all()
     torch.testing.assert_close(_total(masks), torch.ones(2, 3, 40), rtol=0, atol=1e-5)
@@ -217,7 +222,7 @@ def _of_sliding_object(masks: Masks) -> torch.Tensor:
 
 
 def test_a_seed_follows_an_object_that_slides_out_of_the_mask_of_the_first_frame():
-    still = _of_sliding_object(_attend(*_sliding(0.2), config=AttentionConfig(looks=0)))
+    still = _of_sliding_object(_attend(*_sliding(0.2), config=AttentionConfig(mean_shift_steps=0)))
     assert still[-1] < 0.1
     assert (_of_sliding_object(_attend(*_sliding(0.2))) > 0.85).all()
 
@@ -229,7 +234,7 @@ def test_a_seed_waits_while_its_object_is_out_of_sight():
 
 def test_seeds_that_do_not_move_give_the_same_as_objects_that_do_not():
     moving = _attend(*_sliding(0.0))
-    still = _attend(*_sliding(0.0), config=AttentionConfig(looks=0))
+    still = _attend(*_sliding(0.0), config=AttentionConfig(mean_shift_steps=0))
     torch.testing.assert_close(moving.log_masks, still.log_masks)
 
 
@@ -237,10 +242,10 @@ def test_seeds_come_to_rest_at_the_means_under_their_sharpened_masks():
     colour, valid, log_prescope = _scene(batch=1, frames=2, points=80, spread=0.05)
     colour[:, :, ::2, 0] += 0.7
     log_prescope[:, 0] += math.log(0.03)  # Of so little some slots find nothing in the first frame and are idle.
-    looks = AttentionConfig(looks=30)
-    drawn = (_attend(colour, valid, log_prescope, config=looks, idle="bernoulli", seed=seed) for seed in range(50))
+    looks = AttentionConfig(mean_shift_steps=30)
+    drawn = (_attend(colour, valid, log_prescope, config=looks, inactive="bernoulli", seed=seed) for seed in range(50))
     masks = next(masks for masks in drawn if masks.active[0].tolist()[:3] == [True, False, True])
-    left, sigma = log_prescope[0, 1, :, 1].exp() * valid[0, 1], initial_sigma("gaussian", slots=SLOTS)
+    left, sigma = log_prescope[0, 1, :, 1].exp() * valid[0, 1], initial_sigma(SLOTS)
     for slot in (0, 2):
         mask = masks.log_masks[0, 1, 1 + slot].exp()
         weight = mask**3
@@ -263,7 +268,7 @@ def test_later_frames_have_no_influence_on_earlier_ones():
 def test_gradient_reaches_the_embedding_of_a_seed_from_a_later_frame():
     colour, valid, log_prescope = _scene()
     colour.requires_grad_()
-    later = _attend(colour, valid, log_prescope, config=AttentionConfig(looks=0)).log_masks[:, 2, 1].sum()
+    later = _attend(colour, valid, log_prescope, config=AttentionConfig(mean_shift_steps=0)).log_masks[:, 2, 1].sum()
     (gradient,) = torch.autograd.grad(later, colour)
     assert gradient[:, 0].abs().sum(dim=-1).count_nonzero(dim=-1).tolist() == [1, 1]
     assert gradient[:, 1].eq(0).all()
@@ -291,7 +296,9 @@ def _edge_and_middle() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 
 def test_seeds_move_from_the_edge_of_an_object_to_its_middle():
     at_edge, moved = (
-        _attend(*_edge_and_middle(), config=AttentionConfig(looks=looks), slots=1).log_masks[0, 0, 1, :31].exp()
+        _attend(*_edge_and_middle(), config=AttentionConfig(mean_shift_steps=looks), slots=1)
+        .log_masks[0, 0, 1, :31]
+        .exp()
         for looks in (0, 3)
     )
     assert at_edge.argmax() == 0
@@ -303,7 +310,9 @@ def test_what_a_slot_leaves_is_what_is_left_around_where_its_seed_moves():
     """From its end a seed reaches half of the row, from its middle all of it."""
     row = [part[:, :, :31] for part in _edge_and_middle()]
     still, moved = (
-        _attend(row[0], row[1], row[2], config=AttentionConfig(looks=looks), slots=2, idle="threshold").active[0]
+        _attend(
+            row[0], row[1], row[2], config=AttentionConfig(mean_shift_steps=looks), slots=2, inactive="threshold"
+        ).active[0]
         for looks in (0, 30)
     )
     assert still.tolist() == [True, True]
@@ -311,26 +320,22 @@ def test_what_a_slot_leaves_is_what_is_left_around_where_its_seed_moves():
 
 
 def test_densest_seeds_are_in_the_middle_of_large_objects_first():
-    masks = _attend(*_edge_and_middle(), config=AttentionConfig(looks=0), slots=2, seeds="densest")
+    masks = _attend(*_edge_and_middle(), config=AttentionConfig(mean_shift_steps=0), slots=2, seeds="densest")
     first, second = masks.log_masks[0, 0, 1:]
     assert first.argmax() == 15
     # What is left of the row is denser than the pair, but none of it has a scope over the threshold.
     assert second.argmax() in (31, 32)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_shares_divide_what_sticks_take(kernel: Kernel):
-    sticks, shares = (
-        _attend(*_scene(), config=AttentionConfig(kernel=kernel), division=division)
-        for division in ("sticks", "shares")
-    )
+def test_shares_divide_what_sticks_take():
+    sticks, shares = (_attend(*_scene(), division=division) for division in ("stick_breaking", "softmax"))
     torch.testing.assert_close(shares.log_scope, sticks.log_scope)
     torch.testing.assert_close(shares.log_masks[:, :, 0], sticks.log_masks[:, :, 0])
     assert not torch.allclose(shares.log_masks, sticks.log_masks)
 
 
 def test_one_slot_has_the_same_by_shares_and_sticks():
-    one, other = (_attend(*_scene(), slots=1, division=division) for division in ("sticks", "shares"))
+    one, other = (_attend(*_scene(), slots=1, division=division) for division in ("stick_breaking", "softmax"))
     torch.testing.assert_close(one.log_masks.exp(), other.log_masks.exp(), rtol=1e-4, atol=1e-30)
 
 
@@ -346,7 +351,7 @@ def _neighbours(apart: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 def test_in_shares_the_first_slot_does_not_take_its_neighbour():
     sticks, shares = (
         _attend(*_neighbours(0.7), slots=2, division=division).log_masks[0, 0, 1, 8:].exp().mean()
-        for division in ("sticks", "shares")
+        for division in ("stick_breaking", "softmax")
     )
     assert sticks > 0.2
     assert shares < 0.05
@@ -354,7 +359,7 @@ def test_in_shares_the_first_slot_does_not_take_its_neighbour():
 
 def test_in_shares_a_slot_on_what_others_left_has_next_to_nothing():
     colour, valid, log_prescope = _neighbours(9.0)
-    masks = _attend(colour, valid, log_prescope, slots=4, division="shares").log_masks[0, 0, 1:].exp()
+    masks = _attend(colour, valid, log_prescope, slots=4, division="softmax").log_masks[0, 0, 1:].exp()
     # Four slots for two objects: two sit on an object that is taken.
     assert masks.amax(dim=0).min() > 0.9
 
@@ -364,7 +369,7 @@ def test_threshold_leaves_slots_without_object_idle_in_all_frames(objects: tuple
     colour, valid, log_prescope = _clusters((8, *objects), frames=3)
     log_prescope = log_prescope.clone()
     log_prescope[:, 2] = log_prescope[:, 2].flip(-1)  # the last frame has scope everywhere: too late
-    masks = _attend(colour, valid, log_prescope, idle="threshold")
+    masks = _attend(colour, valid, log_prescope, inactive="threshold")
     assert masks.active.sum() == in_use
     assert masks.active[0, :in_use].all()
     assert (masks.log_masks[:, :, 1 + in_use :] == EXCLUDED).all()
@@ -372,7 +377,7 @@ def test_threshold_leaves_slots_without_object_idle_in_all_frames(objects: tuple
 
 
 def test_no_threshold_no_idle_slots():
-    masks = _attend(*_clusters((8, 5)), config=AttentionConfig(idle_points=0), idle="threshold")
+    masks = _attend(*_clusters((8, 5)), config=AttentionConfig(inactive_points=0), inactive="threshold")
     assert masks.active.all()
 
 
@@ -380,7 +385,9 @@ def test_bernoulli_leaves_a_slot_idle_as_often_as_a_draw_of_the_scope_finds_no_p
     draws, scope = 20000, torch.tensor([0.3, 0.2, 0.1])
     log_prescope = torch.stack([1 - scope, scope], dim=-1).log().expand(draws, 1, 3, 2)
     colour = torch.zeros(draws, 1, 3, CHANNELS)
-    masks = _attend(colour, torch.ones(draws, 1, 3, dtype=torch.bool), log_prescope, slots=2, idle="bernoulli", seed=4)
+    masks = _attend(
+        colour, torch.ones(draws, 1, 3, dtype=torch.bool), log_prescope, slots=2, inactive="bernoulli", seed=4
+    )
     expected = 1 - 0.7 * 0.8 * 0.9
     assert masks.active[:, 0].float().mean().item() == pytest.approx(expected, abs=0.015)
     # The first slot takes all there is; where it is idle the second has the same chance again.
@@ -390,13 +397,13 @@ def test_bernoulli_leaves_a_slot_idle_as_often_as_a_draw_of_the_scope_finds_no_p
 
 
 @pytest.mark.parametrize("seeds", ["greedy", "stochastic"])
-@pytest.mark.parametrize("idle", ["never", "bernoulli", "threshold"])
-def test_invalid_points_are_background_never_seed_and_change_nothing(seeds: str, idle: str):
+@pytest.mark.parametrize("inactive", ["never", "bernoulli", "threshold"])
+def test_invalid_points_are_background_never_seed_and_change_nothing(seeds: str, inactive: str):
     colour, valid, log_prescope = _scene()
     tempting = torch.tensor([-200.0, 0.0])
     other = torch.where(valid[..., None], colour, 7.0), torch.where(valid[..., None], log_prescope, tempting)
-    plain = _attend(colour, valid, log_prescope, seeds=seeds, idle=idle)
-    masks = _attend(other[0], valid, other[1], seeds=seeds, idle=idle)
+    plain = _attend(colour, valid, log_prescope, seeds=seeds, inactive=inactive)
+    masks = _attend(other[0], valid, other[1], seeds=seeds, inactive=inactive)
     assert torch.equal(plain.log_masks, masks.log_masks)
     assert torch.equal(plain.log_scope, masks.log_scope)
     assert torch.equal(plain.active, masks.active)
@@ -413,24 +420,24 @@ def test_no_gradient_from_invalid_points():
     assert all(gradient[~valid].eq(0).all() for gradient in gradients)
 
 
-@pytest.mark.parametrize("idle", ["never", "bernoulli", "threshold"])
-def test_a_clip_that_starts_without_points_is_all_background(idle: str):
+@pytest.mark.parametrize("inactive", ["never", "bernoulli", "threshold"])
+def test_a_clip_that_starts_without_points_is_all_background(inactive: str):
     colour, valid, log_prescope = _scene()
     valid[0, 0] = False
-    masks = _attend(colour, valid, log_prescope, idle=idle)
+    masks = _attend(colour, valid, log_prescope, inactive=inactive)
     assert not masks.active[0].any()
     assert masks.log_masks.isfinite().all()
     torch.testing.assert_close(_total(masks), torch.ones(2, 3, 40), rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("idle", ["never", "threshold"])
-def test_a_clip_does_not_depend_on_its_batch_mates(idle: str):
+@pytest.mark.parametrize("inactive", ["never", "threshold"])
+def test_a_clip_does_not_depend_on_its_batch_mates(inactive: str):
     colour, valid, log_prescope = _scene(batch=3)
     colour[1], valid[2] = 1e4 * colour[1], False
-    together = _attend(colour, valid, log_prescope, idle=idle)
+    together = _attend(colour, valid, log_prescope, inactive=inactive)
     for clip in range(3):
         one = slice(clip, clip + 1)
-        alone = _attend(colour[one], valid[one], log_prescope[one], idle=idle)
+        alone = _attend(colour[one], valid[one], log_prescope[one], inactive=inactive)
         torch.testing.assert_close(together.log_masks[one], alone.log_masks, rtol=1e-6, atol=1e-6)
         torch.testing.assert_close(together.log_scope[one], alone.log_scope, rtol=1e-6, atol=1e-6)
         assert torch.equal(together.active[one], alone.active)
@@ -442,10 +449,10 @@ def test_one_frame_alone_is_like_the_first_of_many():
     torch.testing.assert_close(image.log_masks, clip.log_masks[:, :1])
 
 
-@pytest.mark.parametrize("division", ["sticks", "shares"])
+@pytest.mark.parametrize("division", ["stick_breaking", "softmax"])
 def test_without_a_background_slots_and_the_remainder_sum_to_one(division: str):
     colour, valid, _ = _scene()
-    masks = _attend(colour, valid, whole_scope(valid), remainder="slot", division=division)
+    masks = add_remainder_slot(_attend(colour, valid, whole_scope(valid), division=division))
     assert masks.log_masks.shape[2] == 1 + SLOTS + 1
     shares = masks.log_masks.exp()
     torch.testing.assert_close(shares[:, :, 1:].sum(dim=2)[valid], torch.ones(int(valid.sum())))
@@ -457,7 +464,8 @@ def test_without_a_background_slots_and_the_remainder_sum_to_one(division: str):
 
 def test_the_last_slot_takes_what_the_others_leave_and_changes_nothing_of_them():
     colour, valid, log_prescope = _scene()
-    apart, taken = (_attend(colour, valid, log_prescope, remainder=remainder) for remainder in ("apart", "slot"))
+    apart = _attend(colour, valid, log_prescope)
+    taken = add_remainder_slot(apart)
     torch.testing.assert_close(taken.log_masks[:, :, :-1], apart.log_masks)
     torch.testing.assert_close(taken.log_masks[:, :, -1], apart.log_scope)
 
@@ -467,9 +475,22 @@ def test_a_higher_power_draws_seeds_to_where_masks_are_certain():
     colour[..., 1:, 0] = 0.5
     valid, prescope = torch.ones(1, 1, 41, dtype=torch.bool), whole_scope(torch.ones(1, 1, 41, dtype=torch.bool))
     own = [
-        _attend(colour, valid, prescope, config=AttentionConfig(mask_power=power, looks=1), slots=1).log_masks[
-            0, 0, 1, 0
-        ]
+        _attend(
+            colour, valid, prescope, config=AttentionConfig(mask_exponent=power, mean_shift_steps=1), slots=1
+        ).log_masks[0, 0, 1, 0]
         for power in (1.0, 3.0)
     ]
     assert own[0] < own[1]
+
+
+def test_rules_at_evaluation_are_deterministic_and_those_of_training_the_papers():
+    config = AttentionConfig(inactive_in_training="bernoulli")
+    assert training_rules(config) == Rules("stochastic", "bernoulli", "stick_breaking")
+    assert evaluation_rules(config) == Rules("densest", "threshold", "softmax")
+
+
+def test_alpha_is_one_half_at_the_initial_bandwidth_and_never_one_or_zero():
+    distances, log_sigma = torch.tensor([0.0, SLOTS**-0.5, 1e6]), torch.tensor(math.log(initial_sigma(SLOTS)))
+    assert log_alpha(distances, log_sigma)[1].exp().item() == pytest.approx(0.5, abs=1e-5)
+    assert log_alpha(distances, log_sigma).tolist()[0] < 0
+    assert log_alpha(distances, log_sigma).tolist()[2] == -1e3

@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 
 from obpose.geometry import unproject
-from obpose.model.attention.icsbp import EXCLUDED
+from obpose.model.attention.interface import EXCLUDED
 from obpose.model.attention.posterior import posterior_masks
+from obpose.model.build import build_obpose
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.obpose import ObPose
 from obpose.types import Decoded, Masks
@@ -81,7 +82,7 @@ def test_a_round_puts_objects_where_fields_that_know_them_say_whatever_the_atten
     monkeypatch.setattr(ObPose, "decode", decode)
     torch.manual_seed(0)
     changes = {"model.slots": 2, "model.attention.inactive_points": 0, "model.attention.posterior_refinements": 1}
-    found = ObPose(make_config(**changes)).eval().segment(scene)
+    found = build_obpose(make_config(**changes)).eval().segment(scene)
     means = torch.stack([points[labels == slot].mean(dim=0) for slot in (1, 2)])
     torch.testing.assert_close(found.inference.observed_center[0, 0], means)
     assert (found.labels.view(-1) == labels).all()

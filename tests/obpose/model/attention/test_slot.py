@@ -1,20 +1,41 @@
+from typing import Literal
+
 import pytest
 import torch
 
-from obpose.config import SlotAttentionConfig
-from obpose.model.attention.icsbp import EXCLUDED
-from obpose.model.attention.slot import SlotAttention, Slots
+from obpose.config import AttentionConfig, LatentConfig, ModelConfig
+from obpose.model.attention.interface import EXCLUDED, Attended
+from obpose.model.attention.slot import POSITION_FREQUENCIES, SlotAttention
+from obpose.model.nerf.field import positional_encoding
+from obpose.types import Embeddings
 
 FEATURES, SLOTS, WIDTH = 5, 3, 8
 
 
-def module(*, background: bool = True, **values: object) -> SlotAttention:
+def module(
+    *,
+    background: bool = True,
+    distribution: Literal["learned", "untrained"] = "learned",
+    weights: Literal["orthogonal", "uniform"] = "orthogonal",
+    means: Literal["given", "none"] = "none",
+    iterations: int = 3,
+    width: int = WIDTH,
+) -> SlotAttention:
     torch.manual_seed(0)
-    config = SlotAttentionConfig(width=WIDTH, **values)  # pyright: ignore[reportArgumentType]
-    return SlotAttention(config, features=FEATURES, slots=SLOTS, background=background)
+    config = ModelConfig(
+        slots=SLOTS if background else SLOTS - 1,
+        background="component" if background else "none",
+        attention=AttentionConfig(kind="slots", slot_distribution=distribution),
+        latent=LatentConfig(means=means),
+        weights=weights,
+    )
+    return SlotAttention(config, features=FEATURES, width=width, iterations=iterations)
 
 
-def scene(batch: int = 2, frames: int = 3, points: int = 30) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+Scene = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def scene(batch: int = 2, frames: int = 3, points: int = 30) -> Scene:
     generator = torch.Generator().manual_seed(1)
     shape = (batch, frames, points)
     features = torch.randn(*shape, FEATURES, generator=generator)
@@ -22,8 +43,16 @@ def scene(batch: int = 2, frames: int = 3, points: int = 30) -> tuple[torch.Tens
     return 2 * torch.rand(*shape, 3, generator=generator) - 1, valid, features
 
 
-def attend(net: SlotAttention, inputs: tuple[torch.Tensor, ...] | None = None, *, seed: int = 0) -> Slots:
-    return net(*(inputs or scene()), generator=torch.Generator().manual_seed(seed))
+def attend(net: SlotAttention, inputs: Scene | None = None, *, seed: int = 0) -> Attended:
+    position, valid, features = inputs or scene()
+    nothing = position[..., :0]
+    embeddings = Embeddings(position, valid, position, position, nothing, features, nothing[:, :, 0], None)
+    return net(embeddings, torch.Generator().manual_seed(seed))
+
+
+def codes(found: Attended) -> torch.Tensor:
+    assert found.slot_codes is not None
+    return found.slot_codes
 
 
 @pytest.mark.parametrize("background", [True, False])
@@ -40,15 +69,26 @@ def test_masks_sum_to_one_and_points_that_are_not_valid_are_nobodys(background: 
 def test_one_iteration_is_the_papers():
     net = module(background=False, iterations=1).eval()
     points, valid, features = scene(batch=1, frames=1)
-    found = net(points, valid, features, generator=None)
-    kind, tokens = net.objects, net._tokens(points, features)[0, 0][valid[0, 0]]
+    found = attend(net, (points, valid, features))
+    position = net.position(torch.cat([points, positional_encoding(points, POSITION_FREQUENCIES)], dim=-1))
+    kind, tokens = net.objects, net.tokens(net.features(features) + position)[0, 0][valid[0, 0]]
     slots = kind.mean + kind.log_std.exp() * kind.noise
     logits = tokens @ net.key.weight.T @ kind.query(slots).T / WIDTH**0.5
     shares = logits.softmax(dim=1) + 1e-8
     torch.testing.assert_close(found.masks.log_masks[0, 0, 1:, valid[0, 0]].exp().T, logits.softmax(dim=1))
     updates = (shares / shares.sum(dim=0)).T @ (tokens @ kind.value.weight.T)
     moved = kind.update(updates, slots)
-    torch.testing.assert_close(found.objects[0, 0], moved + kind.refine(moved))
+    torch.testing.assert_close(codes(found)[0, 0], moved + kind.refine(moved))
+
+
+def test_means_under_the_masks_end_the_codes():
+    plain, found = attend(module().eval()), attend(module(means="given").eval())
+    position, valid, features = scene()
+    torch.testing.assert_close(codes(found)[..., :WIDTH], codes(plain))
+    assert found.background_code is not None
+    weights = found.masks.log_masks[0, 0, 0].exp() * valid[0, 0]
+    mean = (weights[:, None] * torch.cat([features, position], dim=-1)[0, 0]).sum(dim=0) / weights.sum()
+    torch.testing.assert_close(found.background_code[0, 0, WIDTH:], mean)
 
 
 def test_the_order_of_object_slots_follows_their_noise_and_nothing_else():
@@ -56,18 +96,18 @@ def test_the_order_of_object_slots_follows_their_noise_and_nothing_else():
     plain = attend(net)
     net.objects.noise.copy_(net.objects.noise[order])
     turned = attend(net)
-    torch.testing.assert_close(turned.objects, plain.objects[:, :, order])
+    torch.testing.assert_close(codes(turned), codes(plain)[:, :, order])
     torch.testing.assert_close(turned.masks.log_masks[:, :, 1:], plain.masks.log_masks[:, :, 1:][:, :, order])
-    assert plain.background is not None
-    assert turned.background is not None
-    torch.testing.assert_close(turned.background, plain.background)
+    assert plain.background_code is not None
+    assert turned.background_code is not None
+    torch.testing.assert_close(turned.background_code, plain.background_code)
 
 
 def test_gradients_reach_mean_and_deviation_and_every_weight():
     net = module()
     found = attend(net)
-    assert found.background is not None
-    (found.objects.square().sum() + found.background.square().sum() + found.masks.log_masks.sum()).backward()
+    assert found.background_code is not None
+    (codes(found).square().sum() + found.background_code.square().sum() + found.masks.log_masks.sum()).backward()
     names = [name for name, parameter in net.named_parameters() if parameter.grad is None or not parameter.grad.any()]
     assert names == []
     assert {"objects.mean", "objects.log_std", "background.mean", "background.log_std"} <= {*net.state_dict()}
@@ -77,13 +117,13 @@ def test_gradients_are_those_of_every_iteration_and_frame():
     net, (points, valid, features) = module().eval().double(), scene(batch=1, frames=2)
 
     def found(given: torch.Tensor) -> torch.Tensor:
-        return net(points.double(), valid, given, generator=None).objects
+        return codes(attend(net, (points.double(), valid, given)))
 
     assert torch.autograd.gradcheck(found, features.double().requires_grad_(), fast_mode=True)
 
 
 @pytest.mark.parametrize("distribution", ["learned", "untrained"])
-def test_training_draws_have_the_mean_and_deviation_of_the_distribution(distribution: str):
+def test_training_draws_have_the_mean_and_deviation_of_the_distribution(distribution: Literal["learned", "untrained"]):
     net = module(distribution=distribution)
     for kind in (net.objects, net.background):
         assert kind is not None
@@ -96,10 +136,9 @@ def test_a_learned_distribution_is_saved_and_gives_the_same_slots_again():
     net = module()
     with torch.no_grad():
         net.objects.mean.add_(1.0)
-    torch.manual_seed(1)
-    other = SlotAttention(net.config, features=FEATURES, slots=SLOTS, background=True)
+    other = module()
     other.load_state_dict(net.state_dict())
-    assert torch.equal(attend(net.eval()).objects, attend(other.eval()).objects)
+    assert torch.equal(codes(attend(net.eval())), codes(attend(other.eval())))
 
 
 def test_an_untrained_distribution_is_not_saved_and_another_at_evaluation():
@@ -117,22 +156,22 @@ def test_an_untrained_distribution_is_not_saved_and_another_at_evaluation():
 
 def test_slots_of_a_frame_begin_where_those_of_the_frame_before_ended():
     net, (points, valid, features) = module(iterations=1).eval(), scene(frames=1)
-    still = tuple(torch.cat([part, part], dim=1) for part in (points, valid, features))
+    still = torch.cat([points] * 2, dim=1), torch.cat([valid] * 2, dim=1), torch.cat([features] * 2, dim=1)
     once, twice = module(iterations=2).eval(), attend(net, still)
-    torch.testing.assert_close(twice.objects[:, 1], attend(once, (points, valid, features)).objects[:, 0])
+    torch.testing.assert_close(codes(twice)[:, 1], codes(attend(once, (points, valid, features)))[:, 0])
 
 
 def test_training_draws_follow_the_generator_and_evaluation_draws_nothing():
     net = module()
-    one, same, other = (attend(net, seed=seed).objects for seed in (0, 0, 1))
+    one, same, other = (codes(attend(net, seed=seed)) for seed in (0, 0, 1))
     assert torch.equal(one, same)
     assert not torch.equal(one, other)
     net.eval()
-    assert torch.equal(attend(net, seed=0).objects, attend(net, seed=1).objects)
+    assert torch.equal(codes(attend(net, seed=0)), codes(attend(net, seed=1)))
 
 
 def test_object_slots_are_not_equal_at_evaluation():
-    objects = attend(module().eval()).objects
+    objects = codes(attend(module().eval()))
     assert (objects[:, :, 0] - objects[:, :, 1]).abs().max() > 1e-2
 
 
@@ -140,16 +179,15 @@ def test_what_is_not_valid_has_no_influence():
     net, (points, valid, features) = module().eval(), scene()
     spoiled = torch.where(valid[..., None], features, 50.0)
     torch.testing.assert_close(
-        attend(net, (points, valid, features)).objects, attend(net, (points, valid, spoiled)).objects
+        codes(attend(net, (points, valid, features))), codes(attend(net, (points, valid, spoiled)))
     )
     nothing = attend(net, (points, torch.zeros_like(valid), features))
-    assert nothing.objects.isfinite().all()
+    assert codes(nothing).isfinite().all()
 
 
 def test_orthogonal_weights_share_the_points_out_from_the_start():
-    largest = []
-    for weights in ("orthogonal", "uniform"):
-        torch.manual_seed(0)
-        net = SlotAttention(SlotAttentionConfig(), features=FEATURES, slots=SLOTS, background=True, weights=weights)
-        largest.append(attend(net.eval()).masks.log_masks.exp().amax(dim=2).mean())
-    assert largest[0] > largest[1] + 0.2
+    orthogonal, uniform = (
+        attend(net.eval()).masks.log_masks.exp().amax(dim=2).mean()
+        for net in (module(weights="orthogonal", width=32), module(weights="uniform", width=32))
+    )
+    assert orthogonal > uniform + 0.2

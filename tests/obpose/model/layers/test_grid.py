@@ -3,7 +3,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from obpose.model.layers.grid import Grid, all_places, on_grid, thin, upsample, windows
+from obpose.model.layers.grid import Grid, all_places, on_grid, subsample, upsample, windows
 from obpose.model.layers.kernel_points import kernel_points
 from obpose.model.layers.kpconv import KPConv, influence
 
@@ -92,38 +92,25 @@ def test_windows_of_some_points_are_theirs_among_all():
     assert torch.equal(found.influences, every.influences)
 
 
-@pytest.mark.parametrize("stride", [1, 2, 3, 4])
 @pytest.mark.parametrize(("height", "width"), [(8, 8), (7, 5), (1, 9)])
-def test_thinning_keeps_the_valid_point_nearest_to_the_middle(stride: int, height: int, width: int):
+def test_subsampling_keeps_the_first_valid_point_of_each_cell(height: int, width: int):
     grid = rough_table(3, height, width, holes=0.6)
-    coarse, kept = thin(grid, stride)
-    assert coarse.valid.shape == (3, -(-height // stride), -(-width // stride))
+    coarse, kept = subsample(grid)
+    assert coarse.valid.shape == (3, -(-height // 2), -(-width // 2))
     kept = kept.view(coarse.valid.shape)
-    middle = (stride - 1) / 2
     for image, row, column in torch.cartesian_prod(*map(torch.arange, coarse.valid.shape)).tolist():
-        y, x = row * stride, column * stride
-        cell = grid.valid[image, y : y + stride, x : x + stride].nonzero().tolist()
+        cell = grid.valid[image, 2 * row : 2 * row + 2, 2 * column : 2 * column + 2].nonzero().tolist()
         assert bool(coarse.valid[image, row, column]) == bool(cell)
         if cell:
             place = int(kept[image, row, column]) - image * height * width
-            chosen = (place // width - y, place % width - x)
-            distances = {(dy, dx): (dy - middle) ** 2 + (dx - middle) ** 2 for dy, dx in cell}
-            assert distances[chosen] == min(distances.values())
+            assert [place // width - 2 * row, place % width - 2 * column] == cell[0]
             assert torch.equal(coarse.points[image, row, column], grid.points.view(-1, 3)[kept[image, row, column]])
-
-
-def test_thinning_by_one_keeps_all():
-    grid = rough_table()
-    coarse, kept = thin(grid, 1)
-    assert torch.equal(kept, all_places(grid))
-    assert torch.equal(coarse.points, grid.points)
-    assert torch.equal(coarse.valid, grid.valid)
 
 
 @pytest.mark.parametrize(("height", "width"), [(8, 8), (7, 5), (1, 1)])
 def test_upsampling_without_holes_is_bilinear(height: int, width: int):
     fine = rough_table(2, height, width, holes=0.0)
-    coarse, _ = thin(fine, 2)
+    coarse, _ = subsample(fine)
     features = noise(coarse, 3)
     expected = F.interpolate(features.movedim(-1, 1), scale_factor=2, mode="bilinear").movedim(1, -1)
     found = upsample(features, coarse.valid, like=fine)

@@ -17,7 +17,7 @@ FIELDS = [field.name for field in dataclasses.fields(Latent)]
 
 def module(start: Start = "zero") -> RecurrentLatent:
     torch.manual_seed(0)
-    latent = RecurrentLatent(ENCODING, LATENT, LatentConfig(hidden=HIDDEN), start=start)
+    latent = RecurrentLatent(ENCODING, LatentConfig(), start=start, latent=LATENT, hidden=HIDDEN)
     for parameter in latent.parameters():
         torch.nn.init.uniform_(parameter, -0.6, 0.6)
     return latent
@@ -131,9 +131,12 @@ def test_a_prior_teaches_the_latents_that_it_follows_from():
 
 
 def test_a_posterior_can_be_wide_read_the_state_alone_and_begin_with_plain_weights():
-    config = LatentConfig(hidden=HIDDEN, posterior_std=0.7, posterior_input="state")
+    config = LatentConfig(posterior_std=0.7, posterior_input="state")
     torch.manual_seed(0)
-    latent, plain = (RecurrentLatent(ENCODING, LATENT, config, weights=kind) for kind in ("orthogonal", "uniform"))
+    latent, plain = (
+        RecurrentLatent(ENCODING, config, weights=kind, latent=LATENT, hidden=HIDDEN)
+        for kind in ("orthogonal", "uniform")
+    )
     assert latent(encodings(2, 3), "mean").std.mean().item() == pytest.approx(0.7, abs=0.15)
     assert latent.get_parameter("_posterior_head.0.weight").shape == (HIDDEN, HIDDEN)
     first, other = (one.get_parameter("_posterior_head.0.weight") for one in (latent, plain))

@@ -3,10 +3,10 @@ import math
 import pytest
 import torch
 
-from obpose.model.losses.observation import ColourLikelihood, air, colour_mixture, log_likelihood, surface
+from obpose.model.losses.observation import COLOUR_STD as STD
+from obpose.model.losses.observation import air, colour_log_likelihood, colour_mixture, surface
 from obpose.model.nerf.compose import OUTSIDE, log_share
 
-STD = 0.1
 SHAPE = (2, 2, 3, 40)
 
 
@@ -20,12 +20,8 @@ def example(dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Ten
     return logits.to(dtype), colours.to(dtype), target.to(dtype), valid
 
 
-def colour_loss(
-    logits: torch.Tensor, colours: torch.Tensor, target: torch.Tensor, valid: torch.Tensor, kind: ColourLikelihood
-):
-    return colour_mixture(
-        log_share(logits), log_likelihood(colours, target, std=STD, likelihood=kind), valid.to(logits.dtype)
-    )
+def colour_loss(logits: torch.Tensor, colours: torch.Tensor, target: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    return colour_mixture(log_share(logits), colour_log_likelihood(colours, target), valid.to(logits.dtype))
 
 
 def direct_share(logits: torch.Tensor) -> torch.Tensor:
@@ -38,39 +34,24 @@ def direct_normal(colours: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     return torch.exp(-0.5 * away.square()) / (STD * math.sqrt(2 * math.pi))
 
 
-def test_the_colour_term_is_the_papers_with_channels_together():
-    logits, colours, target, valid = example()
-    inside = (direct_normal(colours, target).prod(dim=-1) * direct_share(logits)).sum(dim=2)
-    expected = -inside.log()[valid].mean()
-    assert colour_loss(logits, colours, target, valid, "joint").item() == pytest.approx(expected.item(), rel=1e-5)
-
-
 def test_the_colour_term_is_the_authors_with_a_mixture_a_channel():
     logits, colours, target, valid = example()
     inside = (direct_normal(colours, target) * direct_share(logits)[..., None]).sum(dim=2)
     expected = -inside.log().sum(dim=-1)[valid].mean()
-    assert colour_loss(logits, colours, target, valid, "channel").item() == pytest.approx(expected.item(), rel=1e-5)
-
-
-def test_both_are_the_same_for_one_dense_component():
-    _, colours, target, valid = example()
-    logits = torch.full((2, 2, 1, 40), 30.0)
-    channel, joint = (colour_loss(logits, colours[:, :, :1], target, valid, kind) for kind in ("channel", "joint"))
-    torch.testing.assert_close(channel + 0 * joint, joint, atol=1e-4, rtol=1e-5)
+    assert colour_loss(logits, colours, target, valid).item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 def test_the_order_of_the_components_does_not_matter():
     logits, colours, target, valid = example()
     order = torch.tensor([2, 0, 1])
-    turned = colour_loss(logits[:, :, order], colours[:, :, order], target, valid, "channel")
-    torch.testing.assert_close(turned, colour_loss(logits, colours, target, valid, "channel"))
+    turned = colour_loss(logits[:, :, order], colours[:, :, order], target, valid)
+    torch.testing.assert_close(turned, colour_loss(logits, colours, target, valid))
 
 
-@pytest.mark.parametrize("kind", ["channel", "joint"])
-def test_a_colour_that_is_far_off_is_still_pulled(kind: ColourLikelihood):
+def test_a_colour_that_is_far_off_is_still_pulled():
     colours = torch.zeros(1, 1, 2, 1, 3, requires_grad=True)
     logits = torch.tensor([5.0, OUTSIDE]).view(1, 1, 2, 1)
-    loss = colour_loss(logits, colours, torch.ones(1, 1, 1, 3), torch.ones(1, 1, 1), kind)
+    loss = colour_loss(logits, colours, torch.ones(1, 1, 1, 3), torch.ones(1, 1, 1))
     (gradient,) = torch.autograd.grad(loss, colours)
     torch.testing.assert_close(gradient[0, 0, 0, 0], torch.full((3,), -1 / STD**2))
     assert (gradient[0, 0, 1] == 0).all()
@@ -79,7 +60,7 @@ def test_a_colour_that_is_far_off_is_still_pulled(kind: ColourLikelihood):
 def test_the_surface_term_is_the_log_of_the_density():
     logits, *_, valid = example()
     expected = -(10 * direct_share(logits).sum(dim=2)).log()[valid].mean()
-    assert surface(logits, valid.to(logits.dtype), sigma_max=10.0).item() == pytest.approx(expected.item(), rel=1e-5)
+    assert surface(logits, valid.to(logits.dtype)).item() == pytest.approx(expected.item(), rel=1e-5)
 
 
 def test_the_air_term_is_the_weighted_density():
@@ -87,7 +68,7 @@ def test_the_air_term_is_the_weighted_density():
     logits = logits.clamp(max=0.2)
     inverse_rho = torch.rand(valid.shape) + 0.5
     expected = (10 * direct_share(logits).sum(dim=2) * inverse_rho)[valid].mean()
-    assert air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0, saturation=3.0).item() == pytest.approx(
+    assert air(logits, inverse_rho, valid.to(logits.dtype), saturation=3.0).item() == pytest.approx(
         expected.item(), rel=1e-5
     )
 
@@ -101,9 +82,9 @@ def test_invalid_rays_have_no_say():
     def total(target: torch.Tensor, weight: float) -> torch.Tensor:
         inverse_rho = torch.where(valid, 1.0, weight)
         return (
-            colour_loss(logits, colours, target, valid, "channel")
-            + surface(logits, valid.to(logits.dtype), sigma_max=10.0)
-            + air(logits, inverse_rho, valid.to(logits.dtype), sigma_max=10.0, saturation=3.0)
+            colour_loss(logits, colours, target, valid)
+            + surface(logits, valid.to(logits.dtype))
+            + air(logits, inverse_rho, valid.to(logits.dtype), saturation=3.0)
         )
 
     torch.testing.assert_close(total(spoiled, 1e6), total(target, 1.0))
@@ -114,8 +95,8 @@ def test_invalid_rays_have_no_say():
 def test_a_clip_without_valid_rays_has_no_loss():
     logits, colours, target, valid = example()
     nothing = torch.zeros(valid.shape)
-    assert colour_loss(logits, colours, target, nothing, "channel") == 0
-    assert surface(logits, nothing, sigma_max=10.0) == 0
+    assert colour_loss(logits, colours, target, nothing) == 0
+    assert surface(logits, nothing) == 0
 
 
 def test_everything_is_finite_where_nothing_is_dense():
@@ -123,8 +104,6 @@ def test_everything_is_finite_where_nothing_is_dense():
     logits = torch.full(SHAPE, OUTSIDE)
     logits[:, :, 0] = -1e4
     logits.requires_grad_()
-    total = colour_loss(logits, colours, target, valid, "channel") + surface(
-        logits, valid.to(logits.dtype), sigma_max=10.0
-    )
+    total = colour_loss(logits, colours, target, valid) + surface(logits, valid.to(logits.dtype))
     assert total.isfinite()
     assert torch.autograd.grad(total, logits)[0].isfinite().all()

@@ -1,13 +1,14 @@
+import math
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import pytest
 import torch
 from einops import rearrange
 
+from obpose.config import FieldConfig
 from obpose.geometry import to_box
-from obpose.model.nerf.components import Colours, decode, decode_background
-from obpose.model.nerf.compose import OUTSIDE
+from obpose.model.nerf.components import Background, Codes, Colours, Fields, decode, decode_background
+from obpose.model.nerf.compose import OUTSIDE, log_density
 from obpose.model.nerf.field import Field
 from obpose.types import Boxes, Decoded
 from tests.obpose.analytic_fields import SMALL, random_boxes
@@ -29,9 +30,15 @@ class World:
     points: torch.Tensor
     directions: torch.Tensor
 
-    def decode(self, colours: Colours = "with", **options: Any) -> Decoded:
-        parts = (getattr(self, field.name) for field in fields(self))
-        return decode(*parts, workspace_center=MIDDLE, workspace_size=1.0, colours=colours, **options)
+    def fields(self, floor: float | None = None) -> Fields:
+        return Fields(self.object_field, self.background_field, MIDDLE, 1.0, floor)
+
+    def decode(
+        self, colours: Colours = "with", where_background: Background = "everywhere", floor: float | None = None
+    ) -> Decoded:
+        codes = Codes(self.active, self.z_what, self.z_background, self.boxes)
+        options = {"colours": colours, "where_background": where_background}
+        return decode(self.fields(floor), codes, self.points, self.directions, **options)
 
     def scene(self, place: int) -> "World":
         one = slice(place, place + 1)
@@ -104,15 +111,7 @@ def test_where_only_order_counts_the_background_is_left_out_outside_the_boxes(wo
 
 
 def test_the_background_alone_is_the_first_component(world: World):
-    alone = decode_background(
-        world.background_field,
-        world.z_background,
-        world.points,
-        world.directions,
-        workspace_center=MIDDLE,
-        workspace_size=1.0,
-        colours="with",
-    )
+    alone = decode_background(world.fields(), world.z_background, world.points, world.directions, colours="with")
     together = world.decode()
     assert alone.colours is not None
     assert together.colours is not None
@@ -167,3 +166,63 @@ def test_each_code_hears_of_its_own_points_alone(world: World):
     (gradient,) = torch.autograd.grad(decoded.logits[0, 1, 2].sum(), z_what)
     heard = rearrange(gradient.abs().sum(dim=-1) > 0, "b f s -> (b f s)").nonzero()[:, 0].tolist()
     assert heard == [1 * SLOTS + 1]
+
+
+SQUASHED = FieldConfig(width=16, depth=4, position_frequencies=2, direction_frequencies=1, density="squashed")
+
+
+def unposed(
+    config: FieldConfig = SMALL,
+    *,
+    background: bool = True,
+    active: bool = True,
+    colours: Colours = "with",
+    floor: float | None = None,
+    bias: float = 0.0,
+) -> tuple[Decoded, Fields, Codes, torch.Tensor, torch.Tensor]:
+    """Decode objects without boxes; also give fields, codes, points and directions."""
+    torch.manual_seed(0)
+    field, other = Field(config, 4), Field(config, 5) if background else None
+    for each in (field, other):
+        if each is not None:
+            torch.nn.init.constant_(each.density_logit.bias, bias)
+    world = Fields(field, other, MIDDLE, 2.0, floor)
+    z_background = torch.randn(BATCH, FRAMES, 5) if background else None
+    codes = Codes(torch.full((BATCH, 4), active), torch.randn(BATCH, FRAMES, 4, 4), z_background, None)
+    points, directions = torch.randn(BATCH, FRAMES, 50, 3), torch.randn(BATCH, FRAMES, 50, 3)
+    return decode(world, codes, points, directions, colours=colours), world, codes, points, directions
+
+
+def test_without_boxes_every_slot_is_evaluated_at_every_point_as_a_background_would_be():
+    found, world, codes, points, directions = unposed()
+    assert found.colours is not None
+    for slot in range(4):
+        as_background = replace(world, background=world.objects)
+        alone = decode_background(as_background, codes.what[:, :, slot], points, directions, colours="with")
+        assert alone.colours is not None
+        torch.testing.assert_close(found.logits[:, :, 1 + slot], alone.logits[:, :, 0])
+        torch.testing.assert_close(found.colours[:, :, 1 + slot], alone.colours[:, :, 0])
+
+
+def test_without_a_background_its_component_is_nowhere():
+    found, *_ = unposed(background=False)
+    assert (found.logits[:, :, 0] == OUTSIDE).all()
+    torch.testing.assert_close(log_density(found.logits), log_density(found.logits[:, :, 1:]))
+    assert found.colours is not None
+    assert found.colours.shape == (BATCH, FRAMES, 5, 50, 3)
+    assert unposed(background=False, colours="without")[0].colours is None
+
+
+def test_without_boxes_inactive_slots_are_nowhere_and_objects_end_at_the_floor():
+    assert (unposed(active=False)[0].logits[:, :, 1:] == OUTSIDE).all()
+    found, _, _, points, _ = unposed(floor=0.2)
+    below = (points[..., 2] <= 0.2)[:, :, None].expand(-1, -1, 4, -1)
+    assert torch.equal(found.logits[:, :, 1:] == OUTSIDE, below)
+    assert (found.logits[:, :, 0] != OUTSIDE).all()
+
+
+@pytest.mark.parametrize(("config", "least"), [(SMALL, 0.0), (SQUASHED, math.tanh(5 * math.log(2)))])
+def test_only_raw_densities_can_be_empty(config: FieldConfig, least: float):
+    """However low the logits: five squashed components have a density of .998."""
+    density = log_density(unposed(config, bias=-50.0)[0].logits).exp()
+    torch.testing.assert_close(density, torch.full_like(density, least), atol=1e-5, rtol=0)

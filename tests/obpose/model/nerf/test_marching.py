@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from obpose.geometry import camera_rays
-from obpose.model.nerf.components import decode
+from obpose.model.nerf.components import Codes, Fields, decode
 from obpose.model.nerf.field import Conditioning, Field, Hidden
 from obpose.model.nerf.marching import Component, Picture, make_component, march, moved, thickness_towards
 from obpose.model.nerf.render import Rendering, render
@@ -54,11 +54,10 @@ def both(
     fast = march(components, origin, direction, **along, floor=floor)
 
     def everywhere(points: torch.Tensor, directions: torch.Tensor):
-        frame = {"workspace_center": WORLD["center"], "workspace_size": WORLD["size"], "colours": "with"}
-        active, z, background = torch.ones(1, 3, dtype=torch.bool), codes[None, None], background_code[None, None]
-        return decode(
-            object_field, background_field, boxes, active, z, background, points, directions, **frame, floor=floor
-        )
+        fields = Fields(object_field, background_field, WORLD["center"], WORLD["size"], floor)
+        active = torch.ones(1, 3, dtype=torch.bool)
+        scene = Codes(active, codes[None, None], background_code[None, None], boxes)
+        return decode(fields, scene, points, directions, colours="with")
 
     dense = render(everywhere, origin[None, None], direction[None, None], **along)
     return fast, dense

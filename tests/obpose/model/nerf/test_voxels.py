@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from obpose.geometry import from_box, to_box
-from obpose.model.nerf.components import decode
+from obpose.model.nerf.components import Codes, Fields, decode
 from obpose.model.nerf.field import Field
 from obpose.model.nerf.render import render
 from obpose.model.nerf.voxels import (
@@ -86,16 +86,10 @@ def test_voxels_agree_with_volume_rendering(axis: int):
     direction = boxes.rotation[..., 0, :, axis][:, :, None].expand_as(origin)
     rendering = render(
         lambda points, directions: decode(
-            field,
-            empty_field(),
-            boxes,
-            ONE,
-            CODE,
-            CODE[:, :, 0],
+            Fields(field, empty_field(), torch.zeros(3), 1.0, None),
+            Codes(ONE, CODE, CODE[:, :, 0], boxes),
             points,
             directions,
-            workspace_center=torch.zeros(3),
-            workspace_size=1.0,
             colours="with",
         ),
         origin,
@@ -123,9 +117,7 @@ def test_the_shape_of_a_half_observed_ball_is_centred_on_the_ball(jitter: int | 
     points = seen_points(observation, _pixels(64), observation.depth.flatten())[0, 0, 0]
     on_ball = points[(points - torch.tensor(middle)).norm(dim=-1) < radius + 1e-3]
     generator = None if jitter is None else torch.Generator().manual_seed(jitter)
-    shape = estimate_shape(
-        BallField(0.5), boxes, ONE, CODE, observation, resolution=24, threshold=0.5, floor=-0.002, generator=generator
-    )
+    shape = estimate_shape(BallField(0.5), boxes, ONE, CODE, observation, resolution=24, generator=generator)
     assert shape.found.all()
     assert (on_ball.mean(dim=0) - torch.tensor(middle)).norm() > 0.02
     assert (shape.center[0, 0, 0] - torch.tensor(middle)).norm() < 0.004
@@ -135,7 +127,7 @@ def test_what_was_seen_through_or_is_under_the_floor_is_empty_whatever_the_field
     middle, radius = torch.tensor([0.02, 0.01, 0.06]), 0.05
     observation = ball_on_table((0.02, 0.01, 0.06), radius)
     boxes = upright_box((0.02, 0.01, 0.06), size=0.15)
-    voxels = occupied_voxels(BallField(9.0), boxes, ONE, CODE, observation, resolution=16, threshold=0.5, floor=-0.002)
+    voxels = occupied_voxels(BallField(9.0), boxes, ONE, CODE, observation, resolution=16)
     points, occupied = voxels.points[0, 0, 0], voxels.occupied[0, 0, 0]
     eye = observation.world_from_camera[0, 0, :3, 3]
     nearest = _distance_to_segment(middle, eye, points)
@@ -238,7 +230,7 @@ def test_voxels_tell_how_a_long_thing_lies():
     rod = (lattice[:, 1:].abs() < 0.2).all(dim=-1)
     points = from_box(lattice[rod], torch.zeros(1, 1, 1, 3), turn, 0.2)
     voxels = Voxels(points, torch.ones(points.shape[:-1], dtype=torch.bool))
-    found = orientation_of(voxels, grid_level=1, refinements=4, tolerance=0.01)[0, 0, 0]
+    found = orientation_of(voxels)[0, 0, 0]
     assert (turn[0, 0, 0, :, 0] @ found).abs().max() > 0.99
 
 

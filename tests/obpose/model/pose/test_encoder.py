@@ -19,7 +19,7 @@ SPARSE, DENSE = 0.025, 0.012
 
 def encoder(**values: Any) -> ObjectEncoder:
     torch.manual_seed(0)
-    return ObjectEncoder(FEATURES, LatentConfig(encoder=WIDTH, **values))
+    return ObjectEncoder(FEATURES, LatentConfig(**values), width=WIDTH)
 
 
 def geometry(samples: BoxSamples, radius: float = RADIUS) -> Neighbourhoods:

@@ -21,7 +21,7 @@ def clip(*shape: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.
 
 def test_with_hard_masks_it_is_the_centroid_of_the_observed_points():
     owner, points, valid = clip(2, 3, 60)
-    center = observed_center(hard_masks(owner), points, valid, min_points=1, power=3.0)
+    center = observed_center(hard_masks(owner), points, valid, min_points=1, exponent=3.0)
     for batch in range(2):
         for frame in range(3):
             for slot in range(SLOTS):
@@ -34,7 +34,7 @@ def test_with_soft_masks_it_is_the_mean_weighted_by_their_cubes():
     masks = torch.randn(1, 1, SLOTS + 1, 50, generator=torch.Generator().manual_seed(1)).softmax(dim=2)
     weights = masks[0, 0, 1:] ** 3 * valid[0, 0]
     expected = (weights @ points[0, 0]) / weights.sum(dim=-1, keepdim=True)
-    torch.testing.assert_close(observed_center(masks.log(), points, valid, min_points=0, power=3.0)[0, 0], expected)
+    torch.testing.assert_close(observed_center(masks.log(), points, valid, min_points=0, exponent=3.0)[0, 0], expected)
 
 
 def test_points_that_are_not_observed_do_not_count():
@@ -42,8 +42,8 @@ def test_points_that_are_not_observed_do_not_count():
     moved = torch.where(valid[..., None], points, 1e6)
     masks = hard_masks(owner)
     assert torch.equal(
-        observed_center(masks, moved, valid, min_points=1, power=3.0),
-        observed_center(masks, points, valid, min_points=1, power=3.0),
+        observed_center(masks, moved, valid, min_points=1, exponent=3.0),
+        observed_center(masks, points, valid, min_points=1, exponent=3.0),
     )
     assert torch.equal(count_points(masks, valid).sum(dim=-1), (valid & (owner > 0)).sum(dim=-1))
 
@@ -54,7 +54,7 @@ def test_a_slot_with_too_few_points_stays_where_it_was():
     owner = torch.zeros(1, 5, 40, dtype=torch.long)
     for frame, count in enumerate([2, 9, 3, 0, 4]):
         owner[0, frame, :count] = 2
-    center = observed_center(hard_masks(owner), points, valid, min_points=4, power=3.0)[0, :, 1]
+    center = observed_center(hard_masks(owner), points, valid, min_points=4, exponent=3.0)[0, :, 1]
     torch.testing.assert_close(center[0], points[0, 0, :2].mean(dim=0))
     torch.testing.assert_close(center[1], points[0, 1, :9].mean(dim=0))
     assert torch.equal(center[2], center[1])
@@ -64,7 +64,7 @@ def test_a_slot_with_too_few_points_stays_where_it_was():
 
 def test_a_slot_that_is_never_seen_stays_at_its_first_location():
     owner, points, valid = clip(1, 3, 40)
-    center = observed_center(hard_masks(owner), points, valid, min_points=1000, power=3.0)
+    center = observed_center(hard_masks(owner), points, valid, min_points=1000, exponent=3.0)
     assert torch.equal(center, center[:, :1].expand_as(center))
 
 
@@ -73,7 +73,7 @@ def test_idle_slots_and_empty_frames_have_finite_locations():
     valid[0] = False
     idle = torch.full((2, 2, SLOTS + 1, 40), -1e4)
     idle[:, :, 0] = 0
-    center = observed_center(idle, points, valid, min_points=10, power=3.0)
+    center = observed_center(idle, points, valid, min_points=10, exponent=3.0)
     assert center.isfinite().all()
     torch.testing.assert_close(center[1, 0], points[1, 0, valid[1, 0]].mean(dim=0).expand(SLOTS, 3))
 
@@ -82,21 +82,23 @@ def test_idle_slots_and_empty_frames_have_finite_locations():
 def test_a_clip_does_not_depend_on_its_batch_mates(batch: int):
     owner, points, valid = clip(3, 4, 40)
     masks, one = hard_masks(owner), slice(batch, batch + 1)
-    together = observed_center(masks, points, valid, min_points=8, power=3.0)[one]
-    alone = observed_center(masks[one], points[one], valid[one], min_points=8, power=3.0)
+    together = observed_center(masks, points, valid, min_points=8, exponent=3.0)[one]
+    alone = observed_center(masks[one], points[one], valid[one], min_points=8, exponent=3.0)
     torch.testing.assert_close(together, alone, atol=1e-6, rtol=0)
 
 
 def test_there_is_no_gradient_into_the_masks():
     owner, points, valid = clip(1, 2, 40)
-    assert not observed_center(hard_masks(owner).requires_grad_(), points, valid, min_points=1, power=3.0).requires_grad
+    assert not observed_center(
+        hard_masks(owner).requires_grad_(), points, valid, min_points=1, exponent=3.0
+    ).requires_grad
 
 
 def test_traces_of_the_mask_on_the_table_do_not_move_the_center_of_a_small_object():
     points = torch.cat([torch.full((10, 3), 0.3), 2 * torch.rand(1000, 3) - 1])[None, None]
     mask = torch.cat([torch.full((10,), 0.9), torch.full((1000,), 0.01)])
     log_masks = torch.stack([1 - mask, mask]).log()[None, None]
-    center = observed_center(log_masks, points, torch.ones(1, 1, 1010, dtype=torch.bool), min_points=1, power=3.0)
+    center = observed_center(log_masks, points, torch.ones(1, 1, 1010, dtype=torch.bool), min_points=1, exponent=3.0)
     torch.testing.assert_close(center[0, 0, 0], points[0, 0, 0], atol=1e-3, rtol=0)
 
 
@@ -105,7 +107,7 @@ def test_a_lower_power_lets_traces_of_a_mask_elsewhere_pull():
     mine = torch.cat([torch.full((10,), 0.9), torch.full((1000,), 0.01)])
     log_masks = torch.stack([1 - mine, mine])[None, None].log()
     near, far = (
-        observed_center(log_masks, points, torch.ones(1, 1, 1010, dtype=torch.bool), min_points=1, power=power)[
+        observed_center(log_masks, points, torch.ones(1, 1, 1010, dtype=torch.bool), min_points=1, exponent=power)[
             0, 0, 0, 0
         ]
         for power in (3.0, 1.0)

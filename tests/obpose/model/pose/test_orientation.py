@@ -5,12 +5,10 @@ import math
 import pytest
 import torch
 
-from obpose.config import PoseConfig
-from obpose.model.pose.orientation import observed_rotation
+from obpose.model.pose.orientation import MIN_PIXELS, observed_rotation
 from obpose.model.pose.rotations import equivalents, geodesic_distance, rotation_from_vector
 from tests.obpose.clouds import random_boxes
 
-POSE = PoseConfig()
 ROWS, COLUMNS = 40, 30
 PIXELS = ROWS * COLUMNS
 
@@ -33,7 +31,7 @@ class Images:
         self.points = points.view(1, 1, 1, ROWS, COLUMNS, 3).expand(1, 2, -1, -1, -1, -1).clone()
 
     def found(self, slots: int = 3) -> torch.Tensor:
-        return observed_rotation(self.points, self.owners, slots=slots, pose=POSE)
+        return observed_rotation(self.points, self.owners, slots=slots)
 
 
 def test_each_slot_gets_the_orientation_of_the_box_that_its_pixels_show():
@@ -63,7 +61,7 @@ def test_a_slot_of_more_pixels_than_are_looked_at_is_seen_on_all_of_its_sides():
     assert (angles_modulo_symmetry(images.found(1)[0, :, 0], torch.eye(3).expand(2, 3, 3)) < math.radians(5)).all()
 
 
-@pytest.mark.parametrize("pixels", [0, POSE.min_pixels - 1])
+@pytest.mark.parametrize("pixels", [0, MIN_PIXELS - 1])
 def test_a_slot_of_too_few_pixels_keeps_its_orientation_and_has_none_at_first(pixels: int):
     images = Images()
     for frame in (0, 1):
