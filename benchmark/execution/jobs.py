@@ -172,7 +172,7 @@ def repeat_rows(keys: Sequence[RunKey], out: Path) -> None:
                 continue
             table = out / SCENES / f"{row.key.name}.csv"
             if table.exists():
-                write_whole(out / SCENES / f"{key.name}.csv", table.read_bytes())
+                write_atomically(out / SCENES / f"{key.name}.csv", table.read_bytes())
             save_row(out, dataclasses.replace(row, key=key))
 
 
