@@ -1,12 +1,7 @@
-"""Errors that the user can fix, their exit codes, and how every command reports them."""
+"""Errors that the user can fix, and the exit codes of all commands."""
 
 import difflib
-import os
-import signal
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Iterable
 
 EXIT_OK = 0
 EXIT_USAGE = 2
@@ -50,48 +45,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> UsageError:
     return UsageError(f"Unknown {kind} {name!r}; {hint} are: {', '.join(names)}.")
 
 
-def run_program(
-    program: str, run: Callable[[], int], *, interrupted: str = "Interrupted.", out_of_memory: str | None = None
-) -> int:
-    """Run a command and give its exit code; every failure that a user can mend ends in one line on stderr.
-
-    Args:
-        program: What the user called.
-        run: Gives the exit code of success.
-        interrupted: What to say after Ctrl-C.
-        out_of_memory: What to say when there is no more memory; None lets that pass.
-    """
-    try:
-        return run()
-    except DatagenError as error:
-        said, code = str(error), error.exit_code
-    except KeyboardInterrupt:
-        said, code = interrupted, EXIT_INTERRUPTED
-    except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
-        said, code = f"{place}{error.strerror or error}.", EXIT_INCOMPLETE
-    except (MemoryError, RuntimeError) as error:
-        if out_of_memory is None or not is_out_of_memory(error):
-            raise
-        said, code = out_of_memory, EXIT_INCOMPLETE
-    sys.stderr.write(f"{program}: {said}\n")
-    return code
-
-
-@contextmanager
-def interruptible_imports(program: str) -> Iterator[None]:
-    """Let Ctrl-C end the process at once, in one line: what is raised while a library is imported may be lost in it."""
-
-    def leave(_signal: int, _frame: FrameType | None) -> None:
-        os.write(sys.stderr.fileno(), f"{program}: Interrupted while it began.\n".encode())
-        os._exit(EXIT_INTERRUPTED)
-
-    before = signal.signal(signal.SIGINT, leave)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether that is what an error of Python or PyTorch says; on a CPU PyTorch has no class of its own for it."""
+    """Whether an error of Python or PyTorch means too little memory; on CPUs, PyTorch raises a plain RuntimeError."""
     said = str(error).lower()
     return isinstance(error, MemoryError) or any(words in said for words in _OUT_OF_MEMORY)

@@ -4,14 +4,14 @@ path = find_track("moving").prepare(("val", "test"))    # makes what is missing 
 """
 
 import os
-from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from datagen.config import load_recipe, recipe_names
+from datagen.console.progress import Progress, no_progress
 from datagen.console.text import counted
 from datagen.errors import DatagenError, UsageError, unknown_name
 from datagen.schema import EditKind
@@ -33,14 +33,6 @@ WIDE: dict[Profile, tuple[int, int]] = {"cpu": (80, 60), "gpu": (128, 96)}
 """Width and height of the images; used for recipes whose images are not square."""
 GROUPS = {"paper": ("moving", "static", "clevr3d", "multishape")}
 """Names that stand for several tracks; `paper` holds the tracks for which the paper has tables."""
-
-Progress = Callable[[int], AbstractContextManager[Callable[[], None]]]
-"""Function that shows progress over a number of scenes; its context gives a function to call after each scene."""
-
-
-def no_progress(total: int) -> AbstractContextManager[Callable[[], None]]:
-    """Show nothing."""
-    return nullcontext(lambda: None)
 
 
 @dataclass(frozen=True)

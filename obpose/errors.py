@@ -8,9 +8,7 @@ from datagen.errors import (
     CorruptFile,
     DatagenError,
     UsageError,
-    interruptible_imports,
     is_out_of_memory,
-    run_program,
     unknown_name,
 )
 
@@ -24,9 +22,7 @@ __all__ = [
     "Diverged",
     "Interrupted",
     "UsageError",
-    "interruptible_imports",
     "is_out_of_memory",
-    "run_program",
     "unknown_name",
 ]
 

@@ -10,11 +10,11 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image, ImageDraw
 from torch import Tensor
 
+from datagen.storage.atomic import write_atomically
 from obpose.config import Views
 from obpose.data.clips import views_apart
 from obpose.geometry import all_rays, from_box
 from obpose.model.nerf.compose import mean_colour
-from obpose.storage.files import write_whole
 from obpose.trainable import Trainable
 from obpose.types import Boxes, Decoded, Inference, Observation, SceneSegmentation, Segmentation
 
@@ -67,7 +67,7 @@ def write_picture(path: Path, model: Trainable, clips: Observation, views: Views
         model.train(was_training)
     file = io.BytesIO()
     Image.fromarray(picture).save(file, "png")
-    write_whole(path, file.getvalue())
+    write_atomically(path, file.getvalue())
 
 
 @torch.no_grad()

@@ -32,7 +32,7 @@ BELOW = {"assets": (), "datagen": ("assets",), "obpose": ("assets", "datagen"), 
 
 LAYERS = (
     {"errors", "version", "console"},
-    {"geometry", "scene", "schema", "config", "recipe_rules", "shapes", "catalog", "storage"},
+    {"geometry", "scene", "schema", "config", "random_streams", "recipe_rules", "shapes", "catalog", "storage"},
     {"sampling", "physics", "render", "sensor"},
     {"edits", "pipeline", "verify", "inspect"},
     {"tracks", "commands"},

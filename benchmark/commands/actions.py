@@ -7,7 +7,7 @@ from rich.table import Table
 
 from benchmark.commands import arguments, outputs
 from benchmark.commands import selftest as golden_cases
-from benchmark.commands.console import prepare, progress_bar, status, watched
+from benchmark.commands.console import prepare
 from benchmark.execution.duration import estimate, in_words, time_limit
 from benchmark.execution.isolation import Limits, limits
 from benchmark.execution.plan import Plan, Request, check_places, make_plan, superseded
@@ -19,13 +19,14 @@ from benchmark.ranking import compare as paired
 from benchmark.ranking.escaping import terminal
 from benchmark.results import pack as packing
 from benchmark.results import rescore as rescoring
-from benchmark.results.files import remove_abandoned
 from benchmark.results.packed_runs import refuse_packed
 from benchmark.results.run_folder import RunRow, check_runs, delete_rows, load_runs
 from benchmark.tasks.editing.command import score_edits
 from datagen import tracks
+from datagen.console.progress import progress_bar, status_console, tracked
 from datagen.console.text import counted
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_VERIFICATION
+from datagen.storage.atomic import remove_abandoned
 from datagen.tracks import SIZES, Profile, all_tracks
 
 
@@ -39,29 +40,29 @@ def run(values: arguments.Run) -> int:
     if values.task == "editing":
         return score_edits(values, request)
     _check_predictions(request)
-    remove_abandoned(values.out)
+    remove_abandoned(values.out, recursive=True)
     rows = load_runs(values.out)
     plan = make_plan(request, rows, values.out)
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
     if found := estimate(plan, values.workers):
-        status().print(in_words(found))
+        status_console().print(in_words(found))
     elif not plan.jobs:
-        status().print("All rows are there; writing tables and report.")
+        status_console().print("All rows are there; writing tables and report.")
     prepare(plan.splits, workers=values.workers)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
     outputs.write(values.out, [source.folder for source in request.sources])
     failed = [row for row in load_runs(values.out) if row.key in plan.keys and row.status == "failed"]
     if failed:
-        status().print(f"{len(failed)} of these rows failed; --retry makes them again.")
+        status_console().print(f"{len(failed)} of these rows failed; --retry makes them again.")
     return EXIT_INCOMPLETE if failed else EXIT_OK
 
 
 def rescore(values: arguments.Rescore) -> int:
     """Compute scene tables from label maps, then tables and report."""
     refuse_packed(values.folder)
-    count = rescoring.rescore(values.folder, check_runs(values.folder), values.data, progress=watched)
+    count = rescoring.rescore(values.folder, check_runs(values.folder), values.data, progress=tracked)
     Console().print(f"{counted(count, 'row')} scored again.")
     outputs.write(values.folder, values.data)
     return EXIT_OK
@@ -76,7 +77,7 @@ def report(values: arguments.Report) -> int:
 
 def compare(values: arguments.Compare) -> int:
     """Print paired differences."""
-    found = paired.compare(values.run, values.one, values.other, progress=watched)
+    found = paired.compare(values.run, values.one, values.other, progress=tracked)
     outputs.wide_console().print(paired.comparison_table(found, values.one, values.other))
     return EXIT_OK
 
@@ -135,7 +136,7 @@ def _run_jobs(plan: Plan, values: arguments.Run) -> None:
         )
 
     total = sum(len(job.targets) for job in plan.jobs)
-    console = status()
+    console = status_console()
     with progress_bar(console, "rows", total) as advance:
 
         def hear(row: RunRow) -> None:

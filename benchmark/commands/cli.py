@@ -13,26 +13,21 @@ obpose-bench selftest                                          check the metrics
 
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
-
-import tyro
 
 from benchmark.commands import actions
 from benchmark.commands.arguments import Compare, Pack, Report, Rescore, Run, Selftest
-from datagen.console.command_line import given_arguments
-from datagen.errors import run_program
+from datagen.console.command_line import Command, run_command
 
 PROGRAM = "obpose-bench"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of the console script; leaves with an exit code of `datagen.errors`."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
     kept = "Interrupted; finished rows are kept, the same command again goes on."
     with _termination_is_an_interrupt():
-        code = run_program(PROGRAM, lambda: _run(given_arguments(arguments)), interrupted=kept)
-    sys.exit(code)
+        return run_command(PROGRAM, COMMANDS, description=__doc__, default="run", arguments=arguments, interrupted=kept)
 
 
 @contextmanager
@@ -45,23 +40,14 @@ def _termination_is_an_interrupt() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _run(arguments: list[str]) -> int:
-    name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "run"
-    kind, command = COMMANDS[name]
-    program = PROGRAM if name == "run" else f"{PROGRAM} {name}"
-    # The help printer keeps empty lines only.
-    description = "\n\n".join(filter(None, __doc__.split("\n"))) if name == "run" and __doc__ else None
-    return command(tyro.cli(kind, prog=program, args=arguments, description=description))
-
-
-COMMANDS: dict[str, tuple[type, Callable[[Any], int]]] = {
-    "run": (Run, actions.run),
-    "rescore": (Rescore, actions.rescore),
-    "compare": (Compare, actions.compare),
-    "report": (Report, actions.report),
-    "pack": (Pack, actions.pack),
-    "selftest": (Selftest, actions.selftest),
+COMMANDS = {
+    "run": Command(Run, actions.run),
+    "rescore": Command(Rescore, actions.rescore),
+    "compare": Command(Compare, actions.compare),
+    "report": Command(Report, actions.report),
+    "pack": Command(Pack, actions.pack),
+    "selftest": Command(Selftest, actions.selftest),
 }
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

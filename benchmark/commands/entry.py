@@ -1,13 +1,8 @@
-"""Entry point of `obpose-bench`: answers `--version` at once, and handles Ctrl-C during the imports."""
+"""Entry point of `obpose-bench`."""
 
-from datagen.console.command_line import answer_version
-from datagen.errors import interruptible_imports
+from datagen.console.command_line import start
 
 
-def main() -> None:
-    """Run the command and leave with its exit code."""
-    if answer_version("obpose-bench"):
-        return
-    with interruptible_imports("obpose-bench"):
-        from benchmark.commands.cli import main as run
-    run()
+def main() -> int:
+    """Run `obpose-bench` and return its exit code."""
+    return start("obpose-bench", "benchmark.commands.cli")

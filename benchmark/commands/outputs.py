@@ -9,7 +9,6 @@ from rich.console import Console, Group
 from rich.table import Table
 
 from benchmark import report
-from benchmark.commands.console import busy, watched
 from benchmark.ranking import leaderboard
 from benchmark.ranking.escaping import terminal
 from benchmark.ranking.failed_seeds import HEADLINE
@@ -22,6 +21,7 @@ from benchmark.results.dataset_lookup import locate
 from benchmark.results.manifest import write_manifest
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs
+from datagen.console.progress import busy, tracked
 
 HEADLINE_OF_POSES = ("posed", "translation_median", "orientation_median", "box_iou")
 
@@ -31,7 +31,7 @@ FILE_WIDTH = 160
 
 def write(folder: Path, data: Sequence[Path]) -> None:
     """Write all tables and reports of a run folder, and print the means and the paths of the files."""
-    entries = leaderboard.write(folder, watched)
+    entries = leaderboard.write(folder, tracked)
     if not is_packed(folder):
         write_manifest(folder, entries)
     with busy("writing the report"):

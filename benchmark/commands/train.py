@@ -3,8 +3,7 @@
 import sys
 from typing import TYPE_CHECKING
 
-from datagen.console.command_line import answer_version
-from datagen.errors import EXIT_OK, interruptible_imports
+from datagen.console.command_line import start
 
 if TYPE_CHECKING:
     import numpy as np
@@ -12,11 +11,7 @@ if TYPE_CHECKING:
 
 def main() -> int:
     """Run `obpose-train` and give its exit code."""
-    if answer_version("obpose-train"):
-        return EXIT_OK
-    with interruptible_imports("obpose-train"):
-        from obpose.commands.train import main as train
-    return train(score=ari_fg)
+    return start("obpose-train", "obpose.commands.train", score=ari_fg)
 
 
 def ari_fg(truth: "np.ndarray", labels: "np.ndarray") -> float:

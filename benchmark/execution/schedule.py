@@ -12,8 +12,8 @@ from benchmark.execution.plan import Plan, repeats
 from benchmark.execution.runner import Job, Target, blank_row
 from benchmark.models.model_spec import ModelSpec
 from benchmark.models.registry import find_model
-from benchmark.results.files import write_whole
 from benchmark.results.run_folder import SCENES, RunKey, RunRow, load_row, load_runs, row_path, save_row
+from datagen.storage.atomic import write_atomically
 
 Heard = Callable[[RunRow], None]
 """Is told of every target's row that a job made or failed to make."""
@@ -63,7 +63,7 @@ def repeat_rows(keys: Sequence[RunKey], out: Path) -> None:
 def _copy_scenes(out: Path, old: RunKey, new: RunKey) -> None:
     table = out / SCENES / f"{old.name}.csv"
     if table.exists():
-        write_whole(out / SCENES / f"{new.name}.csv", table.read_bytes())
+        write_atomically(out / SCENES / f"{new.name}.csv", table.read_bytes())
 
 
 def _do(job: Job, limits: Limits, stop: threading.Event, heard: Heard) -> list[Job]:

@@ -23,9 +23,9 @@ from benchmark.ranking.escaping import printable
 from benchmark.ranking.standings import ALL_METRICS, RANKED_METRICS, SWITCHES, Entry, Progress, load_standings, silent
 from benchmark.ranking.statistics import Summary
 from benchmark.ranking.table_text import rank_in_words
-from benchmark.results.files import write_whole
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import COUNTS, RunRow, SceneTable
+from datagen.storage.atomic import write_atomically
 
 Cell = str | int | float
 Line = Mapping[str, Cell]
@@ -54,7 +54,7 @@ def write(folder: Path, progress: Progress = silent) -> list[Entry]:
     kept = PACKED if is_packed(folder) else ()
     for name, text in zip(FILES, texts, strict=True):
         if name not in kept:
-            write_whole(folder / name, text.encode())
+            write_atomically(folder / name, text.encode())
     return entries
 
 

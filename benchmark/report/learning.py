@@ -16,7 +16,7 @@ from benchmark.ranking.escaping import one_line
 from benchmark.ranking.number_text import plain_number
 from benchmark.ranking.standings import Entry, fields
 from benchmark.report.leaderboard_view import NAMES
-from benchmark.results.files import write_whole
+from datagen.storage.atomic import write_atomically
 
 FILE = "learning.svg"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#7f7f00", "#8c564b", "#6a3d9a")
@@ -45,7 +45,7 @@ def write(folder: Path, entries: Iterable[Entry]) -> Path | None:
     if not columns:
         (folder / FILE).unlink(missing_ok=True)
         return None
-    write_whole(folder / FILE, drawing(columns).encode())
+    write_atomically(folder / FILE, drawing(columns).encode())
     return folder / FILE
 
 

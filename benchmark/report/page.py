@@ -14,9 +14,9 @@ from benchmark.ranking.table_text import seeds_in_words
 from benchmark.report import leaderboard_view
 from benchmark.report.comparison import OWN, Field, Find, Truths, comparisons, facts, make_field
 from benchmark.report.track_panel import LIMITS, Album, Limits, Painter
-from benchmark.results.files import write_whole
 from benchmark.results.run_folder import check_runs
 from datagen.console.text import counted
+from datagen.storage.atomic import write_atomically
 
 LARGEST = 14_000_000
 """Bytes that a page may have; reports with many models have fewer pictures."""
@@ -48,7 +48,7 @@ def write(folder: Path, entries: Sequence[Entry], find: Find) -> Path:
         page = _render(_with_pictures(common, folder, found, limits))
         if len(page) <= LARGEST:
             break
-    write_whole(folder / "report.html", page)
+    write_atomically(folder / "report.html", page)
     return folder / "report.html"
 
 

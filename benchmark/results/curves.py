@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from benchmark.results.csv_files import read_csv
-from benchmark.results.files import write_whole
 from datagen.errors import CorruptFile
+from datagen.storage.atomic import write_atomically
 
 CLOCKS = ("step", "seconds")
 """Columns in which learning curves count time."""
@@ -24,7 +24,7 @@ def save_curve(path: Path, curve: Sequence[Mapping[str, float]]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(names)
     writer.writerows([repr(float(point[name])) if name in point else "" for name in names] for point in curve)
-    write_whole(path, text.getvalue().encode())
+    write_atomically(path, text.getvalue().encode())
 
 
 def load_curve(path: Path) -> Curve | None:

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import UInt8
 
 from benchmark.models.interface import Prediction
-from benchmark.results.files import replacing
 from benchmark.results.label_files import reading_labels
 from benchmark.results.pose_files import PoseRows
 from datagen.errors import CorruptFile
+from datagen.storage.atomic import replacing
 from datagen.storage.reader import Split
 from datagen.storage.safe_io import hdf5_attribute, hdf5_dataset, read_hdf5
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from benchmark.ranking.leaderboard import FILES
 from benchmark.ranking.standings import Entry
-from benchmark.results.files import write_whole
+from datagen.storage.atomic import write_atomically
 
 MANIFEST = "manifest.json"
 HASHED = tuple(name for name in FILES if name != "per_scene.csv")
@@ -32,7 +32,7 @@ def write_manifest(folder: Path, entries: Sequence[Entry], hashed: Sequence[str]
         "best_floor": {entry.row.key.track: _number(entry.best_floor) for entry in entries},
         "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in hashed},
     }
-    write_whole(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())
+    write_atomically(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())
 
 
 def _number(value: float) -> float | None:

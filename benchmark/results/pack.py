@@ -16,7 +16,6 @@ from benchmark.ranking import leaderboard
 from benchmark.ranking.leaderboard import leaderboard_lines, seed_lines, to_csv
 from benchmark.ranking.standings import load_standings
 from benchmark.results.curves import Curve
-from benchmark.results.files import write_whole
 from benchmark.results.manifest import MANIFEST, write_manifest
 from benchmark.results.packed_runs import (
     CURVES_FILE,
@@ -36,6 +35,7 @@ from benchmark.results.packed_runs import (
 )
 from benchmark.results.run_folder import RUNS, RunRow, check_runs, digest, load_runs, load_scenes, plain_values
 from datagen.errors import UsageError
+from datagen.storage.atomic import write_atomically
 
 PACKED_FILES = (ROWS_FILE, SCENES_FILE, CURVES_FILE)
 
@@ -162,7 +162,7 @@ class _Archive:
         write_rows(self.folder, self.rows.values())
         entries = load_standings(self.folder)
         for name, lines in (("leaderboard.csv", leaderboard_lines(entries)), ("per_seed.csv", seed_lines(entries))):
-            write_whole(self.folder / name, to_csv(lines).encode())
+            write_atomically(self.folder / name, to_csv(lines).encode())
         there = [name for name in (*leaderboard.PACKED, *PACKED_FILES) if (self.folder / name).exists()]
         write_manifest(self.folder, entries, there)
 

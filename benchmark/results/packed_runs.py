@@ -25,8 +25,8 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from benchmark.results.curves import Curve, parse_curve
-from benchmark.results.files import write_whole
 from datagen.errors import CorruptFile, UsageError
+from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import MOST_TEXT_BYTES, parse_json, read_bytes
 
 ROWS_FILE, SCENES_FILE, CURVES_FILE = "runs.jsonl.xz", "scenes.csv.xz", "curves.csv.xz"
@@ -273,7 +273,7 @@ def _write(path: Path, text: str) -> None:
             f"{path} would hold {len(data):,} bytes of text, more than {MOST_TEXT_BYTES:,}. Pack fewer runs."
         )
     if not path.exists() or unpacked(path) != text:
-        write_whole(path, lzma.compress(data, lzma.FORMAT_XZ, filters=_FILTERS))
+        write_atomically(path, lzma.compress(data, lzma.FORMAT_XZ, filters=_FILTERS))
 
 
 def _damaged(path: Path, reason: object) -> CorruptFile:

@@ -27,10 +27,10 @@ from benchmark.metrics import CLIP_METRICS, METRICS
 from benchmark.models.model_spec import Kind
 from benchmark.results.csv_files import read_csv
 from benchmark.results.curves import load_curve, save_curve
-from benchmark.results.files import write_whole
 from benchmark.results.packed_runs import SCENES_FILE, is_packed, packed_rows, packed_scenes
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
+from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import MOST_JSON_BYTES, brief_reason, parse_json, read_text
 
 RUNS, SCENES, LABELS, CURVES, TRAINING = "runs", "scenes", "labels", "curves", "training"
@@ -135,7 +135,7 @@ def save_row(folder: Path, row: RunRow) -> None:
     if row.learning_curve:
         save_curve(_curve_path(folder, row.key.name), row.learning_curve)
     text = json.dumps(plain_values(row), indent=1, default=str) + "\n"
-    write_whole(row_path(folder, row.key), text.encode())
+    write_atomically(row_path(folder, row.key), text.encode())
 
 
 def plain_values(row: RunRow) -> dict[str, Any]:
@@ -290,7 +290,7 @@ def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float 
 def save_scenes(folder: Path, name: str, lines: Sequence[Mapping[str, float | int]]) -> None:
     """Write a scene table; floats keep full precision."""
     rows = [",".join(lines[0]), *(",".join(repr(value) for value in line.values()) for line in lines)]
-    write_whole(folder / SCENES / f"{name}.csv", ("\n".join(rows) + "\n").encode())
+    write_atomically(folder / SCENES / f"{name}.csv", ("\n".join(rows) + "\n").encode())
 
 
 def load_scenes(folder: Path, row: RunRow) -> SceneTable:

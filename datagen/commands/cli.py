@@ -8,17 +8,15 @@ obpose-datagen verify DIR                     prove a dataset's labels
 import argparse
 import dataclasses
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import tyro
 
 from datagen.commands import options
 from datagen.commands.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
 from datagen.config import Recipe, recipe_names
-from datagen.console.command_line import given_arguments
-from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError, run_program
+from datagen.console.command_line import Command, run_command
+from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.storage.reader import Dataset
 from datagen.storage.spec import read_spec, rendered_recipe_of
 
@@ -45,20 +43,8 @@ Make images of it:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    kept = "Interrupted; finished shards are kept, the same command again goes on."
-    return run_program(PROGRAM, lambda: _run(given_arguments(arguments)), interrupted=kept)
-
-
-def _run(arguments: list[str]) -> int:
-    name = arguments.pop(0) if arguments and arguments[0] in COMMANDS else "generate"
-    kind, command = COMMANDS[name]
-    defaults = {"generate": _default_generate, "render": _default_render}.get(name, _no_default)
-    program = PROGRAM if name == "generate" else f"{PROGRAM} {name}"
-    return command(tyro.cli(kind, args=arguments, prog=program, **defaults(arguments)))
-
-
-def _no_default(_arguments: list[str]) -> dict[str, Any]:
-    return {}
+    kept = "Interrupted; finished shards are kept, run the same command again to continue."
+    return run_command(PROGRAM, COMMANDS, default="generate", arguments=arguments, interrupted=kept)
 
 
 def _default_generate(arguments: list[str]) -> dict[str, Any]:
@@ -142,16 +128,16 @@ def _render(values: Render) -> int:
 def _how(values: Generate | Render) -> Any:
     workers, share = options.parse_workers(values.workers), options.parse_share(values.shard)
 
-    from datagen.console.progress import progress_bar
+    from datagen.console.progress import scene_progress
     from datagen.pipeline.generate import Run
 
-    return Run(workers=workers, share=share, overwrite=values.overwrite, progress=progress_bar)
+    return Run(workers=workers, share=share, overwrite=values.overwrite, progress=scene_progress)
 
 
 def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> None:
     splits = report.spec["splits"]
     if any(number > wanted.get(name, 0) for name, number in splits.items()):
-        print("There were more scenes than asked for; none was deleted.")
+        print("The dataset has more scenes than requested; none was deleted.")
     counts = ", ".join(f"{number} {name}" for name, number in splits.items())
     print(f"{folder.resolve()}: {counts} scenes; {report.scenes_made} made in {report.seconds:.1f} s.")
     if not report.complete:
@@ -204,7 +190,7 @@ def _regenerate(values: Regenerate) -> int:
     if differing:
         print(f"{place}: these arrays differ from what is stored: {', '.join(differing)}")
         return EXIT_VERIFICATION
-    print(f"{place}: made anew, every array has the stored SHA-256.")
+    print(f"{place}: generated again; every array has the stored SHA-256.")
     return EXIT_OK
 
 
@@ -214,16 +200,14 @@ def _check_scene(values: Inspect | Regenerate) -> None:
         raise UsageError(f"--scene {values.scene}: split {values.split} has scenes 0 to {scenes - 1}.")
 
 
-Command = tuple[type, Callable[[Any], int]]
-
-COMMANDS: dict[str, Command] = {
-    "generate": (Generate, _generate),
-    "render": (Render, _render),
-    "verify": (Verify, _verify),
-    "stats": (Stats, _stats),
-    "preview": (Preview, _preview),
-    "inspect": (Inspect, _inspect),
-    "regenerate": (Regenerate, _regenerate),
+COMMANDS = {
+    "generate": Command(Generate, _generate, _default_generate),
+    "render": Command(Render, _render, _default_render),
+    "verify": Command(Verify, _verify),
+    "stats": Command(Stats, _stats),
+    "preview": Command(Preview, _preview),
+    "inspect": Command(Inspect, _inspect),
+    "regenerate": Command(Regenerate, _regenerate),
 }
 
 if __name__ == "__main__":

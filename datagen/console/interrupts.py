@@ -1,22 +1,25 @@
-"""Ctrl-C that ends a command in one line, whenever it comes."""
+"""Handle Ctrl-C cleanly at any time, including during imports and JIT compilation."""
 
+import os
 import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from datagen.errors import EXIT_INTERRUPTED
+
 _came = False
 
 
 def listen() -> None:
-    """Take note of Ctrl-C, beside raising KeyboardInterrupt: what is raised while a compiler calls back is lost."""
+    """Remember Ctrl-C besides raising KeyboardInterrupt: numba's compiler callbacks swallow exceptions."""
     signal.signal(signal.SIGINT, _note)
-    sys.unraisablehook = _tell_others
+    sys.unraisablehook = _report_others
 
 
 def check() -> None:
-    """Raise what was swallowed.
+    """Raise an interrupt that was swallowed.
 
     Raises:
         KeyboardInterrupt: Ctrl-C came since `listen`.
@@ -27,12 +30,25 @@ def check() -> None:
 
 @contextmanager
 def held() -> Iterator[None]:
-    """Hold Ctrl-C back; processes that are started meanwhile never hear of it."""
+    """Block Ctrl-C; processes that are started in this context inherit the block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def interruptible_imports(program: str) -> Iterator[None]:
+    """Let Ctrl-C exit at once with one line: libraries may swallow exceptions while they are imported."""
+
+    def leave(_signal: int, _frame: FrameType | None) -> None:
+        os.write(sys.stderr.fileno(), f"{program}: Interrupted while it began.\n".encode())
+        os._exit(EXIT_INTERRUPTED)
+
+    before = signal.signal(signal.SIGINT, leave)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def _note(_signal: int, _frame: FrameType | None) -> None:
@@ -41,6 +57,6 @@ def _note(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _tell_others(lost: "sys.UnraisableHookArgs") -> None:
+def _report_others(lost: "sys.UnraisableHookArgs") -> None:
     if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)

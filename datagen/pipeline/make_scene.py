@@ -1,4 +1,4 @@
-"""One scene from first to last: a pure function of the spec, the split and the index."""
+"""Make all arrays of one scene, as a pure function of the spec, the split and the index."""
 
 import dataclasses
 import functools
@@ -14,11 +14,12 @@ from datagen.edits.edit_context import stage_of
 from datagen.errors import CorruptFile, UsageError
 from datagen.pipeline.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.pipeline.visible_range import check_range
+from datagen.random_streams import Stream, scene_rng
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Scene
-from datagen.schema import FIELDS, SPLITS, EditKind, SceneRecord
+from datagen.schema import FIELDS, SPLITS, SceneRecord
 from datagen.shapes import build
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import PackedScene, pack
@@ -26,10 +27,6 @@ from datagen.storage.spec import Spec, edits_of, recipe_of, rendered_recipe_of, 
 
 MOST_MEMORY = 4 * 2**30
 """Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
-
-_SENSOR_STREAM = 1
-_RIG_STREAM = 2
-_EDIT_STREAMS: dict[EditKind, int] = {"remove": 3, "move": 4, "add": 5}
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,7 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
     record = source or _simulate(recipe, spec["seed"], split, index)
     scene, trajectory = scene_and_trajectory(record)
     if spec["rig"]:
-        scene = _with_cameras(scene, spec, _rng(spec, split, index, _RIG_STREAM))
+        scene = _with_cameras(scene, spec, _rng(spec, split, index, "rig"))
         record = with_scene(record, scene)
     if not spec["renderer"]:
         return record
@@ -143,14 +140,14 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
         resolution=(width, height),
         rows=object_rows(recipe),
         sensor=recipe.sensor,
-        rng=_rng(spec, split, index, _SENSOR_STREAM),
+        rng=_rng(spec, split, index, "sensor"),
     )
     edits = edits_record(
         stage_of(scene, shapes, trajectory),
         pixels,
         recipe.for_scene(index),
         renderer,
-        {kind: _rng(spec, split, index, _EDIT_STREAMS[kind]) for kind in edits_of(spec)},
+        {kind: _rng(spec, split, index, kind) for kind in edits_of(spec)},
     )
     return {**record, **pixels, **edits}
 
@@ -179,8 +176,8 @@ def _with_cameras(scene: Scene, spec: Spec, rng: np.random.Generator) -> Scene:
     return dataclasses.replace(scene, cameras=sample_cameras(rendered_recipe_of(spec), rng))
 
 
-def _rng(spec: Spec, split: str, index: int, stream: int) -> np.random.Generator:
-    return np.random.default_rng([spec["seed"], SPLITS.index(split), index, stream])
+def _rng(spec: Spec, split: str, index: int, stream: Stream) -> np.random.Generator:
+    return scene_rng(spec["seed"], split, index, stream)
 
 
 @functools.cache

@@ -12,12 +12,13 @@ from datagen.config import Recipe
 from datagen.errors import ImpossibleScene, UsageError
 from datagen.physics.bullet import World
 from datagen.pipeline.visible_range import near_object, table_fault
+from datagen.random_streams import scene_rng
 from datagen.render import make_renderer
 from datagen.render.renderer import NEAREST
 from datagen.sampling import Rejected, sample_scene
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Scene, Trajectory
-from datagen.schema import MAX_DEPTH, SPLITS
+from datagen.schema import MAX_DEPTH
 from datagen.shapes.shape import Shape
 
 _DENSEST = 0.6
@@ -74,7 +75,7 @@ def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulat
         ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws, or they came nowhere near.
         UsageError: the cameras cannot show the table, or PyBullet is not installed.
     """
-    rng = np.random.default_rng([seed, SPLITS.index(split), index, 0])
+    rng = scene_rng(seed, split, index, "scene")
     part = recipe.for_scene(index)
     check_room(part)
     check_rig(part)
@@ -100,7 +101,7 @@ def is_hopeless(fitting: Sequence[int], least: int) -> bool:
     """Whether scenes with `least` objects that all have a place in view are out of reach.
 
     Args:
-        fitting: For each scene that was drawn in vain, the number of its objects that had a place in view.
+        fitting: Number of objects with a place in view, for each rejected scene.
         least: Number of objects that a scene must have.
     """
     if len(fitting) < _LEAST_TRIED or max(fitting) > least - 2:
@@ -131,7 +132,7 @@ def _check_range(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], trajecto
 
 
 def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Trajectory) -> None:
-    """Rules that frame 0 alone decides, the cheap ones first.
+    """Check the rules about frame 0, cheap ones first.
 
     Raises:
         Rejected: one of them is broken.
@@ -151,7 +152,7 @@ def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Tr
 
 
 def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
-    """Rules about the whole clip.
+    """Check the rules about the whole clip.
 
     Raises:
         Rejected: one of them is broken.
@@ -199,7 +200,7 @@ def visible_pixels(
 
 
 def check_room(recipe: Recipe) -> None:
-    """Refuse at once what cannot work: more objects than the region has room for.
+    """Refuse recipes with more objects than the region has room for.
 
     Raises:
         ImpossibleScene: says what would have to change.
@@ -219,7 +220,7 @@ def check_room(recipe: Recipe) -> None:
 
 
 def check_rig(recipe: Recipe) -> None:
-    """Refuse at once cameras that cannot show the table; those with jitter are checked scene by scene.
+    """Refuse cameras that cannot show the table; cameras with jitter are checked scene by scene.
 
     Raises:
         UsageError: says what would have to change.

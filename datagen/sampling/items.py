@@ -6,12 +6,10 @@ import numpy as np
 
 from datagen import catalog, shapes
 from datagen.config import Objects
+from datagen.random_streams import pool_rng
 from datagen.sampling.values import rounded
 from datagen.scene import ShapeSpec
 from datagen.shapes.shape import Shape
-
-_POOL_KEY = 20261120
-"""Key of the generators of pool shapes; a pool's member is the same in every recipe, scene and split."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ def sample_item(objects: Objects, split: str, rng: np.random.Generator) -> Item:
     if objects.shape_pool:
         shape_id = int(rng.integers(objects.shape_pool)) + (objects.shape_pool if split == "test" else 0)
         number = list(catalog.CATEGORIES).index(category)
-        spec = _sample_spec(category, objects, np.random.default_rng([_POOL_KEY, number, shape_id]))
+        spec = _sample_spec(category, objects, pool_rng(number, shape_id))
     else:
         spec = _sample_spec(category, objects, rng)
     low, high = np.log(objects.density)

@@ -16,19 +16,19 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import tyro
 from jaxtyping import Float
 from joblib import cpu_count
 from torch import Tensor
 
 import assets
-from datagen.console.command_line import given_arguments
+from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
+from datagen.storage.atomic import check_new_file, check_new_folder, new_file
 from obpose.commands.edit_arguments import Add, Fit, Infer, Learn, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.data.clips import clip_part
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
-from obpose.errors import EXIT_OK, Interrupted, UsageError, run_program
+from obpose.errors import Interrupted, UsageError
 from obpose.rgbd.frames import look
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
@@ -49,7 +49,6 @@ from obpose.scenes.refine import STEPS
 from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Camera, Scene, axis_rotation
 from obpose.scenes.storage import load_scene, save_scene
-from obpose.storage.files import check_free, check_new, new_file
 
 PROGRAM = "obpose-edit"
 FPS = 8.0
@@ -65,24 +64,14 @@ LARGEST = 2048
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one subcommand and give its exit code."""
-    return run_program(
+    return run_command(
         PROGRAM,
-        lambda: _run(given_arguments(arguments)),
+        COMMANDS,
+        description=__doc__,
+        arguments=arguments,
         interrupted="Interrupted; nothing was changed.",
         out_of_memory="Out of memory; give a smaller --resolution.",
     )
-
-
-def _run(arguments: list[str]) -> int:
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(f"{__doc__}\nSubcommands, each with a --help of its own: {', '.join(COMMANDS)}.")
-        return EXIT_OK
-    name = arguments.pop(0)
-    if name not in COMMANDS:
-        raise UsageError(f"Unknown subcommand {name!r}; expected one of {', '.join(COMMANDS)}.")
-    kind, command = COMMANDS[name]
-    command(tyro.cli(kind, args=arguments, prog=f"{PROGRAM} {name}"))
-    return EXIT_OK
 
 
 def _infer(values: Infer) -> None:
@@ -96,12 +85,12 @@ def _infer(values: Infer) -> None:
     if values.data is not None:
         place = (values.data, values.split, values.scene)
         clip = read_clip(*place)
-        check_free(values.out)
+        check_new_folder(values.out)
         print(f"Resolution: {spacing_note(origin.model, clip)}.")
         scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
     else:
         sight = look(values, origin.model)
-        check_free(values.out)
+        check_new_folder(values.out)
         print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
         scene = infer_scene(origin, sight.observation, refinements=values.refine)
     _show(scene, origin, values.out, values.resolution)
@@ -139,7 +128,7 @@ def _found(origin: Origin, values: Sample, generator: torch.Generator) -> FoundO
     number = len(SceneDataset(data, "train"))
     if not number:
         raise UsageError(f"{data} has no training scenes to take objects from; make some with --split train=N.")
-    check_free(values.out)
+    check_new_folder(values.out)
     chosen = torch.randperm(number, generator=generator)[: values.clips].tolist()
     print(
         f"Looking for objects in {counted(len(chosen), 'training clip')} of {data}; each takes some seconds.",
@@ -226,7 +215,7 @@ def _render(values: Render) -> None:
     frame = one_of("--frame", values.frame or 0, scene.frames)
     camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
     camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
-    check_new(values.out)
+    check_new_file(values.out)
     renderer = Renderer(origin.model)
     with new_file(values.out) as out:
         if values.turntable is not None:
@@ -261,7 +250,7 @@ def _mesh(values: Mesh) -> None:
     frame = one_of("--frame", values.frame, scene.frames)
     model = origin_of(scene, values.checkpoint).model
     scene.place(values.object)
-    check_new(values.out)
+    check_new_file(values.out)
     mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
     with new_file(values.out) as out:
         write_mesh(out, mesh)
@@ -327,7 +316,7 @@ def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> No
     """Check, render, write and describe a scene."""
     check_inside(scene, origin.model)
     camera = _sized(scene.cameras[0], resolution)
-    check_free(out)
+    check_new_folder(out)
     picture = strip(Renderer(origin.model).render(scene, 0, camera), scene.ids)
     save_scene(out, scene, picture)
     print(f"{out}: {counted(scene.frames, 'frame')}, {counted(len(scene.ids), 'object')}; {out / PICTURE}")
@@ -363,20 +352,18 @@ def _size(resolution: str | None) -> tuple[int, int] | None:
     return width, height
 
 
-Command = tuple[type, Callable[[Any], None]]
-
-COMMANDS: dict[str, Command] = {
-    "infer": (Infer, _infer),
-    "sample": (Sample, _sample),
-    "fit": (Fit, _fit),
-    "learn": (Learn, _learn),
-    "render": (Render, _render),
-    "mesh": (Mesh, _mesh),
-    "remove": (Remove, _edited(_remove)),
-    "move": (Move, _edited(_move)),
-    "rotate": (Rotate, _edited(_rotate)),
-    "swap": (Swap, _edited(_swap)),
-    "add": (Add, _edited(_add)),
+COMMANDS = {
+    "infer": Command(Infer, _infer),
+    "sample": Command(Sample, _sample),
+    "fit": Command(Fit, _fit),
+    "learn": Command(Learn, _learn),
+    "render": Command(Render, _render),
+    "mesh": Command(Mesh, _mesh),
+    "remove": Command(Remove, _edited(_remove)),
+    "move": Command(Move, _edited(_move)),
+    "rotate": Command(Rotate, _edited(_rotate)),
+    "swap": Command(Swap, _edited(_swap)),
+    "add": Command(Add, _edited(_add)),
 }
 
 if __name__ == "__main__":

@@ -1,25 +1,18 @@
-"""Entry points of `obpose-segment` and `obpose-edit`.
+"""Entry points of `obpose-segment`, `obpose-edit` and `obpose-view`."""
 
-They answer `--version` at once, and handle Ctrl-C during the imports, which take seconds.
-"""
-
-from datagen.console.command_line import answer_version
-from obpose.errors import EXIT_OK, interruptible_imports
+from datagen.console.command_line import start
 
 
-def segment() -> None:
-    """Run `obpose-segment` and leave with its exit code."""
-    if answer_version("obpose-segment"):
-        return
-    with interruptible_imports("obpose-segment"):
-        from obpose.commands.segment import main
-    main()
+def segment() -> int:
+    """Run `obpose-segment` and return its exit code."""
+    return start("obpose-segment", "obpose.commands.segment")
 
 
 def edit() -> int:
-    """Run `obpose-edit` and give its exit code."""
-    if answer_version("obpose-edit"):
-        return EXIT_OK
-    with interruptible_imports("obpose-edit"):
-        from obpose.commands.edit import main
-    return main()
+    """Run `obpose-edit` and return its exit code."""
+    return start("obpose-edit", "obpose.commands.edit")
+
+
+def view() -> int:
+    """Run `obpose-view` and return its exit code."""
+    return start("obpose-view", "obpose.commands.view")

@@ -11,19 +11,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import tyro
 from einops import rearrange
 from jaxtyping import Float, Int
 
-from datagen.console.command_line import given_arguments
+from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
+from datagen.storage.atomic import check_new_folder
 from obpose.data.resolution import fitting_model
-from obpose.errors import EXIT_OK, run_program
+from obpose.errors import EXIT_OK
 from obpose.model.obpose import ObPose
 from obpose.rgbd.frames import Frames, look
 from obpose.rgbd.writing import Found, write_results
 from obpose.storage.checkpoint import load_obpose
-from obpose.storage.files import check_free
 from obpose.storage.pretrained import find_checkpoint
 from obpose.types import SceneSegmentation, Segmentation
 
@@ -40,22 +39,22 @@ class Arguments(Frames):
     """Folder for label images, overlays, and objects.json."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Entry point of the console script; leaves with an exit code of `obpose.errors`."""
-    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
-    code = run_program(
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Segment and return the exit code."""
+    return run_command(
         PROGRAM,
-        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=given_arguments(arguments), description=description)),
+        Command(Arguments, run),
+        description=__doc__,
+        arguments=arguments,
         out_of_memory="Out of memory; give fewer frames at a time, or a larger --every.",
     )
-    sys.exit(code)
 
 
 def run(values: Arguments) -> int:
     """Segment and write."""
     model = load_obpose(find_checkpoint(values.checkpoint))
     sight = look(values, model)
-    check_free(values.out)
+    check_new_folder(values.out)
     found = fitting_model(model, sight.observation).segment(sight.observation)
     labels = _enlarged(found, values.every, sight.whole.depth.shape)
     facts = {
@@ -108,4 +107,4 @@ def _array(values: Float[torch.Tensor, "1 frame slot ..."]) -> Float[np.ndarray,
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -9,22 +9,23 @@ torchrun --nproc-per-node 2 -m benchmark.commands.train --track moving       two
 import os
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.console import Console
 
-from datagen.console.command_line import given_arguments
+from datagen.console.command_line import Command, run_command
+from datagen.console.interrupts import interruptible_imports
+from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
+from datagen.storage.atomic import check_no_dataset
 from datagen.tracks import DataFolder, Track, find_track
-from obpose.commands.scene_bar import scene_bar
 from obpose.commands.train_arguments import Train
 from obpose.config import TrainConfig
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
-from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program, unknown_name
-from obpose.storage.files import check_no_dataset
+from obpose.errors import EXIT_OK, UsageError, unknown_name
 from obpose.systems import System, find_system
 
 if TYPE_CHECKING:
@@ -37,12 +38,12 @@ LIMITS = {"minutes": MOST_MINUTES, "steps": MOST_STEPS, "threads": 1024, "worker
 
 
 def main(arguments: Sequence[str] | None = None, *, score: "Score | None" = None) -> int:
-    """Train and give the exit code; `score` is logged at each validation, see `benchmark.commands.train`."""
-    # The help printer keeps empty lines only.
-    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
-    return run_program(
+    """Train and return the exit code; `score` is logged at each validation, see `benchmark.commands.train`."""
+    return run_command(
         PROGRAM,
-        lambda: run(tyro.cli(Train, prog=PROGRAM, args=given_arguments(arguments), description=description), score),
+        Command(Train, lambda values: run(values, score)),
+        description=__doc__,
+        arguments=arguments,
         interrupted="Interrupted; the same command goes on from the last checkpoint.",
         out_of_memory="Out of memory; give smaller --set train.batch, train.frames or train.rays.",
     )
@@ -61,7 +62,7 @@ def run(values: Train, score: "Score | None" = None) -> int:
         )
     out = values.out or RUNS / f"{values.variant}-{values.profile}-{data.name}-seed{values.seed}"
     check_no_dataset(out)
-    console = Console(stderr=True, soft_wrap=True, highlight=False, quiet=_process() > 0)
+    console = status_console(quiet=_process() > 0)
     folder = _prepare(data, values, console)
 
     # Late, because PyTorch takes seconds to import.
@@ -121,7 +122,9 @@ def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
     splits = [split for split in ("train", "val") if data.size(split)]
     while _process() > 0 and data.missing(splits):
         time.sleep(1.0)
-    return data.prepare(splits, workers=values.workers, progress=lambda total: scene_bar(console, data.name, total))
+    return data.prepare(
+        splits, workers=values.workers, progress=partial(track_progress, console, data.name, data.folder)
+    )
 
 
 def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from datagen.console.command_line import answer_version, given_arguments
-from obpose.errors import EXIT_OK, UsageError, interruptible_imports, run_program
+from datagen.console.command_line import Command, run_command
+from datagen.console.interrupts import interruptible_imports
+from obpose.errors import EXIT_OK, UsageError
 
 if TYPE_CHECKING:
     from obpose.viewer.page import Page
@@ -50,13 +51,12 @@ class Arguments:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Serve until Ctrl-C and give the exit code."""
-    if answer_version(PROGRAM, arguments):
-        return EXIT_OK
-    description = "\n\n".join(filter(None, (__doc__ or "").split("\n")))
-    return run_program(
+    """Serve until Ctrl-C and return the exit code."""
+    return run_command(
         PROGRAM,
-        lambda: run(tyro.cli(Arguments, prog=PROGRAM, args=given_arguments(arguments), description=description)),
+        Command(Arguments, run),
+        description=__doc__,
+        arguments=arguments,
         interrupted="Closed; what was not saved is gone.",
         out_of_memory="Out of memory; give a dataset of shorter clips or smaller images.",
     )

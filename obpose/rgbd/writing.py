@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float64, Int, UInt8
 from PIL import Image, ImageDraw
 
+from datagen.storage.atomic import write_atomically
 from obpose.rgbd.reading import Recording
 from obpose.rgbd.world import Pose
-from obpose.storage.files import write_whole
 
 OBJECTS = "objects.json"
 OPACITY = 0.5
@@ -69,12 +69,12 @@ def write_results(
     frames = []
     for i, (image, frame_labels, objects) in enumerate(zip(recording.rgb, labels, found, strict=True)):
         names = {"labels": f"{i:04d}_labels.png", "overlay": f"{i:04d}_overlay.png"}
-        write_whole(out / names["labels"], _png(label_image(frame_labels)))
-        write_whole(out / names["overlay"], _png(overlay(image, frame_labels, objects, recording.k, pose)))
+        write_atomically(out / names["labels"], _png(label_image(frame_labels)))
+        write_atomically(out / names["overlay"], _png(overlay(image, frame_labels, objects, recording.k, pose)))
         plain = [each.plain() for each in objects]
         frames.append({"rgb": str(recording.files[i]), **names, "objects": plain})
     page = {**facts, "world_from_camera": _rounded(pose), "frames": frames}
-    write_whole(out / OBJECTS, (json.dumps(page, indent=1) + "\n").encode())
+    write_atomically(out / OBJECTS, (json.dumps(page, indent=1) + "\n").encode())
     return out / OBJECTS
 
 

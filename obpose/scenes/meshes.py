@@ -11,6 +11,7 @@ from skimage.measure import marching_cubes
 from torch import Tensor
 from trimesh.visual import ColorVisuals
 
+from datagen.storage.atomic import write_atomically
 from obpose.errors import UsageError
 from obpose.geometry import from_box
 from obpose.model.nerf.field import Conditioning
@@ -18,7 +19,6 @@ from obpose.model.nerf.voxels import occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene
-from obpose.storage.files import write_whole
 
 FORMATS = (".ply", ".glb")
 
@@ -67,7 +67,7 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
         raise UsageError(f"{path}: expected a name that ends with {' or '.join(FORMATS)}.")
     data = mesh.export(file_type=path.suffix[1:])
     assert isinstance(data, bytes)
-    write_whole(path, data)
+    write_atomically(path, data)
 
 
 def _colours(

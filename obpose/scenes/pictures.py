@@ -11,10 +11,10 @@ from jaxtyping import UInt8
 from PIL import Image as Pillow
 from torch import Tensor
 
+from datagen.storage.atomic import write_atomically
 from obpose.pictures import PALETTE
 from obpose.scenes.rendering import Image
 from obpose.scenes.scene import Camera, upright
-from obpose.storage.files import write_whole
 
 PICTURE = "picture.png"
 """In the folder of a saved scene."""
@@ -45,7 +45,7 @@ def write_png(path: Path, picture: Picture) -> None:
     """Write a picture whole or not at all."""
     data = io.BytesIO()
     Pillow.fromarray(picture).save(data, "PNG")
-    write_whole(path, data.getvalue())
+    write_atomically(path, data.getvalue())
 
 
 def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
@@ -53,7 +53,7 @@ def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
     first, *rest = (Pillow.fromarray(picture) for picture in pictures)
     data = io.BytesIO()
     first.save(data, "GIF", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0)
-    write_whole(path, data.getvalue())
+    write_atomically(path, data.getvalue())
 
 
 def turntable(camera: Camera, center: Tensor, count: int) -> list[Camera]:

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from safetensors.torch import save
 
+from datagen.storage.atomic import new_folder, write_atomically
 from datagen.storage.safe_io import brief_reason, read_json
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.nerf.detail import EDGE, no_detail
@@ -18,7 +19,6 @@ from obpose.scenes.appearance.light import is_light, no_light
 from obpose.scenes.appearance.table_texture import no_pattern
 from obpose.scenes.pictures import PICTURE, Picture, write_png
 from obpose.scenes.scene import LARGEST_ID, Camera, ClipName, Scene
-from obpose.storage.files import new_folder, write_whole
 from obpose.storage.tensors import Form, Forms, State, differences_of, read_tensors
 
 TENSORS, FACTS = "scene.safetensors", "scene.json"
@@ -105,8 +105,8 @@ def _write(folder: Path, scene: Scene) -> None:
     }
     if scene.clip is not None:
         facts["clip"] = dataclasses.asdict(scene.clip)
-    write_whole(folder / TENSORS, save({name: tensor.detach().contiguous() for name, tensor in tensors.items()}))
-    write_whole(folder / FACTS, (json.dumps(facts, indent=1) + "\n").encode())
+    write_atomically(folder / TENSORS, save({name: tensor.detach().contiguous() for name, tensor in tensors.items()}))
+    write_atomically(folder / FACTS, (json.dumps(facts, indent=1) + "\n").encode())
 
 
 def _wherever_from(checkpoint: str) -> str:

@@ -13,11 +13,11 @@ from typing import Any
 import torch
 from safetensors.torch import save
 
+from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import brief_reason, check_file, parse_json, read_json
 from obpose.config_text import differences, from_plain, to_plain
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
-from obpose.storage.files import write_whole
 from obpose.storage.tensors import Check, Forms, State, differences_of, forms_of, read_tensors
 from obpose.systems import ARCHITECTURES, OBPOSE, architecture_of, build_model
 from obpose.trainable import Configuration, Trainable
@@ -61,7 +61,7 @@ def save_model(folder: Path, weights: State, config: Configuration, info: Info) 
     """Write a model for `load`. The configuration is written last: if it exists, the model is complete."""
     _write_tensors(folder / MODEL, weights, info)
     facts = {"version": VERSION, "architecture": architecture_of(config).name, "config": to_plain(config)}
-    write_whole(folder / CONFIG, (json.dumps(facts, indent=1) + "\n").encode())
+    write_atomically(folder / CONFIG, (json.dumps(facts, indent=1) + "\n").encode())
 
 
 def load(folder: Path, build: Build = build_model) -> tuple[Trainable, Configuration, Info]:
@@ -208,7 +208,7 @@ def _write_tensors(path: Path, tensors: State, info: Info) -> None:
     copies = {
         name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
     }
-    write_whole(path, save(copies, metadata={"info": json.dumps(info)}))
+    write_atomically(path, save(copies, metadata={"info": json.dumps(info)}))
 
 
 def _has_rows(path: Path) -> bool:

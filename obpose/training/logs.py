@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import read_bytes
 from obpose.errors import UsageError
-from obpose.storage.files import write_whole
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter
@@ -46,7 +46,7 @@ class CsvLog:
         writer = csv.DictWriter(text, self._columns, restval="")
         writer.writeheader()
         writer.writerows(rows)
-        write_whole(self._path, text.getvalue().encode())
+        write_atomically(self._path, text.getvalue().encode())
 
 
 class TensorBoardLog:

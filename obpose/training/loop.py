@@ -18,10 +18,10 @@ import torch
 from lightning_fabric import Fabric
 
 from datagen.console.text import counted
+from datagen.storage.atomic import locked_folder
 from obpose.data.clips import ClipSource
 from obpose.errors import CorruptFile, Interrupted, UsageError
 from obpose.storage.checkpoint import TRAINING, Build, load_training
-from obpose.storage.files import claimed
 from obpose.systems import build_model
 from obpose.trainable import Configuration, Trainable
 from obpose.training.batches import Sampling, Share, batches, readers_for
@@ -138,7 +138,7 @@ def _train(
     build: Build,
 ) -> Trained:
     learner = Learner(fabric, config, build)
-    with claimed(folder) if folder and fabric.is_global_zero else nullcontext():
+    with locked_folder(folder) if folder and fabric.is_global_zero else nullcontext():
         progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
         record = None
         if folder and fabric.is_global_zero:

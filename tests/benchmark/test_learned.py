@@ -29,9 +29,7 @@ pytestmark = pytest.mark.slow
 
 
 def run_cli(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main([str(argument) for argument in arguments])
-    return int(exit_.value.code or 0)
+    return main([str(argument) for argument in arguments])
 
 
 def start(data: Path, out: Path, *, steps: int = STEPS) -> subprocess.Popen[str]:

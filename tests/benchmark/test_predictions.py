@@ -67,9 +67,7 @@ def truths(scenes: Split) -> list[np.ndarray]:
 
 
 def run_cli(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main([str(argument) for argument in arguments])
-    return int(exit_.value.code or 0)
+    return main([str(argument) for argument in arguments])
 
 
 @pytest.mark.parametrize("write", [write_npz, write_png, write_hdf5])

@@ -18,7 +18,7 @@ COMMANDS = {
     "obpose-train": "from benchmark.commands.train import main",
     "obpose-segment": "from obpose.commands.entry import segment as main",
     "obpose-edit": "from obpose.commands.entry import edit as main",
-    "obpose-view": "from obpose.commands.view import main",
+    "obpose-view": "from obpose.commands.entry import view as main",
     "obpose-bench": "from benchmark.commands.entry import main",
 }
 

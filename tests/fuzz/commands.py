@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from datagen.errors import DatagenError, run_program
+from datagen.console.command_line import run_program
+from datagen.errors import DatagenError
 from datagen.schema import SPLITS
 
 
@@ -40,10 +41,10 @@ def _train(arguments: list[str]) -> int:
     return main(arguments)
 
 
-def _segment(arguments: list[str]) -> None:
+def _segment(arguments: list[str]) -> int:
     from obpose.commands.segment import main
 
-    main(arguments)
+    return main(arguments)
 
 
 def _edit(arguments: list[str]) -> int:
@@ -52,7 +53,7 @@ def _edit(arguments: list[str]) -> int:
     return main(arguments)
 
 
-def _bench(arguments: list[str]) -> None:
+def _bench(arguments: list[str]) -> int:
     import benchmark.execution.schedule
     import benchmark.tasks.editing.command
     from benchmark.commands.cli import main
@@ -61,7 +62,7 @@ def _bench(arguments: list[str]) -> None:
         mock.patch.object(benchmark.execution.schedule, "run_isolated", _run_here),
         mock.patch.object(benchmark.tasks.editing.command, "run_isolated", _run_here),
     ):
-        main(arguments)
+        return main(arguments)
 
 
 def _run_here(job: Any, _limits: Any, _log: Path, _stop: threading.Event, heard: Callable[[str], None]) -> Any:

@@ -12,7 +12,7 @@ import pytest
 from datagen.config import load_recipe, recipe_to_dict
 from datagen.pipeline.generate import Run, generate
 from datagen.pipeline.make_scene import SceneMaker, renderer_identity
-from datagen.storage.dataset_folder import write_whole
+from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import shard_image
 from datagen.storage.spec import make_spec
@@ -42,7 +42,7 @@ def test_one_core(benchmark: Any, tmp_path: Path):
 
     benchmark.pedantic(next_scene, rounds=SCENES)
     start = time.process_time()
-    write_whole(tmp_path / "shard.h5", shard_image(made[1:], {}))
+    write_atomically(tmp_path / "shard.h5", shard_image(made[1:], {}))
     writing = (time.process_time() - start) / SCENES
     frames = MOVING.frames / (benchmark.stats.stats.mean + writing)
     print(

@@ -7,7 +7,8 @@ from typing import Annotated, TypeVar
 
 import tyro
 
-from datagen.errors import UsageError, run_program
+from datagen.console.command_line import run_program
+from datagen.errors import UsageError
 
 Options = TypeVar("Options")
 

@@ -19,12 +19,12 @@ from benchmark.clips import ClipSequence
 from benchmark.metrics import clip_scores
 from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.ranking.statistics import Summary, draw, summarise
-from benchmark.results.files import write_whole
 from benchmark.results.label_files import check_labels
 from benchmark.results.labels import dataset_of, read_labels
 from benchmark.studies.claims.command import check_csv, run_command
 from datagen.errors import EXIT_OK, UsageError
 from datagen.schema import effect_mask
+from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset
 
 PROGRAM = "python -m benchmark.studies.claims.effects_cli"
@@ -75,7 +75,7 @@ def run(values: Arguments) -> int:
             lines.append(line)
     print(f"\nMeans over {' or '.join(map(str, sorted(counts)))} test scenes, with 95 % bootstrap intervals.")
     if values.csv is not None:
-        write_whole(values.csv, to_csv(lines).encode())
+        write_atomically(values.csv, to_csv(lines).encode())
     return EXIT_OK
 
 

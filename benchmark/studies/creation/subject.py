@@ -8,9 +8,9 @@ from typing import Literal
 import torch
 
 from benchmark.ranking.leaderboard import Line, to_csv
-from benchmark.results.files import write_whole
 from benchmark.studies.claims.command import check_csv
 from datagen.errors import UsageError
+from datagen.storage.atomic import write_atomically
 from datagen.tracks import DataFolder, Source, find_track
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.storage.pretrained import shipped_to_create
@@ -58,7 +58,7 @@ class Subject:
         """Write the CSV, if there is to be one."""
         if self.csv is not None:
             told: Line = {"model": origin.name, "data": self.source.name, "split": self.split}
-            write_whole(self.csv, to_csv([{**told, **line} for line in lines]).encode())
+            write_atomically(self.csv, to_csv([{**told, **line} for line in lines]).encode())
 
     def origin(self) -> Origin:
         """The model, in a process that is set up for it."""

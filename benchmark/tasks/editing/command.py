@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmark.commands import arguments
-from benchmark.commands.console import prepare, progress_bar, status
+from benchmark.commands.console import prepare
 from benchmark.commands.outputs import print_path, wide_console
 from benchmark.execution.duration import GRACE_SECONDS
 from benchmark.execution.isolation import LOGS, limits, run_isolated
@@ -17,15 +17,16 @@ from benchmark.execution.schedule import side_by_side
 from benchmark.models.registry import find_model
 from benchmark.names import REFERENCES, REFINED
 from benchmark.ranking.escaping import terminal
-from benchmark.results.files import remove_abandoned
 from benchmark.results.run_folder import digest
 from benchmark.tasks.editing import summary
 from benchmark.tasks.editing.job import VERSION, EditJob
 from benchmark.tasks.editing.lines import FOLDER
 from benchmark.tasks.editing.truth import kinds_in
+from datagen.console.progress import progress_bar, status_console
 from datagen.console.text import counted
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, UsageError
 from datagen.schema import EDITS
+from datagen.storage.atomic import remove_abandoned
 from datagen.storage.reader import Dataset
 from datagen.tracks import Source, Track
 from obpose.storage.pretrained import content_hash
@@ -42,7 +43,7 @@ def score_edits(values: arguments.Run, request: Request) -> int:
         raise UsageError(f"{idle[0]!r} infers no scenes that could be edited; leave it out.")
     sources = [_with_edits(source) for source in request.sources]
     jobs = [job for source in sources for job in _jobs(request, source, values)]
-    remove_abandoned(values.out)
+    remove_abandoned(values.out, recursive=True)
     _make_room(jobs, overwrite=values.overwrite)
     prepare(dict.fromkeys(sources, (SPLIT,)), workers=values.workers)
     reasons = _run([job for job in jobs if job.missing()], values)
@@ -106,7 +107,7 @@ def _make_room(jobs: Sequence[EditJob], *, overwrite: bool) -> None:
 
 def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
     """Run the jobs in parallel; returns the reasons of failures."""
-    console, reasons = status(), []
+    console, reasons = status_console(), []
     with progress_bar(console, "scenes", sum(len(job.missing()) for job in jobs)) as advance:
 
         def do(job: EditJob, stop: threading.Event) -> list[EditJob]:

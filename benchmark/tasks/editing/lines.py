@@ -10,12 +10,12 @@ from pathlib import Path
 
 from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.results.csv_files import read_csv
-from benchmark.results.files import write_whole
 from benchmark.tasks.editing.answers import Answer
 from benchmark.tasks.editing.scores import METRICS
 from benchmark.tasks.editing.truth import Pair
 from datagen.errors import CorruptFile
 from datagen.schema import EDITS
+from datagen.storage.atomic import write_atomically
 
 FOLDER = "editing"
 """Subfolder of the run folder for these files."""
@@ -54,7 +54,7 @@ def path_of(folder: Path, name: str) -> Path:
 def save_lines(path: Path, lines: Sequence[Line]) -> None:
     """Write all lines of a job."""
     text = to_csv(list(lines)) if lines else ",".join(COLUMNS) + "\n"
-    write_whole(path, text.encode())
+    write_atomically(path, text.encode())
 
 
 def load_lines(path: Path) -> list[Line]:

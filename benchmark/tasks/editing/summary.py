@@ -13,11 +13,11 @@ from benchmark.ranking.escaping import markdown as markdown_text
 from benchmark.ranking.escaping import terminal
 from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.ranking.statistics import Summary, draw, summarise
-from benchmark.results.files import write_whole
 from benchmark.tasks.editing.lines import load_all
 from benchmark.tasks.editing.scores import LARGEST_PSNR, METRICS
 from datagen.console.text import counted
 from datagen.schema import EDITS
+from datagen.storage.atomic import write_atomically
 
 FILES = ("editing.csv", "editing.md")
 
@@ -64,7 +64,7 @@ def write(folder: Path) -> list[Entry]:
     entries = summaries(load_all(folder))
     texts = (to_csv([_csv_line(entry) for entry in entries]), markdown(entries))
     for name, text in zip(FILES, texts, strict=True):
-        write_whole(folder / name, text.encode())
+        write_atomically(folder / name, text.encode())
     return entries
 
 

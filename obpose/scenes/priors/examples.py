@@ -12,6 +12,7 @@ from torch import Tensor
 
 from datagen.console.text import counted
 from datagen.pipeline.parallel import make_all
+from datagen.storage.atomic import write_atomically
 from obpose.errors import CorruptFile
 from obpose.model.nerf.detail import EDGE
 from obpose.model.obpose import ObPose
@@ -21,7 +22,6 @@ from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.priors.grids import Grids, grids_of, together
 from obpose.scenes.refine import STEPS
 from obpose.scenes.scene import Scene
-from obpose.storage.files import write_whole
 from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
 
 FRAMES = 6
@@ -61,7 +61,7 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
     say(f"Looking for objects in {counted(len(missing), 'clip')} of {data}.")
     look = partial(_find_in, str(origin.folder), data)
     for number, (index, contents) in enumerate(make_all(look, [("train", i) for i in missing], workers), start=1):
-        write_whole(paths[index], contents)
+        write_atomically(paths[index], contents)
         if number % 10 == 0:
             say(f"{number} of {counted(len(missing), 'clip')}")
     latent = origin.model.config.model.latent.what

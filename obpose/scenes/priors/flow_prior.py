@@ -9,12 +9,12 @@ from jaxtyping import Float
 from safetensors.torch import save
 from torch import Tensor
 
+from datagen.storage.atomic import write_atomically
 from obpose.errors import CorruptFile, UsageError
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.gaussian import Mixture, ScenePrior, learned_prior, load_prior
 from obpose.scenes.priors.tables import Tables
-from obpose.storage.files import write_whole
 from obpose.storage.tensors import Form, Forms, differences_of, forms_of, read_tensors
 
 PriorName = Literal["flow", "fitted", "learned"]
@@ -43,7 +43,7 @@ class FlowPrior:
 def save_flow(origin: Origin, flow: Flow) -> Path:
     """Write a flow for `load_flow`, in half precision; give the path of the file."""
     contents = {name: tensor.half().contiguous() for name, tensor in flow.state_dict().items()}
-    write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
+    write_atomically(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
     return origin.folder / FILE
 
 

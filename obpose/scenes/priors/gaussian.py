@@ -18,12 +18,12 @@ from safetensors.torch import save
 from torch import Tensor
 
 from datagen.console.text import counted
+from datagen.storage.atomic import write_atomically
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.table_texture import SPOT
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.tables import Tables, are_tables, no_tables
-from obpose.storage.files import write_whole
 from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
 from obpose.types import Observation
 
@@ -140,7 +140,7 @@ def save_prior(origin: Origin, prior: ScenePrior) -> None:
     for name, mixture in (("what", prior.what), ("background", prior.background)):
         tensors |= {f"{name}.{part}": getattr(mixture, part) for part in _PARTS}
     contents = {name: tensor.contiguous() for name, tensor in tensors.items()}
-    write_whole(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
+    write_atomically(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
 
 
 def has_prior(origin: Origin) -> bool:

@@ -13,6 +13,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from datagen.console.text import counted
+from datagen.storage.atomic import locked_folder, write_atomically
 from datagen.storage.safe_io import brief_reason, read_json
 from obpose.data.datasets import SceneDataset
 from obpose.errors import CorruptFile, Diverged, UsageError
@@ -21,7 +22,6 @@ from obpose.scenes.priors.examples import Examples, Say, find_examples, joined
 from obpose.scenes.priors.flow import Flow, describe, flow_loss, mirrored, sample_grids
 from obpose.scenes.priors.flow_prior import FILE, has_flow, save_flow
 from obpose.scenes.priors.grids import Grids
-from obpose.storage.files import claimed, write_whole
 from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.storage.tensors import State, differences_of, forms_of, read_tensors
 
@@ -71,13 +71,13 @@ def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say:
     if has_flow(origin):
         raise UsageError(f"{origin.folder / FILE} is there already; move it elsewhere to learn another one.")
     folder = origin.folder / PARTIAL
-    with claimed(folder):
+    with locked_folder(folder):
         dataset = SceneDataset(data, "train").settings_hash
         _check_same(folder / _LOOKING, {"weights": origin.hash, "data": dataset})
         if (folder / _STATE).exists():
             _check_same(folder / _LEARNING, asdict(lesson))
         found = find_examples(origin, data, folder, lesson.clips, workers=workers, say=say)
-        write_whole(folder / _LEARNING, json.dumps(asdict(lesson), indent=1).encode())
+        write_atomically(folder / _LEARNING, json.dumps(asdict(lesson), indent=1).encode())
         flow = _train(_fresh(origin, lesson), found, folder, lesson, say)
         path = save_flow(origin, flow)
     shutil.rmtree(folder)
@@ -88,7 +88,7 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
     """Check that an interrupted run had these settings; write them if there is none."""
     folder = path.parent
     if not path.exists():
-        write_whole(path, json.dumps(settings, indent=1).encode())
+        write_atomically(path, json.dumps(settings, indent=1).encode())
         return
     try:
         before = read_json(path, most_bytes=_MOST_SETTINGS_BYTES)
@@ -215,7 +215,7 @@ def _save(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, 
     }
     tensors = {f"{part}.{name}": value for part, values in parts.items() for name, value in values.items()}
     contents = {name: value.detach().contiguous() for name, value in tensors.items()}
-    write_whole(path, save(contents, metadata={"step": str(step)}))
+    write_atomically(path, save(contents, metadata={"step": str(step)}))
 
 
 def _restore(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, *, steps: int) -> int:

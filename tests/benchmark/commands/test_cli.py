@@ -36,9 +36,7 @@ def plugins(tmp_path_factory: pytest.TempPathFactory):
 
 
 def run_cli(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main([str(argument) for argument in arguments])
-    return int(exit_.value.code or 0)
+    return main([str(argument) for argument in arguments])
 
 
 def rows_of(folder: Path) -> dict[str, RunRow]:

@@ -26,10 +26,7 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 def run(*arguments: object) -> int:
-    try:
-        return cli.main([str(argument) for argument in arguments])
-    except SystemExit as exit_:  # how the parser ends
-        return int(exit_.code or 0)
+    return cli.main([str(argument) for argument in arguments])
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from datagen.config import Rig
 from datagen.errors import DatagenError, UsageError
 from datagen.pipeline.generate import Run, generate, regenerate, render
 from datagen.pipeline.make_scene import make_scene, object_rows
-from datagen.storage.dataset_folder import write_whole
+from datagen.storage.atomic import write_atomically
 from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
@@ -166,7 +166,7 @@ def test_a_smaller_run_that_began_meanwhile_does_not_hide_scenes(whole, tmp_path
     @contextmanager
     def progress(_total: int):
         make(tmp_path, {"train": 1})
-        write_whole(tmp_path / SPEC_FILE, spec_text(with_splits(Dataset(whole).spec, {"train": 1})).encode())
+        write_atomically(tmp_path / SPEC_FILE, spec_text(with_splits(Dataset(whole).spec, {"train": 1})).encode())
         yield lambda: None
 
     assert make(tmp_path, SIZES, progress=progress).spec["splits"] == SIZES

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from datagen.errors import CorruptFile, DatagenError, UsageError
-from datagen.storage.dataset_folder import write_whole
+from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
 from datagen.storage.spec import SPEC_FILE, spec_text, with_splits
@@ -21,7 +21,7 @@ SPEC = with_splits({**random_spec(), "scenes_per_shard": 2}, {"train": 5, "val":
 
 @pytest.fixture
 def folder(tmp_path):
-    write_whole(tmp_path / SPEC_FILE, spec_text(SPEC).encode())
+    write_atomically(tmp_path / SPEC_FILE, spec_text(SPEC).encode())
     for split, seeds in {"train": [[0, 1], [2, 3], [4]], "val": [[5, 6]]}.items():
         for number, chosen in enumerate(seeds):
             add_shard(tmp_path, split, number, chosen)

@@ -327,8 +327,8 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["add", "SCENE", "--object", "FIRST", "--to", "0,0.6,0.05", "--out", "new"], "would be outside the workspace"),
         (["move", "SCENE", "--object", "1", "--by", "nan,0,0", "--out", "new"], "expected x,y,z in metres"),
         (["move", "nowhere", "--object", "1", "--by", "0,0,0", "--out", "new"], "holds no scene"),
-        (["remove", "SCENE", "--object", "1", "--out", "SCENE"], "is there already and not empty"),
-        (["render", "SCENE", "--out", "SCENE/picture.png"], "is there already"),
+        (["remove", "SCENE", "--object", "1", "--out", "SCENE"], "already exists and is not empty"),
+        (["render", "SCENE", "--out", "SCENE/picture.png"], "already exists"),
         (["render", "SCENE", "--out", "a.jpg"], "expected a name that ends with .png"),
         (["render", "SCENE", "--turntable", "999", "--out", "a.gif"], "--turntable 999: expected 1 to 360"),
         (["render", "SCENE", "--turntable", "0", "--out", "a.gif"], "--turntable 0: expected 1 to 360"),
@@ -433,7 +433,7 @@ def test_wrong_arguments_are_named_before_the_output_that_is_there(
     assert main([*command, "--out", f"{tmp_path / 'full'}{ending}"]) == EXIT_USAGE
     errors = capsys.readouterr().err
     assert message in errors
-    assert "is there already" not in errors
+    assert "already exists" not in errors
 
 
 @pytest.mark.parametrize(
@@ -457,7 +457,7 @@ def test_an_output_that_is_there_is_named_before_anything_slow(
         command = [part.replace(name, str(place)) for part in command]
     out = tmp_path / {"render": "picture.png", "mesh": "object.glb"}.get(command[0], ".")
     assert main([*command, "--out", str(out)]) == EXIT_USAGE
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 def test_a_scene_that_the_split_has_not_is_named(tiny_dataset: Path, tmp_path: Path, capsys):

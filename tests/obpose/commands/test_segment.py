@@ -45,9 +45,7 @@ def run(scene: Path, out: Path, *flags: object, **changes: object) -> int:
     given = {"checkpoint": scene / "model", "rgb": scene / "rgb", "depth": scene / "depth", **changes}
     command = [part for name, value in given.items() for part in (f"--{name}", str(value))]
     camera = ["--intrinsics", (scene / "intrinsics").read_text()]
-    with pytest.raises(SystemExit) as exit_:
-        main([*command, *camera, *map(str, flags), "--out", str(out)])
-    return int(exit_.value.code or 0)
+    return main([*command, *camera, *map(str, flags), "--out", str(out)])
 
 
 def facts_of(out: Path) -> dict[str, object]:
@@ -186,7 +184,7 @@ def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path:
 def test_what_is_in_the_folder_already_is_left_alone(scene: Path, tmp_path: Path, capsys):
     (tmp_path / "objects.json").write_text("mine")
     assert run(scene, tmp_path) == EXIT_USAGE
-    assert "is there already and not empty; give another --out" in capsys.readouterr().err
+    assert "already exists and is not empty; give another --out" in capsys.readouterr().err
     for flags, message in (
         (("--every", 0), "--every 0"),
         (("--intrinsics", "1,2,3"), "expected fx,fy,cx,cy"),

@@ -203,7 +203,7 @@ def test_the_model_s_folder_is_found_from_everywhere(tmp_path: Path, monkeypatch
 
 def test_a_scene_takes_no_other_one_s_place(tmp_path: Path):
     save_scene(tmp_path / "scene", some_scene())
-    with pytest.raises(UsageError, match="is there already and not empty"):
+    with pytest.raises(UsageError, match="already exists and is not empty"):
         save_scene(tmp_path / "scene", some_scene(seed=1))
     assert equal(load_scene(tmp_path / "scene"), some_scene())
 
@@ -212,7 +212,7 @@ def test_a_save_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     def full(path: Path, _data: bytes) -> None:
         raise DatagenError(f"Cannot write {path}")
 
-    monkeypatch.setattr("obpose.scenes.pictures.write_whole", full)
+    monkeypatch.setattr("obpose.scenes.pictures.write_atomically", full)
     with pytest.raises(DatagenError, match=r"picture\.png"):
         save_scene(tmp_path / "scene", some_scene(), np.zeros((2, 2, 3), np.uint8))
     assert not list(tmp_path.iterdir())

@@ -16,9 +16,7 @@ MODEL = ("--task", "editing", "--model", "obpose", "--pretrained", "--fit-track"
 
 
 def run_cli(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as exit_:
-        main([str(argument) for argument in arguments])
-    return int(exit_.value.code or 0)
+    return main([str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 import pytest
 
-from benchmark.commands.console import busy, watched
+from datagen.console.progress import busy, tracked
 
 
 @pytest.fixture(params=[True, False])
@@ -12,8 +12,8 @@ def terminal(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_progress_is_shown_on_terminals_only_and_changes_nothing(terminal: bool, capsys: pytest.CaptureFixture[str]):
-    assert list(watched([3, 1, 2], "reading scores")) == [3, 1, 2]
-    assert list(watched([], "reading scores")) == []
+    assert list(tracked([3, 1, 2], "reading scores")) == [3, 1, 2]
+    assert list(tracked([], "reading scores")) == []
     with busy("writing the report"):
         pass
     shown = capsys.readouterr()

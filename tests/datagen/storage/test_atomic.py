@@ -1,41 +1,54 @@
 import os
+import socket
 import subprocess
 import threading
+import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 
 import pytest
 
+from datagen.storage.atomic import (
+    check_new_folder,
+    is_running,
+    locked_folder,
+    new_file,
+    new_folder,
+    remove_abandoned,
+    replacing,
+    target_name,
+    temporary_path,
+    write_atomically,
+)
 from obpose.errors import Busy, DatagenError, UsageError
-from obpose.storage.files import check_free, claimed, new_file, new_folder, remove_abandoned, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path: Path):
     path = tmp_path / "new" / "file"
-    write_whole(path, b"one")
-    write_whole(path, b"two")
+    write_atomically(path, b"one")
+    write_atomically(path, b"two")
     assert path.read_bytes() == b"two"
     assert list(path.parent.iterdir()) == [path]
 
 
 def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "file"
-    write_whole(path, b"one")
+    write_atomically(path, b"one")
 
     def full(_descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(DatagenError, match="No space left on device"):
-        write_whole(path, b"two")
+        write_atomically(path, b"two")
     assert path.read_bytes() == b"one"
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_file_is_no_folder(tmp_path: Path):
     (tmp_path / "notes").write_text("mine")
-    with pytest.raises(UsageError, match="notes is a file"), claimed(tmp_path / "notes"):
+    with pytest.raises(UsageError, match="notes is a file"), locked_folder(tmp_path / "notes"):
         raise AssertionError
     assert (tmp_path / "notes").read_text() == "mine"
 
@@ -43,31 +56,82 @@ def test_a_file_is_no_folder(tmp_path: Path):
 def test_the_folder_of_a_dataset_takes_no_results(tmp_path: Path):
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "dataset.json").write_text("{")
-    with pytest.raises(UsageError, match="set holds a dataset; give another --out"), claimed(tmp_path / "set"):
+    with pytest.raises(UsageError, match="set holds a dataset; give another --out"), locked_folder(tmp_path / "set"):
         raise AssertionError
     with pytest.raises(UsageError, match="set holds a dataset; give another --out"):
-        check_free(tmp_path / "set")
+        check_new_folder(tmp_path / "set")
     assert [path.name for path in (tmp_path / "set").iterdir()] == ["dataset.json"]
-    with claimed(tmp_path / "set" / "run"):
+    with locked_folder(tmp_path / "set" / "run"):
         pass
 
 
-def test_what_killed_processes_left_is_removed(tmp_path: Path):
-    (tmp_path / ".file.123.partial").write_bytes(b"half")
-    (tmp_path / "file").write_bytes(b"whole")
-    (tmp_path / ".thesis.partial").write_bytes(b"somebody else's")
+def temporary(name: str, process: int, *, host: str = socket.gethostname(), thread: int = 1) -> str:
+    return f".{name}.partial-{host}-{process}-{thread}"
+
+
+def ended_process() -> int:
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    return ended.pid
+
+
+def test_only_files_of_writers_that_are_gone_are_abandoned(tmp_path: Path):
+    other = threading.Thread(target=(release := threading.Event()).wait)
+    other.start()
+    old = time.time() - 7200
+    stay = {
+        temporary("a", ended_process()): False,
+        temporary("a", os.getpid()): False,
+        temporary("a", os.getpid(), thread=other.native_id or 0): True,
+        temporary("a", os.getppid()): True,
+        temporary("a", 10**30): False,
+        temporary("a", 1, host="else-where.org"): True,
+        temporary("old", 1, host="else-where.org"): False,
+        "a": True,
+        ".thesis.partial-2": True,
+    }
+    for name in stay:
+        (tmp_path / name).write_bytes(b"")
+        if name.startswith(".old"):
+            os.utime(tmp_path / name, (old, old))
+    (tmp_path / "below").mkdir()
+    below = tmp_path / "below" / temporary("a", ended_process())
+    below.write_bytes(b"")
     remove_abandoned(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {"file", ".thesis.partial"}
+    assert {name: (tmp_path / name).exists() for name in stay} == stay
+    assert below.exists()
+    remove_abandoned(tmp_path, recursive=True)
+    assert not below.exists()
+    release.set()
+    other.join()
 
 
-def test_a_folder_is_one_process_s_until_it_lets_go(tmp_path: Path):
-    (tmp_path / ".file.123.partial").write_bytes(b"half")
-    with claimed(tmp_path):
-        (tmp_path / ".file.124.partial").write_bytes(b"of the first")
-        with pytest.raises(Busy, match="Another process is writing to"), claimed(tmp_path):
+def test_a_temporary_path_leads_back_to_its_target():
+    for name in ("a", "a.partial-b-1-2", "train-00000.h5"):
+        assert target_name(temporary_path(Path(name))) == name == target_name(Path(name))
+
+
+def test_a_failed_replacement_leaves_the_previous_file(tmp_path: Path):
+    path = tmp_path / "file"
+    path.write_bytes(b"one")
+    with suppress(ZeroDivisionError), replacing(path) as unfinished:
+        unfinished.write_bytes(b"half")
+        fail()
+    with pytest.raises(ZeroDivisionError):
+        write_atomically(path, b"two", check=fail)
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"one", [path])
+
+
+def test_a_folder_is_locked_for_one_process(tmp_path: Path):
+    left = tmp_path / temporary("file", ended_process())
+    left.write_bytes(b"half")
+    with locked_folder(tmp_path):
+        assert not left.exists()
+        left.write_bytes(b"of the first")
+        with pytest.raises(Busy, match="Another process is writing to"), locked_folder(tmp_path):
             raise AssertionError
-        assert [path.name for path in tmp_path.iterdir()] == [".file.124.partial"]
-    with claimed(tmp_path):
+        assert left.exists()
+    with locked_folder(tmp_path):
         assert not list(tmp_path.iterdir())
 
 
@@ -90,16 +154,16 @@ def test_a_new_folder_is_there_whole_or_not_at_all(tmp_path: Path):
 
 
 def test_what_killed_processes_left_of_new_ones_goes_when_it_is_made_again(tmp_path: Path):
-    ended = subprocess.Popen(["true"])
-    ended.wait()
-    for process in (ended.pid, os.getppid(), 10**12):
-        (tmp_path / f".made.{process}-1.unfinished").mkdir()
-        (tmp_path / f".made.{process}-1.unfinished" / "file").write_bytes(b"half")
-        (tmp_path / f".a[1].{process}-1.unfinished.png").write_bytes(b"half")
+    for process in (ended_process(), os.getppid()):
+        for name in ("made", "a[1].png", "other"):
+            (tmp_path / temporary(name, process)).mkdir()
+            (tmp_path / temporary(name, process) / "file").write_bytes(b"half")
     make(tmp_path / "made", b"whole")
     write(tmp_path / "a[1].png", b"whole")
-    others = [f".made.{os.getppid()}-1.unfinished", f".a[1].{os.getppid()}-1.unfinished.png"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "made", "a[1].png"])
+    running = {temporary(name, os.getppid()) for name in ("made", "a[1].png", "other")}
+    left = {path.name for path in tmp_path.iterdir()} - {path.name for path in tmp_path.glob(".other*")}
+    assert left == (running | {"made", "a[1].png"}) - {temporary("other", os.getppid())}
+    assert len(list(tmp_path.glob(".other*"))) == 2
 
 
 def assert_missing(path: Path) -> None:
@@ -114,7 +178,7 @@ def test_of_two_that_make_the_same_folder_the_second_is_told(tmp_path: Path):
         thread.start()
         thread.join()
 
-    with pytest.raises(UsageError, match="made is there already and not empty; give another --out"):
+    with pytest.raises(UsageError, match="made already exists and is not empty; give another --out"):
         make(made, b"second", meanwhile=be_faster)
     assert [path.name for path in tmp_path.iterdir()] == ["made"]
     assert (made / "file").read_bytes() == b"first"
@@ -128,14 +192,14 @@ def test_the_current_folder_is_no_new_one(tmp_path: Path, monkeypatch: pytest.Mo
 
 def write(path: Path, content: bytes, meanwhile: Callable[[], None] = lambda: None) -> None:
     with new_file(path) as unfinished:
-        assert unfinished.suffix == path.suffix
+        assert unfinished.name == path.name
         unfinished.write_bytes(content)
         meanwhile()
 
 
 def test_a_new_file_takes_no_other_one_s_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = tmp_path / "a.png"
-    with pytest.raises(UsageError, match=r"a\.png is there already; give another --out"):
+    with pytest.raises(UsageError, match=r"a\.png already exists; give another --out"):
         write(path, b"second", meanwhile=lambda: path.write_bytes(b"first") and None)
     assert path.read_bytes() == b"first"
     with pytest.raises(ZeroDivisionError):
@@ -153,13 +217,16 @@ def test_a_new_file_takes_no_other_one_s_place(tmp_path: Path, monkeypatch: pyte
 def test_links_that_lead_to_themselves_are_told(tmp_path: Path, make: Callable[[Path], AbstractContextManager[Path]]):
     for one, other in (("circle", "other"), ("other", "circle")):
         (tmp_path / one).symlink_to(tmp_path / other)
-    with pytest.raises(UsageError, match=r"circle is .*; give another --out"), make(tmp_path / "circle"):
+    with (
+        pytest.raises(UsageError, match=r"circle (is|already exists) .*; give"),
+        make(tmp_path / "circle"),
+    ):
         pass
 
 
 def test_a_link_that_leads_nowhere_is_told(tmp_path: Path):
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(UsageError, match="link is there already as a link that leads nowhere"):
+    with pytest.raises(UsageError, match="link already exists as a link that leads nowhere"):
         write(tmp_path / "link", b"picture")
     assert [path.name for path in tmp_path.iterdir()] == ["link"]
 
@@ -167,7 +234,7 @@ def test_a_link_that_leads_nowhere_is_told(tmp_path: Path):
 def test_where_a_file_cannot_be_its_own_name_is_told_before_anything_is_made(tmp_path: Path):
     (tmp_path / "file").write_bytes(b"")
     for path in (tmp_path / "file" / "a.png", Path("/proc/none/a.png")):
-        with pytest.raises(DatagenError, match=f"Cannot write {path}: .*; mend this, or give another --out"):
+        with pytest.raises(DatagenError, match=f"Cannot write {path}: .*; fix this, or give another --out"):
             write(path, b"picture", meanwhile=fail)
 
 
@@ -178,5 +245,17 @@ def test_a_full_disk_is_told_with_the_name_that_was_given(tmp_path: Path, monkey
     monkeypatch.setattr("os.fsync", full)
     for make, path in ((new_file, tmp_path / "a.png"), (new_folder, tmp_path / "folder")):
         with pytest.raises(DatagenError, match=f"Cannot write {path}: No space left"), make(path) as unfinished:
-            write_whole(unfinished if make is new_file else unfinished / "a.png", b"picture")
+            write_atomically(unfinished if make is new_file else unfinished / "a.png", b"picture")
     assert not list(tmp_path.iterdir())
+
+
+def test_running_processes_are_told_from_ended_ones(monkeypatch: pytest.MonkeyPatch):
+    assert is_running(os.getpid())
+    assert not is_running(ended_process())
+    assert not is_running(10**30)
+
+    def refuse(process: int, signal: int) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "kill", refuse)
+    assert is_running(1)

@@ -1,0 +1,241 @@
+"""Atomic files and folders of all packages: each is complete or missing, even after a crash.
+
+A file is written under a temporary name beside its place, and renamed. The temporary name holds the writer's host,
+process and thread, so that files of killed writers can be found and deleted.
+"""
+
+import os
+import re
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from datagen.errors import Busy, DatagenError, UsageError
+from datagen.storage.locks import FolderLock
+from datagen.storage.spec import SPEC_FILE
+
+_TEMPORARY = re.compile(r"\.(?P<target>.+)\.partial-(?P<host>.+)-(?P<process>\d+)-(?P<thread>\d+)")
+_ABANDONED_SECONDS = 3600
+"""Age from which a temporary file of another host counts as abandoned."""
+
+
+def write_atomically(path: Path, data: bytes, *, check: Callable[[], object] = lambda: None) -> None:
+    """Write a file atomically and durably; create its folder if necessary.
+
+    Args:
+        path: The file.
+        data: Its content.
+        check: Called just before the file takes its name; if it raises, the previous file stays.
+
+    Raises:
+        DatagenError: the file cannot be written, for example because the disk is full; the previous one is intact.
+    """
+    try:
+        with replacing(path) as temporary:
+            with temporary.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            check()
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise DatagenError(
+            f"Cannot write {path}: {_reason(error)}. Finished files are intact; fix this and run the same command."
+        ) from error
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path for a file that replaces `path` if the block succeeds; create its folder if necessary."""
+    temporary = temporary_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder that becomes `folder` if the block succeeds, and is deleted if not.
+
+    Raises:
+        UsageError: the folder already exists and is not empty, or was created meanwhile; nothing was changed.
+        DatagenError: it cannot be written.
+    """
+    check_new_folder(folder)
+    with _temporary_folder(folder, folder.resolve()) as temporary:
+        yield temporary
+        check_new_folder(folder)
+        # A folder can only replace an empty one: the rename fails if another process was faster.
+        try:
+            temporary.rename(folder.resolve())
+        except OSError:
+            check_new_folder(folder)
+            raise
+
+
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary path, with the same name in another folder, for a file that becomes `path` on success.
+
+    Raises:
+        UsageError: the file already exists, or was created meanwhile; nothing was changed.
+        DatagenError: it cannot be written.
+    """
+    check_new_file(path)
+    with _temporary_folder(path, path) as folder:
+        yield folder / path.name
+        try:
+            # Unlike a rename, a link fails if another process was faster.
+            os.link(folder / path.name, path)
+        except FileExistsError:
+            check_new_file(path)
+            raise
+        except OSError:  # the file system has no hard links
+            check_new_file(path)
+            (folder / path.name).rename(path)
+
+
+@contextmanager
+def _temporary_folder(named: Path, path: Path) -> Iterator[Path]:
+    """Hold a temporary folder beside `path`; errors name the path that the user gave."""
+    temporary = temporary_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove(left for left in path.parent.iterdir() if target_name(left) == path.name != left.name)
+        temporary.mkdir()
+        yield temporary
+    except (OSError, DatagenError) as error:
+        # `write_atomically` wraps the system's error; other errors of ours pass.
+        cause = error if isinstance(error, OSError) else error.__cause__
+        if not isinstance(cause, OSError):
+            raise
+        raise DatagenError(f"Cannot write {named}: {_reason(cause)}; fix this, or give another --out.") from None
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_new_folder(folder: Path) -> None:
+    """Check that a folder does not exist or is empty.
+
+    Raises:
+        UsageError: it is not empty, is the current folder, holds a dataset, or is not a folder.
+    """
+    try:
+        resolved = folder.resolve()
+    except (OSError, RuntimeError):
+        # Circular links raise either error, depending on the Python version.
+        raise UsageError(f"{folder} is a link that leads to itself; give another --out.") from None
+    if resolved == Path.cwd():
+        raise UsageError(f"{folder} is the current folder; give a new one with --out, nothing was changed.")
+    check_no_dataset(folder)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} already exists and is not empty; give another --out, nothing was changed.")
+
+
+def check_new_file(path: Path) -> None:
+    """Check that a file does not exist.
+
+    Raises:
+        UsageError: it exists, or is a broken link.
+    """
+    if os.path.lexists(path):
+        link = "" if os.path.exists(path) else " as a link that leads nowhere"
+        raise UsageError(f"{path} already exists{link}; give another --out, nothing was changed.")
+
+
+def check_no_dataset(folder: Path) -> None:
+    """Check that a folder for results does not hold a dataset.
+
+    Raises:
+        UsageError: it does.
+    """
+    if os.path.lexists(folder / SPEC_FILE):
+        raise UsageError(f"{folder} holds a dataset; give another --out, nothing was changed.")
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder for results while writing to it; temporary files of killed processes are removed first.
+
+    Raises:
+        Busy: another process holds the lock.
+        UsageError: the folder is a file, or holds a dataset.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file; expected a folder, or a place for a new one.")
+    check_no_dataset(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with FolderLock(folder) as lock:
+        if not lock.take_alone():
+            raise Busy(f"Another process is writing to {folder}; wait for it, or give another --out.")
+        remove_abandoned(folder)
+        yield
+
+
+def temporary_path(path: Path) -> Path:
+    """Give the temporary path at which this thread writes a file."""
+    return path.with_name(f".{path.name}.partial-{socket.gethostname()}-{os.getpid()}-{threading.get_native_id()}")
+
+
+def target_name(path: Path) -> str:
+    """Give the name that a temporary file will take; any other file's own name."""
+    match = _TEMPORARY.fullmatch(path.name)
+    return match["target"] if match else path.name
+
+
+def remove_abandoned(folder: Path, *, recursive: bool = False) -> None:
+    """Delete the temporary files and folders of killed writers in a folder."""
+    _remove(folder.rglob(".*.partial-*") if recursive else folder.glob(".*.partial-*"))
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    for path in list(paths):
+        with suppress(OSError):
+            if _is_abandoned(path):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def _is_abandoned(path: Path) -> bool:
+    """Whether the writer of a temporary file is gone; writers on other hosts can only be judged by the file's age."""
+    match = _TEMPORARY.fullmatch(path.name)
+    if not match:
+        return False
+    if match["host"] != socket.gethostname():
+        return time.time() - path.stat().st_mtime > _ABANDONED_SECONDS
+    if int(match["process"]) != os.getpid():
+        return not is_running(int(match["process"]))
+    others = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
+    return int(match["thread"]) not in others
+
+
+def is_running(process: int) -> bool:
+    """Whether a process of this number exists, whoever owns it."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or str(error)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a new name durable, on file systems that support it."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            os.fsync(handle)
+    finally:
+        os.close(handle)
