@@ -5,10 +5,10 @@ from pathlib import Path
 
 
 def _choose_kernels() -> None:
-    """Have NumPy's BLAS compute alike on all x86-64 CPUs, which works where NumPy was not imported before.
+    """Select the same OpenBLAS kernels on all x86-64 CPUs; has no effect if NumPy was imported before.
 
-    OpenBLAS picks kernels by CPU type, which round differently; collisions make millimetres of the last bits. These
-    kernels need AVX2. Whatever the variable was set to before would give scenes that nobody else gets.
+    OpenBLAS picks kernels by CPU type, which round differently, and collisions amplify the last bits to millimetres.
+    The selected kernels need AVX2. A previous value of the variable is replaced: it would give other scenes.
     """
     try:
         flags = Path("/proc/cpuinfo").read_text()

@@ -6,7 +6,6 @@ A recipe file lists only the values that differ from the defaults below, which a
 import dataclasses
 import functools
 import tomllib
-import typing
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -322,25 +321,17 @@ def recipe_from_dict(data: dict[str, Any]) -> Recipe:
     """Build a recipe from nested plain values; missing keys keep their defaults.
 
     Raises:
-        UsageError: a key is not a field of a recipe.
+        UsageError: a key is not a field of a recipe, or a value is impossible.
+        ValueError: a value has another type.
     """
-    return _from_dict(Recipe, data, "recipe")
+    from datagen.storage.structure import UnknownKeys, strict_converter, structure  # late: readers need no cattrs
+
+    try:
+        return structure(data, Recipe, strict_converter(), "recipe")
+    except UnknownKeys as error:
+        raise UsageError(f"The recipe has unknown constants: {error}.") from None
 
 
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
     """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe."""
     return dataclasses.asdict(recipe)
-
-
-def _from_dict(kind: type, data: dict[str, Any], where: str) -> Any:
-    hints = typing.get_type_hints(kind)
-    if unknown := sorted(set(data) - set(hints)):
-        raise UsageError(f"Unknown keys in {where}: {', '.join(unknown)}; expected some of {', '.join(hints)}.")
-    values = {}
-    for key, value in data.items():
-        if dataclasses.is_dataclass(hints[key]):
-            value = _from_dict(typing.cast(type, hints[key]), value, f"{where}.{key}")
-        elif isinstance(value, list):
-            value = tuple(value)
-        values[key] = value
-    return kind(**values)

@@ -52,7 +52,7 @@ def invert_rigid(pose: Float[np.ndarray, "*batch 4 4"]) -> Float[np.ndarray, "*b
 def transform(
     a_from_b: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*points 3"]
 ) -> Float[np.ndarray, "*points 3"]:
-    """Points of frame b, seen from frame a."""
+    """Transform points from frame b to frame a."""
     return points @ a_from_b[:3, :3].T + a_from_b[:3, 3]
 
 

@@ -1,4 +1,4 @@
-"""Rules that every recipe keeps, so that impossible settings are refused before anything is generated."""
+"""Rules that every recipe keeps, so that impossible settings are refused before any scene is generated."""
 
 import math
 import re
@@ -97,7 +97,7 @@ _COLORS = ("appearance.palette", "appearance.table_color")
 
 
 def problems(recipe: dict[str, Any]) -> Iterator[str]:
-    """One clause for every setting that no dataset can have, given a recipe as nested plain values."""
+    """One clause for each impossible setting of a recipe, given as nested plain values."""
     wrong = [clause for name, value in constants(recipe) for clause in _problems_of(name, value)]
     yield from wrong or _contradictions(recipe)
 
@@ -131,7 +131,7 @@ def _problems_of(name: str, value: Any) -> Iterator[str]:
 
 
 def span(low: int | float, high: int | float) -> str:
-    """Both ends of a range in words; whole numbers are written out."""
+    """Format a range for a message; large whole numbers get separators."""
     least, greatest = (f"{end:,}" if isinstance(end, int) and end >= 10_000 else f"{end:.6g}" for end in (low, high))
     return f"{least} to {greatest}" if math.isfinite(high) else f"{least} or more"
 
@@ -146,7 +146,7 @@ def _categories(wanted: Collection[str]) -> set[str]:
 
 
 def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
-    """Settings that are possible by themselves, but not together."""
+    """Settings that contradict each other."""
     objects, layout = recipe["objects"], recipe["layout"]
     if objects["minimum"] > objects["maximum"]:
         yield f"objects.minimum {objects['minimum']} exceeds objects.maximum {objects['maximum']}"
@@ -172,7 +172,7 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
 
 
 def _endless(recipe: dict[str, Any]) -> Iterator[str]:
-    """Too many steps of physics."""
+    """Check the number of physics steps."""
     fps, physics = recipe["fps"], recipe["physics"]
     steps = 1 / (fps * physics["step"])
     if steps > MOST_STEPS:
@@ -188,7 +188,7 @@ def _endless(recipe: dict[str, Any]) -> Iterator[str]:
 
 
 def _below_the_table(rig: dict[str, Any]) -> Iterator[str]:
-    """Cameras below the table's top, which could only show its underside."""
+    """Check for cameras below the table's top, which would show its underside."""
     height = rig["target"][2] + rig["distance"] * math.sin(math.radians(rig["elevation"]))
     if height <= 0:
         yield (

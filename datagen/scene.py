@@ -7,19 +7,20 @@ Together they are all that a renderer needs.
 import dataclasses
 import json
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from datagen.geometry import intrinsics, look_at, rigid
 from datagen.storage.safe_io import parse_json
+from datagen.storage.structure import strict_converter, structure
 
 _MOST = 1e6
 """Largest number in the description of a scene."""
 _MOST_FORCE = 1e13
 """Largest force in newton: recipes allow objects of 10 m and 30,000 kg/m^3 that reach 100 m/s in a millisecond."""
-_MOST_PARAMETER = 10
+_MOST_PARAMETER = 10.0
 """Largest number in the parameters of a shape, be it metres or a number of parts; recipes allow no larger objects."""
 _MOST_PARAMETERS = 1000
 """Largest number of values in one parameter of a shape."""
@@ -195,102 +196,34 @@ def scene_from_json(text: str) -> Scene:
     """Parse text written by `scene_to_json`.
 
     Raises:
-        ValueError, KeyError or TypeError: the text is not the description of a scene.
+        ValueError: the text is not the description of a scene.
     """
-    data = parse_json(text)
-    return Scene(
-        bodies=tuple(_body(body) for body in data["bodies"]),
-        table=Table(_number(data["table"]["size"]), _material(data["table"]["material"])),
-        cameras=tuple(
-            Camera(
-                _numbers(c["position"], 3), _numbers(c["target"], 3), _number(c["field_of_view"]), _number(c["aspect"])
-            )
-            for c in data["cameras"]
-        ),
-        lights=tuple(
-            Light(
-                _numbers(x["direction"], 3),
-                _numbers(x["radiance"], 3),
-                _number(x["angular_radius"]),
-                bool(x["casts_shadow"]),
-            )
-            for x in data["lights"]
-        ),
-        ambient=_numbers(data["ambient"], 3),
-        backdrop=_numbers(data["backdrop"], 3),
-        frames=int(_number(data["frames"])),
-        fps=_number(data["fps"]),
-    )
+    return structure(parse_json(text), Scene, _CONVERTER)
 
 
-def _body(data: dict[str, Any]) -> Body:
-    sizes = {"position": 3, "quaternion_wxyz": 4, "linear_velocity": 3, "angular_velocity": 3}
-    numbers = {name: _number(data[name]) for name in ("density", "friction", "restitution")}
-    rows = {name: data[name] if data[name] is None else int(_number(data[name])) for name in ("touches", "shape_id")}
-    push = data["push"]
-    return Body(
-        **{
-            **data,
-            **rows,
-            **{name: _numbers(data[name], size) for name, size in sizes.items()},
-            **numbers,
-            "category": _word(data["category"]),
-            "shape": _shape(data["shape"]),
-            "material": _material(data["material"]),
-            "motion": _one_of(data["motion"], Motion),
-            "push": push and _push(push),
-        }
-    )
-
-
-def _push(data: dict[str, Any]) -> Push:
-    return Push(_number(data["start"]), _number(data["duration"]), _numbers(data["force"], 3, _MOST_FORCE))
-
-
-def _shape(data: dict[str, Any]) -> ShapeSpec:
-    spec = ShapeSpec(**data)
-    _word(spec.family)
-    for value in spec.parameters.values():
-        _check_parameter(value)
-    return spec
-
-
-def _check_parameter(value: Any) -> None:
+def _check_parameter(value: Any) -> Any:
+    """Check a parameter of a shape: a text, a number, or a nested list of these."""
     if isinstance(value, list):
         if len(value) > _MOST_PARAMETERS:
             raise ValueError(f"a parameter of a shape has {len(value)} values, expected at most {_MOST_PARAMETERS}")
-        for item in value:
-            _check_parameter(item)
-    elif not isinstance(value, str):
-        _number(value, _MOST_PARAMETER)
+        return [_check_parameter(item) for item in value]
+    return value if isinstance(value, str) else _PARAMETERS.structure(value, float)
 
 
-def _material(data: dict[str, Any]) -> Material:
-    numbers = {name: _number(data[name]) for name in ("period", "roughness", "metalness")}
-    vectors = {name: _numbers(data[name], 3) for name in ("color", "color2", "axis")}
-    names = {"name": _word(data["name"]), "pattern": _one_of(data["pattern"], Pattern)}
-    return Material(**{**data, **numbers, **vectors, **names})
+def _shape(values: Any, _kind: type) -> ShapeSpec:
+    plain = structure(values, _PlainShape, _CONVERTER)
+    return ShapeSpec(plain.family, {name: _check_parameter(value) for name, value in plain.parameters.items()})
 
 
-def _number(value: Any, most: int | float = _MOST) -> Any:
-    if type(value) not in (int, float) or not abs(value) <= most:
-        raise ValueError(f"it holds {value!r:.40}, expected a number up to {most:g}")
-    return value
+@dataclass(frozen=True)
+class _PlainShape:
+    """A `ShapeSpec` whose parameters are unchecked."""
+
+    family: str
+    parameters: dict[str, Any]
 
 
-def _numbers(values: Any, count: int, most: int | float = _MOST) -> Any:
-    if type(values) is not list or len(values) != count:
-        raise ValueError(f"it holds {values!r:.40}, expected {count} numbers")
-    return tuple(_number(value, most) for value in values)
-
-
-def _word(value: Any) -> str:
-    if type(value) is not str:
-        raise ValueError(f"it holds {value!r:.40}, expected a text")
-    return value
-
-
-def _one_of(value: Any, literal: Any) -> Any:
-    if value not in get_args(literal):
-        raise ValueError(f"it holds {value!r:.40}, expected one of {', '.join(get_args(literal))}")
-    return value
+_CONVERTER = strict_converter(_MOST).copy()
+_FORCES, _PARAMETERS = strict_converter(_MOST_FORCE), strict_converter(_MOST_PARAMETER)
+_CONVERTER.register_structure_hook(Push, lambda values, _kind: structure(values, Push, _FORCES))
+_CONVERTER.register_structure_hook(ShapeSpec, _shape)

@@ -134,11 +134,5 @@ class Inspect:
 
 
 @dataclass(frozen=True)
-class Regenerate:
+class Regenerate(Inspect):
     """Generate one scene again and compare all its arrays with the stored ones."""
-
-    folder: _FOLDER
-    split: Literal["train", "val", "test"] = "train"
-    """Split of the scene."""
-    scene: int = 0
-    """Index of the scene within its split."""

@@ -137,7 +137,7 @@ def _how(values: Generate | Render) -> Any:
 def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> None:
     splits = report.spec["splits"]
     if any(number > wanted.get(name, 0) for name, number in splits.items()):
-        print("There were more scenes than asked for; none was deleted.")
+        print("The dataset has more scenes than requested; none was deleted.")
     counts = ", ".join(f"{number} {name}" for name, number in splits.items())
     print(f"{folder.resolve()}: {counts} scenes; {report.scenes_made} made in {report.seconds:.1f} s.")
     if not report.complete:
@@ -190,7 +190,7 @@ def _regenerate(values: Regenerate) -> int:
     if differing:
         print(f"{place}: these arrays differ from what is stored: {', '.join(differing)}")
         return EXIT_VERIFICATION
-    print(f"{place}: made anew, every array has the stored SHA-256.")
+    print(f"{place}: generated again; every array has the stored SHA-256.")
     return EXIT_OK
 
 

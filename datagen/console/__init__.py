@@ -1,1 +1,1 @@
-"""What the commands of all packages share: flags, messages, progress, Ctrl-C."""
+"""Shared parts of all commands: command line, messages, progress, Ctrl-C."""

@@ -1,6 +1,6 @@
 """Progress bars and status lines of all commands, on standard error; bars appear on terminals only."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sized
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TypeVar
@@ -75,9 +75,12 @@ def track_progress(console: Console, track: str, folder: Path, total: int) -> It
         yield advance
 
 
-def tracked(items: Sequence[Item], title: str) -> Iterator[Item]:
-    """Iterate over a sequence with a progress bar."""
-    with progress_bar(status_console(), title, len(items)) as advance:
+def tracked(items: Iterable[Item], title: str, total: int | None = None) -> Iterator[Item]:
+    """Iterate with a progress bar; the total may be left out for sequences."""
+    if total is None:
+        assert isinstance(items, Sized)
+        total = len(items)
+    with progress_bar(status_console(), title, total) as advance:
         for item in items:
             yield item
             advance()

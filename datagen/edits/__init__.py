@@ -1,4 +1,4 @@
-"""Counterfactual edits of a scene, rendered like the scene itself: what a model's own edits can be held against."""
+"""Counterfactual edits of a scene, rendered like the scene itself; ground truth for the edits of a model."""
 
 from datagen.edits.record import edits_record
 

@@ -1,4 +1,4 @@
-"""A scene with its poses as one value, and the edits of it.
+"""A scene with its poses as one value, and functions that edit it.
 
 Edits are kinematic: an object goes, or is elsewhere, in all frames, and nothing else changes; physics is not run again.
 """
@@ -52,7 +52,7 @@ def displaced(stage: Stage, row: int, transform: Float[np.ndarray, "4 4"]) -> St
 
 
 def with_copy(stage: Stage, row: int, transform: Float[np.ndarray, "4 4"]) -> Stage:
-    """With a copy of the object, carried away by a rigid transform of the world; it has the next free id."""
+    """Add a copy of the object, moved by a rigid transform of the world; it gets the next free id."""
     copy = transform @ stage.world_from_object[:, [row]]
     return Stage(
         replace(stage.scene, bodies=(*stage.scene.bodies, stage.scene.bodies[row])),

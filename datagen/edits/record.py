@@ -23,7 +23,7 @@ def edits_record(
     renderer: Renderer,
     rngs: Mapping[EditKind, np.random.Generator],
 ) -> SceneRecord:
-    """All fields of the edits that there are generators for; images are exact, whatever the recipe's sensor.
+    """All fields of the edits named in `rngs`; images are exact, whatever the recipe's sensor.
 
     Args:
         stage: The scene.
@@ -48,7 +48,7 @@ def edits_record(
 
 
 def _removals(edit: Edit, stage: Stage, own: SceneRecord, renderer: Renderer) -> SceneRecord:
-    """Every object is removed once, for its effects; the images of one removal stay."""
+    """Remove every object once, for its effects, and keep the images of one removal."""
     images, effects = own, []
     shown = touched(stage, own, renderer)
     for row, name in enumerate(stage.ids):

@@ -38,7 +38,7 @@ def card(spec: Spec, figures: Summary) -> str:
 
 
 def size_category(images: int) -> str:
-    """The hub's word for a number of images."""
+    """Size category of the Hugging Face hub for a number of images."""
     return next((name for limit, name in SIZES if images < limit), "n>10M")
 
 

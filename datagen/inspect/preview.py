@@ -1,5 +1,6 @@
 """Pictures of a dataset to look at: a contact sheet, and an animation of clips."""
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -7,10 +8,11 @@ import numpy as np
 from jaxtyping import Integer, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from datagen.console.text import counted
 from datagen.errors import UsageError
-from datagen.schema import SceneRecord
+from datagen.schema import DEPTH_SCALE, SceneRecord
 from datagen.storage.reader import Dataset, Split
-from datagen.storage.spec import groups_of
+from datagen.storage.spec import Spec, groups_of, views_of
 
 LEAST_TILE = 160
 """Least width of an image in the preview, pixels; smaller ones are enlarged by a whole factor."""
@@ -29,12 +31,21 @@ ANIMATION_ENDINGS = (".gif", ".mp4")
 
 GAP = 6
 HEADING = 18
+BAR = 100
+"""Length of the legend's bar of depths, pixels."""
 PAPER, INK = (255, 255, 255), (40, 40, 40)
 
 DEPTH_COLORS = np.array(
     [(250, 240, 190), (250, 180, 110), (230, 100, 90), (160, 50, 110), (80, 20, 110), (20, 10, 50)], np.float64
 )
 """Colours of depth from near to far; pixels without depth are black."""
+
+DEPTH_STEPS = 100
+"""Number of depth colours in a GIF's palette."""
+PALETTE_PIXELS = 500_000
+"""Number of pixels from which the other colours of the palette are chosen."""
+LABEL_COLORS = 24
+"""Largest number of ids in the legend and in a GIF's palette."""
 
 Rgb = UInt8[np.ndarray, "_ _ 3"]
 Labels = Integer[np.ndarray, "_ _"]
@@ -67,27 +78,35 @@ def run(
     sheet = _named(out or dataset.folder / "preview.png", SHEET_ENDINGS)
     animation = _named(video or dataset.folder / "preview.gif", ANIMATION_ENDINGS)
     chosen = _chosen(_split(dataset, split), scenes)
-    Image.fromarray(contact_sheet(chosen)).save(_ready(sheet))
+    title = _title(dataset.spec)
+    Image.fromarray(contact_sheet(chosen, title)).save(_ready(sheet))
     if video is None and dataset.spec["recipe"]["frames"] == 1:
         return [sheet]
-    save_animation(_ready(animation), list(animation_frames(chosen)), dataset.spec["recipe"]["fps"])
+    frames = list(animation_frames(chosen, title))
+    save_animation(_ready(animation), frames, dataset.spec["recipe"]["fps"], gif_palette(chosen))
     return [sheet, animation]
 
 
-def contact_sheet(records: dict[str, SceneRecord]) -> Rgb:
-    """One picture of all scenes: columns are views of the first, middle and last frame; rows are as in `_rows`."""
-    return _flow([_with_heading(_scene_block(record), name) for name, record in records.items()])
+def contact_sheet(records: dict[str, SceneRecord], title: str = "") -> Rgb:
+    """One picture of all scenes, with a title and a legend.
+
+    Columns are views of the first, middle and last frame; rows are colour, depth, ids and, if stored, sensor depth.
+    """
+    span = _depth_span(records)
+    return _page(title, [_with_heading(_scene_block(record, span), name) for name, record in records.items()], records)
 
 
-def animation_frames(records: dict[str, SceneRecord]) -> Iterator[Rgb]:
+def animation_frames(records: dict[str, SceneRecord], title: str = "") -> Iterator[Rgb]:
     """One picture per frame: colour, depth and ids of the first view of every scene."""
+    span = _depth_span(records)
     for frame in range(min(record["rgb"].shape[0] for record in records.values())):
-        rows = {name: [row(record, frame, 0) for row in _rows(record).values()] for name, record in records.items()}
-        yield _flow([_with_heading(_beside([_enlarged(tile) for tile in tiles]), name) for name, tiles in rows.items()])
+        tiles = {name: [row(frame, 0) for row in _rows(record, span).values()] for name, record in records.items()}
+        blocks = [_with_heading(_beside(list(map(_enlarged, images))), name) for name, images in tiles.items()]
+        yield _page(title, blocks, records)
 
 
-def save_animation(path: Path, frames: list[Rgb], fps: float) -> None:
-    """Write an MP4 if the name ends in .mp4, otherwise a GIF that loops forever.
+def save_animation(path: Path, frames: list[Rgb], fps: float, palette: UInt8[np.ndarray, "color 3"]) -> None:
+    """Write an MP4 if the name ends in .mp4, otherwise a GIF of the palette's colours that loops forever.
 
     Raises:
         UsageError: there is no codec for MP4.
@@ -95,10 +114,27 @@ def save_animation(path: Path, frames: list[Rgb], fps: float) -> None:
     if path.suffix.lower() == ".mp4":
         _save_mp4(path, frames, fps)
         return
-    # Pillow's own choice of palette spends its colours on the depth and gives objects those of their neighbours.
-    images = [Image.fromarray(frame).quantize(256, Image.Quantize.FASTOCTREE) for frame in frames]
+    colors = Image.new("P", (1, 1))
+    colors.putpalette(palette.tobytes())
+    images = [Image.fromarray(frame).quantize(palette=colors, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames]
     milliseconds = min(round(1000 / fps), LONGEST // len(images))
     images[0].save(path, save_all=True, append_images=images[1:], duration=milliseconds, loop=0)
+
+
+def gif_palette(records: dict[str, SceneRecord]) -> UInt8[np.ndarray, "color 3"]:
+    """Choose 256 colours: steps of depth that are too fine to see, ids, text, and the rest for the colour images."""
+    steps = np.linspace(0, 1000, DEPTH_STEPS).astype(np.uint16)
+    fixed = [
+        colored_depth(1 + steps[None], 1.0, 1001.0)[0],
+        label_colors(min(_most_labels(records), LABEL_COLORS)),
+        np.array([PAPER, (140, 140, 140), INK, (0, 0, 0)], np.uint8),
+    ]
+    pixels = np.concatenate(
+        [record["rgb"][:: max(1, len(record["rgb"]) // 4)].reshape(-1, 3) for record in records.values()]
+    )
+    free = 256 - sum(map(len, fixed))
+    palette = Image.fromarray(pixels[None]).quantize(free, Image.Quantize.MEDIANCUT).getpalette() or []
+    return np.concatenate([*fixed, np.array(palette, np.uint8).reshape(-1, 3)[:free]])
 
 
 def colored_depth(depth: Labels, near: float, far: float) -> Rgb:
@@ -122,6 +158,12 @@ def label_colors(count: int) -> UInt8[np.ndarray, "label 3"]:
     return colors.astype(np.uint8)
 
 
+def _title(spec: Spec) -> str:
+    width, height = spec["resolution"]
+    frames, views = counted(spec["recipe"]["frames"], "frame"), counted(views_of(spec), "view")
+    return f"Recipe {spec['recipe']['name']}, seed {spec['seed']}: {width}x{height} pixels, {frames}, {views}"
+
+
 def _named(path: str | Path, endings: tuple[str, ...]) -> Path:
     if Path(path).suffix.lower() not in endings:
         raise UsageError(f"Cannot draw into {path}; end the name in {' or '.join(endings)}.")
@@ -141,7 +183,7 @@ def _chosen(scenes: Split, wanted: Sequence[int] | None) -> dict[str, SceneRecor
     if not indices:
         raise UsageError("No scene is named; give some, such as --scenes 0 1.")
     if wrong := [index for index in indices if not 0 <= index < len(scenes)]:
-        raise UsageError(f"Split {scenes.name} has scenes 0 to {len(scenes) - 1}, but {wrong[0]} was asked for.")
+        raise UsageError(f"Split {scenes.name} has scenes 0 to {len(scenes) - 1}, but {wrong[0]} was requested.")
     fields = ["rgb", "depth", "segmentation", *(["sensor_depth"] if "sensor" in groups_of(scenes.spec) else [])]
     return {f"{scenes.name} scene {index}": scenes.read(index, fields) for index in indices}
 
@@ -151,31 +193,78 @@ def _ready(path: Path) -> Path:
     return path
 
 
-def _rows(record: SceneRecord) -> dict[str, Callable[[SceneRecord, int, int], Rgb]]:
-    """Rows of the preview by name, top to bottom; each function draws its row from (record, frame, view)."""
-    seen = record["depth"][record["depth"] > 0]
-    near, far = (float(np.min(seen)), float(np.max(seen))) if len(seen) else (0.0, 1.0)
-    rows: dict[str, Callable[[SceneRecord, int, int], Rgb]] = {
-        "rgb": lambda record, frame, view: record["rgb"][frame, view],
-        "depth": lambda record, frame, view: colored_depth(record["depth"][frame, view], near, far),
-        "ids": lambda record, frame, view: colored_labels(record["segmentation"][frame, view]),
+def _depth_span(records: dict[str, SceneRecord]) -> tuple[float, float]:
+    """Least and greatest depth of all scenes, in stored units."""
+    seen = [depth[depth > 0] for depth in (record["depth"] for record in records.values())]
+    ends = [(float(np.min(depth)), float(np.max(depth))) for depth in seen if len(depth)]
+    return (min(near for near, _ in ends), max(far for _, far in ends)) if ends else (0.0, 1.0)
+
+
+def _most_labels(records: dict[str, SceneRecord]) -> int:
+    """Number of ids in use, the background included."""
+    return 1 + max(int(np.max(record["segmentation"])) for record in records.values())
+
+
+def _rows(record: SceneRecord, span: tuple[float, float]) -> dict[str, Callable[[int, int], Rgb]]:
+    """Rows of the preview by name, top to bottom; each function draws its image of a frame and a view."""
+    rows: dict[str, Callable[[int, int], Rgb]] = {
+        "rgb": lambda frame, view: record["rgb"][frame, view],
+        "depth": lambda frame, view: colored_depth(record["depth"][frame, view], *span),
+        "ids": lambda frame, view: colored_labels(record["segmentation"][frame, view]),
     }
     if "sensor_depth" in record:
-        rows["sensor"] = lambda record, frame, view: colored_depth(record["sensor_depth"][frame, view], near, far)
+        rows["sensor"] = lambda frame, view: colored_depth(record["sensor_depth"][frame, view], *span)
     return rows
 
 
-def _scene_block(record: SceneRecord) -> Rgb:
+def _scene_block(record: SceneRecord, span: tuple[float, float]) -> Rgb:
     frames, views = record["rgb"].shape[:2]
     shown = sorted({0, frames // 2, frames - 1})
     images = [(frame, view) for frame in shown for view in range(views)]
-    rows = _rows(record)
+    rows = _rows(record, span)
     columns = [_with_heading(_stacked([_label(name, _enlarged(record["rgb"][0, 0]).shape[0]) for name in rows]), "")]
     for frame, view in images:
-        tiles = [_enlarged(row(record, frame, view)) for row in rows.values()]
+        tiles = [_enlarged(row(frame, view)) for row in rows.values()]
         name = f"view {view}" if frames == 1 else f"frame {frame}" + (f", view {view}" if views > 1 else "")
         columns.append(_with_heading(_stacked(tiles), name))
     return _beside(columns)
+
+
+def _page(title: str, blocks: list[Rgb], records: dict[str, SceneRecord]) -> Rgb:
+    """Arrange blocks of one size below a title and above the legend."""
+    picture = _grid(blocks)
+    entries = list(_legend(_depth_span(records), _most_labels(records)))
+    lines: list[list[Rgb]] = [[]]
+    for entry in entries:
+        if lines[-1] and sum(other.shape[1] + GAP for other in lines[-1]) + entry.shape[1] > picture.shape[1] - 2 * GAP:
+            lines.append([])
+        lines[-1].append(entry)
+    parts = [_words(title), picture, *map(_beside, lines)]
+    return np.pad(_stacked(parts), ((GAP, GAP), (GAP, 0), (0, 0)), constant_values=255)
+
+
+def _legend(span: tuple[float, float], labels: int) -> Iterator[Rgb]:
+    """Entries of the legend: depth in metres, and ids."""
+    steps = np.linspace(*span, BAR)
+    bar = np.repeat(colored_depth(steps[None].astype(int), *span), HEADING, axis=0)
+    near, far = (f"{DEPTH_SCALE * end:.2f} m" for end in span)
+    yield _beside([_words(f"depth {near}"), bar, _words(far)])
+    yield _beside([_swatch((0, 0, 0)), _words("no depth")])
+    for label, color in enumerate(label_colors(labels)[:LABEL_COLORS]):
+        yield _beside([_swatch(color), _words(f"id {label}" if label else "background")])
+
+
+def _swatch(color: Sequence[int] | UInt8[np.ndarray, "3"]) -> Rgb:
+    return np.broadcast_to(np.array(color, np.uint8), (HEADING, HEADING, 3))
+
+
+def _words(text: str) -> Rgb:
+    return _text(text, int(_font().getlength(text)) + 3)
+
+
+@functools.cache
+def _font() -> "ImageFont.FreeTypeFont | ImageFont.ImageFont":
+    return ImageFont.load_default(size=13)
 
 
 def _enlarged(tile: Rgb) -> Rgb:
@@ -195,7 +284,7 @@ def _label(text: str, length: int) -> Rgb:
 def _text(text: str, width: int, *, centered: bool = False) -> Rgb:
     paper = Image.new("RGB", (width, HEADING), PAPER)
     place, anchor = ((width / 2, 1), "ma") if centered else ((1, 1), "la")
-    ImageDraw.Draw(paper).text(place, text, INK, ImageFont.load_default(size=13), anchor=anchor)
+    ImageDraw.Draw(paper).text(place, text, INK, _font(), anchor=anchor)
     return np.asarray(paper)
 
 
@@ -213,11 +302,14 @@ def _stacked(pictures: Sequence[Rgb]) -> Rgb:
     return _beside([picture.swapaxes(0, 1) for picture in pictures]).swapaxes(0, 1)
 
 
-def _flow(blocks: list[Rgb]) -> Rgb:
-    """Arrange blocks of one size in lines, with a margin around each."""
-    per_line = max(1, WIDEST // (blocks[0].shape[1] + 2 * GAP))
+def _grid(blocks: list[Rgb]) -> Rgb:
+    """Arrange blocks of one size in lines that are filled if possible, with a margin around each."""
+    most = min(len(blocks), max(1, WIDEST // (blocks[0].shape[1] + 2 * GAP)))
+    # The longest lines that leave no gap, unless they would be much shorter than the page is wide.
+    full = [number for number in range(most // 2 + 1, most + 1) if len(blocks) % number == 0]
+    per_line = full[-1] if full else most
     lines = [blocks[start : start + per_line] for start in range(0, len(blocks), per_line)]
-    wide = [_beside([np.pad(b, ((0, GAP), (GAP, GAP), (0, 0)), constant_values=255) for b in line]) for line in lines]
+    wide = [_beside([np.pad(b, ((0, GAP), (0, GAP), (0, 0)), constant_values=255) for b in line]) for line in lines]
     return _stacked(wide)
 
 

@@ -87,7 +87,7 @@ def inspect(folder: str | Path, split: str, scene: int) -> None:
     """
     scenes = Dataset(folder).split(split)
     if not 0 <= scene < len(scenes):
-        raise UsageError(f"Split {split} has scenes 0 to {len(scenes) - 1}, but {scene} was asked for.")
+        raise UsageError(f"Split {split} has scenes 0 to {len(scenes) - 1}, but {scene} was requested.")
     record = scenes.read(scene, [*_TABLE, *({_VISIBILITY} & set(scenes.fields(scene)))])
     console = Console(width=max(Console().width, 120))
     console.print(object_table(record, f"{folder}: {split} scene {scene}"))
@@ -96,7 +96,7 @@ def inspect(folder: str | Path, split: str, scene: int) -> None:
 
 
 def object_table(record: SceneRecord, title: str) -> Table:
-    """One scene's objects, one a row."""
+    """Table of one scene's objects, one per row."""
     columns = ["id", "category", "size (cm)", "colour", "pattern", "material", "mass (g)", "motion", "path (cm)"]
     table = Table(*columns, "visible", title=escape(title), title_style="bold")
     for row in range(int(record["objects/count"])):

@@ -35,7 +35,7 @@ _TOUCH_STEPS = 40
 
 
 def simulate(scene: Scene, shapes: Sequence[Shape], physics: Physics) -> Trajectory:
-    """Let time run: poses, velocities and contacts of `scene.frames` frames, `1 / scene.fps` seconds apart.
+    """Simulate `scene.frames` frames, `1 / scene.fps` seconds apart; returns poses, velocities and contacts.
 
     Raises:
         UsageError: PyBullet is not installed (it exists for Python up to 3.11).
@@ -46,7 +46,7 @@ def simulate(scene: Scene, shapes: Sequence[Shape], physics: Physics) -> Traject
 
 
 class World:
-    """One scene inside PyBullet: `start` brings it to frame 0, `run` lets time go on; a context manager."""
+    """One scene inside PyBullet: `start` brings it to frame 0, `run` simulates the rest; a context manager."""
 
     def __init__(self, scene: Scene, shapes: Sequence[Shape], physics: Physics):
         self._scene, self._shapes, self._physics = scene, shapes, physics
@@ -90,7 +90,7 @@ class World:
         return self.trajectory
 
     def run(self) -> Trajectory:
-        """Let time run from frame 0 to the last frame."""
+        """Simulate from frame 0 to the last frame."""
         for frame in range(len(self._frames), self._scene.frames):
             self._frames.append(self._frame(self._advance((frame - 1) / self._scene.fps)))
         return self.trajectory
@@ -252,7 +252,7 @@ def _bullet() -> ModuleType:
 
 @functools.cache
 def _client() -> int:
-    """The process's engine, emptied before and after every scene: connecting anew takes 11 ms, emptying 0.4 ms."""
+    """The process's engine, emptied before and after every scene: connecting takes 11 ms, emptying 0.4 ms."""
     return _bullet().connect(_bullet().DIRECT)
 
 

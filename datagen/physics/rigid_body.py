@@ -56,7 +56,7 @@ def wavefront_file(parts: Sequence[Float[np.ndarray, "_ 3"]]) -> Iterator[str]:
 
 
 def shrink(part: Float[np.ndarray, "corner 3"], margin: float) -> Float[np.ndarray, "corner 3"]:
-    """Pull a hull's corners in by a margin (metres) along the axes, so that it is itself once inflated by it."""
+    """Pull a hull's corners in by a margin (metres) along the axes, to compensate the engine's collision margin."""
     low, high = np.min(part, axis=0), np.max(part, axis=0)
     extent = np.maximum(high - low, 1e-9)
     return (low + high) / 2 + (part - (low + high) / 2) * np.maximum(1 - 2 * margin / extent, 0.05)

@@ -1,4 +1,4 @@
-"""Making datasets: scenes as a pure function of the spec, in parallel, shard by shard, from wherever a run left off."""
+"""Make datasets in parallel, shard by shard; interrupted runs resume."""
 
 import functools
 import itertools
@@ -95,7 +95,7 @@ def dataset_spec(
     """The spec of the dataset that `generate` makes of these arguments in a new folder.
 
     Raises:
-        UsageError: edits are asked for where there are no images.
+        UsageError: edits are requested without images.
     """
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
@@ -141,7 +141,7 @@ def render(
     if dataset.spec["data_version"] != DATA_VERSION:
         raise UsageError(
             f"{source} was made by data version {dataset.spec['data_version']}, this program makes version "
-            f"{DATA_VERSION}; render it with the program that made it, or make it anew."
+            f"{DATA_VERSION}; render it with the program that made it, or generate it again."
         )
     dataset.check_complete()
     spec = render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig, edits=edits)
@@ -171,7 +171,7 @@ def render_spec(
 
 
 def regenerate(folder: Path, split: str, index: int) -> list[str]:
-    """Make one scene anew and compare it with the stored one; returns the names of the arrays that differ.
+    """Generate one scene again and compare it with the stored one; returns the names of the arrays that differ.
 
     Raises:
         UsageError: the folder holds no dataset, or no such scene.
@@ -198,7 +198,7 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, run: Run) -> Report
             for task in tasks:
                 new = [_counted(scene, advance) for scene in itertools.islice(made, len(task.todo))]
                 _write_shard(folder, spec, task, new)
-        # Runs that asked for other numbers of scenes may have been at work in the meantime.
+        # Parallel runs may have requested other numbers of scenes.
         spec = settle(folder, spec)
         complete = not any(task.todo for task in _tasks(folder, spec))
         seconds = time.monotonic() - started
@@ -208,7 +208,7 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, run: Run) -> Report
 
 
 def _make_first(maker: SceneMaker) -> None:
-    """Make a scene in vain, so that an impossible request fails before a folder is begun or given up."""
+    """Generate and discard one scene, so that an infeasible recipe fails before any file is touched."""
     if split := next((name for name, scenes in maker.spec["splits"].items() if scenes), None):
         maker(split, 0)
 
@@ -224,14 +224,14 @@ def _counted(scene: PackedScene, advance: Advance) -> PackedScene:
 
 @dataclass(frozen=True)
 class _Task:
-    """A shard and what is to be done about it."""
+    """A shard, with the scenes to keep and to make."""
 
     split: str
     order: int
     """Number among the shards of all splits."""
     number: int
     kept: range
-    """Scenes to take over from the file that is there."""
+    """Scenes to keep from the present file."""
     todo: range
     """Scenes to make."""
 

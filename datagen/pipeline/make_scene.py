@@ -1,4 +1,4 @@
-"""One scene from first to last: a pure function of the spec, the split and the index."""
+"""Make all arrays of one scene, as a pure function of the spec, the split and the index."""
 
 import dataclasses
 import functools

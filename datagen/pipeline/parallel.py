@@ -1,4 +1,4 @@
-"""Scenes made or checked in several processes and handed out in their order."""
+"""Make or check scenes in several processes, and yield the results in order."""
 
 import os
 import signal
@@ -25,13 +25,13 @@ Made = TypeVar("Made")
 
 
 def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Place]], workers: int) -> Generator[Made]:
-    """Call `make`, which can be sent to another process, on splits and indices; what it makes comes in their order."""
+    """Call `make`, which must be picklable, on splits and indices; yields the results in their order."""
     if workers == 1 or len(scenes) < 3:
         for scene in scenes:
             interrupts.check()
             yield make(*scene)
         return
-    # The first one compiles the renderer and stores it, so that the workers need not do so all at once.
+    # The first scene compiles and caches the renderer, so that the workers do not all compile it.
     yield make(*scenes[0])
     interrupts.check()
     with parallel_config(backend="loky", inner_max_num_threads=1, initializer=_become_worker, initargs=(os.getpid(),)):
@@ -44,12 +44,12 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
     with _silent_trackers(), interrupts.held():
         made = pool(delayed(make)(*scene) for scene in scenes[1:])
     try:
-        for scene in made:  # `yield from` would close it before the warnings are off
+        for scene in made:  # `yield from` would close it before the warnings are disabled
             interrupts.check()
             yield scene
     except TerminatedWorkerError:
         raise DatagenError(
-            "A worker process died, perhaps for want of memory. What is finished is intact; "
+            "A worker process died, perhaps because memory ran out. Finished shards are intact; "
             "run the same command again, perhaps with fewer --workers."
         ) from None
     finally:
@@ -58,10 +58,9 @@ def make_all(make: Callable[[str, Place], Made], scenes: Sequence[tuple[str, Pla
 
 @contextmanager
 def _silent_trackers() -> Iterator[None]:
-    """Start the processes that clean up after this one such that they do so without a word.
+    """Start joblib's resource trackers with their warnings disabled.
 
-    Ctrl-C can come between the making of a semaphore or a folder and the note of its removal; they would warn that it
-    has leaked after the user was told that all is well.
+    After Ctrl-C they would warn of leaked semaphores or folders, although they remove them.
     """
     sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # handed to every process that is started
     try:
@@ -73,17 +72,17 @@ def _silent_trackers() -> Iterator[None]:
 
 
 def _stop(made: Generator[Any]) -> None:
-    """End the workers, if they are not done; joblib would warn that their last scenes were made in vain."""
+    """Stop the workers, without joblib's warning about unused results."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         made.close()
 
 
 def _become_worker(parent: int) -> None:
-    """Leave Ctrl-C to the parent, and end when it is gone, even if it was killed.
+    """Ignore Ctrl-C, which the parent handles, and exit when the parent is gone, even if it was killed.
 
-    Every worker does so before it waits for its first task: one whose parent was killed before it sent a task would
-    wait for minutes, or for ever if the parent died with a lock in hand, and hold the parent's output pipes open.
+    This runs before a worker waits for its first task. Otherwise a worker whose parent was killed would wait for
+    minutes, or forever if the parent held a lock, and keep the parent's output pipes open.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

@@ -101,7 +101,7 @@ def is_hopeless(fitting: Sequence[int], least: int) -> bool:
     """Whether scenes with `least` objects that all have a place in view are out of reach.
 
     Args:
-        fitting: For each scene that was drawn in vain, the number of its objects that had a place in view.
+        fitting: Number of objects with a place in view, for each rejected scene.
         least: Number of objects that a scene must have.
     """
     if len(fitting) < _LEAST_TRIED or max(fitting) > least - 2:
@@ -132,7 +132,7 @@ def _check_range(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], trajecto
 
 
 def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Trajectory) -> None:
-    """Rules that frame 0 alone decides, the cheap ones first.
+    """Check the rules about frame 0, cheap ones first.
 
     Raises:
         Rejected: one of them is broken.
@@ -152,7 +152,7 @@ def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Tr
 
 
 def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
-    """Rules about the whole clip.
+    """Check the rules about the whole clip.
 
     Raises:
         Rejected: one of them is broken.
@@ -200,7 +200,7 @@ def visible_pixels(
 
 
 def check_room(recipe: Recipe) -> None:
-    """Refuse at once what cannot work: more objects than the region has room for.
+    """Refuse recipes with more objects than the region has room for.
 
     Raises:
         ImpossibleScene: says what would have to change.
@@ -220,7 +220,7 @@ def check_room(recipe: Recipe) -> None:
 
 
 def check_rig(recipe: Recipe) -> None:
-    """Refuse at once cameras that cannot show the table; those with jitter are checked scene by scene.
+    """Refuse cameras that cannot show the table; cameras with jitter are checked scene by scene.
 
     Raises:
         UsageError: says what would have to change.

@@ -59,7 +59,7 @@ def check_range(
 
 
 def table_fault(camera: Camera, table_size: float, width: int, height: int) -> str | None:
-    """Say how a camera fails to see the table from above and within range, None if it does not; size in pixels."""
+    """Describe why a camera does not see the table from above and within range; None if it does. Size in pixels."""
     if camera.position[2] <= 0:
         return f"stands {100 * abs(camera.position[2]):.1f} cm below the table's top; expected above it"
     corners = 0.5 * table_size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])

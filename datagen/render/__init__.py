@@ -1,4 +1,4 @@
-"""Pictures, depth and ids of a scene: two renderers behind one protocol.
+"""Images, depth and ids of a scene: two renderers behind one protocol.
 
 Engines are imported when one is made, so that importing this package costs neither numba nor OpenGL.
 """

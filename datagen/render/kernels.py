@@ -1,11 +1,21 @@
 """The rasteriser's inner loops, compiled by numba; plain arrays in, plain arrays out.
 
-*Samples* are the 3x3 points of each pixel on which visibility is decided; the middle one is the pixel's centre, and it
-alone gives depth and ids. A *light space* is an orthographic view along a direction L: texel coordinates u, v and
+A *sample* is one of the 3x3 points of a pixel at which visibility is computed. The middle one is the pixel's centre; it
+alone determines depth and id. A *light space* is an orthographic view along a direction L: texel coordinates u, v and
 d = -p.L, the distance from the light in metres up to a constant.
 
-All of it is one file, because numba's cache of a function does not notice when another that it calls has changed in a
-file of its own.
+All kernels are in one file because numba's cache does not notice changes of called functions in other files.
+
+An image is made in these steps:
+    place_vertices, project_vertices ..... object frame -> world -> homogeneous sample coordinates
+    rasterise ............................ nearest triangle and 1/z of each sample
+    light_vertices, rasterise_light ...... depth map as seen from the first light, for shadows
+    shade, row by row:
+        _collect ......................... samples to shade: one per pixel, more at edges
+        _locate .......................... position, normal, texture and ambient occlusion of each sample
+        _shadow .......................... share of the light's disc that each sample sees
+        _reflect ......................... reflectance model, summed over the lights
+        _blend ........................... weighted mean per pixel, sRGB
 """
 
 import math
@@ -122,6 +132,7 @@ class Row(NamedTuple):
 
 @kernel
 def _ramp(x):
+    """Linear step from 0 to 1 around x = 0, one unit wide."""
     return min(max(0.5 + x, 0.0), 1.0)
 
 
@@ -135,6 +146,7 @@ def _square_wave(x, period, width):
 
 @kernel
 def _lattice(x, y, z):
+    """Hash of a lattice point, 0..1: multiply by primes, then mix the bits."""
     h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
     h = ((h ^ (h >> 13)) * 1540483477) & 0xFFFFFFFF
     h = ((h ^ (h >> 15)) * 668265263) & 0xFFFFFFFF
@@ -190,6 +202,7 @@ def _dots(x, y, z, period, width):
 def _texture(pattern, period, axis, x, y, z, width):
     """Share of the second colour at a point of the object frame, averaged over about `width` metres."""
     ax, ay, az = axis
+    # Numbers are indices into PATTERNS.
     if pattern == 0:
         return 0.0
     if pattern == 1:
@@ -208,6 +221,7 @@ def _texture(pattern, period, axis, x, y, z, width):
         value = 0.65 * _noise(scale * x, scale * y, scale * z)
         value += 0.35 * _noise(2.03 * scale * x + 17, 2.03 * scale * y + 5, 2.03 * scale * z)
         value = _ramp(2.4 * (value - 0.5))
+    # Fade to the mean where the period falls below the width, so that far textures do not alias.
     fade = min(period / (2 * width), 1.0)
     return 0.5 + fade * (value - 0.5)
 
@@ -226,7 +240,7 @@ def texture_weights(pattern, period, axis, points, width):
 
 @kernel
 def place_vertices(vertices, vertex_start, poses, world):
-    """Object-frame vertices into the world."""
+    """Transform vertices from the object frames to the world: p' = R p + t."""
     for o in range(len(poses)):
         for i in range(vertex_start[o], vertex_start[o + 1]):
             x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
@@ -236,7 +250,7 @@ def place_vertices(vertices, vertex_start, poses, world):
 
 @kernel
 def project_vertices(world, samples_from_world, homogeneous, screen):
-    """World points into homogeneous sample coordinates (x z, y z, z), and divided where they are in front."""
+    """Project world points to homogeneous sample coordinates (x z, y z, z), and divide those before the camera by z."""
     m = samples_from_world
     for i in range(len(world)):
         x, y, z = world[i, 0], world[i, 1], world[i, 2]
@@ -264,6 +278,7 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
     for o in range(len(face_start) - 1):
         for f in range(face_start[o], face_start[o + 1]):
             i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+            # Bounding box of the samples to test: of the projected corners if all are in front, otherwise the image.
             zi, zj, zk = homogeneous[i, 2], homogeneous[j, 2], homogeneous[k, 2]
             if zi > NEAR and zj > NEAR and zk > NEAR:
                 xi, xj, xk = screen[i, 0], screen[j, 0], screen[k, 0]
@@ -280,6 +295,7 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
                 x0, x1, y0, y1 = 0.0, width - 1.0, 0.0, height - 1.0
             else:
                 continue
+            # Coefficients of the edge functions, the cross products q_j x q_k, q_k x q_i and q_i x q_j.
             qix, qiy = homogeneous[i, 0], homogeneous[i, 1]
             qjx, qjy = homogeneous[j, 0], homogeneous[j, 1]
             qkx, qky = homogeneous[k, 0], homogeneous[k, 1]
@@ -287,7 +303,7 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
             bx, by, bz = qky * zi - zk * qiy, zk * qix - qkx * zi, qkx * qiy - qky * qix
             cx, cy, cz = qiy * zj - zi * qjy, zi * qjx - qix * zj, qix * qjy - qiy * qjx
             det = qix * ax + qiy * ay + zi * az
-            if det >= 0:
+            if det >= 0:  # seen from behind
                 continue
             scale = 1 / det
             sinks = min(side * world[i, 2], min(side * world[j, 2], side * world[k, 2])) < 0
@@ -298,14 +314,16 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
                 for x in range(int(x0), int(x1) + 1):
                     sx = x + 0.5
                     a, b, c = ax * sx + a0, bx * sx + b0, cx * sx + c0
-                    if a > 0 or b > 0 or c > 0:
+                    if a > 0 or b > 0 or c > 0:  # outside the triangle
                         continue
                     inverse = (a + b + c) * scale
                     if inverse <= 0 or inverse * NEAR > 1:
                         continue
+                    # Count the object's pixels as if nothing hid it, each pixel once.
                     if middle and x % SUB == SUB // 2 and stamp[y // SUB, x // SUB] != o:
                         stamp[y // SUB, x // SUB] = o
                         amodal[o] += 1
+                    # Depth test, against other triangles and against the table.
                     if inverse > inverse_depth[y, x] and not (sinks and _behind_table(view, sx, sy, inverse)):
                         inverse_depth[y, x] = inverse
                         triangle[y, x] = f
@@ -331,6 +349,7 @@ def light_vertices(world, axes, size, margin, light, frame):
 
     Writes `frame` = (u of texel 0, v of texel 0, texels per metre, least d).
     """
+    # Light-space coordinates in metres, and their bounds.
     low_u, low_v, low_d = FAR, FAR, FAR
     high_u, high_v = -FAR, -FAR
     for i in range(len(world)):
@@ -342,6 +361,7 @@ def light_vertices(world, axes, size, margin, light, frame):
         low_u, high_u = min(low_u, u), max(high_u, u)
         low_v, high_v = min(low_v, v), max(high_v, v)
         low_d = min(low_d, d)
+    # Square map around the bounds; metres to texels.
     scale = size / (max(high_u - low_u, high_v - low_v) + 2 * margin)
     frame[0], frame[1], frame[2], frame[3] = low_u - margin, low_v - margin, scale, low_d
     for i in range(len(world)):
@@ -365,6 +385,7 @@ def rasterise_light(light, faces, face_start, texels, tiles):
             area = (xj - xi) * (yk - yi) - (yj - yi) * (xk - xi)
             if area == 0:
                 continue
+            # The distance d is linear over the triangle; its gradient follows from the corners.
             di, dj, dk = light[i, 2], light[j, 2], light[k, 2]
             inverse = 1 / area
             du = ((dj - di) * (yk - yi) - (dk - di) * (yj - yi)) * inverse
@@ -509,6 +530,7 @@ def _occlusion_at(occlusion, frame, x, y):
 
 @kernel
 def _unit(x, y, z):
+    """Normalise a vector."""
     inverse = 1 / math.sqrt(x * x + y * y + z * z)
     return x * inverse, y * inverse, z * inverse
 
@@ -529,7 +551,11 @@ def _fifth(x):
 
 @kernel
 def _highlight(light, radius, facing, toward, n, e, roughness):
-    """GGX lobe with Smith's shadowing, and the weight of Schlick's Fresnel term, of one light (Walter et al. 2007)."""
+    """GGX lobe D G / (4 (n.l) (n.e)) of one light, and Schlick's Fresnel weight (1 - e.h)^5.
+
+    Walter et al., Microfacet models for refraction through rough surfaces, 2007; G is Schlick's approximation of
+    Smith's shadowing term. The light's angular radius widens the lobe.
+    """
     h = _unit(light[0] + e[0], light[1] + e[1], light[2] + e[2])
     nh = n[0] * h[0] + n[1] * h[1] + n[2] * h[2]
     a = max(roughness * roughness, 0.01) + 0.5 * radius
@@ -555,6 +581,7 @@ def _reflect(row, count, s, materials):
             continue
         n = (normal[q, 0], normal[q, 1], normal[q, 2])
         e = (look[q, 0], look[q, 1], look[q, 2])
+        # Ambient light: a sky above and the table's reflection below, mixed by the normal's height.
         roughness, metalness = materials[o, 11], materials[o, 12]
         above, below = 1 - light_share[q, 1], 1 - light_share[q, 2]
         toward = max(n[0] * e[0] + n[1] * e[1] + n[2] * e[2], 1e-3)
@@ -562,6 +589,7 @@ def _reflect(row, count, s, materials):
         diffuse_r = upper * ambient[0] + lower * ground[0]
         diffuse_g = upper * ambient[1] + lower * ground[1]
         diffuse_b = upper * ambient[2] + lower * ground[2]
+        # Mirror direction r, and the surroundings that it shows: a brighter horizon, and the table.
         r = (2 * toward * n[0] - e[0], 2 * toward * n[1] - e[1], 2 * toward * n[2] - e[2])
         share = _ramp(0.5 * r[2] / (0.04 + 0.8 * roughness))
         rise = 1 - max(r[2], 0.0)
@@ -571,6 +599,7 @@ def _reflect(row, count, s, materials):
         base_r = sky * ambient[0] + earth * ground[0]
         base_g = sky * ambient[1] + earth * ground[1]
         base_b = sky * ambient[2] + earth * ground[2]
+        # Every light is also a square panel that glossy surfaces mirror; Schlick's rim brightens grazing views.
         panel_size, panel_scale = 1 / (0.06 + 0.5 * roughness), 0.5 * (1 - roughness) * share * above
         rim = _fifth(1 - toward) * (1 - roughness)
         edge_r, edge_g, edge_b = rim * base_r, rim * base_g, rim * base_b
@@ -593,6 +622,7 @@ def _reflect(row, count, s, materials):
             )
             base_r, base_g, base_b = base_r + glow * red, base_g + glow * green, base_b + glow * blue
             edge_r, edge_g, edge_b = edge_r + rim * red, edge_g + rim * green, edge_b + rim * blue
+        # Metals have no diffuse part and colour their reflection; dielectrics reflect 4 %, uncoloured.
         second = row.second[q]
         matte, plain = 1 - metalness, 0.04 * (1 - metalness)
         for c in range(3):
@@ -664,6 +694,7 @@ def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
     kind, share, pixel, at = row.kind, row.share, row.pixel, row.at
     count = 0
     for x in range(depth.shape[1]):
+        # The pixel's centre: depth and id.
         cx, cy = SUB * x + 0.5 * SUB, SUB * y + 0.5 * SUB
         face = triangle[SUB * y + SUB // 2, SUB * x + SUB // 2]
         if face >= 0:
@@ -682,6 +713,7 @@ def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
         if not edge and _single(triangle, x, y, face):
             share[first] = 1.0
             continue
+        # Several surfaces meet here: one representative for each, weighted by its number of samples.
         share[first] = 0.0
         for j in range(SUB * y, SUB * y + SUB):
             for i in range(SUB * x, SUB * x + SUB):
@@ -728,6 +760,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         else:
             o = owners[face]
             i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
+            # Position in the object frame, for the texture; normal in the world.
             a, b, c, z = _weights(q, i, j, k, sx, sy)
             x = a * v[i, 0] + b * v[j, 0] + c * v[k, 0]
             y = a * v[i, 1] + b * v[j, 1] + c * v[k, 1]
@@ -745,6 +778,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         blur[r] = 0.6 * view[3, 1] * z
         for c in range(3):
             point[r, c], normal[r, c], look[r, c] = p[c], n[c], e[c]
+        # Second colour, averaged over the pixel's footprint; ambient occlusion around the objects' feet.
         toward = n[0] * e[0] + n[1] * e[1] + n[2] * e[2]
         axis = (materials[o, 8], materials[o, 9], materials[o, 10])
         width = view[3, 1] * z / max(toward, 0.3)
@@ -774,6 +808,7 @@ def _shadow(s, shadow, row, count):
         facing = axes[2, 0] * nx + axes[2, 1] * ny + axes[2, 2] * nz
         if facing <= 0:
             continue
+        # The sample in light space, and the radius in which something could hide part of the light.
         x, y, z = point[r, 0], point[r, 1], point[r, 2]
         d = -(axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z)
         reach = (spread * max(d - least, 0.0) + blur[r]) * scale
@@ -781,11 +816,13 @@ def _shadow(s, shadow, row, count):
         v = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - low_v) * scale
         if u + reach < 0 or v + reach < 0 or u - reach > size or v - reach > size:
             continue
+        # Slope of the receiver's plane in metres per texel.
         steep = 1 / (max(facing, 0.25) * scale)
         du = (axes[0, 0] * nx + axes[0, 1] * ny + axes[0, 2] * nz) * steep
         dv = (axes[1, 0] * nx + axes[1, 1] * ny + axes[1, 2] * nz) * steep
         if not _tile_before(tiles, u, v, reach, d + (abs(du) + abs(dv)) * reach):
             continue
+        # Mean distance of the blockers gives the penumbra's radius; the light's share is averaged over it.
         found, height = _blockers(texels, u, v, d, du, dv, reach, o)
         if found == 1:
             light[r, 0] = 0.0

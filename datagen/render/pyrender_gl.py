@@ -1,4 +1,4 @@
-"""The well-known OpenGL renderer, pyrender, through EGL: for GPUs, and for people who would rather trust it.
+"""The OpenGL renderer pyrender, through EGL: for GPUs, and as an independent check of the rasteriser.
 
 Its colour pass is multisampled and resolves depth off the pixel's centre, so that depth and ids come from the SEG pass.
 """
@@ -50,7 +50,7 @@ class PyrenderRenderer:
         self._pyrender, self._context = _open_context()
 
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
-        """Take over a scene's materials, lights and shapes, row by row as in `scene.bodies`."""
+        """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._scene = self._pyrender.Scene(ambient_light=[*scene.ambient], bg_color=[*scene.backdrop, 1.0])
         self._nodes = [
             self._scene.add(self._mesh(s.vertices[s.faces], s.normals, b.material))
@@ -162,7 +162,7 @@ def _vertex_colors(material: Material, points: Float[np.ndarray, "point 3"]) -> 
 
 @contextlib.contextmanager
 def _numpy_infty() -> Iterator[None]:
-    """Give NumPy 2 back the name `infty` that pyrender 0.1.45 still uses."""
+    """Define `numpy.infty`, which NumPy 2 removed and pyrender 0.1.45 uses."""
     if hasattr(np, "infty"):
         yield
         return

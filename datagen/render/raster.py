@@ -1,4 +1,4 @@
-"""The default renderer: a rasteriser in numba that needs no graphics library and repeats itself bit by bit."""
+"""The default renderer: a rasteriser in numba, without graphics libraries and bit-identical between runs."""
 
 import functools
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ class RasterRenderer:
         self._buffers: dict[tuple[int, int], _Buffers] = {}
 
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
-        """Take over a scene's materials, lights and shapes, row by row as in `scene.bodies`."""
+        """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
         self._materials = np.array(
             [_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)]

@@ -1,4 +1,4 @@
-"""rng -> Scene: everything that is random about a scene, and no physics engine."""
+"""Sample a scene from a random generator, without the physics engine."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ __all__ = ["Rejected", "sample_scene"]
 
 
 def sample_scene(recipe: Recipe, rng: np.random.Generator, split: str, index: int) -> Scene:
-    """One draw of the recipe's scene `index` of a split; whether it keeps the recipe's rules only physics can tell.
+    """Draw scene `index` of a split once; the simulation decides whether it obeys the recipe's rules.
 
     Raises:
         Rejected: the objects that were drawn found no place.

@@ -1,4 +1,4 @@
-"""The reasons for which a sampled scene is thrown away and drawn anew."""
+"""The reasons for which a sampled scene is rejected and drawn again."""
 
 
 class Rejected(Exception):

@@ -1,4 +1,4 @@
-"""Numbers as a scene's description holds them."""
+"""Rounded numbers for a scene's description."""
 
 from collections.abc import Iterable
 
@@ -9,11 +9,11 @@ DIGITS = 6
 
 
 def rounded(value: float) -> float:
-    """A plain float of few digits."""
+    """Round a number to the digits of a scene's description."""
     return round(float(value), DIGITS)
 
 
 def vector(values: Iterable[float]) -> Vector:
-    """Three such floats."""
+    """Round three numbers, see `rounded`."""
     x, y, z = (rounded(value) for value in values)
     return x, y, z

@@ -51,7 +51,7 @@ FAMILIES: dict[str, Callable[..., Shape]] = {
 
 
 def build(spec: ShapeSpec) -> Shape:
-    """The shape that a spec names; the last few are kept.
+    """Build the shape of a spec; the last few are cached.
 
     Raises:
         UsageError: there is no such family, or the parameters are not its own.

@@ -1,4 +1,4 @@
-"""Parts that shapes are put together from, each a solid with its mesh, convex hulls, mass and outline."""
+"""Parts that shapes are assembled from, each a solid with its mesh, convex hulls, mass and outline."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ HULL_ERROR = 5e-4
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A solid with all that is derived from it, in one frame."""
+    """A solid with its mesh, hulls, mass and outline, in one frame."""
 
     solid: Solid
     mesh: Mesh

@@ -16,7 +16,6 @@ from pathlib import Path
 
 from datagen.errors import Busy, DatagenError, UsageError
 from datagen.storage.locks import FolderLock
-from datagen.storage.processes import is_running
 from datagen.storage.spec import SPEC_FILE
 
 _TEMPORARY = re.compile(r"\.(?P<target>.+)\.partial-(?P<host>.+)-(?P<process>\d+)-(?P<thread>\d+)")
@@ -215,6 +214,17 @@ def _is_abandoned(path: Path) -> bool:
         return not is_running(int(match["process"]))
     others = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
     return int(match["thread"]) not in others
+
+
+def is_running(process: int) -> bool:
+    """Whether a process of this number exists, whoever owns it."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def _reason(error: OSError) -> str:

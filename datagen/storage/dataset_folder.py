@@ -1,4 +1,4 @@
-"""A dataset's folder: which files are ours, how they are written whole or not at all, and who may write."""
+"""A dataset's folder: which files belong to the dataset, which process may write, and how a dataset is started."""
 
 import os
 import re
@@ -31,7 +31,7 @@ from datagen.storage.spec import (
 _OURS = re.compile(rf"({SPEC_FILE}|{MANIFEST_FILE}|{CARD_FILE}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.h5)")
 _WAIT_SECONDS = 0.05
 _PATIENCE_SECONDS = 600
-"""How long to wait for another process to prepare the folder."""
+"""Time to wait for another process to prepare the folder."""
 
 
 @contextmanager
@@ -40,24 +40,24 @@ def filling(
 ) -> Iterator[Spec]:
     """Hold a dataset's folder while scenes are written to it, and give the dataset's spec.
 
-    Processes that make the same dataset hold its folder together. To begin a dataset, to give one up or to rebuild its
-    `dataset.json`, a process waits until it has the folder alone. A dataset of the same settings goes on, even where
-    `overwrite` is set, so that the same command can be repeated. A run that fails before its first shard leaves nothing
-    new behind.
+    Processes that make the same dataset share its folder. A process needs the folder alone to start a dataset, to
+    delete one, or to rebuild its `dataset.json`; it waits for that. A dataset of the same settings is continued, even
+    with `overwrite`, so that the same command can be repeated. A run that fails before its first shard leaves nothing
+    behind.
 
     Args:
         folder: Where the dataset is or will be.
         wanted: Its spec.
-        overwrite: Give up a dataset of other settings; scenes of the wanted ones stay.
-        prove: Called before a dataset is begun; where it raises, what the folder holds stays as it is.
+        overwrite: Delete a dataset of other settings; scenes of the wanted settings stay.
+        prove: Called before a dataset is started; if it raises, the folder stays unchanged.
 
     Yields:
-        The spec that holds from now on: as `wanted`, but with no fewer scenes than were asked for before or are there.
+        The spec from now on: `wanted`, but never with fewer scenes than requested before or present.
 
     Raises:
         Busy: another process writes a dataset of other settings to the folder.
-        UsageError: the folder holds something else, or a dataset of other settings that `overwrite` does not give up.
-        CorruptFile: a file that is there cannot be read.
+        UsageError: the folder holds something else, or a dataset of other settings without `overwrite`.
+        CorruptFile: a present file cannot be read.
         OSError: the folder cannot be made or written to.
     """
     begun = _Begun(settings_hash(wanted))
@@ -85,7 +85,7 @@ class _Begun:
 def _occupy(
     folder: Path, wanted: Spec, begun: _Begun, overwrite: bool, prove: Callable[[], object]
 ) -> tuple[FolderLock, Spec]:
-    """Wait for the folder, and take it with the other processes that make the same dataset."""
+    """Wait for the folder, and share it with other processes that make the same dataset."""
     give_up = time.monotonic() + _PATIENCE_SECONDS
     while time.monotonic() < give_up:
         _make(folder, begun)
@@ -101,7 +101,7 @@ def _occupy(
 
 
 def _enter(lock: FolderLock, wanted: Spec, begun: _Begun, overwrite: bool, prove: Callable[[], object]) -> Spec | None:
-    """The spec that holds, with the folder's shared lock; None where another process is preparing the folder."""
+    """Give the current spec under the folder's shared lock; None while another process prepares the folder."""
     folder = lock.folder
     if lock.take_alone():
         if not lock.is_current():
@@ -121,12 +121,12 @@ def _enter(lock: FolderLock, wanted: Spec, begun: _Begun, overwrite: bool, prove
 
 
 def _prepare(folder: Path, wanted: Spec, begun: _Begun, overwrite: bool, prove: Callable[[], object]) -> Spec:
-    """Continue, rebuild or begin a dataset in a folder that this process has alone."""
+    """Continue, rebuild or start a dataset in a folder that this process holds alone."""
     remove_abandoned(folder)
     if spec := _continued(folder, wanted, overwrite):
         return spec
     prove()
-    # Where there are no locks, another process may have begun the same dataset meanwhile.
+    # On file systems without locks, another process may have started the same dataset by now.
     if spec := _continued(folder, wanted, overwrite):
         return spec
     _give_up(folder, settings_hash(wanted))
@@ -136,7 +136,7 @@ def _prepare(folder: Path, wanted: Spec, begun: _Begun, overwrite: bool, prove: 
 
 
 def _continued(folder: Path, wanted: Spec, overwrite: bool) -> Spec | None:
-    """The spec of the dataset that is there, or is rebuilt from its shards; None where one is to be begun."""
+    """Give the spec of the present dataset, rebuilt from its shards if necessary; None to start a new one."""
     if (folder / SPEC_FILE).exists():
         return settle(folder, wanted) if _goes_on(folder, wanted, overwrite) else None
     _check_free(folder)
@@ -146,7 +146,7 @@ def _continued(folder: Path, wanted: Spec, overwrite: bool) -> Spec | None:
 
 
 def _rebuild(folder: Path, wanted: Spec) -> Spec:
-    """Write a spec that was lost anew, from shards that all are of the wanted settings and in their places."""
+    """Rebuild a lost spec from shards that all have the wanted settings and are in their places."""
     try:
         present = {split: scenes_present(folder, wanted, split) for split in SPLITS}
     except DatagenError as error:
@@ -157,17 +157,17 @@ def _rebuild(folder: Path, wanted: Spec) -> Spec:
 
 
 def settle(folder: Path, wanted: Spec) -> Spec:
-    """Let the folder's spec have as many scenes as it has, as are wanted and as are there, whichever is most.
+    """Raise the numbers of scenes in the folder's spec to the wanted and the present ones.
 
     Raises:
         UsageError: the folder holds a dataset of other settings, or a shard that belongs elsewhere.
-        CorruptFile: a file that is there cannot be read.
+        CorruptFile: a present file cannot be read.
     """
     old = read_spec(folder)
     if changed := _changes(old, wanted):
         raise UsageError(
             f"{folder} holds a dataset of other settings ({'; '.join(changed)}). "
-            "Give another folder with --out, the same settings, or --overwrite to make it anew."
+            "Give another folder with --out, the same settings, or --overwrite to replace it."
         )
     grown = with_splits(old, _most(old["splits"], wanted["splits"]))
     ends = {split: len(shard_ranges(old["splits"][split], old["scenes_per_shard"])) for split in SPLITS}
@@ -206,7 +206,7 @@ def write_file(folder: Path, name: str, data: bytes, settings: str) -> None:
 
 
 def _settings(folder: Path) -> str | None:
-    """Settings hash of the folder's spec, None where there is none that can be read."""
+    """Settings hash of the folder's spec; None if it is missing or unreadable."""
     try:
         return settings_hash(read_spec(folder))
     except (DatagenError, OSError):
@@ -235,7 +235,7 @@ def _leads_nowhere(path: Path) -> bool:
 
 
 def _remove_begun(folder: Path, begun: _Begun) -> None:
-    """Remove what a failed run has begun, unless there are scenes, or another process is at work there."""
+    """Remove what a failed run created, unless there are scenes or another process works there."""
     with suppress(OSError), FolderLock(folder) as lock:
         if lock.take_alone() and lock.is_real and lock.is_current():
             if begun.spec and os.listdir(folder) == [SPEC_FILE] and _settings(folder) == begun.settings:
@@ -249,7 +249,7 @@ def _remove_begun(folder: Path, begun: _Begun) -> None:
 
 
 def _check_free(folder: Path) -> None:
-    """Check that a folder without a spec holds nothing that is not ours."""
+    """Check that a folder without a spec holds no foreign files."""
     foreign = sorted(path.name for path in folder.iterdir() if target_name(path) == path.name)
     if foreign and not any(shard_settings(path) for path in _shards(folder)):
         raise UsageError(
@@ -263,7 +263,7 @@ def _is_of_others(folder: Path, wanted: Spec) -> bool:
 
 
 def _goes_on(folder: Path, wanted: Spec, overwrite: bool) -> bool:
-    """Whether the folder's dataset is the wanted one, or one that stands in its way; else a new one is begun."""
+    """Whether the folder's dataset has the wanted settings or blocks them; otherwise a new one replaces it."""
     try:
         changed = bool(_changes(read_spec(folder), wanted))
     except CorruptFile:
@@ -271,7 +271,7 @@ def _goes_on(folder: Path, wanted: Spec, overwrite: bool) -> bool:
             raise
         _check_ours(folder)
         changed = True
-    # A spec alone is what a run leaves behind that was killed before its first shard.
+    # A run that was killed before its first shard leaves a spec alone.
     return not changed or not (overwrite or _is_bare(folder))
 
 
@@ -280,26 +280,26 @@ def _changes(old: Spec, wanted: Spec) -> list[str]:
 
 
 def _normal(spec: Spec) -> Spec:
-    """With every constant that came to recipes after this spec was written, at its default."""
+    """Copy of a spec in which constants that are newer than the spec have their defaults."""
     return {**spec, "recipe": recipe_to_dict(recipe_of(spec))}
 
 
 def _is_bare(folder: Path) -> bool:
-    """Whether nothing of ours is there but the spec, and nobody is about to write anything."""
+    """Whether the folder holds only the spec, and no temporary file of a running process."""
     return [path.name for path in _own_files(folder)] == [SPEC_FILE]
 
 
 def _check_ours(folder: Path) -> None:
-    """Refuse to give up files that no shard proves to be ours."""
+    """Refuse to delete files unless a shard proves that they are a dataset of this program."""
     if not any(shard_settings(path) for path in _shards(folder)):
         raise UsageError(
-            f"{folder / SPEC_FILE} cannot be read, and there is no shard beside it that tells whose it is; "
+            f"{folder / SPEC_FILE} cannot be read, and no shard beside it proves that it is a dataset; "
             "delete it yourself, or give an empty or new folder with --out."
         )
 
 
 def _give_up(folder: Path, settings: str) -> None:
-    """Delete our files, except for the spec, which someone may be writing right now, and shards of these settings."""
+    """Delete our files except shards of these settings, and the spec, which another process may be writing."""
     kept = {path for path in _shards(folder) if shard_settings(path) == settings}
     for path in _own_files(folder):
         if path not in kept and target_name(path) != SPEC_FILE:

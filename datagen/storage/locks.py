@@ -1,4 +1,4 @@
-"""Lock a folder for as long as a process lives: no file is left in it, and a killed process holds nothing."""
+"""Folder locks without lock files; the system releases the lock of a killed process."""
 
 import fcntl
 import os
@@ -7,7 +7,7 @@ from types import TracebackType
 
 
 class FolderLock:
-    """An advisory lock (`flock`) on the folder's own descriptor, as a context that gives it back.
+    """An advisory lock (`flock`) on the folder's own descriptor; the context releases it.
 
     File systems without such locks grant every request; `is_real` says whether the last one was a real lock.
 
@@ -29,15 +29,15 @@ class FolderLock:
         self.close()
 
     def close(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         os.close(self._descriptor)
 
     def take_alone(self) -> bool:
-        """Try to hold the folder alone; on failure, a lock that was held before is lost."""
+        """Try to hold the folder alone; on failure, a lock held before is lost."""
         return self._take(fcntl.LOCK_EX)
 
     def take_shared(self) -> bool:
-        """Try to hold the folder beside others that share it; on failure, a lock that was held before is lost."""
+        """Try to hold the folder beside others that share it; on failure, a lock held before is lost."""
         return self._take(fcntl.LOCK_SH)
 
     def is_current(self) -> bool:

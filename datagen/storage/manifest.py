@@ -1,4 +1,4 @@
-"""The record of a finished dataset, `manifest.json`; all in it but `run` and `versions` follows from the shards."""
+"""Facts about a finished dataset, `manifest.json`; all but `run` and `versions` follow from the shards."""
 
 import hashlib
 from collections import Counter

@@ -1,4 +1,4 @@
-"""Names that can be part of a file name on every system, and of a table's cell."""
+"""Names that are safe in file names on every system and in table cells."""
 
 import re
 import unicodedata

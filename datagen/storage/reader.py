@@ -1,4 +1,4 @@
-"""Reading a dataset with nothing but NumPy and h5py, and the folder's files.
+"""Read datasets with NumPy and h5py alone.
 
 dataset = Dataset("data/moving-128x128-seed0")
 scenes = dataset.split("train")
@@ -69,7 +69,7 @@ class Dataset:
         return scenes
 
     def check_complete(self) -> None:
-        """Check that every scene is there.
+        """Check that every scene exists.
 
         Raises:
             DatagenError: scenes are missing; says how many, and where.

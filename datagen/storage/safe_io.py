@@ -56,7 +56,7 @@ _NUMBERS = {int: "iu", float: "f"}
 _PYTHON_WORDS = re.compile(
     r"NoneType|not supported between|unsupported operand|object is not|object cannot be|not iterable"
 )
-"""Words of Python's errors about types, which say nothing to whoever has the file."""
+"""Words of Python's type errors, which do not help the owner of the file."""
 _HDF5_ERRORS = (OSError, KeyError, IndexError, ValueError, TypeError, RuntimeError, OverflowError, AttributeError)
 """h5py reports damage as any of these."""
 _NPY_ERRORS = (
@@ -410,7 +410,7 @@ def read_npy(path: Path, most_bytes: int = MOST_ARRAY_BYTES) -> np.ndarray:
 
 
 def read_npz(path: Path, names: Sequence[str], most_bytes: int = MOST_ARRAY_BYTES) -> dict[str, np.ndarray]:
-    """Read those of the named arrays of an NPZ file that are there; sizes are checked first, and pickles refused.
+    """Read the present ones of the named arrays of an NPZ file; sizes are checked first, and pickles refused.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -424,7 +424,7 @@ def read_npz(path: Path, names: Sequence[str], most_bytes: int = MOST_ARRAY_BYTE
 
 
 def npz_headers(path: Path, names: Sequence[str]) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-    """Shape and type of those of the named arrays of an NPZ file that are there, from the headers alone.
+    """Shape and type of the present ones of the named arrays of an NPZ file, from the headers alone.
 
     Raises:
         As `read_npz`.
@@ -446,16 +446,16 @@ def _reading_npz(path: Path) -> Iterator[zipfile.ZipFile]:
             yield archive
     except _NPY_ERRORS as error:
         raise CorruptFile(
-            f"{path} is damaged or no NPZ file ({brief_reason(error)}). Write it anew with numpy.savez."
+            f"{path} is damaged or no NPZ file ({brief_reason(error)}). Write it again with numpy.savez."
         ) from None
 
 
 def _damaged_npy(path: Path, error: Exception) -> CorruptFile:
-    return CorruptFile(f"{path} is damaged or no NPY file ({brief_reason(error)}). Write it anew with numpy.save.")
+    return CorruptFile(f"{path} is damaged or no NPY file ({brief_reason(error)}). Write it again with numpy.save.")
 
 
 def brief_reason(error: Exception) -> str:
-    """Give what an error says of a file as one short line, without Python's own words for a value of another type."""
+    """Shorten an error about a file to one line, without Python's wording for type errors."""
     if isinstance(error, KeyError) and error.args:
         return f"{error.args[0]!s:.160} is missing"
     text = re.sub(r"<[\w.]+ object at 0x[0-9a-f]+>", "a value", " ".join(f"{error}".split()))
@@ -530,9 +530,3 @@ def open_image(path: Path, formats: Sequence[str] = ("PNG", "JPEG", "TIFF")) -> 
         raise
     except _IMAGE_ERRORS as error:
         raise CorruptFile(f"{path} is damaged or no image ({brief_reason(error)}).") from None
-
-
-def image_size(path: Path, formats: Sequence[str] = ("PNG", "JPEG", "TIFF")) -> tuple[int, int]:
-    """Width and height of an image from its header alone; raises as `open_image`."""
-    with open_image(path, formats) as image:
-        return image.size

@@ -168,7 +168,7 @@ def _chunk_offsets(row: int, shape: tuple[int, ...]) -> Iterator[tuple[int, ...]
 
 
 class Shard:
-    """A shard of a dataset, opened for reading; what it says about itself is compared with what the dataset expects.
+    """A shard of a dataset, opened for reading; its attributes are compared with the dataset's spec.
 
     Arrays are checked when they are first used, so that opening is cheap; `check` checks all of them.
 
@@ -203,7 +203,7 @@ class Shard:
         return self._datasets["hash"].shape[0]
 
     def close(self) -> None:
-        """Give the file back."""
+        """Close the file."""
         self._datasets.clear()
         self._file.close()
 
@@ -238,7 +238,7 @@ class Shard:
         return array
 
     def rejections(self, row: int) -> Counter[str]:
-        """How many samples of a scene were rejected for which reason."""
+        """Number of rejected samples of a scene, by reason."""
         text = self.read(row, "scene/rejections").item().decode()
         with reading_hdf5(self.path, _ADVICE):
             counts = parse_json(text or "{}")
@@ -288,7 +288,7 @@ class Shard:
             check_field(FIELDS[name], dataset.dtype, dataset.shape[1:], self._lengths)
 
     def _check_values(self, array: np.ndarray, name: str) -> None:
-        """Check what readers rely on without looking: plain text, and no more objects than rows."""
+        """Check that texts are ASCII, and that there are no more objects than rows."""
         if array.dtype.kind == "S" and array.tobytes().translate(None, _TEXT):
             raise ValueError(f"{name} holds text with bytes that are not printable ASCII")
         if name == "objects/count" and np.max(array) > (rows := self._dataset("objects/category").shape[1]):
@@ -325,7 +325,7 @@ class Shard:
 
 
 def scenes_present(folder: Path, spec: Spec, split: str, first: int = 0) -> int:
-    """Number of scenes of a split up to the last one that is there, in shards from number `first` on; 0 if none is.
+    """Number of scenes of a split up to the last present one, in shards from number `first` on; 0 if there is none.
 
     Every one of these shards is checked; raises as `Shard` and `Shard.check`.
     """
@@ -339,7 +339,7 @@ def scenes_present(folder: Path, spec: Spec, split: str, first: int = 0) -> int:
 
 
 def shard_settings(path: Path) -> str | None:
-    """Settings hash of the dataset that a shard belongs to, None where the file is no shard or cannot be read."""
+    """Settings hash of the dataset that a shard belongs to, None if the file is not a shard or cannot be read."""
     try:
         file = _open(path)
     except (DatagenError, OSError):
@@ -375,7 +375,7 @@ def _check_format(file: h5py.File, path: Path) -> None:
 
 
 def _is_packed_as_here(dataset: h5py.Dataset) -> bool:
-    """Whether chunks can be taken over as they are; other programs may have packed the file anew."""
+    """Whether chunks can be taken over as they are; other programs may have repacked the file."""
     filters = dataset.id.get_create_plist()
     stock = [filters.get_filter(place)[0] for place in range(filters.get_nfilters())]
     return dataset.chunks == (1, 1, 1, *dataset.shape[3:]) and stock == [h5z.FILTER_SHUFFLE, h5z.FILTER_DEFLATE]

@@ -1,4 +1,4 @@
-"""Poses, boxes and contacts: what is physically possible."""
+"""Check that poses, boxes and contacts are physically possible."""
 
 from collections.abc import Iterator
 
@@ -68,7 +68,7 @@ def check_exact_overlap(case: Case) -> Iterator[Finding]:
 
 
 def _deepest(case: Case, row: int) -> tuple[float, str]:
-    """How far the vertices of one object reach into the table or another object in frame 0, metres, and into which."""
+    """Depth to which vertices of one object penetrate the table or another object in frame 0, metres, and its index."""
     pose = case.world_from_object[0, row]
     vertices = case.shapes[row].vertices @ pose[:3, :3].T + pose[:3, 3]
     reaches = [(-float(np.min(vertices[:, 2])), "the table")]

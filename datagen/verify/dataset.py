@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import track
 
 from datagen import schema
+from datagen.console.progress import tracked
 from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
 from datagen.pipeline.parallel import make_all
@@ -85,8 +85,7 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
         for start in range(0, size, SCENES_PER_JOB)
     ]
     with closing(make_all(functools.partial(_check_scenes, dataset), jobs, workers)) as results:
-        shown = track(results, "Verifying", total=len(jobs), transient=True, disable=not Console().is_terminal)
-        checked = list(shown)
+        checked = list(tracked(results, "verified jobs", len(jobs)))
     scenes = [finding for part in checked for finding in part.findings]
     return [*scenes, *_duplicates(checked), *_check_files(dataset), *_check_manifest(dataset)]
 

@@ -1,4 +1,4 @@
-"""Edited scenes against the geometry that their edits describe, by the checks that the scene itself has to pass."""
+"""Check edited scenes against the geometry of their edits, with the checks of the original scene."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +14,7 @@ from datagen.verify.scene_case import Case
 from datagen.verify.views import check_views
 
 RIGID = 1e-9
-"""How far a stored transform may be from a rotation about the vertical and a step along the table."""
+"""Allowed deviation of a stored transform from a rotation about the vertical and a translation along the table."""
 
 _IMAGES = ("rgb", "depth", "segmentation")
 _CAMERAS = ("camera/K", "camera/world_from_camera")
@@ -34,7 +34,7 @@ def check_edit(case: Case, kind: EditKind) -> Iterator[Finding]:
             yield Finding("edits", f"{kind}: the transform leaves the table or is not rigid")
         edited, strange = edited_case(case, kind, row, transform)
         if np.any(strange):
-            yield Finding("edits", f"{kind}: {np.sum(strange)} pixels have ids of no object that is there")
+            yield Finding("edits", f"{kind}: {np.sum(strange)} pixels have ids of no object in the scene")
             return
         for check in (check_surfaces, check_table, check_order, check_views):
             yield from (replace(found, message=f"{kind}: {found.message}") for found in check(edited))

@@ -45,9 +45,9 @@ def test_the_front_camera_is_the_papers():
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"colour": 1}, "recipe: colour"),
-        ({"objects": {"number": 3}}, "recipe.objects: number"),
-        ({"motion": {"weights": {"jump": 1.0}}}, "recipe.motion.weights: jump"),
+        ({"colour": 1}, r"\(colour\) @ recipe"),
+        ({"objects": {"number": 3}}, r"\(number\) @ recipe\.objects"),
+        ({"motion": {"weights": {"jump": 1.0}}}, r"\(jump\) @ recipe\.motion\.weights"),
     ],
 )
 def test_unknown_keys_are_refused_by_name(data: dict, words: str):

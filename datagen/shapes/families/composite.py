@@ -1,4 +1,4 @@
-"""Things put together from a few primitives: dumbbells, hammers, brackets, jacks, towers, snowmen."""
+"""Shapes composed of a few primitives: dumbbells, hammers, brackets, jacks, towers, snowmen."""
 
 from itertools import pairwise
 from typing import Any

@@ -141,7 +141,7 @@ def _wall_pieces(
 def _hollows(
     outer: Float[np.ndarray, "corner 2"], inner: Float[np.ndarray, "corner 2"], start: int, end: int
 ) -> Float[np.ndarray, "2"]:
-    """How deep a stretch of the outer and of the inner chain lies below their common convex hull, metres."""
+    """Depth of a stretch of the outer and of the inner chain below their common convex hull, metres."""
     points = np.concatenate([outer[start : end + 1], inner[start : end + 1]])
     hull = convex_hull(points)
     following = np.roll(hull, -1, axis=0)

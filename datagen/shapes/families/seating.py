@@ -135,7 +135,7 @@ def build_bed(
 
 
 def sample_chair(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """With a solid or a slatted back, with or without arms."""
+    """Draw a chair with a solid or slatted back, with or without arms."""
     seat, back = rng.uniform(0.42, 0.5), rng.uniform(0.4, 0.6)
     lengths = {
         "width": rng.uniform(0.4, 0.55),
@@ -163,7 +163,7 @@ def sample_stool(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_bench(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """With or without a back."""
+    """Draw a bench with or without a back."""
     width = rng.uniform(1.1, 1.7)
     lengths = {
         "width": width,

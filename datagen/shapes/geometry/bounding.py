@@ -1,4 +1,4 @@
-"""The box of least volume around a shape, found from how far the shape reaches in each direction.
+"""The box of least volume around a shape, found from the shape's extent in each direction.
 
 A shape's convex hull is that of a few points and rounded discs; its reach along a direction d, the support function, is
 therefore known in closed form, and the volume of the box along any three axes costs no more than a matrix product.

@@ -1,4 +1,4 @@
-"""Triangle meshes: as few triangles as the tolerance allows, closed, facing outwards; here boxes, prisms, lathe work.
+"""Closed triangle meshes of boxes, prisms and solids of revolution, with as few triangles as the tolerance allows.
 
 Where a surface curves, vertices lie a little outside it and the middles of edges as far inside, which halves the
 error of a mesh whose vertices lie on the surface.
@@ -44,12 +44,12 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def unit(vectors: Float[np.ndarray, "*batch axis"]) -> Float[np.ndarray, "*batch axis"]:
-    """The vectors' directions."""
+    """Normalise vectors along the last axis."""
     return vectors / np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))
 
 
 def segments_of_circle(radius: float, tolerance: float = CHORD_ERROR, least: int = 12) -> int:
-    """How many chords keep within `tolerance` of a circle, their ends as far outside it as their middles inside."""
+    """Number of chords within `tolerance` of a circle, their ends as far outside it as their middles inside."""
     cosine = (radius - tolerance) / (radius + tolerance)
     return max(least, int(np.ceil(np.pi / np.arccos(cosine)))) if cosine > 0 else least
 

@@ -1,4 +1,4 @@
-"""Exact solids: signed distances that know nothing of triangles, and so can judge meshes and renderers.
+"""Exact solids: signed distances without triangles, to check meshes and renderers against.
 
 Every solid lives in its own frame (metres, main axis z); `Placed` moves it. The distance to a union of solids is the
 least of theirs.

@@ -101,8 +101,54 @@ def test_a_dataset_without_one_of_the_images_is_one_clear_error(tmp_path: Path):
         preview.run(folder)
 
 
+def test_depth_in_a_gif_has_no_bands_and_ids_keep_their_colours(tmp_path: Path):
+    depth = np.tile(np.arange(9000, 9000 + 64 * 40, 40, dtype=np.uint16)[:, None], (1, 1, 1, 64)).reshape(1, 1, 64, 64)
+    rgb = np.random.default_rng(0).integers(0, 256, (1, 1, 64, 64, 3), dtype=np.uint8)
+    labels = np.zeros((1, 1, 64, 64), np.uint8)
+    labels[..., 32:] = 3
+    records = {"scene": {"rgb": rgb, "depth": depth, "segmentation": labels}}
+    (frame,) = preview.animation_frames(records)
+    preview.save_animation(tmp_path / "a.gif", [frame], 1.0, preview.gif_palette(records))
+    with Image.open(tmp_path / "a.gif") as picture:
+        stored = np.asarray(picture.convert("RGB")).astype(int)
+    rows = preview._rows(records["scene"], preview._depth_span(records))
+    wanted = {name: preview._enlarged(rows[name](0, 0)) for name in ("depth", "ids")}
+    for name, image in wanted.items():
+        y, x = place_of(frame, image)
+        found = stored[y : y + image.shape[0], x : x + image.shape[1]]
+        assert np.percentile(np.abs(found - image), 99) <= 8, name
+    y, x = place_of(frame, wanted["depth"])
+    assert len(np.unique(stored[y : y + wanted["depth"].shape[0], x + 90], axis=0)) > 50
+
+
+def place_of(picture: np.ndarray, part: np.ndarray) -> tuple[int, int]:
+    windows = np.argwhere(np.all(picture == part[0, 0], axis=-1))
+    return next(
+        (y, x) for y, x in windows if np.array_equal(picture[y : y + part.shape[0], x : x + part.shape[1]], part)
+    )
+
+
+@pytest.mark.parametrize(("number", "lines"), [(1, 1), (4, 2), (5, 2), (6, 2), (7, 3)])
+def test_scenes_fill_the_grid(number: int, lines: int):
+    blocks = [np.zeros((10, 600, 3), np.uint8)] * number
+    assert preview._grid(blocks).shape[0] == lines * (10 + preview.GAP) + (lines - 1) * preview.GAP
+
+
+def test_the_sheet_has_a_title_and_a_legend_below():
+    record = rendered.record(rendered.scene(frames=1), resolution=(48, 48))
+    plain, titled = (preview.contact_sheet({"scene": record}, title) for title in ("", "A title"))
+    assert plain.shape == titled.shape
+    rows = np.flatnonzero(np.any(plain != titled, axis=(1, 2)))
+    assert 0 < rows[0] <= rows[-1] < preview.GAP + preview.HEADING
+    for label in range(1 + int(record["segmentation"].max())):
+        assert contains(plain, np.broadcast_to(preview.label_colors(label + 1)[label], (18, 18, 3)))
+
+
+BLACK = np.zeros((2, 3), np.uint8)
+
+
 @pytest.mark.parametrize(("fps", "frames"), [(0.001, 2), (0.001, 1), (1.0, 700)])
 def test_slow_and_long_clips_fit_into_a_gif(tmp_path: Path, fps: float, frames: int):
-    preview.save_animation(tmp_path / "slow.gif", [np.zeros((4, 4, 3), np.uint8)] * frames, fps)
+    preview.save_animation(tmp_path / "slow.gif", [np.zeros((4, 4, 3), np.uint8)] * frames, fps, BLACK)
     with Image.open(tmp_path / "slow.gif") as clip:
         assert clip.size == (4, 4)

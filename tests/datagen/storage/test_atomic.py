@@ -11,6 +11,7 @@ import pytest
 
 from datagen.storage.atomic import (
     check_new_folder,
+    is_running,
     locked_folder,
     new_file,
     new_folder,
@@ -246,3 +247,15 @@ def test_a_full_disk_is_told_with_the_name_that_was_given(tmp_path: Path, monkey
         with pytest.raises(DatagenError, match=f"Cannot write {path}: No space left"), make(path) as unfinished:
             write_atomically(unfinished if make is new_file else unfinished / "a.png", b"picture")
     assert not list(tmp_path.iterdir())
+
+
+def test_running_processes_are_told_from_ended_ones(monkeypatch: pytest.MonkeyPatch):
+    assert is_running(os.getpid())
+    assert not is_running(ended_process())
+    assert not is_running(10**30)
+
+    def refuse(process: int, signal: int) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "kill", refuse)
+    assert is_running(1)

@@ -15,7 +15,6 @@ from datagen.storage import safe_io
 from datagen.storage.safe_io import (
     hdf5_attribute,
     hdf5_dataset,
-    image_size,
     npy_shape,
     open_hdf5,
     open_hdf5_by_name,
@@ -28,6 +27,12 @@ from datagen.storage.safe_io import (
     read_npz,
     read_text,
 )
+
+
+def image_size(path) -> tuple[int, int]:
+    with open_image(path) as image:
+        return image.size
+
 
 READERS = (read_bytes, read_text, read_json, read_npy, npy_shape, image_size)
 
