@@ -21,7 +21,7 @@ ONLY_IN = {
     "viser": (
         "obpose/viewer/page.py",
         "obpose/viewer/panel.py",
-        "obpose/viewer/serving.py",
+        "obpose/viewer/server.py",
         "obpose/viewer/scene3d.py",
     ),
 }

@@ -29,7 +29,7 @@ from obpose.data.clips import select_part
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
 from obpose.errors import Interrupted, UsageError
-from obpose.rgbd.frames import look
+from obpose.rgbd.frames import prepare_frames
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
 from obpose.scenes.bounds import check_inside
@@ -89,10 +89,10 @@ def _infer(values: Infer) -> None:
         print(f"Resolution: {spacing_note(origin.model, clip)}.")
         scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
     else:
-        sight = look(values, origin.model)
+        frames = prepare_frames(values, origin.model)
         check_new_folder(values.out)
-        print(f"World: {sight.world}.\nResolution: {sight.resolution}.")
-        scene = infer_scene(origin, sight.observation, refinements=values.refine)
+        print(f"World: {frames.world}.\nResolution: {frames.resolution}.")
+        scene = infer_scene(origin, frames.observation, refinements=values.refine)
     _show(scene, origin, values.out, values.resolution)
     if not scene.ids:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")

@@ -1,4 +1,4 @@
-"""The command `obpose-segment`: a trained model on a user's own RGB-D frames of one camera that stands still.
+"""The command `obpose-segment`: segment RGB-D frames of one static camera with a trained model.
 
 obpose-segment --checkpoint RUN --rgb a.png --depth a_depth.png --intrinsics 525,525,320,240
 obpose-segment --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --every 8
@@ -19,9 +19,8 @@ from datagen.console.text import counted
 from datagen.storage.atomic import check_new_folder
 from obpose.data.resolution import fitting_model
 from obpose.errors import EXIT_OK
-from obpose.model.obpose import ObPose
-from obpose.rgbd.frames import Frames, look
-from obpose.rgbd.writing import Found, write_results
+from obpose.rgbd.frames import Frames, prepare_frames
+from obpose.rgbd.results import SegmentedObject, write_results
 from obpose.storage.checkpoint import load_obpose
 from obpose.storage.pretrained import find_checkpoint
 from obpose.types import SceneSegmentation, Segmentation
@@ -31,10 +30,10 @@ PROGRAM = "obpose-segment"
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Frames):
-    """Segment RGB-D frames, and find where the objects are and how they are turned."""
+    """Segment RGB-D frames, and infer positions and rotations of the objects."""
 
     checkpoint: Path
-    """Folder of a trained model, or the name of weights that ship with this package."""
+    """Folder of a trained model, or the name of shipped weights."""
     out: Path = Path("segmented")
     """Folder for label images, overlays, and objects.json."""
 
@@ -51,50 +50,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(values: Arguments) -> int:
-    """Segment and write."""
+    """Segment the frames and write all files."""
     model = load_obpose(find_checkpoint(values.checkpoint))
-    sight = look(values, model)
+    frames = prepare_frames(values, model)
     check_new_folder(values.out)
-    found = fitting_model(model, sight.observation).segment(sight.observation)
-    labels = _enlarged(found, values.every, sight.whole.depth.shape)
+    segmentation = fitting_model(model, frames.observation).segment(frames.observation)
+    labels = _enlarged(segmentation, values.every, frames.recording.depth.shape)
     facts = {
         "checkpoint": str(values.checkpoint),
-        "world": sight.world,
+        "world": frames.world,
         "units": "metres; rotations are world_from_object; box_size is the edge of the object's cube",
-        "resolution": sight.resolution,
+        "resolution": frames.resolution,
     }
-    page = write_results(values.out, sight.whole, labels, _objects(found, labels, model), sight.pose, facts)
-    print(f"World: {sight.world}.")
-    print(f"Resolution: {sight.resolution}.")
+    objects = _objects(segmentation, labels)
+    page = write_results(values.out, frames.recording, labels, objects, frames.pose, facts)
+    print(f"World: {frames.world}.")
+    print(f"Resolution: {frames.resolution}.")
     print(f"Labels, overlays and poses of {counted(len(labels), 'frame')}: {page}")
     return EXIT_OK
 
 
-def _enlarged(found: Segmentation, step: int, shape: tuple[int, ...]) -> Int[np.ndarray, "frame height width"]:
-    """Labels of all pixels of the recording: squares have the label of the pixel that was taken."""
-    labels = rearrange(found.labels, "1 frame 1 h w -> frame h w").numpy()
+def _enlarged(segmentation: Segmentation, step: int, shape: tuple[int, ...]) -> Int[np.ndarray, "frame height width"]:
+    """Labels in full resolution: each square of pixels gets the label of the pixel that was used."""
+    labels = rearrange(segmentation.labels, "1 frame 1 h w -> frame h w").numpy()
     rows = np.minimum(np.arange(shape[1]) // step, labels.shape[1] - 1)
     columns = np.minimum(np.arange(shape[2]) // step, labels.shape[2] - 1)
     return labels[:, rows[:, None], columns]
 
 
 def _objects(
-    found: SceneSegmentation, labels: Int[np.ndarray, "frame height width"], model: ObPose
-) -> list[list[Found]]:
-    """The objects of each frame: slots in use, whether they are in view or not."""
-    inference = found.inference
-    boxed = inference.where is not None
-    center = _array(inference.boxes.center if boxed else inference.observed_center)
+    segmentation: SceneSegmentation, labels: Int[np.ndarray, "frame height width"]
+) -> list[list[SegmentedObject]]:
+    """Objects of each frame: all active slots, visible or not."""
+    inference = segmentation.inference
+    has_boxes = inference.where is not None
+    center = _array(inference.boxes.center if has_boxes else inference.observed_center)
     rotation = _array(inference.boxes.rotation)
     slots = [slot for slot in range(center.shape[1]) if inference.masks.active[0, slot]]
     return [
         [
-            Found(
+            SegmentedObject(
                 label=slot + 1,
                 pixels=int(np.sum(labels[frame] == slot + 1)),
                 center=center[frame, slot],
                 rotation=rotation[frame, slot],
-                box_size=inference.boxes.size if boxed else None,
+                box_size=inference.boxes.size if has_boxes else None,
             )
             for slot in slots
         ]

@@ -1,1 +1,1 @@
-"""A user's own RGB-D frames: files to observations, and what a model finds in them to files."""
+"""Own RGB-D frames: read them as model input, and write segmentations to files."""

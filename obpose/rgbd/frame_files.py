@@ -1,4 +1,4 @@
-"""Image files of a recording, ordered by the numbers in their names."""
+"""Image files of a recording, sorted by the numbers in their names."""
 
 import re
 from collections.abc import Sequence
@@ -8,28 +8,28 @@ from pathlib import Path
 from obpose.errors import UsageError
 
 _SIGN = r"(?:(?<![^\W_])(?<!-)[-+])?"
-"""Pattern of an optional sign; after a letter, a digit or another dash it is punctuation instead."""
-_WHOLE = "[0-9]+"
+"""Optional sign; after a letter, a digit or another dash, it is punctuation."""
+_INTEGER = "[0-9]+"
 _DECIMAL = r"(?<![0-9]\.)[0-9]+\.[0-9]+(?![0-9]|\.[0-9])"
-"""Pattern of a decimal: two whole numbers around a dot. Three are a date or a version instead."""
+"""Decimal number: two integers around a dot; three integers are a date or a version."""
 _EXPONENT = r"(?:[eE][-+][0-9]{1,3}(?![^\W_]))?"
-"""Pattern of an optional exponent, always with a sign, as Python prints it: 1e-05."""
-_NUMBER = re.compile(f"({_SIGN}(?:{_DECIMAL}|{_WHOLE}){_EXPONENT})")
-_NUMBER_OF_PARTS = re.compile(f"({_SIGN}{_WHOLE})")
+"""Optional exponent, always with a sign, as Python prints it: 1e-05."""
+_NUMBER = re.compile(f"({_SIGN}(?:{_DECIMAL}|{_INTEGER}){_EXPONENT})")
+_SIGNED_INTEGER = re.compile(f"({_SIGN}{_INTEGER})")
 
 _Key = tuple[str | Decimal, ...]
-"""Sort key: text and numbers of a file name in turn, beginning with text."""
+"""Sort key: alternating text and numbers of a file name, starting with text."""
 
 
 def list_frames(paths: Sequence[Path], endings: Sequence[str], flag: str) -> list[Path]:
-    """List the files that a flag names, in time order: as given, or those of one folder, sorted by name.
+    """List frames in time order: files as given, or the files of one folder, sorted by name.
 
-    Hidden files, such as the `._0.png` that macOS writes, and folders inside the folder are not frames.
+    Ignores subfolders and hidden files, such as the `._0.png` that macOS writes.
 
     Args:
         paths: Files, or one folder.
         endings: File endings of frames in a folder, in lower case.
-        flag: The flag that named them, for messages.
+        flag: The flag with these paths, for messages.
 
     Raises:
         UsageError: there are no files, or one does not exist.
@@ -49,20 +49,19 @@ def list_frames(paths: Sequence[Path], endings: Sequence[str], flag: str) -> lis
 def sort_frames(paths: Sequence[Path]) -> list[Path]:
     """Sort files by the numbers and the text in their names: 2.png before 10.png, and 0.25.png before 0.5.png.
 
-    Numbers may be decimals, negative, or have an exponent. Where 1.1 and 1.10 are both names, the dot separates whole
-    numbers.
+    Numbers may be decimal, negative, or have an exponent. If both 1.1 and 1.10 occur, the dot separates integers.
     """
     split = _splitter(paths)
     return sorted(paths, key=lambda path: (_key(path, split), path.name))
 
 
 def check_pairs(colours: Sequence[Path], depths: Sequence[Path]) -> None:
-    """Check that the sorted files of two folders are the same frames, where their numbers tell.
+    """Check by the numbers in the names that the sorted files of two folders are the same frames.
 
-    Names whose numbers have little in common, such as time stamps of two sensors, are paired in their order.
+    Names with few numbers in common, such as time stamps of two sensors, are paired in their order.
 
     Raises:
-        UsageError: most numbers are in both folders, but a pair has different ones, as where a frame is missing.
+        UsageError: most numbers occur in both folders, but a pair has different ones, for example after a gap.
     """
     numbers = [[_numbers(path, _splitter(paths)) for path in paths] for paths in (colours, depths)]
     if 2 * len({*numbers[0]} & {*numbers[1]}) < len(colours):
@@ -80,10 +79,10 @@ def _is_frame(path: Path, endings: Sequence[str]) -> bool:
 
 
 def _splitter(paths: Sequence[Path]) -> re.Pattern[str]:
-    """Find out whether dots between digits are decimal points: not if two different names would be equal numbers."""
+    """Decide whether dots are decimal points: not if two different names would be equal numbers."""
     names = {path.stem.casefold() for path in paths}
     distinct = len({_key(path, _NUMBER) for path in paths}) == len(names)
-    return _NUMBER if distinct else _NUMBER_OF_PARTS
+    return _NUMBER if distinct else _SIGNED_INTEGER
 
 
 def _key(path: Path, split: re.Pattern[str]) -> _Key:

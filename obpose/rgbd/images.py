@@ -1,6 +1,6 @@
-"""Single images of a recording: colour and depth in the usual file formats.
+"""Colour and depth images of a recording, in common file formats.
 
-Sizes and kinds are checked from the files' headers, before any pixel is decoded.
+Sizes and modes are checked from the file headers, before any pixel is decoded.
 """
 
 from pathlib import Path
@@ -16,20 +16,20 @@ Size = tuple[int, int]
 """Width and height in pixels."""
 
 _COLOUR_MODES = ("RGB", "RGBA", "L", "LA", "P", "PA", "YCbCr")
-"""Pillow's names of what becomes RGB without guesses."""
+"""Pillow modes with an unambiguous conversion to RGB."""
 _UPRIGHT = (None, 0, 1)
-"""EXIF orientations of images whose pixels lie as they are shown; 0 stands for unknown."""
+"""EXIF orientations of images that are stored upright; 0 means unknown."""
 _ORIENTATION, _SAMPLE_FORMAT, _BITS = 0x0112, 339, 258
 """EXIF and TIFF tags."""
 _SIGNED = 2
-"""TIFF sample format of whole numbers with a sign."""
+"""TIFF sample format of signed integers."""
 
 
 def colour_size(path: Path) -> Size:
-    """Size of a colour image from its header.
+    """Read the size of a colour image from its header.
 
     Raises:
-        UsageError: it is no upright 8-bit or 16-bit colour image of one page.
+        UsageError: it is no upright 8-bit or 16-bit colour image with one page.
         CorruptFile: it is damaged, of another format, or too large.
     """
     with open_image(path) as image:
@@ -42,10 +42,10 @@ def colour_size(path: Path) -> Size:
 
 
 def depth_size(path: Path) -> Size:
-    """Size of a depth image or NPY array from its header.
+    """Read the size of a depth image or NPY array from its header.
 
     Raises:
-        UsageError: it is no upright image of one page and one channel of 16 bits or floats, or no 2D array of numbers.
+        UsageError: it is no upright image with one page and one channel of 16 bits or floats, or no 2D number array.
         CorruptFile: it is damaged, of another format, or too large.
     """
     if _is_array(path):
@@ -66,7 +66,7 @@ def depth_size(path: Path) -> Size:
 
 
 def read_colour(path: Path) -> UInt8[np.ndarray, "height width 3"]:
-    """Read a colour image as sRGB; raises as `colour_size`, and UsageError where parts of it are transparent."""
+    """Read a colour image as sRGB; raises as `colour_size`, and UsageError if parts of it are transparent."""
     with open_image(path) as image:
         image.load()
         _check_orientation(image, path)
@@ -82,24 +82,24 @@ def read_colour(path: Path) -> UInt8[np.ndarray, "height width 3"]:
 
 
 def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
-    """Read a depth image or array in metres, 0 where there is no return; raises as `depth_size`.
+    """Read a depth image or array in metres, with 0 for missing depth; raises as `depth_size`.
 
-    Not finite and negative values are no returns. Neither is the largest value of the stored type, which sensors write
-    for what is too far: 65535 in 16 bits.
+    Values that are negative or not finite are missing. So is the largest value of the stored type (65535 in 16 bits),
+    which sensors write for surfaces that are too far.
 
     Args:
         path: PNG, TIFF or NPY.
-        scale: Metres of one unit of whole numbers; floats are metres.
+        scale: Metres per unit of integers; floats are metres.
     """
-    values, stored = _read_array(path) if _is_array(path) else _read_image(path)
-    whole = values.dtype.kind in "ui"
+    values, stored = _read_values(path)
+    is_integer = values.dtype.kind in "ui"
     with np.errstate(over="ignore", invalid="ignore"):
-        metres = values.astype(np.float32) * np.float32(scale if whole else 1)
-    seen = np.isfinite(metres) & (metres > 0)
-    if whole:
-        # Some programs keep numbers of 16 bits in a wider type.
-        seen &= (values != np.iinfo(stored).max) & (values != np.iinfo(np.uint16).max)
-    return np.where(seen, metres, np.float32(0))
+        metres = values.astype(np.float32) * np.float32(scale if is_integer else 1)
+    known = np.isfinite(metres) & (metres > 0)
+    if is_integer:
+        # Some programs store 16-bit values in a wider type.
+        known &= (values != np.iinfo(stored).max) & (values != np.iinfo(np.uint16).max)
+    return np.where(known, metres, np.float32(0))
 
 
 def _is_array(path: Path) -> bool:
@@ -110,14 +110,11 @@ def _is_depth(image: Image.Image) -> bool:
     return image.mode.startswith(("I", "F"))
 
 
-def _read_array(path: Path) -> tuple[np.ndarray, np.dtype]:
-    """Read values and the type in which they are stored."""
-    values = read_npy(path)
-    return values, values.dtype
-
-
-def _read_image(path: Path) -> tuple[np.ndarray, np.dtype]:
-    """Read values and the type in which they are stored; Pillow widens whole numbers of 16 bits with a sign."""
+def _read_values(path: Path) -> tuple[np.ndarray, np.dtype]:
+    """Read values and their stored type; Pillow widens signed 16-bit integers."""
+    if _is_array(path):
+        values = read_npy(path)
+        return values, values.dtype
     with open_image(path) as image:
         tags = getattr(image, "tag_v2", {})
         signed = tags.get(_BITS) == (16,) and tags.get(_SAMPLE_FORMAT) == (_SIGNED,)
@@ -128,21 +125,20 @@ def _read_image(path: Path) -> tuple[np.ndarray, np.dtype]:
 
 
 def _check_header(image: Image.Image, path: Path) -> None:
-    """Check what is known before pixels are decoded."""
-    # Photographs in MPO files, a kind of JPEG, come before previews of them.
+    """Check for several pages and for rotation, as far as the header tells."""
+    # MPO files are JPEG files with previews behind the photograph.
     if getattr(image, "is_animated", False) and image.format != "MPO":
         raise UsageError(f"{path} holds several images; expected one in each file. Save its pages as single files.")
-    # In PNG files orientations may come after the pixels. Pillow turns those of TIFF files when it decodes them.
+    # In PNG files the orientation may follow the pixels. Pillow rotates TIFF images when it decodes them.
     if image.format != "PNG":
         _check_orientation(image, path)
 
 
 def _check_orientation(image: Image.Image, path: Path) -> None:
-    """Refuse an image that is stored turned: whether depth and intrinsics are turned with it is unknown."""
+    """Refuse a rotated image, because depth and intrinsics may not be rotated with it."""
     orientation = image.getexif().get(_ORIENTATION)
     if orientation not in _UPRIGHT:
         raise UsageError(
-            f"{path} is to be shown turned or mirrored (EXIF orientation {orientation}); expected pixels that lie as "
-            "those of the depth image and as --intrinsics describe. Save it turned as they are, without the "
-            "orientation."
+            f"{path} is rotated or mirrored (EXIF orientation {orientation}); expected pixels that are stored like "
+            "those of the depth image and as --intrinsics describes. Rotate the pixels and remove the orientation."
         )

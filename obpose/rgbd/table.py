@@ -1,31 +1,32 @@
-"""The table of a recording: a large plane near the camera, rather than a wall, the floor, or the side of a box."""
+"""The table of a recording, and the world frame that stands on it."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
+from obpose.errors import UsageError
+from obpose.rgbd.camera_pose import Pose
 from obpose.rgbd.plane import FEWEST_POINTS, SAMPLE, TOLERANCE, Plane, fit_plane
 
 PLANES = 4
-"""Planes that are compared."""
+"""Number of candidate planes."""
 WIDTH = 0.6
-"""Metres, the root of a plane's area in view; smaller planes are less likely a table."""
-_NEAREST, _OF_QUANTILE = 0.5, 0.25
-"""Share of the lower quartile of the distances within which all points are equally near, so that what is right before
-the lens does not outweigh everything else."""
+"""Square root of a table's visible area in metres; smaller planes are less likely a table."""
+_NEAREST, _QUANTILE = 0.5, 0.25
+"""Distances below this share of this quantile count as equal, so that objects right before the lens do not dominate."""
 _LEAST_DISTANCE = 1e-3
-"""Metres."""
+"""Smallest such distance, metres."""
 
 
 def find_table(points: Float[np.ndarray, "point 3"], *, seed: int = 0) -> Plane | None:
-    """Find the plane that is most likely the table, its normal towards the camera; None where there is no plane.
+    """Find the plane that is most likely the table, with its normal towards the camera; None if there is no plane.
 
-    Of the largest planes it is the one with the highest score: the number of its points, each divided by the cube of
-    its distance from the camera, times the cube of the plane's width up to `WIDTH`. A wall at twice the distance of the
-    table loses even where it fills more pixels, and so does the side of a box on the table.
+    Each candidate scores the number of its points, weighted by inverse cubed distance from the camera, times the cube
+    of its width up to `WIDTH`. So a table beats a wall at twice its distance, even if the wall fills more pixels, and
+    it beats the side of a box.
 
     Args:
-        points: What the camera sees, camera frame, metres.
-        seed: Of the search for planes.
+        points: Observed points, camera frame, metres.
+        seed: Random seed of the search.
     """
     if not len(points):
         return None
@@ -36,20 +37,45 @@ def find_table(points: Float[np.ndarray, "point 3"], *, seed: int = 0) -> Plane 
 
 
 def table_points(points: Float[np.ndarray, "point 3"], plane: Plane) -> Float[np.ndarray, "some 3"]:
-    """Select the points that lie on the plane."""
+    """Select the points on a plane."""
     return points[np.abs(plane.height(points)) < TOLERANCE]
 
 
+def pose_over_table(
+    points: Float[np.ndarray, "point 3"], *, center: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0
+) -> Pose:
+    """Find world_from_camera of a world in which the table is z = 0 and x points horizontally towards the camera.
+
+    Args:
+        points: Observed points, camera frame, metres.
+        center: World position of the median of the table's points, metres; only x and y are used.
+        seed: Random seed of the search for the table.
+
+    Raises:
+        UsageError: no plane is found.
+    """
+    plane = find_table(points, seed=seed)
+    if plane is None:
+        raise UsageError("No plane was found in the first frame, so that up is unknown; give --camera-pose.")
+    middle = np.median(table_points(points, plane), axis=0)
+    rotation = _axes(plane, middle)
+    x, y, _ = rotation @ middle
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = [center[0] - x, center[1] - y, -plane.offset]
+    return pose
+
+
 def _near_sample(points: Float[np.ndarray, "point 3"], rng: np.random.Generator) -> Float[np.ndarray, "sample 3"]:
-    """Draw points with probabilities that fall with the cube of their distance."""
+    """Draw points with probabilities proportional to their inverse cubed distance."""
     distance = np.linalg.norm(points, axis=1)
-    nearest = max(_NEAREST * np.quantile(distance, _OF_QUANTILE), _LEAST_DISTANCE)
+    nearest = max(_NEAREST * np.quantile(distance, _QUANTILE), _LEAST_DISTANCE)
     weight = np.maximum(distance, nearest) ** -3.0
     return points[rng.choice(len(points), 2 * SAMPLE, p=weight / weight.sum())]
 
 
 def _planes(points: Float[np.ndarray, "point 3"], rng: np.random.Generator) -> list[Plane]:
-    """Find the largest plane, then the largest one in the rest, and so on."""
+    """Find the largest plane, then the largest plane of the other points, and so on."""
     found: list[Plane] = []
     while len(found) < PLANES and len(points) >= FEWEST_POINTS:
         plane = fit_plane(points, rng)
@@ -64,8 +90,21 @@ def _score(plane: Plane, sample: Float[np.ndarray, "point 3"]) -> float:
     on_plane = table_points(sample, plane)
     if len(on_plane) < 3:
         return 0.0
-    # The two larger variances are those along the plane; 12 times that of a uniform distribution is the square of the
-    # side's length, so that the fourth root of their product gives the root of the area.
+    # The two larger variances are those along the plane. A uniform distribution of side a has variance a^2 / 12, so
+    # the fourth root of 12^2 times their product is the square root of the area.
     _, short, long = np.maximum(np.linalg.eigvalsh(np.cov(on_plane.T)), 0.0)
     width = float(np.sqrt(12 * np.sqrt(short * long)))
     return len(on_plane) * min(1.0, width / WIDTH) ** 3
+
+
+def _axes(plane: Plane, middle: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """World axes as rows, in the camera frame: x from the table's middle towards the camera, z along the normal."""
+    z = plane.normal
+    towards = -middle
+    x = towards - z * (z @ towards)
+    if np.linalg.norm(x) < 0.1 * np.linalg.norm(towards):
+        # From straight above x is undefined; use the direction to the lower side of the image.
+        x = np.array([0.0, 1.0, 0.0])
+        x = x - z * (z @ x)
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])

@@ -1,1 +1,1 @@
-"""A page to look at scenes and to edit them by hand: what `obpose-view` serves."""
+"""The web page of `obpose-view`: view, edit, sample and save scenes."""

@@ -1,7 +1,7 @@
-"""Work that is always about the newest wish: a thread that drops what was overtaken, also half done.
+"""A worker thread that serves only the latest request and cancels superseded ones midway.
 
-While an object is dragged wishes come faster than pictures are rendered. Each wish is worked on piece by piece; between
-two pieces the thread looks whether there is a newer one.
+While an object is dragged, requests come faster than they can be rendered. The worker splits each request into chunks
+and checks for a newer request between two chunks.
 """
 
 import threading
@@ -9,48 +9,49 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
-Wish = TypeVar("Wish")
-Piece = TypeVar("Piece")
+Request = TypeVar("Request")
+Chunk = TypeVar("Chunk")
 
 
-class Newest(Generic[Wish, Piece]):
-    """A thread that makes pieces of the newest wish, and runs other jobs in between."""
+class LatestWorker(Generic[Request, Chunk]):
+    """A thread that makes the chunks of the latest request, and runs jobs in between."""
 
     def __init__(
         self,
-        make: Callable[[Wish], Iterator[Piece]],
-        deliver: Callable[[Wish, Piece], None],
-        failed: Callable[[Exception], None],
+        make: Callable[[Request], Iterator[Chunk]],
+        deliver: Callable[[Request, Chunk], None],
+        on_error: Callable[[Exception], None],
     ):
-        """All three are called in the thread; `failed` with whatever the others and jobs raise."""
-        self._make, self._deliver, self._failed = make, deliver, failed
-        self._wish: Wish | None = None
+        """Start the thread; it calls all three, and `on_error` with every exception of the others and of jobs."""
+        self._make, self._deliver, self._on_error = make, deliver, on_error
+        self._latest: Request | None = None
+        self._current: tuple[Request, Iterator[Chunk]] | None = None
         self._jobs: deque[Callable[[], None]] = deque()
         self._changed = threading.Condition()
         self._closed = False
         self._busy = False
-        self._thread = threading.Thread(target=self._work, name="newest", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="latest-worker", daemon=True)
         self._thread.start()
 
-    def wish(self, wish: Wish) -> None:
-        """Begin with this; what was begun before and is not done is dropped."""
+    def request(self, request: Request) -> None:
+        """Start on this request and cancel the previous one."""
         with self._changed:
-            self._wish = wish
+            self._latest = request
             self._changed.notify_all()
 
     def run(self, job: Callable[[], None]) -> None:
-        """Run something in the same thread as soon as a piece is done; jobs are never dropped."""
+        """Run a job in the thread after the current chunk; jobs are never cancelled."""
         with self._changed:
             self._jobs.append(job)
             self._changed.notify_all()
 
     def wait(self, seconds: float) -> bool:
-        """Wait until nothing is left to do, and say whether that came to be."""
+        """Wait until the thread is idle; false if that takes longer."""
         with self._changed:
-            return self._changed.wait_for(lambda: not (self._busy or self._is_overtaken()), seconds)
+            return self._changed.wait_for(lambda: not (self._busy or self._has_work()), seconds)
 
     def close(self) -> None:
-        """End the thread once its piece is done; wishes and jobs that are left are dropped."""
+        """End the thread after the current chunk, and drop all other work."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -58,38 +59,36 @@ class Newest(Generic[Wish, Piece]):
             self._thread.join()
 
     def _work(self) -> None:
-        while (task := self._next()) is not None:
+        while (step := self._next_step()) is not None:
             try:
-                task()
+                step()
             except Exception as error:
-                self._failed(error)
+                self._on_error(error)
 
-    def _next(self) -> Callable[[], None] | None:
-        """A job, or to work on the wish; None to end."""
+    def _next_step(self) -> Callable[[], None] | None:
+        """Wait for a job, a request or the next chunk, in this order of priority; None to end."""
         with self._changed:
             self._busy = False
             self._changed.notify_all()
-            self._changed.wait_for(self._is_overtaken)
+            self._changed.wait_for(self._has_work)
+            self._busy = True
             if self._closed:
                 return None
-            self._busy = True
             if self._jobs:
                 return self._jobs.popleft()
-            wish, self._wish = self._wish, None
-            assert wish is not None
-            return lambda: self._fulfil(wish)
+            if self._latest is not None:
+                self._current, self._latest = (self._latest, self._make(self._latest)), None
+            return self._advance
 
-    def _fulfil(self, wish: Wish) -> None:
-        for piece in self._make(wish):
-            self._deliver(wish, piece)
-            while job := self._next_job():
-                job()
-            if self._is_overtaken():
-                return
+    def _advance(self) -> None:
+        """Make and deliver the next chunk; after an error or the last chunk, the request is done."""
+        assert self._current is not None
+        request, chunks = self._current
+        self._current = None
+        for chunk in chunks:
+            self._deliver(request, chunk)
+            self._current = request, chunks
+            return
 
-    def _next_job(self) -> Callable[[], None] | None:
-        with self._changed:
-            return self._jobs.popleft() if self._jobs else None
-
-    def _is_overtaken(self) -> bool:
-        return self._wish is not None or bool(self._jobs) or self._closed
+    def _has_work(self) -> bool:
+        return self._closed or bool(self._jobs) or self._latest is not None or self._current is not None

@@ -1,4 +1,4 @@
-"""What the cameras saw, as points that belong to the inferred objects."""
+"""Observed surface points, each assigned to an inferred object."""
 
 from dataclasses import dataclass
 
@@ -22,12 +22,12 @@ class Cloud:
 
     points: Float32[np.ndarray, "point 3"]
     colours: UInt8[np.ndarray, "point 3"]
-    """sRGB, as seen."""
+    """Observed colours, sRGB."""
 
 
 @torch.no_grad()
 def observed_clouds(renderer: Renderer, scene: Scene, frame: int, clip: Observation) -> dict[int, Cloud]:
-    """The points of all views of one frame, by the inferred object that each belongs to; 0 is the background.
+    """Unproject all views of one frame, and group the points by inferred object; 0 is the background.
 
     Object frames have their origin in the middle of the object's box.
     """
@@ -43,7 +43,7 @@ def observed_clouds(renderer: Renderer, scene: Scene, frame: int, clip: Observat
 
 
 def owners(components: list[Component], points: Float[Tensor, "point 3"], floor: float | None) -> Int[Tensor, "point"]:
-    """The component that is densest at each world point, as images are segmented (paper, section Decoder)."""
+    """Index of the densest component at each world point, as in segmentation (paper, section Decoder)."""
     logits = points.new_full((len(components), len(points)), OUTSIDE)
     for place, component in enumerate(components):
         at = in_box(component, points)
@@ -56,13 +56,13 @@ def owners(components: list[Component], points: Float[Tensor, "point 3"], floor:
 
 
 def slot_colour(name: int) -> tuple[int, int, int]:
-    """Colour of an object's name, as in the pictures."""
+    """Colour of an object's name, as in pictures of segmentations."""
     r, g, b = PALETTE[1 + (name - 1) % (len(PALETTE) - 1)].tolist()
     return r, g, b
 
 
 def tinted(cloud: Cloud, name: int) -> UInt8[np.ndarray, "point 3"]:
-    """The colours as seen, mixed with that of an object's name."""
+    """Mix the observed colours with the colour of an object's name."""
     mixed = (1 - TINT) * cloud.colours + TINT * np.array(slot_colour(name))
     return mixed.astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""State of an editing session: a scene, its earlier versions and the current selection, independent of the page."""
+"""Editing session: a scene, its earlier versions and the current selection, independent of the page."""
 
 import math
 from collections import deque
@@ -22,12 +22,12 @@ _DIRECTIONS, _ASIDE = 8, 0.75
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """A scene, the origin of its objects, and the hidden ones."""
+    """A scene, the sources of its objects, and the hidden ones."""
 
     scene: Scene
-    seen_as: Mapping[int, int] | None
-    """For each object, the object of the input that it is or was copied from; None if the scene is not of the input."""
-    began: Scene
+    sources: Mapping[int, int] | None
+    """For each object, the inferred object that it is or was copied from; None if the scene has no input."""
+    unedited: Scene
     """Scene before all edits. In versions that share it, equal names mean the same object."""
     title: str = ""
     """Source of the scene: dataset, saved scene or sample, as shown in the title."""
@@ -39,7 +39,7 @@ class Session:
 
     def __init__(self, scene: Scene, model: ObPose, title: str = ""):
         """Start a session; the model determines the workspace bounds and the box size."""
-        self.version = Version(scene, {name: name for name in scene.ids}, began=scene, title=title)
+        self.version = Version(scene, {name: name for name in scene.ids}, unedited=scene, title=title)
         self.selected: int | None = None
         self.frame = 0
         self.view = 0
@@ -83,12 +83,17 @@ class Session:
         self.drop()
         self.selected = name
 
+    def toggle(self, name: int) -> None:
+        """Select an object, or release it if it is selected."""
+        self.select(None if self.selected == name else name)
+
     def go_to_frame(self, frame: int) -> None:
         """Show another frame; a drag in progress ends."""
-        self.drop()
-        self.frame = min(max(frame, 0), self.scene.frames - 1)
+        if frame != self.frame:
+            self.drop()
+            self.frame = min(max(frame, 0), self.scene.frames - 1)
 
-    def look(self, view: int) -> None:
+    def go_to_view(self, view: int) -> None:
         """Render from another of the scene's cameras."""
         self.view = min(max(view, 0), len(self.scene.cameras) - 1)
 
@@ -112,10 +117,10 @@ class Session:
     def duplicate(self, name: int) -> None:
         """Put a copy beside an object, on the side with the most room, and select it."""
         copied = edit.duplicate(self.scene, name, self._beside(name))
-        seen_as = self.version.seen_as
-        if seen_as is not None and name in seen_as:
-            seen_as = {**seen_as, copied.ids[-1]: seen_as[name]}
-        self._become(replace(self.version, scene=copied, seen_as=seen_as))
+        sources = self.version.sources
+        if sources is not None and name in sources:
+            sources = {**sources, copied.ids[-1]: sources[name]}
+        self._become(replace(self.version, scene=copied, sources=sources))
         self.select(copied.ids[-1])
 
     def grab(self) -> None:
@@ -145,8 +150,8 @@ class Session:
         self._grabbed = None
 
     def replace(self, scene: Scene, title: str = "") -> None:
-        """Switch to another scene of the same model that is not of the input."""
-        self._become(Version(scene, None, began=scene, title=title))
+        """Switch to another scene of the same model, without input."""
+        self._become(Version(scene, None, unedited=scene, title=title))
         self.selected = None
 
     def fit(self, scene: Scene) -> None:
@@ -158,7 +163,7 @@ class Session:
         self.drop()
         if self._past:
             past = self._past.pop()
-            if past.began is self.version.began:
+            if past.unedited is self.version.unedited:
                 gone = frozenset(past.scene.ids) - frozenset(self.scene.ids)
                 past = replace(past, hidden=(past.hidden & gone) | (self.hidden & frozenset(past.scene.ids)))
             self.version = past

@@ -64,7 +64,7 @@ def _view(arguments: list[str]) -> int:
     import tyro
 
     from obpose.commands.view import PROGRAM, Arguments
-    from obpose.viewer.opening import open_path
+    from obpose.viewer.scene_io import open_path
 
     def run() -> int:
         values = tyro.cli(Arguments, args=arguments)

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from obpose.data.clips import observation_of
-from obpose.pictures import COLUMNS, HEADER, PALETTE, box_edges, draw, reconstruct, tint, write_picture
+from obpose.pictures import COLUMNS, GAP, HEADER, MARGIN, PALETTE, box_edges, draw, reconstruct, tint, write_picture
 from obpose.types import Boxes, Decoded
 from tests.obpose.toy import SIZE, SLOTS, ToyClips, ToyModel, toy_config
 
@@ -16,7 +16,7 @@ FACTOR = 24
 
 
 class Painted(ToyModel):
-    """Reconstructs a red background."""
+    """A toy model that reconstructs a red background."""
 
     def decode(self, inference, points, directions, colours):
         logits = torch.full((*points.shape[:2], 1 + SLOTS, points.shape[2]), -1e4)
@@ -32,24 +32,30 @@ def clips(views: int = 1):
 
 def tile(picture: np.ndarray, row: int, column: int) -> np.ndarray:
     side = SIZE * FACTOR
-    return picture[HEADER + row * side : HEADER + (row + 1) * side, column * side : (column + 1) * side]
+    top, left = HEADER + row * (side + GAP), MARGIN + column * (side + GAP)
+    return picture[top : top + side, left : left + side]
 
 
-def test_there_is_a_row_for_first_and_last_frame_and_a_column_for_each_kind():
+def size(rows: int, columns: int) -> tuple[int, int]:
+    """Height and width of a picture."""
+    return HEADER + rows * (SIZE * FACTOR + GAP), MARGIN + columns * (SIZE * FACTOR + GAP)
+
+
+def test_rows_are_first_and_last_frames_and_columns_are_outputs():
     picture = draw(Painted(toy_config()), clips())
-    assert picture.shape == (HEADER + 4 * SIZE * FACTOR, len(COLUMNS) * SIZE * FACTOR, 3)
+    assert picture.shape == (*size(4, len(COLUMNS)), 3)
     expected = (clips().rgb[1, 2, 0].numpy() * 255 + 0.5).astype(np.uint8)
     np.testing.assert_array_equal(tile(picture, 3, 0)[::FACTOR, ::FACTOR], expected)
-    np.testing.assert_array_equal(tile(picture, 3, 1), tile(picture, 3, 0))  # its attention sees nothing
+    np.testing.assert_array_equal(tile(picture, 3, 1), tile(picture, 3, 0))  # its attention masks are empty
     assert (tile(picture, 0, 3) == (255, 0, 0)).all()
 
 
 def test_a_model_without_colours_is_drawn_without_a_reconstruction():
     picture = draw(ToyModel(toy_config()), clips())
-    assert picture.shape[1] == (len(COLUMNS) - 1) * SIZE * FACTOR
+    assert picture.shape == (*size(4, len(COLUMNS) - 1), 3)
 
 
-def test_nothing_is_reconstructed_where_nothing_was_seen():
+def test_pixels_without_depth_are_black_in_reconstructions():
     seen = clips()
     valid = seen.valid.clone()
     valid[..., :4, :] = False
@@ -60,13 +66,13 @@ def test_nothing_is_reconstructed_where_nothing_was_seen():
     torch.testing.assert_close(colours[..., 4:, :, 0], torch.ones(2, 3, 1, 4, SIZE))
 
 
-def test_labels_tint_objects_and_leave_the_background():
+def test_labels_tint_objects_only():
     image = np.full((2, 3, 3), 100, np.uint8)
     labels = np.array([[0, 1, 2], [0, len(PALETTE), 0]])
     tinted = tint(image, labels)
     assert (tinted[labels == 0] == 100).all()
     assert len({tuple(tinted[0, 1]), tuple(tinted[0, 2]), (100, 100, 100)}) == 3
-    assert tuple(tinted[1, 1]) == tuple(tinted[0, 1])  # colours begin again
+    assert tuple(tinted[1, 1]) == tuple(tinted[0, 1])  # colours repeat
 
 
 def test_boxes_have_twelve_edges_of_their_size():
@@ -81,10 +87,10 @@ def test_boxes_have_twelve_edges_of_their_size():
 
 
 @pytest.mark.parametrize("views", ["all", "separate"])
-def test_a_picture_is_written_and_the_model_trains_on(tmp_path: Path, views):
+def test_a_picture_is_written_and_the_model_returns_to_training(tmp_path: Path, views):
     model = Painted(toy_config()).train()
     write_picture(tmp_path / "new" / "a.png", model, clips(views=2), views)
     picture = Image.open(io.BytesIO((tmp_path / "new" / "a.png").read_bytes()))
     rows = 4 if views == "all" else 8
-    assert picture.size == (len(COLUMNS) * SIZE * FACTOR, HEADER + rows * SIZE * FACTOR)
+    assert picture.size == size(rows, len(COLUMNS))[::-1]
     assert model.training

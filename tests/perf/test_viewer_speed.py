@@ -1,4 +1,4 @@
-"""The viewer without a browser: from the command to the first picture, and from a step of a drag to its picture."""
+"""Latency of the viewer without a browser: of the first picture, and of the preview of one step of a drag."""
 
 import json
 import subprocess
@@ -7,43 +7,44 @@ import time
 from pathlib import Path
 from statistics import median
 
-from tests.obpose.viewer.test_page import free_port
+from tests.obpose.viewer.driving import free_port
 
 GOAL_FIRST, GOAL_PREVIEW = 5.0, 0.5
 STEPS = 8
 
-# In a process of its own, as imports are part of what is waited for.
+# A separate process, because imports are part of the latency.
 CHILD = """
 import json, sys, threading, time
 from pathlib import Path
 import torch
 from obpose.commands.view import Arguments, serve
 from obpose.viewer.panel import Panel
+from obpose.viewer.session import Session
 
-shown, put = threading.Event(), Panel.put_picture
+shown, show_picture = threading.Event(), Panel.show_picture
 
-def put_and_tell(panel, picture, note):
-    put(panel, picture, note)
+def show_and_signal(panel, image, observed):
+    show_picture(panel, image, observed)
     shown.set()
 
-Panel.put_picture = put_and_tell
+Panel.show_picture = show_and_signal
 page = serve(Arguments(Path(sys.argv[1]), port=int(sys.argv[2])))
 shown.wait()
 first = time.process_time(), time.monotonic() - float(sys.argv[4])
-page.work.wait(120.0)
+page.worker.wait(120.0)
 session = page.session
-page.events.select(session.scene.ids[0])
+page.edit(lambda session: session.select(session.scene.ids[0]))
 at = session.scene.center[0, 0].clone()
-page.events.drag("start", at, torch.eye(3))
+page.edit(Session.grab)
 steps = []
 for step in range(int(sys.argv[3])):
     shown.clear()
     begin, clock = time.process_time(), time.monotonic()
     at[0] += 0.01
-    page.events.drag("update", at, torch.eye(3))
+    page.edit(lambda session: session.drag(at, torch.eye(3)))
     shown.wait()
     steps.append((time.process_time() - begin, time.monotonic() - clock))
-    page.work.wait(120.0)
+    page.worker.wait(120.0)
 page.close()
 print(json.dumps([len(session.scene.ids), first, steps]))
 """

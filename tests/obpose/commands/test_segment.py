@@ -7,7 +7,6 @@ import pytest
 import torch
 from PIL import Image
 
-import assets
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
 from obpose.commands.segment import main
 from obpose.data.clips import ArrayClips
@@ -22,7 +21,7 @@ WIDTH, HEIGHT, FRAMES = 32, 24, 2
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Frames on disk, and a model that was measured on them; untrained, but that it expects objects everywhere."""
+    """Frames on disk, and an untrained model with their statistics that finds objects everywhere."""
     folder = tmp_path_factory.mktemp("scene")
     clip = clip_and_truth(frames=FRAMES, resolution=(WIDTH, HEIGHT))[0]
     for kind, images in (("rgb", clip.rgb), ("depth", (clip.depth * 1000).round().astype(np.uint16))):
@@ -72,7 +71,7 @@ def test_frames_become_labels_overlays_and_poses(scene: Path, tmp_path: Path, ca
     assert str(tmp_path / "objects.json") in shown
 
 
-def test_without_a_pose_the_world_stands_on_the_table_and_says_so(scene: Path, tmp_path: Path, capsys):
+def test_without_a_pose_the_world_stands_on_the_table(scene: Path, tmp_path: Path, capsys):
     assert run(scene, tmp_path) == EXIT_OK
     assert "stands on the largest plane" in str(facts_of(tmp_path)["world"])
     assert "stands on the largest plane" in capsys.readouterr().out
@@ -80,7 +79,7 @@ def test_without_a_pose_the_world_stands_on_the_table_and_says_so(scene: Path, t
     assert height == pytest.approx(np.loadtxt(scene / "pose.txt")[2, 3], abs=0.01)
 
 
-def test_another_resolution_is_allowed_and_said(scene: Path, tmp_path: Path):
+def test_another_resolution_is_allowed_and_noted(scene: Path, tmp_path: Path):
     assert run(scene, tmp_path, "--every", 2) == EXIT_OK
     facts = facts_of(tmp_path)
     assert "was not trained for this" in str(facts["resolution"])
@@ -90,7 +89,7 @@ def test_another_resolution_is_allowed_and_said(scene: Path, tmp_path: Path):
     np.testing.assert_array_equal(labels[:, ::2], labels[:, 1::2])
 
 
-def test_a_finer_one_is_told_which_pixels_to_take(scene: Path, tmp_path: Path):
+def test_a_finer_resolution_gets_a_recommendation(scene: Path, tmp_path: Path):
     clip = clip_and_truth(frames=1, resolution=(3 * WIDTH, 3 * HEIGHT))[0]
     Image.fromarray(clip.rgb[0, 0]).save(tmp_path / "a.png")
     np.save(tmp_path / "d.npy", clip.depth[0, 0])
@@ -106,14 +105,14 @@ def test_a_finer_one_is_told_which_pixels_to_take(scene: Path, tmp_path: Path):
         assert "--every 3 comes near" in str(facts_of(tmp_path / f"{every}")["resolution"])
 
 
-def test_depth_of_another_unit_is_suspected(scene: Path, tmp_path: Path):
+def test_a_wrong_unit_of_depth_is_suspected(scene: Path, tmp_path: Path):
     assert run(scene, tmp_path / "out", "--depth-scale", 0.01) == EXIT_OK
     assert "is --depth-scale right?" in str(facts_of(tmp_path / "out")["resolution"])
     assert run(scene, tmp_path / "right", "--every", 2) == EXIT_OK
     assert "--depth-scale" not in str(facts_of(tmp_path / "right")["resolution"])
 
 
-def test_a_world_elsewhere_is_pointed_out(scene: Path, tmp_path: Path):
+def test_a_displaced_world_is_noted(scene: Path, tmp_path: Path):
     pose = np.loadtxt(scene / "pose.txt")
     pose[0, 3] += 5
     np.savetxt(tmp_path / "pose.txt", pose)
@@ -121,10 +120,9 @@ def test_a_world_elsewhere_is_pointed_out(scene: Path, tmp_path: Path):
     assert "the middle of the table in view lies at (5.0" in str(facts_of(tmp_path / "out")["world"])
 
 
-def test_weights_that_ship_go_by_their_name(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (tmp_path / "obpose--table--32x24").symlink_to(scene / "model")
-    monkeypatch.setattr(assets, "CHECKPOINTS", tmp_path)
-    assert run(scene, tmp_path / "out", checkpoint="obpose--table--32x24") == EXIT_OK
+def test_shipped_weights_are_given_by_their_name(scene: Path, tmp_path: Path):
+    assert run(scene, tmp_path / "out", checkpoint="obpose--moving--64x64") == EXIT_OK
+    assert facts_of(tmp_path / "out")["checkpoint"] == "obpose--moving--64x64"
 
 
 @pytest.mark.parametrize(
@@ -145,7 +143,7 @@ def test_weights_that_ship_go_by_their_name(scene: Path, tmp_path: Path, monkeyp
         ({}, ("--camera-pose", "nowhere.txt"), EXIT_USAGE, "nowhere.txt does not exist"),
     ],
 )
-def test_bad_requests_get_one_line(scene: Path, tmp_path: Path, capsys, changes, flags, code: int, message: str):
+def test_bad_requests_end_with_one_line(scene: Path, tmp_path: Path, capsys, changes, flags, code: int, message: str):
     places = {name: value.format(scene=scene) for name, value in changes.items()}
     assert run(scene, tmp_path / "out", *flags, **places) == code
     errors = capsys.readouterr().err
@@ -181,7 +179,7 @@ def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path:
     np.testing.assert_allclose(place("wall", 6000), without, atol=0.02)
 
 
-def test_what_is_in_the_folder_already_is_left_alone(scene: Path, tmp_path: Path, capsys):
+def test_an_existing_folder_is_left_alone(scene: Path, tmp_path: Path, capsys):
     (tmp_path / "objects.json").write_text("mine")
     assert run(scene, tmp_path) == EXIT_USAGE
     assert "already exists and is not empty; give another --out" in capsys.readouterr().err

@@ -43,7 +43,7 @@ def test_equal_numbers_are_in_the_order_of_their_names():
     assert sort_frames(files("1 01 001")) == files("001 01 1")
 
 
-def test_what_systems_leave_in_folders_is_no_frame(tmp_path: Path):
+def test_system_files_and_folders_are_not_frames(tmp_path: Path):
     for name in ("0.png", "1.PNG", "._0.png", ".1.png", ".DS_Store", "Thumbs.db", "desktop.ini", "0.png~", "a.txt"):
         (tmp_path / name).touch()
     for name in ("2.png", "__MACOSX"):
@@ -64,7 +64,7 @@ def test_a_frame_that_is_a_broken_link_is_named(tmp_path: Path):
         list_frames([tmp_path], [".png"], "--rgb")
 
 
-def test_a_pipe_is_not_left_out_silently(tmp_path: Path):
+def test_a_pipe_is_not_skipped_silently(tmp_path: Path):
     os.mkfifo(tmp_path / "0.png")
     assert list_frames([tmp_path], [".png"], "--rgb") == [tmp_path / "0.png"]
 
@@ -81,7 +81,7 @@ def test_a_pipe_is_not_left_out_silently(tmp_path: Path):
         ("1 2 3 4 5", "5 6 7 8 9"),
     ],
 )
-def test_pairs_of_one_frame_are_let_through(colours: str, depths: str):
+def test_matching_pairs_are_accepted(colours: str, depths: str):
     check_pairs(files(colours, "rgb"), files(depths, "depth"))
 
 

@@ -9,8 +9,7 @@ from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
 from obpose.model.obpose import ObPose
-from obpose.rgbd.frames import _given_note, _middle_of_table
-from obpose.rgbd.world import GIVEN
+from obpose.rgbd.frames import GIVEN, table_middle, world_note
 from obpose.types import Observation
 from obpose.variants import make_config
 from tests.worlds.sphere_clips import clip_and_truth
@@ -20,12 +19,12 @@ CLIP = clip_and_truth(frames=1, resolution=(32, 24))[0]
 
 @pytest.fixture(scope="module")
 def model() -> ObPose:
-    """Measured on the clip."""
+    """Untrained model with the statistics of the clip."""
     return build_obpose(make_config("obpose", **measure_scene(ArrayClips([CLIP])).changes()))
 
 
-def seen(pose: np.ndarray) -> Observation:
-    """The clip in a world that was moved."""
+def observed(pose: np.ndarray) -> Observation:
+    """Observe the clip in a moved world."""
     values = (CLIP.rgb / 255, CLIP.depth, CLIP.k, pose @ CLIP.world_from_camera)
     rgb, depth, k, world_from_camera = (torch.from_numpy(np.asarray(value, np.float32))[None] for value in values)
     return Observation(
@@ -34,34 +33,34 @@ def seen(pose: np.ndarray) -> Observation:
 
 
 def moved(x: float = 0.0, z: float = 0.0, degrees: float = 0.0) -> np.ndarray:
-    """world_from_world, turned about x by some degrees."""
+    """Make a world_from_world transform, rotated about x."""
     pose, angle = np.eye(4), np.radians(degrees)
     pose[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     pose[0, 3], pose[2, 3] = x, z
     return pose
 
 
-def test_nothing_is_said_of_the_world_of_the_training(model: ObPose):
-    assert _given_note(seen(moved()), model) == GIVEN
-    assert _given_note(seen(moved(x=0.05, z=0.01)), model) == GIVEN
+def test_the_world_of_the_training_needs_no_warning(model: ObPose):
+    assert world_note(observed(moved()), model) == GIVEN
+    assert world_note(observed(moved(x=0.05, z=0.01)), model) == GIVEN
 
 
 def test_a_wall_behind_the_table_is_not_taken_for_it(model: ObPose):
-    observation = seen(moved())
+    observation = observed(moved())
     wall = torch.arange(24)[:, None] < 16
     far = replace(observation, depth=observation.depth.masked_fill(wall, 6), valid=observation.valid | wall)
-    assert _given_note(far, model) == GIVEN
+    assert world_note(far, model) == GIVEN
 
 
 @pytest.mark.parametrize(
     ("center", "middle"),
     [((-0.12, 0.0, 0.07), (0.0, 0.0, 0.0)), ((0.6, -2.0, 0.1), (0.35, -1.75, 0.0))],
 )
-def test_the_table_s_middle_is_the_origin_of_worlds_that_have_it_in_view(
+def test_the_table_middle_is_the_origin_if_that_is_in_the_workspace(
     model: ObPose, center: tuple[float, float, float], middle: tuple[float, float, float]
 ):
     config = override(model.config, {"model.workspace_center": center, "model.workspace_size": 1.0})
-    assert _middle_of_table(build_obpose(config)) == pytest.approx(middle)
+    assert table_middle(build_obpose(config)) == pytest.approx(middle)
 
 
 @pytest.mark.parametrize(
@@ -74,8 +73,8 @@ def test_the_table_s_middle_is_the_origin_of_worlds_that_have_it_in_view(
         (moved(degrees=30), "the table in view is tilted by 30 degrees"),
     ],
 )
-def test_what_is_wrong_with_another_world_is_said(model: ObPose, pose: np.ndarray, said: str):
-    note = _given_note(seen(pose), model)
+def test_faults_of_another_world_are_named(model: ObPose, pose: np.ndarray, said: str):
+    note = world_note(observed(pose), model)
     assert note.startswith(GIVEN)
     assert said in note
     assert note.endswith("results may be poor")

@@ -21,7 +21,7 @@ def save(folder: Path, name: str, image: Image.Image | np.ndarray, **options: ob
 
 
 def png(width: int, height: int, bits: int, kind: int, data: bytes = b"") -> bytes:
-    """A PNG file; without data its pixels are missing."""
+    """Make a PNG file; without data its pixels are missing."""
     chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)), (b"IDAT", zlib.compress(data))]
     parts = (
         struct.pack(">I", len(body)) + tag + body + struct.pack(">I", zlib.crc32(tag + body)) for tag, body in chunks
@@ -37,13 +37,13 @@ def turned(orientation: int) -> Image.Exif:
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif"])
 @pytest.mark.parametrize("alpha", [255, 0])
-def test_an_alpha_channel_that_says_nothing_is_left_out(tmp_path: Path, name: str, alpha: int):
+def test_a_uniform_alpha_channel_is_ignored(tmp_path: Path, name: str, alpha: int):
     path = save(tmp_path, name, Image.new("RGBA", SIZE, (*RGB, alpha)))
     assert colour_size(path) == SIZE
     assert (read_colour(path) == RGB).all()
 
 
-def test_other_ways_to_store_colours_are_read(tmp_path: Path):
+def test_other_colour_modes_are_read(tmp_path: Path):
     plain = Image.new("RGB", SIZE, RGB)
     assert (read_colour(save(tmp_path, "p.png", plain.quantize(8))) == RGB).all()
     assert (read_colour(save(tmp_path, "l.png", Image.new("L", SIZE, 77))) == 77).all()
@@ -61,13 +61,13 @@ def half_transparent(mode: str) -> Image.Image:
 
 
 @pytest.mark.parametrize("mode", ["RGBA", "LA", "PA"])
-def test_colours_of_transparent_parts_are_unknown(tmp_path: Path, mode: str):
+def test_partly_transparent_images_are_refused(tmp_path: Path, mode: str):
     path = save(tmp_path, "a.tif" if mode == "PA" else "a.png", half_transparent(mode))
     with pytest.raises(UsageError, match=r"a\.(png|tif) has transparent parts"):
         read_colour(path)
 
 
-def test_a_transparent_entry_of_a_palette_counts(tmp_path: Path):
+def test_a_transparent_palette_entry_is_refused(tmp_path: Path):
     values = np.zeros(SIZE[::-1], np.uint8)
     values[:2] = 1
     image = Image.fromarray(values)
@@ -86,21 +86,21 @@ def test_a_transparent_entry_of_a_palette_counts(tmp_path: Path):
         ("a.tif", Image.new("F", SIZE), "no colour image"),
     ],
 )
-def test_what_is_no_colour_image_is_refused_by_its_header(tmp_path: Path, name: str, image: Image.Image, said: str):
+def test_other_modes_are_no_colour_images(tmp_path: Path, name: str, image: Image.Image, said: str):
     with pytest.raises(UsageError, match=said):
         colour_size(save(tmp_path, name, image))
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif"])
 @pytest.mark.parametrize("orientation", [2, 3, 6, 8])
-def test_images_that_are_to_be_turned_are_refused(tmp_path: Path, name: str, orientation: int):
+def test_rotated_images_are_refused(tmp_path: Path, name: str, orientation: int):
     path = save(tmp_path, name, Image.new("RGB", SIZE, RGB), exif=turned(orientation))
-    with pytest.raises(UsageError, match=rf"turned or mirrored \(EXIF orientation {orientation}\)"):
+    with pytest.raises(UsageError, match=rf"rotated or mirrored \(EXIF orientation {orientation}\)"):
         _ = colour_size(path), read_colour(path)
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif"])
-def test_depth_that_is_to_be_turned_is_refused(tmp_path: Path, name: str):
+def test_rotated_depth_is_refused(tmp_path: Path, name: str):
     path = save(tmp_path, name, np.full(SIZE[::-1], 1000, np.uint16), exif=turned(6))
     with pytest.raises(UsageError, match="EXIF orientation 6"):
         _ = depth_size(path), read_depth(path, 0.001)
@@ -132,7 +132,7 @@ def test_both_byte_orders_are_read(tmp_path: Path, order: str):
 
 
 def tiff(path: Path, values: np.ndarray) -> None:
-    """An uncompressed TIFF of one channel, as other programs write it, in the byte order of the values."""
+    """Write an uncompressed TIFF with one channel, in the byte order of the values."""
     order = values.dtype.str[0]
     order = order if order in "<>" else "<"
     height, width = values.shape
@@ -155,7 +155,7 @@ STORED = [("u2", 65535), ("i2", 32767), ("i4", 2**31 - 1), ("u4", 2**32 - 1), ("
     ("ending", "dtype", "largest"),
     [*((".tif", *each) for each in STORED), *((".npy", *each) for each in [*STORED, ("u1", 255), ("i8", 65535)])],
 )
-def test_the_largest_value_of_the_type_is_no_depth(tmp_path: Path, ending: str, dtype: str, largest: int):
+def test_the_largest_value_of_the_type_is_missing_depth(tmp_path: Path, ending: str, dtype: str, largest: int):
     values = np.full(SIZE[::-1], 100, dtype)
     values[0, :2] = largest, largest - 1
     path = tmp_path / f"a{ending}"
@@ -167,12 +167,12 @@ def test_the_largest_value_of_the_type_is_no_depth(tmp_path: Path, ending: str, 
         assert found[0, 1] == pytest.approx(largest - 1)
 
 
-def test_the_largest_value_of_a_png_is_no_depth(tmp_path: Path):
+def test_the_largest_value_of_a_png_is_missing_depth(tmp_path: Path):
     values = np.array([[65535, 65534, 32767, 0]], np.uint16)
     np.testing.assert_allclose(read_depth(save(tmp_path, "a.png", values), 0.001), [[0, 65.534, 32.767, 0]])
 
 
-def test_floats_that_are_no_depths_are_none(tmp_path: Path):
+def test_invalid_floats_are_missing_depth(tmp_path: Path):
     values = np.array([[np.nan, np.inf, -np.inf, -1, 1e300, 1.5]])
     np.save(tmp_path / "a.npy", values)
     np.testing.assert_array_equal(read_depth(tmp_path / "a.npy", 0.001), [[0, 0, 0, 0, 0, 1.5]])
@@ -188,19 +188,19 @@ def test_floats_that_are_no_depths_are_none(tmp_path: Path):
         ("a.tif", Image.new("RGBA", SIZE), "mode RGBA"),
     ],
 )
-def test_what_is_no_depth_image_is_refused_by_its_header(tmp_path: Path, name: str, image: Image.Image, said: str):
+def test_other_modes_are_no_depth_images(tmp_path: Path, name: str, image: Image.Image, said: str):
     with pytest.raises(UsageError, match=said):
         depth_size(save(tmp_path, name, image))
 
 
 @pytest.mark.parametrize("values", [np.ones((2, 3, 1)), np.ones(3), np.ones((2, 3), bool), np.ones((2, 3), complex)])
-def test_what_is_no_depth_array_is_refused_by_its_header(tmp_path: Path, values: np.ndarray):
+def test_other_arrays_are_no_depth(tmp_path: Path, values: np.ndarray):
     np.save(tmp_path / "a.npy", values)
     with pytest.raises(UsageError, match=r"holds no depth: it has shape .* and type"):
         depth_size(tmp_path / "a.npy")
 
 
-def test_sizes_are_known_without_the_pixels(tmp_path: Path):
+def test_sizes_come_from_the_headers(tmp_path: Path):
     (tmp_path / "rgb.png").write_bytes(png(5000, 4000, 8, 2))
     (tmp_path / "depth.png").write_bytes(png(5000, 4000, 16, 0))
     with (tmp_path / "depth.npy").open("wb") as file:
@@ -212,7 +212,7 @@ def test_sizes_are_known_without_the_pixels(tmp_path: Path):
             read(tmp_path / name)
 
 
-def test_images_that_are_too_large_are_refused_by_their_headers(tmp_path: Path):
+def test_too_large_images_are_refused_by_their_headers(tmp_path: Path):
     (tmp_path / "rgb.png").write_bytes(png(12_000, 12_000, 8, 2))
     with pytest.raises(CorruptFile, match=r"12000 x 12000 pixels; expected at most 40,000,000"):
         colour_size(tmp_path / "rgb.png")
@@ -226,7 +226,7 @@ def test_a_pipe_does_not_hang(tmp_path: Path, size_of, name: str):
         size_of(tmp_path / name)
 
 
-def test_damaged_metadata_are_no_reason_to_warn(tmp_path: Path):
+def test_damaged_metadata_cause_no_warning(tmp_path: Path):
     path = save(tmp_path, "a.jpg", Image.new("RGB", SIZE, RGB), exif=b"Exif\0\0II*\0\x08\0\0\0\x01\0")
     assert colour_size(path) == SIZE
     assert read_colour(path).shape == (*SIZE[::-1], 3)

@@ -13,7 +13,6 @@ from obpose.model.obpose import ObPose
 from obpose.scenes import edit
 from obpose.scenes.meshes import object_mesh, write_mesh
 from obpose.scenes.scene import Scene
-from obpose.viewer.shapes import Shapes
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.scenes.small_scenes import some_model, some_scene
 
@@ -70,15 +69,6 @@ def test_meshes_have_the_details_of_their_object():
     assert half.volume == pytest.approx(0.2**3 / 2, rel=0.1)
     assert np.abs(np.asarray(whole.visual.vertex_colors)[:, :3].astype(int) - 128).max() <= 1
     assert np.unique(half.visual.vertex_colors, axis=0).tolist() == [[255, 0, 0, 255]]
-
-
-def test_the_viewer_s_shapes_are_remembered_with_their_details():
-    model, scene = cubes()
-    shapes = Shapes(model)
-    plain = replace(scene, detail=torch.zeros_like(scene.detail))
-    first, other = shapes.of(plain, 0, 2), shapes.of(scene, 0, 2)
-    assert first != other
-    assert shapes.of(plain, 0, 2) is first
 
 
 @pytest.mark.parametrize("name", ["ball.ply", "ball.glb"])

@@ -1,5 +1,6 @@
-"""A person at the page: presses its buttons, turns the view, and drags the gizmo, in a browser."""
+"""A simulated user of the page: presses its buttons, turns the view, and drags the gizmo, in a browser."""
 
+import socket
 import time
 from collections.abc import Callable
 
@@ -17,26 +18,33 @@ ARC = 0.65
 """Radius of viser's arcs, in the scale of the gizmo."""
 
 
-class Person:
-    """Whoever looks at the first tab that opened the page."""
+def free_port() -> int:
+    """A port of this machine that no process uses."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class User:
+    """User of the first tab that opened the page."""
 
     def __init__(self, tab: Tab, page: Page):
         self.tab, self.page = tab, page
         tab.wait(SHOWN, seconds=240)
-        # viser says that there is no graphics card.
+        # Close viser's notification about the missing graphics card.
         tab.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(found => found.click())")
-        wait_until(lambda: page.server.get_clients(), seconds=60, what="the page to tell of its camera")
+        wait_until(lambda: page.server.get_clients(), seconds=60, what="the page to report its camera")
         self.settle()
         time.sleep(3.0)  # viser fades in
 
     def settle(self) -> None:
-        """Wait until everything is rendered, and shown."""
-        time.sleep(1.0)  # until the page has told what was pressed
-        assert self.page.work.wait(240.0)
+        """Wait until everything is rendered and displayed."""
+        time.sleep(1.0)  # until the click reaches the server
+        assert self.page.worker.wait(240.0)
         time.sleep(1.0)
 
     def press(self, label: str, place: int = 0) -> None:
-        """Click a button; of several with this label the one at this place."""
+        """Click a button; `place` chooses between several with this label."""
         button = BUTTON.format(label=label, place=place)
         x, y = self.tab.evaluate(
             f"(() => {{ const found = {button}; found.scrollIntoView({{block: 'nearest'}}); "
@@ -45,23 +53,23 @@ class Person:
         self.tab.click(x, y)
 
     def slide(self, share: float) -> None:
-        """Click the first slider, which is that of the frames, so far along."""
+        """Click the slider of frames at this share of its width."""
         box = "document.querySelector('.mantine-Slider-trackContainer').getBoundingClientRect()"
         x, y, width, height = self.tab.evaluate(f"(({{x, y, width, height}}) => [x, y, width, height])({box})")
         self.tab.click(x + share * width, y + height / 2)
 
     def orbit(self, pixels: float, look: Callable[[], None] = lambda: None) -> None:
-        """Turn the view by dragging over the table; `look` is called meanwhile."""
+        """Turn the view by dragging over the table; `look` is called during the drag."""
         x, y, width, height = self.canvas()
         start = (x + 0.25 * width, y + 0.8 * height)
         self.tab.drag(start, (start[0] + pixels, start[1]), look=look)
 
     def drag_gizmo(self, by: tuple[float, float, float], look: Callable[[], None] = lambda: None) -> None:
-        """Take the gizmo by its arrow along an axis of the world and pull it; `look` is called while it is held.
+        """Drag an arrow of the gizmo; `look` is called during the drag.
 
         Args:
-            by: Metres; along one axis.
-            look: What to do meanwhile, such as a screenshot.
+            by: Displacement along one axis of the world, metres.
+            look: Called after each step, for example to take a screenshot.
         """
         gizmo = self.page.server.scene.get_handle_by_name("/gizmo")
         middle, scale = np.array(gizmo.position), gizmo.scale  # pyright: ignore
@@ -70,7 +78,7 @@ class Person:
         self.tab.drag(self.pixel(start), self.pixel(start + np.array(by)), look=look)
 
     def turn_gizmo(self, degrees: float) -> None:
-        """Take the gizmo by its arc around the world's z axis, between x and y, and pull it along as far."""
+        """Drag the gizmo's arc around the world's z axis by an angle."""
         gizmo = self.page.server.scene.get_handle_by_name("/gizmo")
         middle, radius = np.array(gizmo.position), ARC * gizmo.scale  # pyright: ignore
         angles = np.radians([45.0, 45.0 + degrees])
@@ -78,7 +86,7 @@ class Person:
         self.tab.drag(self.pixel(start), self.pixel(end))
 
     def pixel(self, point: np.ndarray) -> tuple[float, float]:
-        """Where a world point is seen, pixels of the page."""
+        """Project a world point to pixels of the page."""
         camera = next(iter(self.page.server.get_clients().values())).camera
         left, top, width, height = self.canvas()
         x, y, z = transforms.SO3(camera.wxyz).inverse().apply(point - camera.position)

@@ -3,20 +3,20 @@ from collections.abc import Iterator
 
 import pytest
 
-from obpose.viewer.latest_worker import Newest
+from obpose.viewer.latest_worker import LatestWorker
 
 
 class Recorder:
-    """Pieces (wish, 0), (wish, 1), ...; each but the first waits until it is let go."""
+    """Makes the chunks (request, 0) to (request, 2); each but the first waits for `go`."""
 
-    def __init__(self, pieces: int = 3):
-        self.pieces, self.delivered, self.errors = pieces, [], []
+    def __init__(self):
+        self.delivered, self.errors = [], []
         self.began, self.go = threading.Event(), threading.Event()
-        self.work = Newest(self.make, lambda wish, piece: self.delivered.append((wish, piece)), self.errors.append)
+        self.worker = LatestWorker(self.make, lambda *chunk: self.delivered.append(chunk), self.errors.append)
 
-    def make(self, wish: str) -> Iterator[int]:
-        for piece in range(self.pieces):
-            yield piece
+    def make(self, _request: str) -> Iterator[int]:
+        for chunk in range(3):
+            yield chunk
             self.began.set()
             assert self.go.wait(10)
 
@@ -26,52 +26,67 @@ def recorder() -> Iterator[Recorder]:
     found = Recorder()
     yield found
     found.go.set()
-    found.work.close()
+    found.worker.close()
 
 
-def test_all_pieces_of_the_only_wish_are_made(recorder: Recorder):
+def test_all_chunks_of_a_single_request_are_made(recorder: Recorder):
     recorder.go.set()
-    recorder.work.wish("a")
-    assert recorder.work.wait(10.0)
+    recorder.worker.request("a")
+    assert recorder.worker.wait(10.0)
     assert recorder.delivered == [("a", 0), ("a", 1), ("a", 2)]
 
 
-def test_of_many_wishes_the_newest_is_worked_on_and_the_others_are_dropped(recorder: Recorder):
-    recorder.work.wish("a")
+def test_only_the_latest_of_many_requests_is_served(recorder: Recorder):
+    recorder.worker.request("a")
     assert recorder.began.wait(10)
-    for wish in "bcd":
-        recorder.work.wish(wish)
+    for request in "bcd":
+        recorder.worker.request(request)
     recorder.go.set()
-    assert recorder.work.wait(10.0)
+    assert recorder.worker.wait(10.0)
     assert recorder.delivered == [("a", 0), ("a", 1), ("d", 0), ("d", 1), ("d", 2)]
 
 
-def test_jobs_run_between_two_pieces_and_are_never_dropped(recorder: Recorder):
-    recorder.work.wish("a")
+def test_jobs_run_between_two_chunks_and_are_never_cancelled(recorder: Recorder):
+    recorder.worker.request("a")
     assert recorder.began.wait(10)
     for job in "xyz":
-        recorder.work.run(lambda job=job: recorder.delivered.append((job, 0)))
+        recorder.worker.run(lambda job=job: recorder.delivered.append((job, 0)))
     recorder.go.set()
-    assert recorder.work.wait(10.0)
-    assert [wish for wish, _ in recorder.delivered] == ["a", "a", "x", "y", "z", "a"]
+    assert recorder.worker.wait(10.0)
+    assert [name for name, _ in recorder.delivered] == ["a", "a", "x", "y", "z", "a"]
 
 
-def test_what_fails_is_told_and_the_next_is_done(recorder: Recorder):
+def test_an_error_is_reported_and_the_next_request_is_served(recorder: Recorder):
     def fail() -> None:
         raise ValueError("no")
 
     recorder.go.set()
-    recorder.work.run(fail)
-    recorder.work.wish("a")
-    assert recorder.work.wait(10.0)
+    recorder.worker.run(fail)
+    recorder.worker.request("a")
+    assert recorder.worker.wait(10.0)
     assert [str(error) for error in recorder.errors] == ["no"]
     assert len(recorder.delivered) == 3
 
 
-def test_it_ends_while_something_is_half_done():
+def test_a_request_ends_with_its_first_error():
+    delivered, errors = [], []
+
+    def deliver(_request: str, chunk: int) -> None:
+        delivered.append(chunk)
+        if chunk == 2:
+            raise ValueError("no")
+
+    worker = LatestWorker(lambda _: iter((1, 2, 3)), deliver, errors.append)
+    worker.request("a")
+    assert worker.wait(10.0)
+    worker.close()
+    assert (delivered, len(errors)) == ([1, 2], 1)
+
+
+def test_closing_ends_the_thread_during_a_request():
     recorder = Recorder()
-    recorder.work.wish("a")
+    recorder.worker.request("a")
     assert recorder.began.wait(10)
     recorder.go.set()
-    recorder.work.close()
-    assert not any(thread.name == "newest" and thread.is_alive() for thread in threading.enumerate())
+    recorder.worker.close()
+    assert not any(thread.name == "latest-worker" and thread.is_alive() for thread in threading.enumerate())

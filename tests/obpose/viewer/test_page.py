@@ -1,9 +1,7 @@
-"""The page on its server, without a browser: what it serves, and what the controls do to the session."""
+"""The page on its server, without a browser."""
 
-import socket
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -14,190 +12,181 @@ import torch
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.scene import upright
 from obpose.scenes.storage import load_scene
-from obpose.viewer.opening import Opened, open_path
 from obpose.viewer.page import Page
-from obpose.viewer.serving import open_server
+from obpose.viewer.scene_io import OpenedScene, open_path
+from obpose.viewer.server import open_server
+from obpose.viewer.session import Session
 from tests.obpose.scenes.small_scenes import alike, equal
+from tests.obpose.viewer.driving import free_port
+
+
+class RecordingPage(Page):
+    """A page that records its notifications."""
+
+    def _notify(self, title: str, text: str, color: str | None = None) -> None:
+        self.__dict__.setdefault("notifications", []).append(f"{title}: {text}")
 
 
 @pytest.fixture(scope="module")
-def opened(tiny_dataset: Path) -> Opened:
-    """With a small picture."""
-    found = open_path(tiny_dataset, checkpoint=None, data=None, split="test", index=0)
-    cameras = tuple(camera.resized(16, 16) for camera in found.scene.cameras)
-    return replace(found, scene=replace(found.scene, cameras=cameras))
+def opened(tiny_dataset: Path) -> OpenedScene:
+    return open_path(tiny_dataset, checkpoint=None, data=None, split="test", index=0)
 
 
 @pytest.fixture
-def page(opened: Opened, tmp_path: Path) -> Iterator[Page]:
-    found = Page(open_server("127.0.0.1", free_port(), "a test"), opened, tmp_path / "saved")
+def page(opened: OpenedScene, tmp_path: Path) -> Iterator[RecordingPage]:
+    server = open_server("127.0.0.1", free_port(), "a test")
+    found = RecordingPage(server, opened, tmp_path / "saved", preview=8, final=16, fit_steps=5)
     yield found
     found.close()
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def settled(page: Page) -> Page:
-    assert page.work.wait(120.0)
+    assert page.worker.wait(120.0)
     return page
 
 
-def test_it_is_served_on_loopback_and_shows_points_shapes_and_pictures(page: Page):
+def test_it_is_served_on_loopback_with_points_boxes_and_shapes(page: Page):
     server = settled(page).server
     assert server.get_host() == "127.0.0.1"
     with urlopen(f"http://127.0.0.1:{server.get_port()}") as answer:
         assert b"<html" in answer.read().lower()
-    shown = [server.scene.get_handle_by_name(name) for name in nodes(page)]
-    assert all(node is not None for node in shown)
+    parts = ("box", "label", "points", "shape")
+    objects = [f"/objects/{name}/{part}" for name in page.session.scene.ids for part in parts]
+    for name in ("/background", "/table", "/gizmo", "/cameras/0", *objects):
+        assert server.scene.get_handle_by_name(name) is not None
 
 
-def nodes(page: Page) -> list[str]:
-    objects = [
-        f"/objects/{name}/{part}" for name in page.session.scene.ids for part in ("box", "label", "points", "shape")
-    ]
-    return ["/background", "/table", "/gizmo", "/cameras/0", *objects]
+def test_an_object_is_drawn_as_its_shape_or_as_its_points(page: Page):
+    node, name = settled(page).server.scene.get_handle_by_name, page.session.scene.ids[0]
+
+    def visible() -> tuple[bool, bool]:
+        return tuple(node(f"/objects/{name}/{part}").visible for part in ("shape", "points"))
+
+    assert visible() == (True, False)
+    page.panel._drawn_as.value = "points by object"
+    page.edit(lambda session: None)
+    tinted = node(f"/objects/{name}/points").colors
+    assert visible() == (False, True)
+    page.panel._drawn_as.value = "points as observed"
+    page.edit(lambda session: None)
+    assert visible() == (False, True)
+    assert not np.array_equal(node(f"/objects/{name}/points").colors, tinted)
 
 
 def test_nodes_follow_the_session(page: Page):
     node = settled(page).server.scene.get_handle_by_name
     name, scene = page.session.scene.ids[0], page.session.scene
-    page.actions.remove(name)
+    page.edit(lambda session: session.remove(name))
     assert node(f"/objects/{name}") is None
-    page.actions.undo()
+    page.edit(Session.undo)
     settled(page)
     assert node(f"/objects/{name}/shape") is not None
-    page.actions.hide(name)
+    page.edit(lambda session: session.hide(name))
     assert not node(f"/objects/{name}").visible
-    page.actions.unhide(name)
-    page.actions.go_to_frame(3)
+    page.edit(lambda session: session.unhide(name))
+    page.edit(lambda session: session.go_to_frame(3))
     np.testing.assert_allclose(node(f"/objects/{name}").position, scene.center[3, 0])
 
 
-def test_dragging_is_followed_and_undone_as_one(page: Page):
+def test_a_drag_moves_the_nodes_and_is_undone_as_one(page: Page):
     before, name = page.session.scene, page.session.scene.ids[0]
-    page.events.select(name)
     to = before.center[0, 0] + torch.tensor([0.1, 0.0, 0.0])
-    page.events.drag("start", before.center[0, 0], torch.eye(3))
+    page.edit(lambda session: session.toggle(name))
+    page.edit(Session.grab)
     for share in (0.5, 1.0):
-        page.events.drag("update", before.center[0, 0].lerp(to, share), upright(share, to))
-    page.events.drag("end", to, upright(1.0, to))
+        page.edit(lambda session, share=share: session.drag(before.center[0, 0].lerp(to, share), upright(share, to)))
+    page.edit(Session.drop)
     node = page.server.scene.get_handle_by_name
     np.testing.assert_allclose(node(f"/objects/{name}").position, to, atol=1e-6)
     np.testing.assert_allclose(node("/gizmo").position, to, atol=1e-6)
-    assert node("/gizmo").wxyz.tolist() == [1, 0, 0, 0]  # the next turn begins anew
-    page.actions.undo()
+    assert node("/gizmo").wxyz.tolist() == [1, 0, 0, 0]  # the next rotation starts from here
+    page.edit(Session.undo)
     assert page.session.scene is before
 
 
-def test_what_was_inferred_is_fitted_to_its_frames_once_and_can_be_undone(
-    page: Page, opened: Opened, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr("obpose.viewer.page.STEPS", 5)
-    page.actions.fit()
+def test_an_inferred_scene_is_fitted_once_and_the_fit_can_be_undone(page: Page, opened: OpenedScene):
+    page.fit()
     fitted = settled(page).session.scene
     assert fitted.detail.any()
     assert alike(fitted, infer_scene(opened.origin, opened.clip, refinements=5), by=0.01)
-    assert page.session.version.seen_as == {name: name for name in opened.scene.ids}
-    page.actions.fit()
+    assert page.session.version.sources == {name: name for name in opened.scene.ids}
+    page.fit()
     assert settled(page).session.scene is fitted
-    page.actions.undo()
+    page.edit(Session.undo)
     assert page.session.scene is opened.scene
 
 
-def test_a_sampled_scene_replaces_all_and_has_no_input(page: Page):
-    before = page.session.scene
-    page.actions.sample("2")
-    settled(page)
-    assert page.session.scene.ids == (1, 2)
-    assert page.session.scene.frames == 1
+def test_a_sampled_scene_has_a_title_and_no_input(page: Page, opened: OpenedScene):
+    titles, set_label = [], page.server.gui.set_panel_label
+    page.server.gui.set_panel_label = lambda title: (titles.append(title), set_label(title))[1]
     node = page.server.scene.get_handle_by_name
+    for count in ("1", "2"):
+        page.sample(count)
+        settled(page)
+    assert (page.session.scene.ids, page.session.scene.frames) == ((1, 2), 1)
     assert node("/objects/1/points") is None
     assert not node("/background").visible
-    page.actions.undo()
+    assert "sampled with seed 1 - obpose-view" in page.panel._window_title.content
+    for _ in range(2):
+        page.edit(Session.undo)
     settled(page)
-    assert page.session.scene is before
+    assert titles == ["sampled with seed 0", "sampled with seed 1", "sampled with seed 0", opened.title]
+    assert page.session.scene is opened.scene
     assert node("/background").visible
-    assert node(f"/objects/{before.ids[0]}/points") is not None
+    assert node(f"/objects/{opened.scene.ids[0]}/points") is not None
 
 
-@pytest.mark.parametrize("count", ["", "abc", "-1", "9", "1e9", "2.5", "nan", "9" * 5000, "٣", " 2"])
-def test_other_numbers_of_new_objects_are_refused(page: Page, count: str, monkeypatch: pytest.MonkeyPatch):
-    before, said = page.session.version, []
-    monkeypatch.setattr(page, "_tell", lambda title, text, colour=None: said.append(text))
-    page.actions.sample(count)
-    assert settled(page).session.version is before
-    assert len(said) == 1
-    assert said[0].endswith("expected a whole number from 0 to 8.")
-    assert len(said[0]) < 100
+def test_other_numbers_of_new_objects_are_refused(page: RecordingPage):
+    before = page.session.version
+    for count in ("", "abc", "-1", "9", "1e9", "2.5", "nan", "9" * 5000, "٣", " 2"):
+        page.sample(count)
+        assert settled(page).session.version is before
+        said = page.notifications.pop()
+        assert said.endswith("expected a whole number from 0 to 8.")
+        assert len(said) < 120
 
 
-def test_the_title_is_that_of_what_is_shown(page: Page, opened: Opened, monkeypatch: pytest.MonkeyPatch):
-    titles: list[str] = []
-    monkeypatch.setattr(page.server.gui, "set_panel_label", titles.append)
-    page.actions.sample("1")
-    settled(page)
-    page.actions.sample("1")
-    settled(page)
-    page.actions.undo()
-    page.actions.undo()
-    seeds = [f"sampled with seed {seed}" for seed in (0, 1)]
-    assert titles == [*seeds, seeds[0], opened.title]
-
-
-def test_it_says_what_it_is_doing_until_it_is_done(page: Page):
-    settled(page)
-    panel, go_on = page._panel, threading.Event()
-    assert not panel._running.visible
-    page.work.run(lambda: go_on.wait(60) and None)
-    page.actions.sample("1")
-    page.actions.save()
-    assert panel._running.visible
-    assert "Sampling a new scene ..." in panel._busy.content
-    assert all(button.disabled for button in (*panel._jobs, panel._fit))
+def test_running_jobs_are_shown_and_disable_their_buttons(page: Page):
+    panel, go_on = settled(page).panel, threading.Event()
+    page.worker.run(lambda: go_on.wait(60) and None)
+    page.sample("1")
+    page.save()
+    buttons = (panel._save, panel._sample, panel._fit)
+    assert (panel.is_busy, panel._bar.value, panel._bar.animated) == (True, 100, True)
+    assert "Sampling a new scene ..." in panel._status.content
+    assert all(button.disabled for button in buttons)
     go_on.set()
     settled(page)
-    assert not panel._running.visible
-    assert not any(button.disabled for button in panel._jobs)
-    assert panel._fit.disabled  # another scene is shown
-    page.actions.undo()
+    assert (panel.is_busy, panel._bar.value, panel._bar.animated) == (False, 0, False)
+    assert "16x16" in panel._status.content
+    assert [button.disabled for button in buttons] == [False, False, True]  # another scene has no frames
+    page.edit(Session.undo)
     assert not panel._fit.disabled
 
 
-def test_a_job_that_fails_ends_as_well(page: Page, tmp_path: Path):
-    settled(page)
+def test_a_failed_job_is_reported_and_no_longer_shown(page: RecordingPage, tmp_path: Path):
     (tmp_path / "saved").write_text("a file")
-    page.actions.save()
-    settled(page)
-    assert not page._panel._running.visible
-
-
-def test_what_is_saved_can_be_opened_again(page: Page, tmp_path: Path):
-    page.actions.duplicate(page.session.scene.ids[0])
-    page.actions.save()
-    page.actions.save()
-    settled(page)
-    assert sorted(path.name for path in (tmp_path / "saved").iterdir()) == ["scene-1", "scene-2"]
-    assert equal(load_scene(tmp_path / "saved" / "scene-1"), page.session.scene)
+    page.save()
+    assert not settled(page).panel.is_busy
+    assert "saved is a file" in page.notifications[-1]
 
 
 def test_a_scene_is_saved_as_it_was_when_the_button_was_pressed(page: Page, tmp_path: Path):
     pressed, go_on = page.session.scene, threading.Event()
-    page.work.run(lambda: go_on.wait(60) and None)
-    page.actions.save()
-    page.actions.remove(pressed.ids[0])
+    page.worker.run(lambda: go_on.wait(60) and None)
+    page.save()
+    page.edit(lambda session: session.remove(pressed.ids[0]))
+    page.save()
     go_on.set()
     settled(page)
     assert equal(load_scene(tmp_path / "saved" / "scene-1"), pressed)
+    assert equal(load_scene(tmp_path / "saved" / "scene-2"), page.session.scene)
 
 
-def test_what_two_windows_do_at_once_is_no_mistake(page: Page):
+def test_simultaneous_edits_of_two_windows_are_harmless(page: Page):
     name = page.session.scene.ids[0]
-    page.actions.remove(name)
+    page.edit(lambda session: session.remove(name))
     before = page.session.version
-    for act in (page.actions.remove, page.actions.hide, page.actions.duplicate, page.events.select):
-        act(name)
+    for act in (Session.remove, Session.hide, Session.duplicate, Session.toggle):
+        page.edit(lambda session, act=act: act(session, name))
     assert page.session.version is before

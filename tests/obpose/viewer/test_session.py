@@ -17,7 +17,7 @@ def some_session(**sizes: int) -> Session:
 
 
 def edited(session: Session) -> list[str]:
-    """One edit of each kind, one after the other; their names."""
+    """Make one edit of each kind, and give their names."""
     session.remove(1)
     session.duplicate(2)
     session.grab()
@@ -40,7 +40,7 @@ def test_every_edit_is_undone_one_by_one():
     assert session.scene is before
 
 
-def test_a_drag_is_one_edit_however_many_steps_it_has():
+def test_a_drag_is_one_edit():
     session = some_session()
     before = session.scene
     session.select(2)
@@ -68,7 +68,7 @@ def test_a_drag_is_of_this_frame_and_displaces_the_whole_way():
     torch.testing.assert_close(session.scene.center[0, 0], before.center[0, 0] - before.center[1, 0] + to)
 
 
-def test_what_is_grabbed_and_not_moved_is_no_edit():
+def test_a_grab_without_movement_is_no_edit():
     session = some_session()
     session.select(1)
     session.grab()
@@ -76,7 +76,7 @@ def test_what_is_grabbed_and_not_moved_is_no_edit():
     assert not session.can_undo
 
 
-def test_nothing_is_dragged_that_is_not_held():
+def test_only_a_grabbed_object_is_dragged():
     session = some_session()
     session.grab()
     session.drag(torch.zeros(3), TURN)
@@ -85,7 +85,7 @@ def test_nothing_is_dragged_that_is_not_held():
     assert not session.can_undo
 
 
-def test_an_object_stops_where_the_workspace_does_in_all_frames():
+def test_a_drag_stops_at_the_workspace_in_all_frames():
     session = some_session()
     session.select(3)
     session.grab()
@@ -99,7 +99,7 @@ def test_an_object_stops_where_the_workspace_does_in_all_frames():
     check_inside(session.scene, some_model())
 
 
-def test_what_is_hidden_is_not_shown_and_stays_in_the_scene():
+def test_a_hidden_object_stays_in_the_scene():
     session = some_session()
     before = session.scene
     session.select(2)
@@ -112,7 +112,7 @@ def test_what_is_hidden_is_not_shown_and_stays_in_the_scene():
     assert not session.can_undo
 
 
-def test_undo_leaves_hidden_what_was_hidden_since():
+def test_undo_keeps_objects_hidden():
     session = some_session()
     session.hide(3)
     session.remove(3)
@@ -128,39 +128,39 @@ def test_undo_leaves_hidden_what_was_hidden_since():
     assert session.hidden == {2}
 
 
-def test_a_sampled_scene_hides_nothing_and_undo_brings_back_what_was_hidden():
+def test_another_scene_hides_nothing_and_undo_restores_hidden_objects():
     session = some_session()
     session.hide(2)
     session.select(1)
     session.replace(some_scene(seed=1))
     assert session.hidden == frozenset()
     assert session.selected is None
-    assert session.version.seen_as is None
+    assert session.version.sources is None
     session.undo()
     assert session.hidden == {2}
 
 
-def test_a_copy_is_selected_apart_from_the_others_and_known_as_what_it_is_of():
+def test_a_copy_is_selected_at_a_free_place_and_keeps_its_source():
     session = some_session()
     session.duplicate(2)
     session.duplicate(4)
     assert session.selected == 5
-    assert session.version.seen_as == {1: 1, 2: 2, 3: 3, 4: 2, 5: 2}
+    assert session.version.sources == {1: 1, 2: 2, 3: 3, 4: 2, 5: 2}
     center = session.scene.center[0]
     assert float(torch.cdist(center[3:4], center[:3]).min()) > 0.05
 
 
-def test_frames_and_views_that_are_no_more_are_left():
+def test_frame_and_view_are_limited_to_the_scene():
     session = some_session(frames=4)
     session.go_to_frame(3)
     session.replace(some_scene(frames=1))
     assert session.frame == 0
-    session.look(5)
+    session.go_to_view(5)
     assert session.view == 0
 
 
 @pytest.mark.parametrize("act", ["select", "hide", "remove", "duplicate"])
-def test_objects_that_are_not_there_are_named_and_nothing_changes(act: str):
+def test_edits_of_missing_objects_fail_and_change_nothing(act: str):
     session = some_session()
     before = session.version
     with pytest.raises(UsageError, match="no object 9"):
@@ -179,7 +179,7 @@ def test_a_hidden_object_can_be_removed():
 
 
 @pytest.mark.parametrize("act", ["drop", "grab", "remove", "duplicate", "replace", "fit"])
-def test_what_is_done_while_an_object_is_held_comes_after_the_drag(act: str):
+def test_an_edit_during_a_drag_comes_after_the_drag(act: str):
     session = some_session()
     before = session.scene
     session.select(1)
@@ -196,7 +196,7 @@ def test_what_is_done_while_an_object_is_held_comes_after_the_drag(act: str):
     assert not session.can_undo
 
 
-def test_undo_takes_back_a_drag_that_goes_on():
+def test_undo_reverts_a_drag_in_progress():
     session = some_session()
     before = session.scene
     session.select(1)

@@ -6,8 +6,7 @@ from PIL import Image
 
 from datagen.geometry import intrinsics, pixel_rays
 from obpose.errors import CorruptFile, UsageError
-from obpose.rgbd import reading
-from obpose.rgbd.reading import parse_intrinsics, read_recording
+from obpose.rgbd.recording import parse_intrinsics, read_recording
 
 K = intrinsics(1.0, 6, 4)
 
@@ -28,7 +27,7 @@ def pair(tmp_path: Path) -> tuple[Path, Path]:
     return write_rgb(tmp_path / "rgb.png"), write_depth(tmp_path / "depth.png")
 
 
-def test_whole_numbers_are_units_and_floats_are_metres(tmp_path: Path, pair: tuple[Path, Path]):
+def test_integers_are_scaled_and_floats_are_metres(tmp_path: Path, pair: tuple[Path, Path]):
     floats = [write_depth(tmp_path / name, 1.5) for name in ("d.npy", "d.tif")]
     for depth in (pair[1], *floats):
         found = read_recording([pair[0]], [depth], K, depth_scale=0.001)
@@ -37,18 +36,12 @@ def test_whole_numbers_are_units_and_floats_are_metres(tmp_path: Path, pair: tup
     assert read_recording([pair[0]], [pair[1]], K, depth_scale=0.0001).depth[0, 0, 0] == pytest.approx(0.15)
 
 
-def test_what_is_no_number_is_no_return(tmp_path: Path, pair: tuple[Path, Path]):
+def test_invalid_depths_are_missing(tmp_path: Path, pair: tuple[Path, Path]):
     values = np.ones((4, 6))
     values[0, :4] = [np.nan, np.inf, -1, 0]
     np.save(tmp_path / "d.npy", values)
-    assert read_recording([pair[0]], [tmp_path / "d.npy"], K, depth_scale=1.0).depth[0, 0].tolist() == [
-        0,
-        0,
-        0,
-        0,
-        1,
-        1,
-    ]
+    depth = read_recording([pair[0]], [tmp_path / "d.npy"], K, depth_scale=1.0).depth
+    assert depth[0, 0].tolist() == [0, 0, 0, 0, 1, 1]
 
 
 def test_a_folder_is_read_in_the_order_of_its_numbers(tmp_path: Path):
@@ -70,7 +63,7 @@ def test_files_are_taken_in_the_order_given(tmp_path: Path):
     assert read_recording(rgb, depth, K, depth_scale=1.0).rgb[:, 0, 0, 0].tolist() == [2, 1]
 
 
-def test_pixels_that_are_taken_keep_their_rays(tmp_path: Path):
+def test_selected_pixels_keep_their_rays(tmp_path: Path):
     width, height = 13, 9
     k = intrinsics(1.0, width, height)
     rgb, depth = write_rgb(tmp_path / "a.png", size=(width, height)), tmp_path / "d.npy"
@@ -86,7 +79,7 @@ def test_pixels_that_are_taken_keep_their_rays(tmp_path: Path):
 
 
 def cases(folder: Path) -> dict[str, tuple[list[Path], list[Path], str]]:
-    """By name: images, depths, and what is to be said."""
+    """Cases by name: images, depths, and part of the message."""
     rgb, depth = write_rgb(folder / "rgb.png"), write_depth(folder / "depth.png")
     (folder / "text.png").write_text("no image")
     (folder / "text.npy").write_text("no array")
@@ -119,14 +112,14 @@ def cases(folder: Path) -> dict[str, tuple[list[Path], list[Path], str]]:
     }
 
 
-def test_what_is_wrong_is_said(tmp_path: Path):
+def test_wrong_files_are_named(tmp_path: Path):
     for rgb, depth, message in cases(tmp_path).values():
         with pytest.raises((UsageError, CorruptFile), match=message):
             read_recording(rgb, depth, K, depth_scale=0.001)
 
 
 @pytest.mark.parametrize("value", [0.01, 60.0, 65.535, 3e38])
-def test_pixels_beyond_what_sensors_measure_have_no_return(tmp_path: Path, pair: tuple[Path, Path], value: float):
+def test_implausible_depths_are_missing(tmp_path: Path, pair: tuple[Path, Path], value: float):
     values = np.ones((4, 6), np.float32)
     values[0, :3] = value
     np.save(tmp_path / "d.npy", values)
@@ -134,7 +127,7 @@ def test_pixels_beyond_what_sensors_measure_have_no_return(tmp_path: Path, pair:
     assert found.depth[0, 0].tolist() == [0, 0, 0, 1, 1, 1]
 
 
-def test_depth_that_is_the_largest_value_everywhere_is_none(tmp_path: Path, pair: tuple[Path, Path]):
+def test_saturated_depth_is_missing_depth(tmp_path: Path, pair: tuple[Path, Path]):
     with pytest.raises(UsageError, match=r"No pixel has a depth: .* hold only zeros, or the largest value"):
         read_recording([pair[0]], [write_depth(tmp_path / "d.png", 65535)], K, depth_scale=0.001)
 
@@ -151,23 +144,16 @@ def test_frames_of_two_folders_must_have_the_same_numbers(tmp_path: Path):
     assert len(read_recording(rgb, depth, K, depth_scale=0.001).depth) == 4
 
 
-def test_a_recording_that_is_too_large_is_refused_before_pixels_are_decoded(
-    tmp_path: Path, pair: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
-):
-    def decode(*_: object) -> None:
-        pytest.fail("pixels were decoded")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(reading, "MOST_BYTES", 3 * 6 * 4 * 7 - 1)
-        patched.setattr(reading, "read_colour", decode)
-        patched.setattr(reading, "read_depth", decode)
-        with pytest.raises(UsageError, match=r"3 frames of 6x4 pixels need .* Give fewer frames at a time, or smaller"):
-            read_recording([pair[0]] * 3, [pair[1]] * 3, K, depth_scale=0.001)
-    monkeypatch.setattr(reading, "MOST_BYTES", 3 * 6 * 4 * 7)
-    assert len(read_recording([pair[0]] * 3, [pair[1]] * 3, K, depth_scale=0.001).depth) == 3
+def test_a_recording_that_is_too_large_is_refused_before_pixels_are_decoded(tmp_path: Path, pair: tuple[Path, Path]):
+    cut, size = tmp_path / "cut.png", 3 * 6 * 4 * 7
+    cut.write_bytes(pair[0].read_bytes()[:45])
+    with pytest.raises(UsageError, match=r"3 frames of 6x4 pixels need .* Give fewer frames at a time, or smaller"):
+        read_recording([cut] * 3, [pair[1]] * 3, K, depth_scale=0.001, max_bytes=size - 1)
+    with pytest.raises(CorruptFile, match=r"cut\.png is damaged"):
+        read_recording([cut] * 3, [pair[1]] * 3, K, depth_scale=0.001, max_bytes=size)
 
 
-def test_a_folder_that_is_not_there_is_said_before_files_are_counted(tmp_path: Path, pair: tuple[Path, Path]):
+def test_a_missing_folder_is_reported_before_files_are_counted(tmp_path: Path, pair: tuple[Path, Path]):
     with pytest.raises(UsageError, match=r"--depth .*nowhere does not exist"):
         read_recording([pair[0]] * 2, [tmp_path / "nowhere"], K, depth_scale=0.001)
 
@@ -178,7 +164,7 @@ def test_intrinsics_of_images_of_another_size_are_refused(text: str, pair: tuple
         read_recording([pair[0]], [pair[1]], parse_intrinsics(text), depth_scale=0.001)
 
 
-def test_the_centre_may_lie_outside_of_an_image_that_was_cut_out(pair: tuple[Path, Path]):
+def test_the_principal_point_of_a_cropped_image_may_lie_outside(pair: tuple[Path, Path]):
     read_recording([pair[0]], [pair[1]], parse_intrinsics("6,6,9,-2"), depth_scale=0.001)
 
 

@@ -1,4 +1,4 @@
-"""Read RGB-D frames in the usual file formats as arrays."""
+"""Recordings of RGB-D frames, read from image files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,38 +8,36 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from obpose.errors import UsageError
-from obpose.rgbd.frame_files import check_pairs
-from obpose.rgbd.frame_files import list_frames as _expand
+from obpose.rgbd.frame_files import check_pairs, list_frames
 from obpose.rgbd.images import Size, colour_size, depth_size, read_colour, read_depth
 
 COLOUR_ENDINGS = (".png", ".jpg", ".jpeg")
 DEPTH_ENDINGS = (".png", ".tif", ".tiff", ".npy")
-PLAUSIBLE = (0.05, 50.0)
-"""Metres between which the median depth of a recording must lie, for others come of a wrong scale; single pixels
-outside have no return."""
-FOCAL = (0.1, 50.0)
-"""Larger sides of the image between which focal lengths must lie; others come of wrong units."""
-MOST_BYTES = 2**30
-"""Largest recording in memory."""
+PLAUSIBLE_DEPTH = (0.05, 50.0)
+"""Range of the median depth in metres; other medians indicate a wrong scale. Single pixels outside count as missing."""
+PLAUSIBLE_FOCAL = (0.1, 50.0)
+"""Range of focal lengths, relative to the longer side of the image; others indicate wrong units."""
+MAX_BYTES = 2**30
+"""Largest size of a recording in memory."""
 _PIXEL_BYTES = 7
 """Three bytes of colour and four of depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Frames of one camera that stands still, in time order."""
+    """Frames of one static camera, in time order."""
 
     files: tuple[Path, ...]
-    """The colour images."""
+    """Paths of the colour images."""
     rgb: UInt8[np.ndarray, "frame height width 3"]
     """sRGB."""
     depth: Float32[np.ndarray, "frame height width"]
-    """Planar z in metres, 0 where there is no return."""
+    """Planar depth in metres, 0 = missing."""
     k: Float64[np.ndarray, "3 3"]
     """Camera matrix in pixels, pixel centres at +0.5."""
 
     def every(self, step: int) -> "Recording":
-        """Take the pixel in the middle of each square of `step` x `step`; nothing is averaged, for depths must not be.
+        """Take the centre pixel of each square of `step` x `step` pixels, because averages of depth are invalid.
 
         Raises:
             UsageError: the images are smaller than such a square.
@@ -57,46 +55,52 @@ class Recording:
 
 
 def read_recording(
-    rgb: Sequence[Path], depth: Sequence[Path], k: Float64[np.ndarray, "3 3"], *, depth_scale: float
+    rgb: Sequence[Path],
+    depth: Sequence[Path],
+    k: Float64[np.ndarray, "3 3"],
+    *,
+    depth_scale: float,
+    max_bytes: int = MAX_BYTES,
 ) -> Recording:
-    """Read frames, after a check of all files' headers.
+    """Read frames, after a check of all file headers.
 
     Args:
-        rgb: Images, or one folder of them, whose names give the order.
-        depth: The same for depth images: 16 bits or floats, PNG, TIFF or NPY.
+        rgb: Colour images in time order, or one folder of them, sorted by name.
+        depth: Depth images likewise: 16 bits or floats, PNG, TIFF or NPY.
         k: Camera matrix in pixels, pixel centres at +0.5.
-        depth_scale: Metres of one unit of depth images of whole numbers; floats are metres.
+        depth_scale: Metres per unit of integer depth images; floats are metres.
+        max_bytes: Largest size of the recording in memory.
 
     Raises:
-        UsageError: files are missing, do not belong together, hold no colours or no depth, or take more than
-            `MOST_BYTES`; or the camera matrix belongs to images of another size.
+        UsageError: files are missing, do not belong together, hold no colours or no depth, or are too large; or the
+            camera matrix belongs to images of another size.
         CorruptFile: a file cannot be read.
     """
-    colours, depths = _expand(rgb, COLOUR_ENDINGS, "--rgb"), _expand(depth, DEPTH_ENDINGS, "--depth")
+    colours, depths = list_frames(rgb, COLOUR_ENDINGS, "--rgb"), list_frames(depth, DEPTH_ENDINGS, "--depth")
     if len(colours) != len(depths):
         raise UsageError(
             f"--rgb names {len(colours)} images and --depth {len(depths)}; expected a pair for each frame."
         )
     if rgb[0].is_dir() and depth[0].is_dir():
         check_pairs(colours, depths)
-    width, height = _common_size(colours, depths)
-    _check_memory(len(colours), (width, height))
-    _check_intrinsics(k, (width, height))
+    width, height = size = _common_size(colours, depths)
+    _check_memory(len(colours), size, max_bytes)
+    _check_intrinsics(k, size)
     images = np.empty((len(colours), height, width, 3), np.uint8)
     maps = np.empty((len(colours), height, width), np.float32)
     for frame, (colour_path, depth_path) in enumerate(zip(colours, depths, strict=True)):
         images[frame] = read_colour(colour_path)
         maps[frame] = read_depth(depth_path, depth_scale)
     _check_depth(maps, depths[0])
-    maps[(maps < PLAUSIBLE[0]) | (maps > PLAUSIBLE[1])] = 0
+    maps[(maps < PLAUSIBLE_DEPTH[0]) | (maps > PLAUSIBLE_DEPTH[1])] = 0
     return Recording(tuple(colours), images, maps, k)
 
 
 def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:
-    """Make the camera matrix of the text `fx,fy,cx,cy`.
+    """Parse `fx,fy,cx,cy` as a camera matrix.
 
     Raises:
-        UsageError: it is something else, or missing.
+        UsageError: the text is missing or has another form.
     """
     if text is None:
         raise UsageError("--intrinsics is missing; give fx,fy,cx,cy in pixels, such as 525,525,320,240.")
@@ -110,7 +114,7 @@ def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:
 
 
 def _common_size(colours: Sequence[Path], depths: Sequence[Path]) -> Size:
-    """Width and height that all images have, by their headers."""
+    """Check by the headers that all images have one size."""
     first = colour_size(colours[0])
     for paths, size_of in ((colours, colour_size), (depths, depth_size)):
         for path in paths:
@@ -122,38 +126,38 @@ def _common_size(colours: Sequence[Path], depths: Sequence[Path]) -> Size:
     return first
 
 
-def _check_memory(frames: int, size: Size) -> None:
+def _check_memory(frames: int, size: Size, max_bytes: int) -> None:
     needed = frames * size[0] * size[1] * _PIXEL_BYTES
-    if needed > MOST_BYTES:
+    if needed > max_bytes:
         raise UsageError(
             f"{frames} frames of {_text(size)} pixels need {needed / 2**30:.1f} GiB of memory; expected at most "
-            f"{MOST_BYTES // 2**30} GiB. Give fewer frames at a time, or smaller images."
+            f"{max_bytes / 2**30:g} GiB. Give fewer frames at a time, or smaller images."
         )
 
 
 def _check_intrinsics(k: Float64[np.ndarray, "3 3"], size: Size) -> None:
-    """Refuse what no camera with such images has; the centre of a part cut out of an image may lie outside of it."""
-    (width, height), (low, high) = size, FOCAL
+    """Refuse implausible intrinsics; the principal point of a cropped image may lie outside of it."""
+    (width, height), (low, high) = size, PLAUSIBLE_FOCAL
     (fx, _, cx), (_, fy, cy), _ = k
-    focal = all(low < value / max(height, width) < high for value in (fx, fy))
-    if not focal or not (-width < cx < 2 * width and -height < cy < 2 * height):
+    is_plausible = all(low < value / max(height, width) < high for value in (fx, fy))
+    if not is_plausible or not (-width < cx < 2 * width and -height < cy < 2 * height):
         raise UsageError(
             f"--intrinsics {fx:g},{fy:g},{cx:g},{cy:g} cannot be those of images of {_text(size)}; expected "
-            "fx,fy,cx,cy in pixels of these images. Where images were scaled, scale all four alike."
+            "fx,fy,cx,cy in pixels of these images. If the images were resized, scale all four alike."
         )
 
 
 def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path) -> None:
-    seen = depth[depth > 0]
-    if not len(seen):
+    known = depth[depth > 0]
+    if not len(known):
         raise UsageError(
             f"No pixel has a depth: {example} and the others hold only zeros, or the largest value of their type."
         )
-    median, (low, high) = float(np.median(seen, overwrite_input=True)), PLAUSIBLE
+    median, (low, high) = float(np.median(known, overwrite_input=True)), PLAUSIBLE_DEPTH
     if not low < median < high:
         raise UsageError(
-            f"The median depth is {median:.3g} m; expected {low:g} to {high:g}. Floats have to be metres; of whole "
-            "numbers give the metres of one unit with --depth-scale: 0.001 for millimetres."
+            f"The median depth is {median:.3g} m; expected {low:g} to {high:g}. Floats have to be metres; for "
+            "integers, give the metres per unit with --depth-scale, such as 0.001 for millimetres."
         )
 
 

@@ -10,8 +10,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.http11 import Request
 from websockets.sync.client import connect
 
-from obpose.viewer.serving import HEADERS, MOST_HEAD, MOST_URL, close_server, is_foreign, open_server, refusal
-from tests.obpose.viewer.test_page import free_port
+from obpose.viewer.server import HEADERS, MAX_HEAD, MAX_URL, close_server, is_foreign, open_server, refusal
+from tests.obpose.viewer.driving import free_port
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 
 def ask(server: viser.ViserServer, method: str, url: str = "/", **headers: str) -> http.client.HTTPResponse:
-    """The answer to a request, its body read."""
+    """Send a request and read the whole response."""
     connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=20)
     connection.request(method, url, headers=headers)
     answer = connection.getresponse()
@@ -32,7 +32,7 @@ def ask(server: viser.ViserServer, method: str, url: str = "/", **headers: str) 
 
 
 def say(server: viser.ViserServer, *parts: bytes) -> bytes:
-    """Everything that comes back for these bytes, sent one part after the other."""
+    """Send bytes part by part and give everything that comes back."""
     with socket.create_connection(("127.0.0.1", server.get_port()), timeout=20) as connection:
         for part in parts:
             connection.sendall(part)
@@ -55,25 +55,24 @@ def test_pages_of_other_servers_may_not_connect(server: viser.ViserServer):
 @pytest.mark.parametrize(
     ("origin", "host", "foreign"),
     [
-        (None, "127.0.0.1:8080", False),
         ("http://127.0.0.1:8080", "127.0.0.1:8080", False),
         ("http://[::1]:8080", "[::1]:8080", False),
         ("http://localhost:8080", "localhost:8080", False),
         ("http://localhost:8080", "127.0.0.1:8080", True),
         ("http://127.0.0.1:8081", "127.0.0.1:8080", True),
         ("null", "127.0.0.1:8080", True),
-        ("", None, True),
+        ("", "127.0.0.1:8080", True),
         ("http://evil.example:8080", "evil.example:8080", True),
         ("http://8.8.8.8:8080", "8.8.8.8:8080", True),
         ("http://[::1", "127.0.0.1:8080", True),
         ("http://[x]:8080", "[x]:8080", True),
     ],
 )
-def test_a_page_is_of_the_server_that_it_names(origin: str | None, host: str | None, foreign: bool):
+def test_an_origin_is_foreign_unless_it_is_the_server_itself(origin: str, host: str, foreign: bool):
     assert is_foreign(origin, host, "127.0.0.1") is foreign
 
 
-def test_a_server_for_others_goes_by_names_of_the_network():
+def test_a_public_server_has_names_of_the_network():
     assert not is_foreign("https://machine", "machine", "0.0.0.0")
     assert is_foreign("https://elsewhere.example", "machine", "0.0.0.0")
 
@@ -98,7 +97,7 @@ def test_a_server_for_others_goes_by_names_of_the_network():
         ([("Host", "127.0.0.1"), ("Origin", "http://127.0.0.1"), ("Origin", "x")], "127.0.0.1", HTTPStatus.BAD_REQUEST),
     ],
 )
-def test_requests_name_one_host_and_to_this_machine_a_local_one(
+def test_requests_need_one_host_which_is_local_for_a_local_server(
     headers: list[tuple[str, str]], bound: str, status: HTTPStatus | None
 ):
     found = Headers()
@@ -107,7 +106,7 @@ def test_requests_name_one_host_and_to_this_machine_a_local_one(
     assert refusal(Request("/", found), bound) == status
 
 
-def test_the_page_and_its_head_have_the_headers_that_protect_it(server: viser.ViserServer):
+def test_every_response_has_the_security_headers(server: viser.ViserServer):
     page, head = ask(server, "GET"), ask(server, "HEAD")
     assert (page.status, head.status) == (200, 200)
     assert b"<html" in page.body.lower()  # pyright: ignore[reportAttributeAccessIssue]
@@ -117,7 +116,7 @@ def test_the_page_and_its_head_have_the_headers_that_protect_it(server: viser.Vi
         assert {name: answer.headers[name] for name in HEADERS} == HEADERS
 
 
-def test_options_tell_the_methods(server: viser.ViserServer):
+def test_options_lists_the_methods(server: viser.ViserServer):
     for url in ("/", "*"):
         answer = ask(server, "OPTIONS", url)
         assert (answer.status, answer.headers["Allow"]) == (204, "GET, HEAD, OPTIONS")
@@ -153,9 +152,9 @@ HOST = b"Host: 127.0.0.1\r\n"
         ([b"GET / HTTP/1.1\r\n" + HOST + b"Content-Length: x\r\n\r\n"], 400),
         ([b"GET / HTTP/1.1\r\n" + HOST + b"Origin: http://[::1\r\n\r\n"], 403),
         ([b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n"], 403),
-        ([b"GET /" + b"x" * MOST_URL + b" HTTP/1.1\r\n" + HOST + b"\r\n"], 414),
-        ([b"x" * (MOST_HEAD + 1)], 414),
-        ([b"GET / HTTP/1.1\r\nA: " + b"x" * MOST_HEAD], 431),
+        ([b"GET /" + b"x" * MAX_URL + b" HTTP/1.1\r\n" + HOST + b"\r\n"], 414),
+        ([b"x" * (MAX_HEAD + 1)], 414),
+        ([b"GET / HTTP/1.1\r\nA: " + b"x" * MAX_HEAD], 431),
         ([b"HE", b"AD / HTT", b"P/1.1\r\n" + HOST, b"\r\n"], 200),
         ([b"HEAD / HTTP/1.1\r\n" + HOST + b"Upgrade: websocket\r\n\r\n"], 400),
     ],
@@ -164,7 +163,7 @@ def test_malformed_requests_are_answered(server: viser.ViserServer, parts: list[
     assert say(server, *parts).startswith(b"HTTP/1.1 %d " % status)
 
 
-def test_nothing_of_it_is_written_to_the_terminal(server: viser.ViserServer, capfd: pytest.CaptureFixture[str]):
+def test_refused_requests_are_not_logged(server: viser.ViserServer, capfd: pytest.CaptureFixture[str]):
     say(server, b"garbage\r\n\r\n")
     ask(server, "GET", "/nowhere")
     ask(server, "GET", Origin="http://[::1")

@@ -1,8 +1,8 @@
-"""The server of viser, kept quiet, answering HTTP as browsers and scanners expect, and only to our own page.
+"""The viser server, restricted to requests of its own page and answering malformed HTTP requests properly.
 
-A browser lets every page that it shows connect to servers of this machine, and viser does not check where requests come
-from. Its server of websockets, which also serves the page, drops requests that it cannot parse without an answer. Both
-are mended here, in a class of connections and in hooks of the server.
+Browsers let every open page connect to servers of this machine, and viser does not check the origin of requests. Its
+websocket server, which also serves the page, drops requests that it cannot parse without an answer. A connection class
+and hooks of the server fix both.
 """
 
 import logging
@@ -22,9 +22,9 @@ from websockets.streams import StreamReader
 
 from obpose.errors import UsageError
 
-MOST_URL = 2048
+MAX_URL = 2048
 """Longest URL, characters."""
-MOST_HEAD = 32_768
+MAX_HEAD = 32_768
 """Largest head of a request, bytes."""
 _METHODS = {"GET", "HEAD", "OPTIONS"}
 _ALLOW = "GET, HEAD, OPTIONS"
@@ -33,31 +33,22 @@ HEADERS = {
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
-    # viser's page is one file that unpacks itself: an inline script, workers from blobs, and WebAssembly whose bindings
-    # are evaluated from strings. What remains forbidden is everything from, and to, other servers.
-    "Content-Security-Policy": "; ".join(
-        [
-            "default-src 'none'",
-            "script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:",
-            "style-src 'self' 'unsafe-inline'",
-            "img-src 'self' data: blob:",
-            "font-src 'self' data:",
-            "connect-src 'self' data: blob:",
-            "worker-src 'self' blob:",
-            "base-uri 'none'",
-            "form-action 'none'",
-            "frame-ancestors 'none'",
-        ]
+    # viser's page is one self-extracting file: an inline script, workers from blobs, and WebAssembly whose bindings are
+    # evaluated from strings. The policy therefore only forbids resources of, and connections to, other servers.
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+        "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' data: blob:; worker-src 'self' blob:; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
 }
-"""Sent with every answer."""
+"""Security headers of every response."""
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """Start a server that listens at this port and no other.
+    """Start a server at exactly this port.
 
     Raises:
-        UsageError: another process listens there.
+        UsageError: another process uses the port.
     """
     with redirect_stdout(StringIO()), _guarded(host):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
@@ -74,11 +65,10 @@ def close_server(server: viser.ViserServer) -> None:
 
 
 def refusal(request: Request, bound: str) -> HTTPStatus | None:
-    """Say with which status a request must be refused, None if it may be answered.
+    """Status with which to refuse a request; None if it may be answered.
 
-    Requests of pages of other servers are refused. Programs other than browsers name no origin. A server that is bound
-    to this machine alone expects its address as the host: another name was changed to this machine's address meanwhile
-    (DNS rebinding).
+    Requests from pages of other servers are refused; programs other than browsers send no origin. A server bound to the
+    loopback address also refuses foreign host names, which indicate DNS rebinding.
     """
     origins, hosts = (request.headers.get_all(name) for name in ("Origin", "Host"))
     if len(hosts) != 1 or len(origins) > 1 or not _name_of(hosts[0]):
@@ -90,10 +80,8 @@ def refusal(request: Request, bound: str) -> HTTPStatus | None:
     return None
 
 
-def is_foreign(origin: str | None, host: str | None, bound: str) -> bool:
-    """Whether a request is of a page of another server than the one it goes to; a malformed origin is foreign."""
-    if origin is None:
-        return False
+def is_foreign(origin: str, host: str, bound: str) -> bool:
+    """Whether a request comes from a page of another server; a malformed origin is foreign."""
     try:
         parts = urlsplit(origin)
         return parts.netloc != host or (_is_local(bound) and not _is_local(parts.hostname))
@@ -102,10 +90,10 @@ def is_foreign(origin: str | None, host: str | None, bound: str) -> bool:
 
 
 def _name_of(host: str) -> str | None:
-    """The name or address in `name:port`, None where it is malformed."""
+    """Name or address in `name:port`; None if it is malformed."""
     try:
         parts = urlsplit(f"//{host}")
-        # Also raises where the port is no number.
+        # `parts.port` raises ValueError if the port is no number.
         whole = parts.netloc == host and "@" not in host and (parts.port is None or parts.port > 0)
         return parts.hostname if whole else None
     except ValueError:
@@ -120,21 +108,21 @@ def _is_local(name: str | None) -> bool:
 
 
 class Connection(ServerConnection):
-    """A connection that answers what `websockets` drops: methods other than GET, and malformed requests."""
+    """A connection that also answers the requests that `websockets` drops: other methods, and malformed requests."""
 
     method = "GET"
     _head = b""
-    _begun = False
+    _head_done = False
 
     def data_received(self, data: bytes) -> None:
-        """Look at the head of the request before the library does."""
-        if self._begun:
+        """Check the head of the request before the library parses it."""
+        if self._head_done:
             super().data_received(data)
             return
         self._head += data
-        if b"\r\n\r\n" not in self._head and len(self._head) <= MOST_HEAD:
+        if b"\r\n\r\n" not in self._head and len(self._head) <= MAX_HEAD:
             return
-        self._begun = True
+        self._head_done = True
         method, status = read_head(self._head)
         if status is not None:
             self._refuse(status)
@@ -153,13 +141,13 @@ class Connection(ServerConnection):
 
 
 def read_head(head: bytes) -> tuple[str, HTTPStatus | None]:
-    """Give the method of a request, and the status to refuse it with if the library could not parse it."""
+    """Read the method of a request, and the status to refuse it with if the library cannot parse it."""
     line, _, rest = head.partition(b"\r\n")
     parts = line.decode("latin-1").split(" ")
     if len(parts) != 3 or not parts[2].startswith("HTTP/"):
-        return "", HTTPStatus.REQUEST_URI_TOO_LONG if len(line) > MOST_URL else HTTPStatus.BAD_REQUEST
+        return "", HTTPStatus.REQUEST_URI_TOO_LONG if len(line) > MAX_URL else HTTPStatus.BAD_REQUEST
     method, url, version = parts
-    if len(url) > MOST_URL:
+    if len(url) > MAX_URL:
         return method, HTTPStatus.REQUEST_URI_TOO_LONG
     if b"\r\n\r\n" not in head:
         return method, HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
@@ -175,18 +163,18 @@ def read_head(head: bytes) -> tuple[str, HTTPStatus | None]:
         next(Request.parse(reader.read_line))
     except StopIteration:
         return method, None
-    except Exception:  # whatever the library raises means that it would drop the request
+    except Exception:  # the library would drop the request
         pass
     return method, HTTPStatus.BAD_REQUEST
 
 
 @contextmanager
 def _guarded(bound: str) -> Iterator[None]:
-    """Let servers that are started meanwhile, bound to this address, refuse the pages of others and send `HEADERS`."""
+    """Make servers that are started in this context, bound to this address, refuse other pages and send `HEADERS`."""
     serve: Any = websockets_server.serve
     logger = logging.getLogger("obpose.viewer.websockets")
     if not logger.filters:
-        logger.addFilter(_is_no_handshake)
+        logger.addFilter(_is_no_handshake_error)
 
     def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
         def answer(connection: Connection, request: Request) -> Any:
@@ -217,6 +205,6 @@ def _guarded(bound: str) -> Iterator[None]:
         websockets_server.serve = serve
 
 
-def _is_no_handshake(record: logging.LogRecord) -> bool:
-    """Keep requests that were refused or malformed out of the terminal."""
+def _is_no_handshake_error(record: logging.LogRecord) -> bool:
+    """Filter messages about refused and malformed requests out of the log."""
     return not record.getMessage().startswith(("opening handshake failed", "connection rejected"))

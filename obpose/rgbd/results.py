@@ -1,4 +1,4 @@
-"""What a model found in a recording, as files: label images, images with the labels laid over them, poses as JSON."""
+"""Files of a segmented recording: label images, overlays, and object poses as JSON."""
 
 import colorsys
 import json
@@ -13,87 +13,81 @@ from jaxtyping import Float64, Int, UInt8
 from PIL import Image, ImageDraw
 
 from datagen.storage.atomic import write_atomically
-from obpose.rgbd.reading import Recording
-from obpose.rgbd.world import Pose
+from obpose.rgbd.camera_pose import Pose
+from obpose.rgbd.recording import Recording
 
-OBJECTS = "objects.json"
+OBJECTS_FILE = "objects.json"
 OPACITY = 0.5
-"""Of the labels over the image."""
-GOLDEN = 0.618034
-"""Hues that many turns apart are told apart, however many there are."""
+"""Opacity of labels in overlays."""
+HUE_STEP = 0.618034
+"""Golden-ratio hue step, which keeps any number of labels distinct."""
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SegmentedObject:
     """An object in one frame."""
 
     label: int
     pixels: int
-    """That bear the label."""
+    """Number of pixels with this label."""
     center: Float64[np.ndarray, "3"]
     """World frame, metres."""
     rotation: Float64[np.ndarray, "3 3"]
     """world_from_object."""
     box_size: float | None
-    """Edge of its cube, metres; None where the model has none."""
+    """Edge length of its cube, metres; None if the model has no boxes."""
 
-    def plain(self) -> dict[str, Any]:
-        """As JSON has it."""
-        return {
-            "label": self.label,
-            "pixels": self.pixels,
-            "center": _rounded(self.center),
-            "rotation": _rounded(self.rotation),
-            "box_size": self.box_size,
-        }
+    def to_json(self) -> dict[str, Any]:
+        """Convert to plain JSON values."""
+        return {**vars(self), "center": _rounded(self.center), "rotation": _rounded(self.rotation)}
 
 
 def write_results(
     out: Path,
     recording: Recording,
     labels: Int[np.ndarray, "frame height width"],
-    found: list[list[Found]],
+    objects: list[list[SegmentedObject]],
     pose: Pose,
     facts: dict[str, Any],
 ) -> Path:
-    """Write all files into a folder, numbered as the frames are; gives the JSON file.
+    """Write all files into a folder, numbered by frame, and give the path of the JSON file.
 
     Args:
         out: The folder.
-        recording: What was segmented.
-        labels: 0 = background.
-        found: The objects of each frame.
+        recording: The segmented frames.
+        labels: Labels of all pixels, 0 = background.
+        objects: Objects of each frame.
         pose: world_from_camera.
-        facts: What else the JSON file says.
+        facts: Additional entries of the JSON file.
     """
     frames = []
-    for i, (image, frame_labels, objects) in enumerate(zip(recording.rgb, labels, found, strict=True)):
+    for i, (image, frame_labels, frame_objects) in enumerate(zip(recording.rgb, labels, objects, strict=True)):
         names = {"labels": f"{i:04d}_labels.png", "overlay": f"{i:04d}_overlay.png"}
         write_atomically(out / names["labels"], _png(label_image(frame_labels)))
-        write_atomically(out / names["overlay"], _png(overlay(image, frame_labels, objects, recording.k, pose)))
-        plain = [each.plain() for each in objects]
+        write_atomically(out / names["overlay"], _png(overlay(image, frame_labels, frame_objects, recording.k, pose)))
+        plain = [each.to_json() for each in frame_objects]
         frames.append({"rgb": str(recording.files[i]), **names, "objects": plain})
     page = {**facts, "world_from_camera": _rounded(pose), "frames": frames}
-    write_atomically(out / OBJECTS, (json.dumps(page, indent=1) + "\n").encode())
-    return out / OBJECTS
+    write_atomically(out / OBJECTS_FILE, (json.dumps(page, indent=1) + "\n").encode())
+    return out / OBJECTS_FILE
 
 
 def label_image(labels: Int[np.ndarray, "height width"]) -> Image.Image:
-    """Eight bits with a palette: a pixel's number is its label."""
+    """Make an 8-bit image with a palette, whose pixel values are the labels."""
     image = Image.fromarray(labels.astype(np.uint8))
-    image.putpalette(colours(int(labels.max()) + 1).tobytes())
+    image.putpalette(label_colours(int(labels.max()) + 1).tobytes())
     return image
 
 
 def overlay(
     rgb: UInt8[np.ndarray, "height width 3"],
     labels: Int[np.ndarray, "height width"],
-    objects: list[Found],
+    objects: list[SegmentedObject],
     k: Float64[np.ndarray, "3 3"],
     pose: Pose,
 ) -> Image.Image:
-    """The image with the objects in colours and the edges of their boxes."""
-    palette = colours(int(max([labels.max(), *(each.label for each in objects)])) + 1)
+    """Draw the labels over the image, and the edges of the objects' boxes."""
+    palette = label_colours(int(max([labels.max(), *(each.label for each in objects)])) + 1)
     mixed = (1 - OPACITY) * rgb + OPACITY * palette[labels]
     image = Image.fromarray(np.where(labels[..., None] > 0, mixed, rgb).astype(np.uint8))
     draw = ImageDraw.Draw(image)
@@ -103,14 +97,14 @@ def overlay(
     return image
 
 
-def colours(count: int) -> UInt8[np.ndarray, "label 3"]:
-    """Colours of so many labels; the background's is black."""
-    hues = [colorsys.hsv_to_rgb(GOLDEN * i % 1, 0.85, 1) for i in range(1, count)]
+def label_colours(count: int) -> UInt8[np.ndarray, "label 3"]:
+    """Colours of the labels 0 to `count - 1`; the background is black."""
+    hues = [colorsys.hsv_to_rgb(HUE_STEP * i % 1, 0.85, 1) for i in range(1, count)]
     return (255 * np.array([(0, 0, 0), *hues])).round().astype(np.uint8)
 
 
-def _box_edges(each: Found, k: Float64[np.ndarray, "3 3"], pose: Pose) -> list[list[tuple[float, float]]]:
-    """Edges of a box in pixels; none of a box that reaches behind the camera."""
+def _box_edges(each: SegmentedObject, k: Float64[np.ndarray, "3 3"], pose: Pose) -> list[list[tuple[float, float]]]:
+    """Project the edges of a box to pixels; empty if the box reaches behind the camera."""
     if each.box_size is None:
         return []
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T

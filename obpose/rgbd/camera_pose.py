@@ -1,31 +1,25 @@
-"""The world frame of a recording: the user's own, or one that stands on the table in view."""
+"""Camera poses from files of the user."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float64
 
 from datagen.storage.safe_io import npy_shape, parse_json, read_npy, read_text
 from obpose.errors import CorruptFile, UsageError
-from obpose.rgbd.plane import Plane
-from obpose.rgbd.table import find_table, table_points
 
 Pose = Float64[np.ndarray, "4 4"]
+"""Rigid transform, metres."""
 
-GIVEN = "as given with --camera-pose"
-FITTED = (
-    "stands on the largest plane near the camera in the first frame, most likely the table: z = 0 is the plane and z "
-    "points up, x points horizontally towards the camera, and the origin is where the median of the plane's points is"
-)
 MOST_POSE_BYTES = 2**16
-"""Largest file of a pose."""
+"""Largest size of a pose file, bytes."""
 MOST_TRANSLATION = 1000.0
-"""Largest distance in metres of the camera from the origin, along each axis; others come of wrong units."""
+"""Largest coordinate of the camera in metres; larger ones indicate wrong units."""
 
 
 def read_pose(path: Path) -> Pose:
-    """Read world_from_camera from a file: four rows of four numbers as text, JSON or NPY.
+    """Read world_from_camera: four rows of four numbers as text, JSON or NPY.
 
     Raises:
         UsageError: there is no such file, or it holds no rigid pose.
@@ -48,33 +42,8 @@ def read_pose(path: Path) -> Pose:
     return pose
 
 
-def pose_over_plane(
-    points: Float[np.ndarray, "point 3"], *, center: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0
-) -> Pose:
-    """Find world_from_camera in the frame that `FITTED` describes.
-
-    Args:
-        points: What the camera saw, camera frame, metres.
-        center: Where the median of the table's points is to be, world frame, metres; of this x and y count.
-        seed: Of the search for the table.
-
-    Raises:
-        UsageError: no plane is found.
-    """
-    plane = find_table(points, seed=seed)
-    if plane is None:
-        raise UsageError("No plane was found in the first frame, so that up is unknown; give --camera-pose.")
-    middle = np.median(table_points(points, plane), axis=0)
-    rotation = _axes(plane, middle)
-    x, y, _ = rotation @ middle
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    pose[:3, 3] = [center[0] - x, center[1] - y, -plane.offset]
-    return pose
-
-
 def _read_rows(path: Path) -> Pose | None:
-    """Read numbers between spaces or commas; `#` begins a comment."""
+    """Read numbers separated by spaces or commas; `#` starts a comment."""
     lines = (line.partition("#")[0].replace(",", " ").split() for line in read_text(path, MOST_POSE_BYTES).splitlines())
     try:
         return _matrix([[float(number) for number in line] for line in lines if line])
@@ -98,11 +67,11 @@ def _read_array(path: Path) -> Pose | None:
 
 
 _READERS = {".json": _read_json, ".npy": _read_array}
-"""Readers of a pose by file ending; all other files are text."""
+"""Readers by file ending; other files are text."""
 
 
 def _matrix(value: Any) -> Pose | None:
-    """Convert four lists of four numbers to a 4x4 array; None for anything else."""
+    """Convert four lists of four numbers to an array; None for anything else."""
     if not isinstance(value, list) or not all(isinstance(row, list) and len(row) == 4 for row in value):
         return None
     numbers = [number for row in value for number in row]
@@ -112,27 +81,14 @@ def _matrix(value: Any) -> Pose | None:
 
 
 def _unreadable(path: Path, error: ValueError) -> CorruptFile:
-    said = " ".join(str(error).split())
-    return CorruptFile(f"--camera-pose {path} cannot be read ({said:.100}); expected four rows of four numbers.")
+    reason = " ".join(str(error).split())
+    return CorruptFile(f"--camera-pose {path} cannot be read ({reason:.100}); expected four rows of four numbers.")
 
 
 def _is_rigid(pose: Pose) -> bool:
-    """Whether all numbers are finite, and the matrix is a rotation and a translation."""
+    """Whether all numbers are finite, and the matrix consists of a rotation and a translation."""
     rotation = pose[:3, :3]
     if not np.isfinite(pose).all() or np.abs(rotation).max() > 2:
         return False
     orthonormal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) and np.linalg.det(rotation) > 0
     return bool(orthonormal and np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6))
-
-
-def _axes(plane: Plane, middle: Float[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
-    """World axes as rows, in the camera's frame: x from the table's middle towards the camera, z off the plane."""
-    z = plane.normal
-    towards = -middle
-    x = towards - z * (z @ towards)
-    if np.linalg.norm(x) < 0.1 * np.linalg.norm(towards):
-        # From straight above there is no such direction: use the direction to the lower side of the image.
-        x = np.array([0.0, 1.0, 0.0])
-        x = x - z * (z @ x)
-    x = x / np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])

@@ -5,8 +5,8 @@ import numpy as np
 from PIL import Image
 
 from datagen.geometry import intrinsics, look_at
-from obpose.rgbd.reading import Recording
-from obpose.rgbd.writing import Found, colours, label_image, overlay, write_results
+from obpose.rgbd.recording import Recording
+from obpose.rgbd.results import SegmentedObject, label_colours, label_image, overlay, write_results
 
 WIDTH, HEIGHT = 64, 48
 K = intrinsics(1.0, WIDTH, HEIGHT)
@@ -14,8 +14,10 @@ POSE = look_at(np.array([0.6, 0.0, 0.6]), np.zeros(3))
 RGB = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
 
 
-def found(**changes: object) -> Found:
-    return Found(**{"label": 1, "pixels": 5, "center": np.zeros(3), "rotation": np.eye(3), "box_size": 0.2, **changes})
+def some_object(**changes: object) -> SegmentedObject:
+    return SegmentedObject(
+        **{"label": 1, "pixels": 5, "center": np.zeros(3), "rotation": np.eye(3), "box_size": 0.2, **changes}
+    )
 
 
 def labels() -> np.ndarray:
@@ -30,21 +32,21 @@ def test_a_label_image_holds_labels():
     np.testing.assert_array_equal(np.asarray(image), labels())
 
 
-def test_colours_of_labels_differ_and_do_not_depend_on_their_number():
-    assert len(np.unique(colours(20), axis=0)) == 20
-    np.testing.assert_array_equal(colours(20)[:5], colours(5))
-    assert colours(1).tolist() == [[0, 0, 0]]
+def test_label_colours_differ_and_do_not_depend_on_the_count():
+    assert len(np.unique(label_colours(20), axis=0)) == 20
+    np.testing.assert_array_equal(label_colours(20)[:5], label_colours(5))
+    assert label_colours(1).tolist() == [[0, 0, 0]]
 
 
 def test_an_overlay_changes_objects_and_leaves_the_background():
     image = np.asarray(overlay(RGB, labels(), [], K, POSE))
     np.testing.assert_array_equal(image[20:], RGB[20:])
-    assert (image[:10, :10] == (100 + colours(3)[2].astype(int)) // 2).all()
+    assert (image[:10, :10] == (100 + label_colours(3)[2].astype(int)) // 2).all()
 
 
 def drawn(**changes: object) -> np.ndarray:
-    """Where an overlay of one box changes the image."""
-    image = np.asarray(overlay(RGB, np.zeros_like(labels()), [found(**changes)], K, POSE))
+    """Pixels that an overlay of one box changes."""
+    image = np.asarray(overlay(RGB, np.zeros_like(labels()), [some_object(**changes)], K, POSE))
     return np.argwhere((image != RGB).any(axis=-1))
 
 
@@ -57,17 +59,17 @@ def test_a_box_is_drawn_around_its_object():
     assert {tuple(place) for place in drawn(rotation=turn)} != {tuple(place) for place in drawn()}
 
 
-def test_no_box_is_drawn_where_there_is_none_or_behind_the_camera():
+def test_no_box_is_drawn_without_a_size_or_behind_the_camera():
     assert len(drawn(box_size=None)) == 0
     assert len(drawn(center=np.array([2.0, 0.0, 2.0]))) == 0
 
 
-def test_all_files_of_all_frames(tmp_path: Path):
+def test_every_frame_gets_all_its_files(tmp_path: Path):
     recording = Recording(
         (Path("a.png"), Path("b.png")), np.stack([RGB, RGB]), np.ones((2, HEIGHT, WIDTH), np.float32), K
     )
     maps = np.stack([labels(), labels()])
-    page = write_results(tmp_path / "out", recording, maps, [[found()], []], POSE, {"world": "here"})
+    page = write_results(tmp_path / "out", recording, maps, [[some_object()], []], POSE, {"world": "here"})
     facts = json.loads(page.read_text())
     assert facts["world"] == "here"
     np.testing.assert_allclose(facts["world_from_camera"], POSE, atol=1e-6)
