@@ -48,7 +48,7 @@ def run(values: Arguments) -> int:
     records = Dataset(folder).split(values.split)
     found = []
     for index in range(min(values.scenes, len(records))):
-        light = infer_scene(origin, read_clip(folder, values.split, index), refinements=STEPS).light
+        light = infer_scene(origin, read_clip(folder, values.split, index), refinements=STEPS).appearance.light
         # The first light of a scene casts the shadows.
         degrees = angle(light[:3].numpy(), records[index]["lights/direction"][0])
         found.append(Found(strength(light), degrees if strength(light) else float("nan")))

@@ -14,7 +14,8 @@ from benchmark.tasks.true_poses import world_points
 from datagen.storage.reader import Split
 from obpose.errors import UsageError
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.sample import Source, sample_scene
+from obpose.scenes.priors.interface import ScenePrior
+from obpose.scenes.priors.sample import sample_scene
 from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Camera, Scene
 
@@ -51,12 +52,12 @@ def real_scenes(scenes: Split, count: int) -> list[Labelled]:
     return [_first_image(clips[i], truths[i].astype(np.int64)) for i in range(min(count, len(clips)))]
 
 
-def sampled_scenes(origin: Origin, source: Source, like: Sequence[Labelled], *, seed: int) -> Iterator[Labelled]:
+def sampled_scenes(origin: Origin, prior: ScenePrior, like: Sequence[Labelled], *, seed: int) -> Iterator[Labelled]:
     """One for each real scene, with its camera and as many objects as are in view there."""
     renderer, generator = Renderer(origin.model), torch.Generator().manual_seed(seed)
     for real in like:
         camera = _camera(real.clip)
-        scene = _sample(origin, source, len(np.unique(real.labels)) - 1, camera, generator)
+        scene = _sample(origin, prior, len(np.unique(real.labels)) - 1, camera, generator)
         yield labelled(renderer.render(scene), camera)
 
 
@@ -112,10 +113,10 @@ def _camera(clip: Clip) -> Camera:
     return Camera(k, pose, width, height)
 
 
-def _sample(origin: Origin, source: Source, objects: int, camera: Camera, generator: torch.Generator) -> Scene:
+def _sample(origin: Origin, prior: ScenePrior, objects: int, camera: Camera, generator: torch.Generator) -> Scene:
     for attempt in range(TRIES):
         try:
-            return sample_scene(origin, source, objects=objects, cameras=(camera,), generator=generator)
+            return sample_scene(origin, prior, objects=objects, cameras=(camera,), generator=generator)
         except UsageError:
             if attempt == TRIES - 1:
                 raise

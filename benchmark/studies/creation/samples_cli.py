@@ -20,18 +20,14 @@ from benchmark.studies.creation.sampled import Labelled, Looks, looks, mean_ari_
 from benchmark.studies.creation.subject import Subject
 from datagen.errors import EXIT_OK, UsageError
 from datagen.storage.reader import Dataset
-from obpose.data.datasets import SceneDataset
-from obpose.scenes.clip import read_clip
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.pictures import enlarged, write_png
-from obpose.scenes.priors.flow_prior import PriorName, has_flow, named_prior
-from obpose.scenes.priors.object_bank import find_objects
-from obpose.scenes.priors.sample import Source
-from obpose.scenes.refine import STEPS
+from obpose.scenes.priors import available_priors, load_prior
+from obpose.scenes.priors.interface import ScenePrior
 from obpose.storage.pretrained import shipped_names
 
 PROGRAM = "python -m benchmark.studies.creation.samples_cli"
-TUNED_ON, FOUND_IN = "val", "train"
+TUNED_ON = "val"
 SEGMENTS = "obpose"
 """Whose weights segment, as those of `obpose-sharp` sample."""
 OURS, CLUSTERING = "ObPose", "plane-hdbscan"
@@ -49,11 +45,9 @@ class Arguments(Subject):
     segmenter: str = ""
     """Folder of a trained model, or the name of weights that ship, to segment the scenes with: other weights than those
     that sample. By default those of `obpose` that ship for the track, or the sampling ones where there are none."""
-    found: int = 60
-    """Training clips whose objects are put together anew; 0 for none."""
     picture: Path | None = None
-    """PNG to write: real scenes, beneath them some of the flow where there is one, of the fitted prior, of the learned
-    one, and of found objects."""
+    """PNG to write: real scenes, beneath them some of the flow where there is one, of the fitted prior, and of the
+    learned one."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(values: Arguments) -> int:
     """Of one model and dataset."""
-    values.check(scenes=1, seed=0, found=0)
+    values.check(scenes=1, seed=0)
     origin = values.origin()
     segmenter = load_origin(values.segmenter or shipped_to_segment(values.source.name) or origin.name)
     if values.picture is not None and values.picture.suffix != ".png":
@@ -72,10 +66,10 @@ def run(values: Arguments) -> int:
         raise UsageError(
             f"--split {TUNED_ON}: real scenes are compared with those of {TUNED_ON}; expected test or train."
         )
-    dataset = Dataset(values.folder((TUNED_ON, *([FOUND_IN] if values.found else []))))
+    dataset = Dataset(values.folder((TUNED_ON,)))
     real, others = (real_scenes(dataset.split(name), values.scenes) for name in (values.split, TUNED_ON))
     kinds = {f"real ({values.split})": real, f"real ({TUNED_ON})": others}
-    for name, source in _sources(origin, dataset.folder, values.found):
+    for name, source in _sources(origin):
         kinds[f"sampled, {name}"] = list(sampled_scenes(origin, source, real, seed=values.seed))
     print(f"{origin.name}, {len(real)} scenes of {values.source.name}, first view and frame, seed {values.seed}:\n")
     print(f"{OURS} segments with {segmenter.name}{_circular(origin, segmenter)}.\n")
@@ -91,14 +85,9 @@ def run(values: Arguments) -> int:
     return EXIT_OK
 
 
-def _sources(origin: Origin, folder: Path, clips: int) -> Iterator[tuple[str, Source]]:
-    priors: tuple[PriorName, ...] = ("flow", "fitted", "learned")
-    for name in priors if has_flow(origin) else priors[1:]:
-        yield f"prior {name}", named_prior(origin, name)
-    if clips:
-        count = min(clips, len(SceneDataset(folder, FOUND_IN)))
-        inputs = (read_clip(folder, FOUND_IN, index) for index in range(count))
-        yield f"objects found in {count} clips", find_objects(origin, inputs, refinements=STEPS)
+def _sources(origin: Origin) -> Iterator[tuple[str, ScenePrior]]:
+    for name in available_priors(origin):
+        yield f"prior {name}", load_prior(origin, name)
 
 
 def shipped_to_segment(track: str) -> str | None:

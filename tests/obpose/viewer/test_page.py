@@ -99,7 +99,7 @@ def test_what_was_inferred_is_fitted_to_its_frames_once_and_can_be_undone(
     monkeypatch.setattr("obpose.viewer.page.STEPS", 5)
     page.actions.fit()
     fitted = settled(page).session.scene
-    assert fitted.detail.any()
+    assert fitted.appearance.detail.any()
     assert alike(fitted, infer_scene(opened.origin, opened.clip, refinements=5), by=0.01)
     assert page.session.version.seen_as == {name: name for name in opened.scene.ids}
     page.actions.fit()

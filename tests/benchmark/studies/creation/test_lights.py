@@ -1,5 +1,6 @@
 import csv
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,11 +29,10 @@ def test_each_scene_is_compared_with_the_light_that_casts_its_shadows(
     records = Dataset(clips).split("test")
     lights = [torch.cat([torch.tensor(records[0]["lights/direction"][0]).float(), torch.tensor([0.5])]), no_light()]
 
-    class Scene:
-        def __init__(self) -> None:
-            self.light = lights.pop(0)
+    def infer(*_: object, **__: object) -> SimpleNamespace:
+        return SimpleNamespace(appearance=SimpleNamespace(light=lights.pop(0)))
 
-    monkeypatch.setattr(lights_cli, "infer_scene", lambda *_, **__: Scene())
+    monkeypatch.setattr(lights_cli, "infer_scene", infer)
     path = tmp_path / "lights.csv"
     assert main(["--data", str(clips), "--checkpoint", str(checkpoint), "--csv", str(path)]) == 0
     with path.open() as file:

@@ -11,9 +11,11 @@ from benchmark.studies.creation.sampled import ari_fg, labelled, looks, mean_ari
 from benchmark.studies.creation.samples_cli import COLUMNS, GAP, main, shipped_to_segment
 from datagen.storage.reader import Dataset
 from obpose.scenes.model_ref import Origin
+from obpose.scenes.priors import load_prior
 from obpose.scenes.priors.flow import Flow
-from obpose.scenes.priors.flow_prior import named_prior, save_flow
-from obpose.scenes.priors.gaussian import learned_prior, save_prior
+from obpose.scenes.priors.flow_prior import save_flow
+from obpose.scenes.priors.gaussian import save_gaussian
+from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.rendering import Image
 from obpose.storage.pretrained import shipped_to_create
 from tests.obpose.scenes.small_scenes import CAMERA
@@ -73,7 +75,7 @@ def test_real_scenes_are_the_first_image_of_each(clips: Path):
 def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(clips: Path, origin: Origin):
     real = real_scenes(Dataset(clips).split("test"), 2)
     one, same, other = (
-        list(sampled_scenes(origin, named_prior(origin, "learned"), real, seed=seed)) for seed in (0, 0, 1)
+        list(sampled_scenes(origin, load_prior(origin, "learned"), real, seed=seed)) for seed in (0, 0, 1)
     )
     for scene, like in zip(one, real, strict=True):
         assert scene.clip.rgb.shape == like.clip.rgb.shape
@@ -85,12 +87,11 @@ def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(cli
 def test_the_command_prints_and_draws(
     clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    save_prior(origin, learned_prior(origin.model))
+    save_gaussian(origin, learned_prior(origin))
     flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2"]
     assert main([*flags, "--picture", str(tmp_path / "grid.png"), "--csv", str(tmp_path / "samples.csv")]) == 0
     printed = capsys.readouterr().out
-    assert all(f"| {name} |" in printed for name in ("real (test)", "real (val)", "sampled, prior fitted"))
-    assert "| sampled, objects found in 2 clips |" in printed
+    assert all(f"| {name} |" in printed for name in ("real (test)", "real (val)", "sampled, prior gaussian"))
     kept = list(csv.DictReader((tmp_path / "samples.csv").read_text().splitlines()))
     assert {line["segmenter"] for line in kept} == {str(checkpoint)}
     assert f"segments with {checkpoint}, the weights that sample" in printed
@@ -98,11 +99,11 @@ def test_the_command_prints_and_draws(
     assert f"| {float(kept[1]['mmd2 size']):z.4f} ({float(kept[1]['mmd2 size p']):.3f}) |" in printed
     width = 2 * (96 + 2 * GAP)
     with Pillow.open(tmp_path / "grid.png") as picture:
-        assert picture.size == (width, 4 * (96 + 2 * GAP))
+        assert picture.size == (width, 3 * (96 + 2 * GAP))
     assert COLUMNS >= 2
     assert main([*flags, "--split", "val"]) == 2
     save_flow(origin, Flow(origin.model.config.model.latent.what))
-    assert main([*flags, "--found", "0"]) == 0
+    assert main(flags) == 0
     assert "| sampled, prior flow |" in capsys.readouterr().out
 
 
@@ -117,8 +118,8 @@ def test_other_weights_segment_what_the_ones_for_pictures_sample(track: str, nam
 def test_the_segmenter_is_the_one_that_is_named(
     clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    save_prior(origin, learned_prior(origin.model))
-    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2", "--found", "0", "--segmenter"]
+    save_gaussian(origin, learned_prior(origin))
+    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2", "--segmenter"]
     assert main([*flags, "obpose--moving--64x64", "--csv", str(tmp_path / "samples.csv")]) == 0
     assert "segments with obpose--moving--64x64.\n" in capsys.readouterr().out
     kept = list(csv.DictReader((tmp_path / "samples.csv").read_text().splitlines()))
