@@ -18,6 +18,7 @@ STUDIES = {
     "errors": "Count a model's errors by type, over time, by number of objects, and where objects adjoin",
     "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
     "lights": "Measure the angle between the estimated and the true light",
+    "mesh_extents": "Compare the extents of meshes with true sizes, at several surface densities",
     "object_frames": "Measure and draw how much objects vary over time in their own frames",
     "probes": "Read shape, colour, size and position from the objects' latents with linear probes",
     "samples": "Compare sampled scenes with real ones",

@@ -28,7 +28,7 @@ def run(flags: Flags) -> list[Line]:
     records = Dataset(folder).split(flags.split)
     lines: list[Line] = []
     for index in range(min(flags.scenes, len(records))):
-        light = infer_scene(origin, read_clip(folder, flags.split, index), refinements=STEPS).light
+        light = infer_scene(origin, read_clip(folder, flags.split, index), refinements=STEPS).appearance.light
         # The first light of a scene casts the shadows.
         degrees = angle(light[:3].numpy(), records[index]["lights/direction"][0]) if strength(light) else nan
         lines.append({"scene": index, "strength": strength(light), "degrees": degrees})

@@ -27,8 +27,9 @@ from datagen.errors import UsageError
 from datagen.storage.reader import Dataset, Split
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.pictures import enlarged, write_png
-from obpose.scenes.priors.flow_prior import PriorName, has_flow, named_prior
-from obpose.scenes.priors.sample import Source, sample_scene
+from obpose.scenes.priors import available_priors, load_prior
+from obpose.scenes.priors.interface import ScenePrior
+from obpose.scenes.priors.sample import sample_scene
 from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Camera, Scene
 from obpose.storage.pretrained import shipped_names
@@ -95,9 +96,8 @@ def run(flags: Flags) -> Iterator[Line]:
     dataset = Dataset(flags.folder(TUNED_ON))
     real, reference = (real_images(dataset.split(name), flags.scenes) for name in (flags.split, TUNED_ON))
     kinds = {f"real ({flags.split})": real, f"real ({TUNED_ON})": reference}
-    priors: tuple[PriorName, ...] = ("flow", "fitted", "learned")
-    for name in priors if has_flow(origin) else priors[1:]:
-        images = sampled_images(origin, named_prior(origin, name), real, seed=flags.seed)
+    for name in available_priors(origin):
+        images = sampled_images(origin, load_prior(origin, name), real, seed=flags.seed)
         kinds[f"sampled, prior {name}"] = list(images)
     circular = ", which also samples: what it draws it recognises" if origin.hash == segmenter.hash else ""
     print(f"{OBPOSE} segments with {segmenter.name}{circular}.")
@@ -126,7 +126,7 @@ def real_images(scenes: Split, count: int) -> list[LabelledImage]:
 
 
 def sampled_images(
-    origin: Origin, source: Source, like: Sequence[LabelledImage], *, seed: int
+    origin: Origin, prior: ScenePrior, like: Sequence[LabelledImage], *, seed: int
 ) -> Iterator[LabelledImage]:
     """Sample one scene for each real image, with its camera and its number of objects."""
     renderer, generator = Renderer(origin.model), torch.Generator().manual_seed(seed)
@@ -134,7 +134,7 @@ def sampled_images(
         k, pose = (torch.from_numpy(values[0]).float() for values in (real.clip.k, real.clip.world_from_camera))
         height, width = real.labels.shape[-2:]
         camera = Camera(k, pose, width, height)
-        scene = _sample(origin, source, len(np.unique(real.labels)) - 1, camera, generator)
+        scene = _sample(origin, prior, len(np.unique(real.labels)) - 1, camera, generator)
         yield label_image(renderer.render(scene), camera)
 
 
@@ -199,8 +199,8 @@ def grid(rows: Sequence[Sequence[LabelledImage]]) -> np.ndarray:
     return np.concatenate(lines)
 
 
-def _sample(origin: Origin, source: Source, objects: int, camera: Camera, generator: torch.Generator) -> Scene:
-    sample = partial(sample_scene, origin, source, objects=objects, cameras=(camera,), generator=generator)
+def _sample(origin: Origin, prior: ScenePrior, objects: int, camera: Camera, generator: torch.Generator) -> Scene:
+    sample = partial(sample_scene, origin, prior, objects=objects, cameras=(camera,), generator=generator)
     for _ in range(TRIES - 1):
         with suppress(UsageError):
             return sample()

@@ -2,7 +2,7 @@
 
 obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what is in test scene 0
 obpose-edit infer --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --out a
-obpose-edit sample --checkpoint obpose--moving--64x64 --camera a --out b    a scene that was never seen
+obpose-edit sample --checkpoint obpose-sharp--moving--64x64 --out b         a new scene
 obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
 obpose-edit render c --turntable 24 --out turn.gif
 obpose-edit mesh c --object 2 --out object.glb
@@ -10,7 +10,7 @@ obpose-edit mesh c --object 2 --out object.glb
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,7 @@ from torch import Tensor
 import assets
 from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
-from datagen.storage.atomic import check_new_file, check_new_folder, new_file
-from obpose.commands.edit_arguments import Add, Fit, Infer, Learn, Mesh, Move, Remove, Render, Rotate, Sample, Swap
-from obpose.data.clips import select_part
+from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
 from obpose.errors import Interrupted, UsageError
@@ -34,18 +32,13 @@ from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
 from obpose.scenes.bounds import check_inside
 from obpose.scenes.clip import name_clip, one_of, read_clip
-from obpose.scenes.infer import infer_scene, views_as_trained
+from obpose.scenes.infer import infer_scene
 from obpose.scenes.meshes import FORMATS, object_mesh, write_mesh
 from obpose.scenes.model_ref import Origin, load_origin, origin_of
 from obpose.scenes.pictures import PICTURE, strip, turntable, write_gif, write_png
-from obpose.scenes.priors.flow_prior import has_flow, named_prior
-from obpose.scenes.priors.gaussian import FILE as PRIOR
-from obpose.scenes.priors.gaussian import fit_prior, has_prior, load_prior, save_prior
-from obpose.scenes.priors.object_bank import FoundObjects, find_objects
-from obpose.scenes.priors.sample import sample_scene
-from obpose.scenes.priors.tables import MOST, find_tables
-from obpose.scenes.priors.train_flow import Lesson, learn_flow
-from obpose.scenes.refine import STEPS
+from obpose.scenes.priors import PRIORS, load_prior
+from obpose.scenes.priors.interface import FitSettings
+from obpose.scenes.priors.sample import default_camera, sample_scene
 from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Camera, Scene, axis_rotation
 from obpose.scenes.storage import load_scene, save_scene
@@ -59,7 +52,7 @@ MOST_TURNS = 360
 MOST_STEPS = 10_000_000
 MOST_SEEDS = 2**31
 LARGEST = 2048
-"""Pixels along a side of a picture."""
+"""Largest width and height of a picture, pixels."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -96,7 +89,7 @@ def _infer(values: Infer) -> None:
     _show(scene, origin, values.out, values.resolution)
     if not scene.ids:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")
-    elif values.refine and not strength(scene.light):
+    elif values.refine and not strength(scene.appearance.light):
         print("No light was found by its shadows: the scene is drawn without any.")
 
 
@@ -105,75 +98,34 @@ def _sample(values: Sample) -> None:
         raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
     if not 0 <= values.seed < 2**63:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
-    if values.prior == "found" and values.data is None:
-        raise UsageError("--prior found needs --data DIR, a dataset with training scenes to take objects from.")
-    if values.prior != "found" and values.data is not None:
-        raise UsageError("--data is for --prior found; other priors take nothing from a dataset.")
-    if values.clips < 1:
-        raise UsageError(f"--clips {values.clips}: expected 1 or more.")
     _size(values.resolution)
-    origin, cameras = load_origin(values.checkpoint), load_scene(values.camera).cameras
-    generator = torch.Generator().manual_seed(values.seed)
-    if values.prior == "found":
-        source = _found(origin, values, generator)
-    else:
-        source = named_prior(origin, values.prior or ("flow" if has_flow(origin) else "fitted"))
-    scene = sample_scene(origin, source, objects=values.objects, cameras=cameras, generator=generator)
+    cameras = None if values.camera is None else load_scene(values.camera).cameras
+    origin, generator = load_origin(values.checkpoint), torch.Generator().manual_seed(values.seed)
+    prior, cameras = load_prior(origin, values.prior), cameras or (default_camera(),)
+    scene = sample_scene(origin, prior, objects=values.objects, cameras=cameras, generator=generator)
     _show(scene, origin, values.out, values.resolution)
 
 
-def _found(origin: Origin, values: Sample, generator: torch.Generator) -> FoundObjects:
-    data = values.data
-    assert data is not None
-    number = len(SceneDataset(data, "train"))
-    if not number:
-        raise UsageError(f"{data} has no training scenes to take objects from; make some with --split train=N.")
-    check_new_folder(values.out)
-    chosen = torch.randperm(number, generator=generator)[: values.clips].tolist()
-    print(
-        f"Looking for objects in {counted(len(chosen), 'training clip')} of {data}; each takes some seconds.",
-        flush=True,
-    )
-    return find_objects(origin, (read_clip(data, "train", index) for index in chosen), refinements=STEPS)
-
-
-def _fit(values: Fit) -> None:
-    origin, count = _own(values.checkpoint), _clips(values)
-    model = origin.model
-    if has_prior(origin):
-        raise UsageError(f"{origin.folder / PRIOR} is there already; move it elsewhere to fit another one.")
-    _say(f"Looking for lights and patterns in {counted(min(count, MOST), 'clip')}; each takes some seconds.")
-    whole = (read_clip(values.data, "train", i) for i in _places(min(count, MOST)))
-    tables = find_tables(origin, whole, refinements=STEPS)
-    _say(f"Looking at the first frames of {counted(count, 'clip')}.")
-    clips = (select_part(read_clip(values.data, "train", i), frames=slice(1)) for i in range(count))
-    save_prior(origin, fit_prior(model, (views_as_trained(model, clip) for clip in clips), tables))
-    print(f"Fitted to {counted(count, 'clip')}, for obpose-edit sample: {origin.folder}")
-
-
-def _learn(values: Learn) -> None:
-    origin, count = _own(values.checkpoint), _clips(values)
+def _fit_prior(values: FitPrior) -> None:
+    kind, origin = PRIORS[values.kind], _own(values.checkpoint)
+    assert kind.fit is not None
+    assert kind.file is not None
+    count = _clips(values, kind.clips)
     if not 1 <= values.steps <= MOST_STEPS:
         raise UsageError(f"--steps {values.steps}: expected 1 to {MOST_STEPS}.")
     if not 0 <= values.seed < MOST_SEEDS:
         raise UsageError(f"--seed {values.seed}: expected 0 to {MOST_SEEDS - 1}.")
-    load_prior(origin)
     if values.workers is not None and values.workers < 1:
         raise UsageError(f"--workers {values.workers}: expected at least 1.")
-    workers = values.workers or cpu_count()
+    if (origin.folder / kind.file).is_file():
+        raise UsageError(f"{origin.folder / kind.file} exists; move it elsewhere to fit another one.")
+    settings = FitSettings(count, values.steps, values.seed, values.workers or cpu_count())
     try:
-        path = learn_flow(origin, values.data, Lesson(count, values.steps, values.seed), workers=workers, say=_say)
+        path = kind.fit(origin, values.data, settings, _say)
     except KeyboardInterrupt:
-        raise Interrupted("Interrupted; what was done is kept, and the same command goes on.") from None
-    print(f"Learned from {counted(count, 'clip')}, for obpose-edit sample: {path}")
-
-
-def _places(clips: int) -> Iterator[int]:
-    """Places of clips, and a word now and then of how many are done."""
-    for place in range(clips):
-        if place and place % 8 == 0:
-            _say(f"{place} of {counted(clips, 'clip')}")
-        yield place
+        kept = "what was done is kept, and the same command resumes" if values.kind == "flow" else "nothing was changed"
+        raise Interrupted(f"Interrupted; {kept}.") from None
+    print(f"Fitted to {counted(count, 'clip')}, for obpose-edit sample: {path}")
 
 
 def _say(line: str) -> None:
@@ -181,7 +133,7 @@ def _say(line: str) -> None:
 
 
 def _own(checkpoint: str) -> Origin:
-    """A model beside whose weights files may be written."""
+    """Load a model beside whose weights files may be written."""
     origin = load_origin(checkpoint)
     if origin.folder.resolve().parent == assets.CHECKPOINTS.resolve():
         raise UsageError(
@@ -190,16 +142,16 @@ def _own(checkpoint: str) -> Origin:
     return origin
 
 
-def _clips(values: Fit | Learn) -> int:
-    """How many there are, and at most as many as are asked for."""
-    number = len(SceneDataset(values.data, "train"))
-    if min(values.clips, number) < 2:
+def _clips(values: FitPrior, default: int) -> int:
+    """Give the number of training clips to use: as many as requested, or all if there are fewer."""
+    number, wanted = len(SceneDataset(values.data, "train")), default if values.clips is None else values.clips
+    if min(wanted, number) < 2:
         raise UsageError(
-            f"--clips {values.clips}: expected 2 or more, of the training split of {values.data}, which has {number}."
+            f"--clips {wanted}: expected 2 or more, of the training split of {values.data}, which has {number}."
         )
-    if values.clips > number:
-        _say(f"{values.data} has {number} training clips, fewer than --clips {values.clips}.")
-    return min(values.clips, number)
+    if wanted > number:
+        _say(f"{values.data} has {number} training clips, fewer than --clips {wanted}.")
+    return min(wanted, number)
 
 
 def _render(values: Render) -> None:
@@ -232,12 +184,12 @@ def _render(values: Render) -> None:
 
 
 def _tell_of_fog(images: list[Image], distance: float) -> None:
-    """Say if there is something before most of what a camera should see, so many metres away."""
+    """Warn if fog hides a scene that is `distance` metres away from the cameras."""
     if fogged := sum(float(image.depth.median()) < distance / 2 for image in images):
         print(
-            f"In {fogged} of {counted(len(images), 'picture')} there is fog before the scene: these weights know what "
-            "is empty only where their training's cameras looked. Turntables want weights that were trained with "
-            "several views."
+            f"In {fogged} of {counted(len(images), 'picture')} there is fog before the scene: the fields of "
+            "these weights are empty only where training cameras looked. Use weights that were trained with several "
+            "views for turntables."
         )
 
 
@@ -251,7 +203,8 @@ def _mesh(values: Mesh) -> None:
     model = origin_of(scene, values.checkpoint).model
     scene.place(values.object)
     check_new_file(values.out)
-    mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells)
+    floor = model.config.model.table
+    mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells, floor=floor)
     with new_file(values.out) as out:
         write_mesh(out, mesh)
     sides = " x ".join(f"{100 * side:.1f}" for side in mesh.extents)
@@ -259,7 +212,7 @@ def _mesh(values: Mesh) -> None:
 
 
 def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:
-    """A command that loads a scene, changes it, and writes what comes of it."""
+    """Make a command that loads a scene, changes it, and writes the result."""
 
     def command(values: Any) -> None:
         scene = load_scene(values.scene)
@@ -305,7 +258,7 @@ def _add(values: Add, scene: Scene) -> Scene:
 
 
 def _check_seen(scene: Scene) -> None:
-    """Check that the last object is not where an equal one is, as a copy that stays in its place would be."""
+    """Check that the last object does not coincide with an equal one, like a copy that was not moved."""
     parts = (scene.what, scene.center, scene.rotation)
     for place, name in enumerate(scene.ids[:-1]):
         if all(torch.equal(part[:, place], part[:, -1]) for part in parts):
@@ -340,7 +293,7 @@ def _sized(camera: Camera, resolution: str | None) -> Camera:
 
 
 def _size(resolution: str | None) -> tuple[int, int] | None:
-    """Width and height; looked at before anything slow is done, too."""
+    """Parse and check width and height."""
     if resolution is None:
         return None
     try:
@@ -355,8 +308,7 @@ def _size(resolution: str | None) -> tuple[int, int] | None:
 COMMANDS = {
     "infer": Command(Infer, _infer),
     "sample": Command(Sample, _sample),
-    "fit": Command(Fit, _fit),
-    "learn": Command(Learn, _learn),
+    "fit-prior": Command(FitPrior, _fit_prior),
     "render": Command(Render, _render),
     "mesh": Command(Mesh, _mesh),
     "remove": Command(Remove, _edited(_remove)),

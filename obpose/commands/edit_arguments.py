@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from obpose.rgbd.frames import Frames
+from obpose.scenes.priors import PriorName
 from obpose.scenes.refine import STEPS
 
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -15,15 +16,14 @@ SceneFolder = Annotated[Path, tyro.conf.Positional]
 
 @dataclass(frozen=True)
 class _Shown:
-    """What is drawn of the result."""
+    """Options of commands that write a scene with a picture."""
 
     out: Path
-    """Folder for the new scene and its picture; it must not hold anything yet."""
+    """Folder for the new scene and its picture; it must be empty or not exist."""
     resolution: str | None = None
-    """Of the picture, such as 128x128 (width x height); that of the camera if left out."""
+    """Width x height of the picture, such as 128x128; default the camera's."""
     checkpoint: str | None = None
-    """Folder of the model, or the name of weights that ship with this package; the scene knows it by itself unless it
-    was moved."""
+    """Folder of the model, or the name of weights that ship with this package; default the place in the scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,74 +33,62 @@ class Infer(Frames):
     checkpoint: str
     """Folder of a trained model, or the name of weights that ship with this package."""
     out: Path
-    """Folder for the scene and its picture; it must not hold anything yet."""
+    """Folder for the scene and its picture; it must be empty or not exist."""
     data: Path | None = None
-    """Folder of a dataset with images, in the place of frames."""
+    """Folder of a dataset, instead of frames."""
     split: Literal["train", "val", "test"] = "test"
     scene: int = 0
-    """Which of the split's scenes."""
+    """Index of the scene in the split."""
     resolution: str | None = None
-    """Of the picture, such as 128x128; that of the data if left out."""
+    """Width x height of the picture, such as 128x128; default that of the data."""
     refine: int = STEPS
-    """Steps in which what was inferred is then fitted to the frames, which takes seconds; 0: codes as the model reads
-    them, without any detail."""
+    """Steps in which the scene is fitted to the frames, which takes seconds; 0: codes as inferred, without details."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Sample a scene that was never seen."""
+    """Sample a new scene."""
 
     checkpoint: str
     """Folder of a trained model, or the name of weights that ship with this package."""
     out: Path
-    """Folder for the scene and its picture; it must not hold anything yet."""
-    camera: Path
-    """Folder of a scene whose cameras are used."""
+    """Folder for the scene and its picture; it must be empty or not exist."""
+    camera: Path | None = None
+    """Folder of a scene whose cameras are used. Default: the camera of the recipe `moving`, about a metre from
+    the origin, which it looks down at by 55 degrees, with 128x128 pixels."""
     objects: int = 3
+    """Number of objects."""
     seed: int = 0
-    prior: Literal["flow", "fitted", "learned", "found"] | None = None
-    """`flow`: whole objects, with details, of a flow that `obpose-edit learn` made; `fitted`: mixtures of Gaussians of
-    what the model infers from training clips, which `obpose-edit fit` made and shipped weights have; `learned`: the
-    model's own priors; `found`: whole objects, with details, that the model finds in training clips of --data, of which
-    only company and place are new. If left out, the flow where the weights have one, else the mixtures."""
-    data: Path | None = None
-    """Folder of the dataset whose objects are taken, for --prior found."""
-    clips: int = 8
-    """How many of its training clips are looked at for --prior found, chosen by the seed; each takes some seconds."""
+    """Random seed."""
+    prior: PriorName | None = None
+    """`flow`: whole objects with details; `gaussian`: mixtures of Gaussians of inferred codes; `learned`: the priors
+    that the model learned. `obpose-edit fit-prior` makes the first two. Default: the first of these that the weights
+    have."""
     resolution: str | None = None
-    """Of the picture, such as 128x128; that of the camera if left out."""
+    """Width x height of the picture, such as 128x128; default the camera's."""
 
 
 @dataclass(frozen=True)
-class Fit:
-    """Fit the mixtures that scenes are sampled from, beside a model's weights."""
+class FitPrior:
+    """Fit a prior to sample scenes from, beside a model's weights.
 
-    checkpoint: str
-    """Folder of a trained model."""
-    data: Path
-    """Folder of the dataset that it was trained on."""
-    clips: int = 500
-    """How many of the training split."""
-
-
-@dataclass(frozen=True)
-class Learn:
-    """Learn a flow that whole objects are sampled from, beside a model's weights.
-
-    What was done when it was stopped is kept, and the same command goes on.
+    An interrupted training of a flow is resumed by the same command.
     """
 
     checkpoint: str
-    """Folder of a trained model, to which `obpose-edit fit` has fitted mixtures."""
+    """Folder of a trained model; for a flow it needs a Gaussian prior."""
     data: Path
     """Folder of the dataset that it was trained on."""
-    clips: int = 400
-    """How many of the training split objects are looked for in, for some seconds each."""
+    kind: Literal["gaussian", "flow"] = "gaussian"
+    """`gaussian`: mixtures of Gaussians of inferred codes; `flow`: a flow that samples whole objects with details."""
+    clips: int | None = None
+    """Number of training clips; default 500 for `gaussian`, 400 for `flow`, which takes some seconds for each."""
     steps: int = 3000
-    """Of learning, about a tenth of a second each."""
+    """Training steps of a flow, about a tenth of a second each."""
     seed: int = 0
+    """Seed of the training of a flow."""
     workers: int | None = None
-    """Processes that look for objects; as many as there are processors if left out."""
+    """Number of processes that look for objects for a flow; default one per core."""
 
 
 @dataclass(frozen=True)
@@ -110,19 +98,19 @@ class Render:
     scene: SceneFolder
     """Folder of a scene."""
     out: Path
-    """PNG, or GIF of a turn or of all frames; must not exist yet."""
+    """PNG, or GIF with --turntable or --clip; must not exist yet."""
     frame: int | None = None
-    """The first one if left out."""
+    """Index of the frame; default 0."""
     view: int = 0
-    """Which of the scene's cameras."""
+    """Index of the camera."""
     turntable: int | None = None
-    """Pictures of a whole turn around the scene, as a GIF."""
+    """Number of pictures of a full turn around the scene, as a GIF."""
     clip: Switch = False
     """All frames, as a GIF."""
     resolution: str | None = None
-    """Such as 128x128; that of the camera if left out."""
+    """Width x height, such as 128x128; default the camera's."""
     checkpoint: str | None = None
-    """Where the scene's model is, if it was moved."""
+    """Folder of the scene's model, if it was moved."""
 
 
 @dataclass(frozen=True)
@@ -132,14 +120,15 @@ class Mesh:
     scene: SceneFolder
     """Folder of a scene."""
     object: int
-    """Its number, as printed and coloured."""
+    """Name of the object, as printed."""
     out: Path
     """PLY or GLB; must not exist yet."""
     frame: int = 0
+    """Index of the frame."""
     cells: int = 48
-    """Points along each edge of its box at which its field is looked at."""
+    """Points along each edge of the object's box at which its field is evaluated."""
     checkpoint: str | None = None
-    """Where the scene's model is, if it was moved."""
+    """Folder of the scene's model, if it was moved."""
 
 
 @dataclass(frozen=True)
@@ -153,49 +142,50 @@ class Remove(_Edit):
     """Remove an object."""
 
     object: int = field(kw_only=True)
-    """Its number, as printed and coloured."""
+    """Name of the object, as printed."""
 
 
 @dataclass(frozen=True)
 class Move(_Edit):
-    """Move an object by a distance, or to a place."""
+    """Move an object by a displacement, or to a position."""
 
     object: int = field(kw_only=True)
-    """Its number, as printed and coloured."""
+    """Name of the object, as printed."""
     by: str | None = None
-    """x,y,z in metres, world frame, such as 0.1,0,0."""
+    """Displacement x,y,z in metres, world frame, such as 0.1,0,0."""
     to: str | None = None
-    """x,y,z in metres: of the middle of its box in the first frame."""
+    """Position x,y,z of the centre of its box in the first frame, metres."""
 
 
 @dataclass(frozen=True)
 class Rotate(_Edit):
-    """Turn an object about its middle."""
+    """Turn an object about the centre of its box."""
 
     object: int = field(kw_only=True)
-    """Its number, as printed and coloured."""
+    """Name of the object, as printed."""
     degrees: float = field(kw_only=True)
-    """Counterclockwise, seen from above or against the axis."""
+    """Angle; counterclockwise, seen against the axis."""
     axis: Literal["x", "y", "z"] = "z"
-    """Of the world."""
+    """Axis of the world."""
 
 
 @dataclass(frozen=True)
 class Swap(_Edit):
-    """Let two objects change places."""
+    """Exchange the positions of two objects."""
 
     objects: tuple[int, int] = field(kw_only=True)
+    """Names of the two objects."""
 
 
 @dataclass(frozen=True)
 class Add(_Edit):
-    """Add a copy of an object, of the same scene or of another of the same model."""
+    """Add a copy of an object, from the same scene or from another one of the same model."""
 
     object: int = field(kw_only=True)
-    """Its number in the scene that it comes from."""
+    """Name of the object in the scene that it comes from."""
     source: Annotated[Path | None, tyro.conf.arg(name="from")] = None
-    """Folder of the scene that it comes from; the same if left out."""
+    """Folder of the scene that it comes from; default the same scene."""
     by: str | None = None
-    """x,y,z in metres that it is displaced by."""
+    """Displacement x,y,z in metres."""
     to: str | None = None
-    """x,y,z in metres: where the middle of its box is in the first frame."""
+    """Position x,y,z of the centre of its box in the first frame, metres."""

@@ -1,4 +1,4 @@
-"""Where objects can be put: the workspace that the model was trained on, from the table up."""
+"""Bounds of objects: the workspace that the model was trained on, above the table."""
 
 import torch
 from jaxtyping import Float
@@ -11,14 +11,14 @@ from obpose.scenes.scene import Scene
 TABLE = 0.0
 """Height of the table in the world frame, metres."""
 _SUNK = 0.01
-"""Metres that the middle of a box may lie below the table nevertheless: of thin objects that a model infers some do."""
+"""Tolerance for box centres below the table, metres; inferred thin objects need it."""
 
 
 def workspace_bounds(model: ObPose) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
-    """Lowest and highest corner of where the middles of objects' boxes can be, world frame, metres.
+    """Give the lowest and highest corner of the allowed box centres, world frame, metres.
 
-    It is the cube that holds what the cameras saw in training, without what is below the table of models that have one:
-    elsewhere no object was ever seen, and below the table none is drawn.
+    They bound the cube that the cameras saw in training. If the model has a table, the part below it is excluded,
+    because nothing is rendered there.
     """
     settings = model.config.model
     half = settings.workspace_size / 2
@@ -29,10 +29,10 @@ def workspace_bounds(model: ObPose) -> tuple[Float[Tensor, "3"], Float[Tensor, "
 
 
 def check_inside(scene: Scene, model: ObPose) -> None:
-    """Check that all objects are where the model knows the world, in all frames.
+    """Check that all objects are inside the workspace in all frames.
 
     Raises:
-        UsageError: some are not; says which, and where they can be.
+        UsageError: some are outside; the message lists them and the bounds.
     """
     low, high = workspace_bounds(model)
     lowest = low - torch.tensor([0.0, 0.0, _SUNK])
@@ -42,6 +42,6 @@ def check_inside(scene: Scene, model: ObPose) -> None:
         within = zip("xyz", (low * 100).ceil() / 100, (high * 100).floor() / 100, strict=True)
         ranges = [f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in within]
         raise UsageError(
-            f"Object {', '.join(names)} would be outside the workspace that the model knows; expected the middle of "
+            f"Object {', '.join(names)} would be outside the workspace of the model; expected the middle of "
             f"its box at {', '.join(ranges)} m in all frames: put it there, or in frames of your own move the world."
         )

@@ -1,4 +1,4 @@
-"""Clips of datasets, to infer scenes from, and their names."""
+"""Access to clips of datasets by split and index."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from obpose.types import Observation
 
 
 def read_clip(data: Path, split: str, index: int) -> Observation:
-    """A clip of a dataset as a batch of one.
+    """Read a clip of a dataset as a batch of one.
 
     Raises:
         UsageError: there is no such dataset, split or scene, as `obpose.data.datasets.SceneDataset`.
@@ -23,7 +23,7 @@ def read_clip(data: Path, split: str, index: int) -> Observation:
 
 
 def name_clip(data: Path, split: str, index: int) -> ClipName:
-    """The name of a clip, by which scenes know that they are of it.
+    """Give the identity of a clip, which scenes store.
 
     Raises:
         UsageError: there is no such dataset or split.
@@ -32,10 +32,10 @@ def name_clip(data: Path, split: str, index: int) -> ClipName:
 
 
 def one_of(flag: str, value: int, count: int) -> int:
-    """A number of something, counted from 0.
+    """Check an index of something, counted from 0.
 
     Raises:
-        UsageError: there are not so many.
+        UsageError: the index is out of range.
     """
     if not 0 <= value < count:
         raise UsageError(f"{flag} {value}: expected {'0' if count == 1 else f'0 to {count - 1}'}.")

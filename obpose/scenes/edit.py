@@ -1,6 +1,6 @@
-"""Edits of scenes: each takes scenes and gives a new one; nothing is changed in place.
+"""Edits of scenes. Each gives a new scene and changes nothing in place.
 
-An edit is of all frames: an object that moves is displaced along its whole way.
+Edits apply to all frames: the whole trajectory of a moving object is displaced.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from obpose.scenes.scene import Scene
 
 
 def remove(scene: Scene, name: int) -> Scene:
-    """Without this object.
+    """Remove an object.
 
     Raises:
         UsageError: there is no such object, as in all edits.
@@ -27,32 +27,31 @@ def remove(scene: Scene, name: int) -> Scene:
         what=scene.what[:, rest],
         center=scene.center[:, rest],
         rotation=scene.rotation[:, rest],
-        detail=scene.detail[rest],
-        alone=scene.alone[rest],
+        appearance=scene.appearance.only(rest),
     )
 
 
 def move(scene: Scene, name: int, by: Float[Tensor, "3"]) -> Scene:
-    """With the object displaced, world frame, metres."""
+    """Displace an object, world frame, metres."""
     center = scene.center.clone()
     center[:, scene.place(name)] += by
     return replace(scene, center=center)
 
 
 def move_to(scene: Scene, name: int, to: Float[Tensor, "3"]) -> Scene:
-    """With the middle of the object's box there in the first frame, and its way beyond shifted by as much."""
+    """Move the centre of an object's box to a point in the first frame; later frames are shifted equally."""
     return move(scene, name, to - scene.center[0, scene.place(name)])
 
 
 def rotate(scene: Scene, name: int, by: Float[Tensor, "3 3"]) -> Scene:
-    """With the object turned about the middle of its box by a rotation of the world."""
+    """Turn an object about the centre of its box by a rotation in the world frame."""
     rotation, place = scene.rotation.clone(), scene.place(name)
     rotation[:, place] = by @ rotation[:, place]
     return replace(scene, rotation=rotation)
 
 
 def carry(scene: Scene, name: int, by: Float[Tensor, "4 4"]) -> Scene:
-    """With the object carried along by a rigid transform of the world, metres."""
+    """Apply a rigid transform of the world to an object, metres."""
     center, rotation, place = scene.center.clone(), scene.rotation.clone(), scene.place(name)
     center[:, place] = center[:, place] @ by[:3, :3].T + by[:3, 3]
     rotation[:, place] = by[:3, :3] @ rotation[:, place]
@@ -60,9 +59,9 @@ def carry(scene: Scene, name: int, by: Float[Tensor, "4 4"]) -> Scene:
 
 
 def swap(scene: Scene, one: int, other: int) -> Scene:
-    """With two objects in each other's places; what they are, how they are turned and how high they are goes along.
+    """Exchange the horizontal positions of two objects.
 
-    Places are those seen from above: of another size an object would stand in the table, or float.
+    Orientation and height stay with each object, so that neither sinks into the table nor floats.
 
     Raises:
         UsageError: no such object, or both are the same.
@@ -76,21 +75,21 @@ def swap(scene: Scene, one: int, other: int) -> Scene:
 
 
 def duplicate(scene: Scene, name: int, by: Float[Tensor, "3"]) -> Scene:
-    """With a copy of the object beside it, displaced; its name is `scene.new_id()`."""
+    """Add a displaced copy of an object; its name is `scene.new_id()`."""
     return transfer(scene, name, scene, by)
 
 
 def transfer(source: Scene, name: int, target: Scene, by: Float[Tensor, "3"] | None = None) -> Scene:
-    """The target with a copy of the source's object, where it is in the source or displaced from there.
+    """Add a copy of the source's object to the target, at its pose in the source or displaced from it.
 
-    Where the source has fewer frames its last one stays; its name is `target.new_id()`.
+    If the source has fewer frames, its last one is repeated. The name of the copy is `target.new_id()`.
 
     Raises:
-        UsageError: no such object, or the scenes are of different models, whose latents mean different things.
+        UsageError: no such object, or the scenes belong to different models, whose latents are not comparable.
     """
     if source.model != target.model or source.what.shape[-1] != target.what.shape[-1]:
         raise UsageError(
-            "The scenes are of different models; an object of one means nothing to the other. Infer both with one."
+            "The scenes belong to different models, whose codes are not comparable. Infer both with the same one."
         )
     place = source.place(name)
     frames = torch.arange(target.frames).clamp(max=source.frames - 1)
@@ -101,8 +100,7 @@ def transfer(source: Scene, name: int, target: Scene, by: Float[Tensor, "3"] | N
         what=_with(target.what, source.what[frames, place]),
         center=_with(target.center, center),
         rotation=_with(target.rotation, source.rotation[frames, place]),
-        detail=torch.cat([target.detail, source.detail[place, None]]),
-        alone=torch.cat([target.alone, source.alone[place, None]]),
+        appearance=target.appearance.with_object(source.appearance, place),
     )
 
 

@@ -1,4 +1,4 @@
-"""How much of its box an object fills."""
+"""Occupied part of an object's box."""
 
 import torch
 from jaxtyping import Float
@@ -10,16 +10,16 @@ from obpose.model.nerf.voxels import THRESHOLD, lattice_points, occupancy
 from obpose.model.obpose import ObPose
 
 LEAST_VOXELS = 8
-"""Objects of fewer of these voxels are hardly anywhere: in boxes of 20 cm it is a cube of 25 mm."""
+"""Least number of occupied voxels of an object: a cube of 25 mm in a box of 20 cm."""
 CELLS = 16
-"""Voxels along each edge of a box, or of what an object's detail is alone in."""
+"""Voxels along each edge of a box, or of a residual grid that replaces the field."""
 
 
 @torch.no_grad()
 def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
-    """Middles of the voxels that the object of a single code is in, in its box.
+    """Give the centres of the occupied voxels of an object with a single code, in box coordinates.
 
-    Voxels are parts of the box, or of what an object's detail is alone in.
+    Voxels divide the box, or the residual grid if it replaces the field.
     """
     lattice = lattice_points(CELLS, None, codes.first)
     if codes.detail is not None and codes.detail.alone is not None:
@@ -30,12 +30,12 @@ def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
 
 
 def above_table(extent: Float[Tensor, "corner 3"], height: float) -> Float[Tensor, "some 3"]:
-    """Those of the voxels that are above the world's z = 0 where the middle of the box is so high, metres."""
+    """Keep the voxels above the world's z = 0, for a box centre at this height, metres."""
     return extent[extent[:, 2] > -height]
 
 
 def shape_extent(model: ObPose, codes: Conditioning, rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "corner 3"]:
-    """Occupied voxels of an object relative to the middle of its box, world axes, metres; the middle if none is."""
+    """Give the occupied voxels relative to the box centre, world axes, metres; the centre if none is occupied."""
     voxels = occupied(model, codes)
     if not len(voxels):
         voxels = voxels.new_zeros(1, 3)

@@ -1,4 +1,4 @@
-"""From RGB-D frames to a scene."""
+"""Inference of scenes from RGB-D frames."""
 
 from dataclasses import dataclass, replace
 
@@ -8,40 +8,40 @@ from torch import Tensor
 
 from obpose.data.clips import select_part
 from obpose.data.resolution import fitting_model
-from obpose.model.nerf.detail import no_detail
 from obpose.model.obpose import ObPose
+from obpose.scenes.appearance import no_appearance
 from obpose.scenes.appearance.find_light import find_light
-from obpose.scenes.appearance.find_table_texture import find_pattern
+from obpose.scenes.appearance.find_table_texture import find_texture
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
 from obpose.scenes.scene import Camera, Scene
 from obpose.types import Inference, Observation
 
-LOOKED_AT = 10
-"""Frames of a longer clip in which light and pattern are looked for, evenly spaced."""
+APPEARANCE_FRAMES = 10
+"""Number of frames, evenly spaced, from which light and texture are estimated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Inferred:
-    """A scene, and where its objects are seen."""
+    """A scene with its segmentation."""
 
     scene: Scene
     labels: Int[Tensor, "frame seen height width"]
-    """Name of the object of every pixel in the views that the model got, 0 = background."""
+    """Name of the object of every pixel in the views that the model used, 0 = background."""
 
 
 def infer_scene(origin: Origin, observation: Observation, *, refinements: int = 0) -> Scene:
-    """The scene of a batch of one clip, with the posterior means of its latents, as it is segmented.
+    """Infer the scene of a batch of one clip from the posterior means of its latents.
 
-    Of several views the model gets what it was trained with, all or the first; the scene has the cameras of all.
-    It is then fitted to these views in so many steps (`obpose.scenes.refine`), and light and pattern are looked for
-    (`find_light`, `find_pattern`); without steps, which is the paper's inference, it has neither.
+    The model uses all views or the first one, as in training; the scene has all cameras. With refinements, the scene is
+    then fitted to these views in that many steps (`obpose.scenes.refine`), and light and texture are estimated
+    (`find_light`, `find_texture`). Without refinements this is the paper's inference.
     """
     return infer_labelled(origin, observation, refinements=refinements).scene
 
 
 def infer_labelled(origin: Origin, observation: Observation, *, refinements: int = 0) -> Inferred:
-    """The same with its segmentation."""
+    """Infer a scene like `infer_scene`, and give its segmentation too."""
     cameras = cameras_of(observation)
     observation = views_as_trained(origin.model, observation)
     model = fitting_model(origin.model, observation)
@@ -51,7 +51,7 @@ def infer_labelled(origin: Origin, observation: Observation, *, refinements: int
 
 
 def fit_to_frames(scene: Scene, model: ObPose, observation: Observation, *, refinements: int) -> Scene:
-    """What `infer_scene` comes to with refinements, from what it comes to without."""
+    """Refine a scene that `infer_scene` inferred without refinements."""
     observation = views_as_trained(model, observation)
     return _fitted(fitting_model(model, observation), observation, scene, refinements)
 
@@ -60,27 +60,29 @@ def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: 
     if not refinements:
         return scene
     scene = refine(model, observation, scene, steps=refinements)
-    # Light and table are the same in all frames, of which some are enough.
-    frames = torch.linspace(0, scene.frames - 1, min(LOOKED_AT, scene.frames)).round().long()
+    # Light and table do not change over time, so some frames are enough.
+    frames = torch.linspace(0, scene.frames - 1, min(APPEARANCE_FRAMES, scene.frames)).round().long()
     observation, part = select_part(observation, frames=frames), _part(scene, frames)
     light = find_light(model, observation, part)
-    return replace(scene, light=light, pattern=find_pattern(model, observation, replace(part, light=light)))
+    return scene.with_appearance(
+        light=light, texture=find_texture(model, observation, part.with_appearance(light=light))
+    )
 
 
 def _part(scene: Scene, frames: Int[Tensor, " some"]) -> Scene:
-    """Some frames, as if there were no others."""
+    """Keep some of the frames."""
     values = {name: getattr(scene, name)[frames] for name in ("what", "center", "rotation", "background")}
     return replace(scene, **values)
 
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:
-    """All views where the model was trained with all at once, or else the first."""
+    """Select the views that the model uses: all if it was trained with all at once, otherwise the first."""
     together = model.config.train.views == "all"
     return observation if together else select_part(observation, views=slice(1))
 
 
 def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) -> Scene:
-    """The objects in use of a batch of one clip; they have the names that they have as labels."""
+    """Make a scene of the active slots of a batch of one clip; names of objects are their labels."""
     slots = [slot for slot, active in enumerate(inference.masks.active[0].tolist()) if active]
     assert inference.background is not None
     return Scene(
@@ -88,8 +90,7 @@ def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) 
         what=inference.what.z[0, :, slots].detach(),
         center=inference.boxes.center[0, :, slots].detach(),
         rotation=inference.boxes.rotation[0, :, slots].detach(),
-        detail=no_detail(len(slots), inference.what.z.detach()),
-        alone=inference.what.z.new_zeros(len(slots)),
+        appearance=no_appearance(len(slots), inference.what.z.detach()),
         background=inference.background.z[0].detach(),
         cameras=cameras,
         model=origin.hash,
@@ -98,7 +99,7 @@ def scene_of(inference: Inference, cameras: tuple[Camera, ...], origin: Origin) 
 
 
 def cameras_of(observation: Observation) -> tuple[Camera, ...]:
-    """Of the first clip."""
+    """Give the cameras of the first clip of a batch."""
     height, width = observation.depth.shape[-2:]
     pairs = zip(observation.k[0], observation.world_from_camera[0], strict=True)
     return tuple(Camera(k, pose, width, height) for k, pose in pairs)

@@ -1,5 +1,6 @@
 """Objects as triangle meshes in metres, coloured by their fields."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +17,41 @@ from obpose.errors import UsageError
 from obpose.geometry import from_box
 from obpose.model.nerf.along import JITTER
 from obpose.model.nerf.field import Conditioning
-from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene
 
 FORMATS = (".ply", ".glb")
+_EMPTY = -20.0
+"""Logit outside of the box."""
+SURFACE = 0.9
+"""Density at the surface, as a share of the largest. Chosen by measurement: docs/create.md, section Meshes."""
 
 
 @torch.no_grad()
-def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resolution: int = 48) -> trimesh.Trimesh:
-    """The surface at which the object's own density crosses sigma_T (marching cubes, Lorensen and Cline 1987).
+def object_mesh(
+    model: ObPose,
+    scene: Scene,
+    name: int,
+    *,
+    frame: int = 0,
+    resolution: int = 48,
+    floor: float | None = None,
+    surface: float = SURFACE,
+) -> trimesh.Trimesh:
+    """Extract the surface of an object from its density (marching cubes, Lorensen and Cline 1987).
 
-    World frame, metres; `resolution` points along each edge of the box, whose faces close what reaches beyond them. The
-    colour of a vertex is the field's as far behind it as it was trained, seen from outside.
+    The mesh is in the world frame, in metres. The faces of the object's box close it where the field reaches beyond
+    them. The colour of a vertex is the field's as far behind it as it was trained, seen from outside.
+
+    Args:
+        model: The model of the scene.
+        scene: The scene.
+        name: Name of the object.
+        frame: Frame whose pose and code are used.
+        resolution: Points along each edge of the box at which the field is evaluated.
+        floor: Height in the world, metres, at which the mesh is cut: no camera saw what is below a table.
+        surface: Density at the surface, as a share of the largest.
 
     Raises:
         UsageError: there is no such object, or it is nowhere dense.
@@ -38,17 +60,21 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
     codes = object_codes(model, scene, frame, place)
     steps = torch.linspace(-1, 1, resolution)
     lattice = torch.cartesian_prod(steps, steps, steps)
-    density = occupancy(model.object_field.density(lattice, codes)[0]).view(resolution, resolution, resolution)
-    around = np.pad(density.numpy(), 1)
-    if around.max() <= THRESHOLD:
+    center, rotation = scene.center[frame, place], scene.rotation[frame, place]
+    logits, level = model.object_field.density(lattice, codes)[0], _logit(surface)
+    if floor is not None:
+        # A field that crosses the level at the floor, one logit per step of the lattice.
+        height = from_box(lattice, center, rotation, settings.pose.box_size)[:, 2] - floor
+        logits = torch.minimum(logits, level + height * (resolution - 1) / settings.pose.box_size)
+    around = np.pad(logits.view(resolution, resolution, resolution).numpy(), 1, constant_values=_EMPTY)
+    if around.max() <= level:
         raise UsageError(
             f"Object {name} is dense at none of {resolution} x {resolution} x {resolution} points of its box; there is "
             "nothing to make a mesh of, unless more of them (--cells) find something."
         )
-    corners, faces, _, _ = marching_cubes(around, THRESHOLD)
+    corners, faces, _, _ = marching_cubes(around, level)
     # The padding lies a step outside the box; what it closes is cut off there.
     in_box = torch.from_numpy((corners - 1) * (2 / (resolution - 1)) - 1).to(lattice.dtype).clamp(-1, 1)
-    center, rotation = scene.center[frame, place], scene.rotation[frame, place]
     vertices = from_box(in_box, center, rotation, settings.pose.box_size)
     mesh = trimesh.Trimesh(vertices.numpy(), faces, process=False)
     mesh.fix_normals()
@@ -59,16 +85,21 @@ def object_mesh(model: ObPose, scene: Scene, name: int, *, frame: int = 0, resol
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
-    """Write PLY or GLB, by the ending of the name, whole or not at all.
+    """Write PLY or GLB, by the suffix of the path, atomically.
 
     Raises:
-        UsageError: another ending.
+        UsageError: the path has another suffix.
     """
     if path.suffix not in FORMATS:
         raise UsageError(f"{path}: expected a name that ends with {' or '.join(FORMATS)}.")
     data = mesh.export(file_type=path.suffix[1:])
     assert isinstance(data, bytes)
     write_atomically(path, data)
+
+
+def _logit(density: float) -> float:
+    """Logit of a density: the inverse of tanh(softplus(logit)) (paper, end of section Decoder)."""
+    return math.log(math.expm1(math.atanh(density)))
 
 
 def _colours(

@@ -1,4 +1,4 @@
-"""Which model a scene's latents are of."""
+"""References to the model that a scene's latents belong to."""
 
 import hashlib
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from obpose.trainable import Configuration
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """A model whose objects have poses, and its names."""
+    """A model whose objects have poses, with its place and its hash."""
 
     model: ObPose
     folder: Path
     name: str
-    """As it was called."""
+    """Place as given by the user."""
     hash: str
     """SHA-256 of the file of its weights."""
 
 
 def load_origin(checkpoint: str) -> Origin:
-    """The model of a folder, or of weights that ship under this name.
+    """Load the model of a folder, or of weights that ship under this name.
 
     Raises:
-        UsageError: there is none, or its objects have no poses that could be edited.
+        UsageError: there is no model, or its objects have no poses.
         CorruptFile: a file is damaged.
     """
     folder = find_checkpoint(Path(checkpoint))
@@ -41,10 +41,10 @@ def load_origin(checkpoint: str) -> Origin:
 
 
 def check_poses(config: Configuration, place: str) -> None:
-    """Check that the objects of a model of this configuration can be edited.
+    """Check that the objects of a model with this configuration have poses.
 
     Raises:
-        UsageError: they have no poses.
+        UsageError: the objects have no poses.
     """
     architecture = architecture_of(config)
     if isinstance(config, Config) and architecture is OBPOSE:
@@ -60,11 +60,11 @@ def check_poses(config: Configuration, place: str) -> None:
 
 
 def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
-    """The model that the scene is of, from where it was or from `checkpoint`.
+    """Load the model of a scene from the place that the scene names, or from `checkpoint`.
 
     Raises:
-        UsageError: as `load_origin`, or the weights there are others.
-        CorruptFile: a file is damaged, or the scene is.
+        UsageError: as in `load_origin`, or the weights differ from those that made the scene.
+        CorruptFile: a file or the scene is damaged.
     """
     place = checkpoint or scene.checkpoint
     try:
@@ -72,10 +72,10 @@ def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
     except UsageError as error:
         if checkpoint is not None:
             raise
-        raise UsageError(f"The scene's model is not where it was: {error} Say with --checkpoint where it is.") from None
+        raise UsageError(f"The scene's model was not found: {error} Give its place with --checkpoint.") from None
     if found.hash != scene.model:
         raise UsageError(
-            f"The scene was made with other weights than those in {place}, to which its objects mean nothing. Give "
+            f"The scene was made with other weights than those in {place}, whose codes differ. Give "
             "--checkpoint with the right ones, or infer the scene again."
         )
     if (scene.what.shape[-1], scene.background.shape[-1]) != (LATENT, LATENT):

@@ -17,16 +17,16 @@ from obpose.scenes.rendering import Image
 from obpose.scenes.scene import Camera, upright
 
 PICTURE = "picture.png"
-"""In the folder of a saved scene."""
+"""File name of the picture in the folder of a saved scene."""
 _TILE = 256
-"""Images are enlarged by a whole number to about so many pixels."""
+"""Height in pixels to which images are enlarged, by a whole factor."""
 
 Picture = UInt8[np.ndarray, "height width 3"]
 """sRGB."""
 
 
 def strip(image: Image, names: Sequence[int]) -> Picture:
-    """Colour, depth (near is bright) and objects in their labels' colours, enlarged."""
+    """Draw colour, depth (near is bright) and segmentation side by side, enlarged."""
     depth = image.depth
     low, high = float(depth.min()), float(depth.max())
     grey = ((high - depth) / max(high - low, 1e-6))[..., None].expand(-1, -1, 3)
@@ -37,19 +37,19 @@ def strip(image: Image, names: Sequence[int]) -> Picture:
 
 
 def enlarged(picture: Picture, times: int) -> UInt8[np.ndarray, "rows columns 3"]:
-    """Each pixel as a square of pixels."""
+    """Enlarge a picture by repeating its pixels."""
     return picture.repeat(times, axis=0).repeat(times, axis=1)
 
 
 def write_png(path: Path, picture: Picture) -> None:
-    """Write a picture whole or not at all."""
+    """Write a PNG atomically."""
     data = io.BytesIO()
     Pillow.fromarray(picture).save(data, "PNG")
     write_atomically(path, data.getvalue())
 
 
 def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
-    """Write an animation that runs for ever, whole or not at all."""
+    """Write a looping GIF atomically."""
     first, *rest = (Pillow.fromarray(picture) for picture in pictures)
     data = io.BytesIO()
     first.save(data, "GIF", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0)
@@ -57,7 +57,7 @@ def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
 
 
 def turntable(camera: Camera, center: Tensor, count: int) -> list[Camera]:
-    """The camera carried around the vertical through `center`, in equal steps, looking as it did."""
+    """Rotate a camera around the vertical axis through `center`, in equal steps."""
     cameras = []
     for step in range(count):
         turn = upright(2 * math.pi * step / count, camera.k)

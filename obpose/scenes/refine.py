@@ -1,6 +1,6 @@
-"""A scene fitted to its frames: latents, places and details go on by gradient from where the encoders leave them.
+"""Refinement of a scene: latents, positions and details are fitted to the frames by gradient descent.
 
-An addition: semi-amortised inference (Kim et al. 2018). The paper reads latents once, and has no details.
+Not in the paper: semi-amortised inference (Kim et al. 2018). The paper infers latents once and has no details.
 """
 
 from collections.abc import Callable
@@ -20,22 +20,20 @@ from obpose.scenes.scene import Scene
 from obpose.types import Boxes, Decoded, Observation
 
 STEPS = 100
-"""Are plenty, and take seconds."""
+"""100 steps converge within seconds on one core."""
 RAYS, RAYS_OF_CLIP, LEAST_RAYS = 512, 5120, 32
-"""Of each frame in each step, half of them where objects are; fewer where a clip of many frames would have more in all,
-but not less than the last."""
+"""Rays per frame and step, largest number per clip, and least number per frame. Half of them hit objects."""
 LATENT_STEP, PLACE_STEP, DETAIL_STEP = 0.05, 5e-4, 0.1
-"""Learning rates of Adam (Kingma and Ba 2015) at the beginning, from which they fall to 0; the second in metres."""
+"""Initial learning rates of Adam (Kingma and Ba 2015), which decay to 0; the second is in metres."""
 AIR = 10.0
-"""So many times the weight of the air in training: as in that of `obpose-sharp`, which is for pictures."""
+"""Factor on the training weight of the air loss, as for `obpose-sharp`, which is made for pictures."""
 NEIGHBOURS, SIZE = 2.6, 4.0
-"""Prior of details: standard deviations of differences between neighbouring points of the lattice, and of the values
-themselves, logits."""
+"""Prior of details: standard deviations of differences between neighbouring points, and of the values, in logits."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Leaves:
-    """What is fitted, as in `Scene`."""
+    """Fitted values, as in `Scene`."""
 
     what: Float[Tensor, "frame object what"]
     background: Float[Tensor, "frame background"]
@@ -47,19 +45,19 @@ class _Leaves:
 
 
 def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int) -> Scene:
-    """The scene with latents, places of objects and details after so many steps down the observation loss.
+    """Fit latents, positions and details of a scene by gradient descent on the observation loss.
 
-    With the details' prior it is, for a pixel, minus the log of what is made large. Objects are not turned. The model
-    keeps its weights. What comes out depends on the arguments alone, to rounding.
+    The objective per pixel is the negative log-likelihood plus the negative log of the details' prior. Rotations and
+    the model's weights are not changed. The result is deterministic, up to rounding.
 
     Args:
-        model: That the scene is of.
-        observation: A batch of one clip, as many frames as the scene has.
-        scene: Where to begin.
-        steps: How many; 0 for none.
+        model: The model of the scene.
+        observation: A batch of one clip, with as many frames as the scene.
+        scene: The initial scene.
+        steps: Number of steps; 0 changes nothing.
     """
     loss, noise = model.config.loss, torch.Generator().manual_seed(0)
-    start = (scene.what, scene.background, scene.center, scene.detail)
+    start = (scene.what, scene.background, scene.center, scene.appearance.detail)
     leaves = _Leaves(*(value.clone().requires_grad_() for value in start))
     rates = (LATENT_STEP, LATENT_STEP, PLACE_STEP, DETAIL_STEP)
     groups = [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves.all(), rates, strict=True)]
@@ -79,16 +77,16 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
             optimiser.step()
             fall.step()
     what, background, center, detail = (leaf.detach() for leaf in leaves.all())
-    return replace(scene, what=what, background=background, center=center, detail=detail)
+    return replace(scene, what=what, background=background, center=center).with_appearance(detail=detail)
 
 
 def fields_of(model: ObPose, scene: Scene) -> Callable[..., Decoded]:
-    """Densities and colours of the scene's components, at points along rays of each frame (`decode`)."""
-    return _decoding(model, scene, _Leaves(scene.what, scene.background, scene.center, scene.detail))
+    """Give the function of densities and colours of a scene's components at points along rays (`decode`)."""
+    return _decoding(model, scene, _Leaves(scene.what, scene.background, scene.center, scene.appearance.detail))
 
 
 def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Decoded]:
-    """The scene's fields."""
+    """Give the function of densities and colours for the values that are being fitted."""
     frames, objects = scene.what.shape[:2]
     owner = torch.arange(objects).repeat(frames)
     active = torch.ones(1, objects, dtype=torch.bool)
@@ -111,7 +109,7 @@ def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Dec
 def _shows_objects(
     observation: Observation, decoding: Callable[..., Decoded]
 ) -> Float[Tensor, "1 frame view height width"]:
-    """1 where an object is denser than the background at the observed surface, else 0."""
+    """Mark pixels with 1 if an object is denser than the background at the observed surface, otherwise 0."""
     rays = all_rays(observation)
     points = rays.origin + rays.direction * rays.depth[..., None]
     logits = decoding(points, rays.direction, "without", "in boxes").logits

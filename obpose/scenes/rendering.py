@@ -1,4 +1,4 @@
-"""Pictures of scenes: colour, depth and soft segmentation from any camera, with the shadows of a known light."""
+"""Rendering of scenes: colour, depth and soft segmentation from any camera, with shadows of a known light."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,65 +18,63 @@ from obpose.model.nerf.marching import Component, Picture, make_component, march
 from obpose.model.nerf.voxels import THRESHOLD
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.light import beams, strength
-from obpose.scenes.appearance.table_texture import pattern_at
+from obpose.scenes.appearance.table_texture import texture_at
 from obpose.scenes.scene import Camera, Scene
 
 _OPAQUE = 5.0
-"""Optical thickness of as much of an opaque thing as lies between the surface points of neighbouring pixels. The
-fields were trained with such a spacing, and are no sharper."""
+"""Optical thickness of an opaque object over the spacing of neighbouring training pixels. Fields are no sharper."""
 _STEPS = 2.5
-"""Samples over that length."""
+"""Samples over that spacing."""
 _ACROSS = 2
-"""Rays along each side of a pixel at an outline."""
+"""Rays along each side of an antialiased pixel."""
 _OUTLINE = 0.1
-"""Outlines are where the share of a component differs by more than this between neighbours."""
+"""Difference of a component's share between neighbouring pixels that makes an outline."""
 _KEPT = 256
-"""Components that are remembered."""
+"""Size of the cache of components."""
 _SHADING = 1.0
-"""Optical thickness of as much of an opaque thing in the way of a light, which is sampled once: fields are fatter than
-objects, and with `_OPAQUE` shadows were harder and larger than they should be."""
+"""Optical thickness of an opaque object over that spacing, towards a light. Fields are larger than their objects, and
+`_OPAQUE` would make shadows too hard and too large."""
 _LEAST_LIGHT = 1e-2
-"""Share of a pixel's light that the background has at least where its shadows are looked for."""
+"""Least share of the background in a pixel for which shadows are computed."""
 _LEAST_COLOUR = 1e-3
-"""Colours are at least so far from black and white where a pattern is added to their logits."""
+"""Least distance of colours from black and white when a texture is added to their logits."""
 _OBJECT_CELLS = 16
 _FINE_CELLS = 32
-"""Of objects whose detail is alone, and may be thinner than the others' cells."""
+"""Cells along each edge of objects, and of residual grids that replace a field, which may be thinner."""
 _BACKGROUND_CELLS, _BACKGROUND_LAYERS = 32, 8
-"""Tables, and sheets of fog, may be much thinner than a cell."""
+"""Cells along each edge of the background, and layers in each, because tables may be thinner than a cell."""
 
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """What a camera sees of one frame."""
+    """A rendered frame."""
 
     rgb: Float[Tensor, "height width 3"]
-    """0..1; black where nothing is."""
+    """Colours in 0..1; empty space is black."""
     depth: Float[Tensor, "height width"]
-    """Mean planar depth at which light comes from, metres."""
+    """Mean planar depth of the light, metres."""
     shares: Float[Tensor, "component height width"]
     """Soft segmentation: share of the light from the background (first) and each object, in the scene's order."""
 
     @property
     def nearest(self) -> Int[Tensor, "height width"]:
-        """Place of the component that most light comes from; 0 is the background."""
+        """Index of the component with the largest share; 0 is the background."""
         return self.shares.argmax(dim=0)
 
 
 class Renderer:
-    """Renders scenes of one model; what does not change between edits is kept."""
+    """Renderer of the scenes of one model, with a cache of components."""
 
     def __init__(self, model: ObPose):
-        """Only models with a background and posed objects have scenes (`obpose.scenes.model_ref.load_origin`)."""
+        """Wrap a model with a background and posed objects (`obpose.scenes.model_ref.load_origin`)."""
         self.model = model.eval()
         self._known: dict[bytes, Component] = {}
 
     def render(self, scene: Scene, frame: int = 0, camera: Camera | None = None, *, antialiased: bool = True) -> Image:
-        """One frame, from the first camera that the scene was seen with where no other is given.
+        """Render a frame, by default from the scene's first camera.
 
-        Depth and shares are those of a ray through the middle of each pixel, and so are colours, but for pixels at
-        outlines: where not asked otherwise, these have the mean colour of `_ACROSS`^2 rays, as images of datasets are
-        antialiased, too. It takes about half as long again.
+        One ray through the centre of each pixel gives depth, shares and colour. With antialiasing, pixels at outlines
+        get the mean colour of `_ACROSS`^2 rays, like images of datasets; this takes about half as long again.
         """
         camera = scene.cameras[0] if camera is None else camera
         components, direction = self.components(scene, frame), _directions(camera).flatten(0, 1)
@@ -104,31 +102,33 @@ class Renderer:
         direction: Float[Tensor, "ray 3"],
         camera: Camera,
     ) -> Float[Tensor, "ray 3"]:
-        """Colours with the table's pattern, and the background in shadow where objects are before the light."""
+        """Add the table's texture and the shadows of objects on the background to colours."""
         share = picture.weights[0]
         shown = (share > _LEAST_LIGHT).nonzero()[:, 0]
-        has_pattern, has_shadows = bool(scene.pattern.any()), strength(scene.light) > 0 and len(components) > 1
-        if not len(shown) or not (has_pattern or has_shadows):
+        has_texture, has_shadows = (
+            bool(scene.appearance.texture.any()),
+            strength(scene.appearance.light) > 0 and len(components) > 1,
+        )
+        if not len(shown) or not (has_texture or has_shadows):
             return picture.colour
         share = share[shown, None]
         surface = camera.world_from_camera[:3, 3] + picture.depths[0, shown, None] / share * direction[shown]
         before = picture.colours[0, shown]
         after = before
-        if has_pattern:
-            pattern = pattern_at(self.model, scene.pattern, surface)
-            after = share * torch.sigmoid(torch.logit(before / share, eps=_LEAST_COLOUR) + pattern)
+        if has_texture:
+            texture = texture_at(self.model, scene.appearance.texture, surface)
+            after = share * torch.sigmoid(torch.logit(before / share, eps=_LEAST_COLOUR) + texture)
         if has_shadows:
-            occlusion = self.occlusion(components[1:], surface, scene.light[:3])
-            after = after * (1 - strength(scene.light) * occlusion[:, None])
+            occlusion = self.occlusion(components[1:], surface, scene.appearance.light[:3])
+            after = after * (1 - strength(scene.appearance.light) * occlusion[:, None])
         return picture.colour.index_add(0, shown, after - before)
 
     def occlusion(
         self, objects: list[Component], surface: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]
     ) -> Float[Tensor, "point"]:
-        """Share of the light that does not arrive at points of the background, as objects are in the way.
+        """Compute the share of the light that objects keep from points of the background.
 
-        What is nearer to a point than pixels of training lie apart does not count: it is the noise of where the two
-        meet.
+        Density nearer to a point than the spacing of training pixels is ignored, because it is noise of the contact.
         """
         config = self.model.config.model
         ways = [
@@ -146,7 +146,7 @@ class Renderer:
         return -torch.expm1(-torch.stack(ways)).mean(dim=0)
 
     def quadrature(self, camera: Camera) -> dict[str, Any]:
-        """Between which depths rays are sampled, how densely, and what counts as opaque, for a camera."""
+        """Give the depth range, the sampling density and the opacity for the rays of a camera."""
         spacing = self.model.config.model.spacing
         near, far = _reach(camera, self.model)
         return {
@@ -159,7 +159,7 @@ class Renderer:
         }
 
     def components(self, scene: Scene, frame: int) -> list[Component]:
-        """The background, then the objects."""
+        """Give the components of a frame: the background, then the objects."""
         model, settings = self.model, self.model.config.model
         field = model.background_field
         assert field is not None
@@ -181,7 +181,7 @@ class Renderer:
         return [background, *self.objects(scene, frame)]
 
     def objects(self, scene: Scene, frame: int) -> list[Component]:
-        """The objects alone, which is quicker where nothing is remembered."""
+        """Give the objects of a frame without the background, which is faster without a cache."""
         return [self._object(scene, frame, place) for place in range(len(scene.ids))]
 
     def _object(self, scene: Scene, frame: int, place: int) -> Component:
@@ -196,13 +196,13 @@ class Renderer:
                 object_codes(model, scene, frame, place),
                 **box,
                 bounded=True,
-                resolution=_FINE_CELLS if scene.alone[place] > 0 else _OBJECT_CELLS,
+                resolution=_FINE_CELLS if scene.appearance.alone[place] > 0 else _OBJECT_CELLS,
             ),
         )
         return moved(known, center, rotation)
 
     def _keep(self, name: bytes, make: Callable[[], Component]) -> Component:
-        """Components by what they look like, as edits leave most of them as they were."""
+        """Cache components by their look, because edits leave most of them unchanged."""
         if name not in self._known:
             if len(self._known) >= _KEPT:
                 self._known.clear()
@@ -211,14 +211,14 @@ class Renderer:
 
 
 def object_codes(model: ObPose, scene: Scene, frame: int, place: int) -> Conditioning:
-    """What makes an object of a scene out of the objects' field."""
-    return conditioning(model, scene.what[frame, place], scene.detail[place], scene.alone[place])
+    """Give the conditioning of the object field for an object of a scene."""
+    return conditioning(model, scene.what[frame, place], scene.appearance.detail[place], scene.appearance.alone[place])
 
 
 def conditioning(
     model: ObPose, what: Float[Tensor, "what"], detail: Float[Tensor, "edge edge edge 4"], alone: Float[Tensor, ""]
 ) -> Conditioning:
-    """What an object's latent and its detail add to the objects' field, or the detail alone (`Scene.alone`)."""
+    """Give the conditioning of the object field for a code and a detail, or the detail alone (`Appearance.alone`)."""
     is_alone = bool(alone > 0)
     if not is_alone and not detail.any():
         return model.object_field.condition(what)
@@ -227,7 +227,7 @@ def conditioning(
 
 
 def outlines(shares: Float[Tensor, "component height width"]) -> Bool[Tensor, "height width"]:
-    """Pixels around which, in themselves and their eight neighbours, the share of a component is not all the same."""
+    """Find pixels whose 3x3 neighbourhood differs in the share of a component."""
     visible = F.pad(shares, (1, 1, 1, 1), mode="replicate")
     most, least = (F.max_pool2d(sign * visible, 3, stride=1) for sign in (1, -1))
     return ((most + least) > _OUTLINE).any(dim=0)
@@ -238,7 +238,7 @@ def _directions(camera: Camera) -> Float[Tensor, "height width 3"]:
 
 
 def _reach(camera: Camera, model: ObPose) -> tuple[float, float]:
-    """Planar depths between which the workspace and what stands around it lie, metres."""
+    """Give the range of planar depths of the workspace and its surroundings, metres."""
     pose, reach = camera.world_from_camera, model.config.model.workspace_size
     middle = float((model.center - pose[:3, 3]) @ pose[:3, 2])
     return max(reach / 100, middle - reach), max(reach, middle + reach)

@@ -14,9 +14,10 @@ from safetensors.torch import save
 from datagen.storage.atomic import new_folder, write_atomically
 from datagen.storage.safe_io import brief_reason, read_json
 from obpose.errors import CorruptFile, UsageError
-from obpose.model.nerf.detail import EDGE, no_detail
+from obpose.model.nerf.detail import EDGE
+from obpose.scenes.appearance import Appearance, no_appearance
 from obpose.scenes.appearance.light import is_light, no_light
-from obpose.scenes.appearance.table_texture import no_pattern
+from obpose.scenes.appearance.table_texture import no_texture
 from obpose.scenes.pictures import PICTURE, Picture, write_png
 from obpose.scenes.scene import LARGEST_ID, Camera, ClipName, Scene
 from obpose.storage.tensors import Form, Forms, State, differences_of, read_tensors
@@ -88,11 +89,11 @@ def _write(folder: Path, scene: Scene) -> None:
         "what": scene.what,
         "center": scene.center,
         "rotation": scene.rotation,
-        "detail": scene.detail,
-        "alone": scene.alone,
         "background": scene.background,
-        "light": scene.light,
-        "pattern": scene.pattern,
+        "detail": scene.appearance.detail,
+        "alone": scene.appearance.alone,
+        "light": scene.appearance.light,
+        "pattern": scene.appearance.texture,
         "k": torch.stack([camera.k for camera in scene.cameras]),
         "world_from_camera": torch.stack([camera.world_from_camera for camera in scene.cameras]),
     }
@@ -160,7 +161,7 @@ def _check_file(objects: int, cameras: int, found: Forms) -> None:
         "detail": (objects, EDGE, EDGE, EDGE, 4),
         "alone": (objects,),
         "light": tuple(no_light().shape),
-        "pattern": tuple(no_pattern().shape),
+        "pattern": tuple(no_texture().shape),
     }
     shapes |= {name: shape for name, shape in later.items() if name in found}
     expected = {name: Form(torch.float32, shape) for name, shape in shapes.items()}
@@ -172,13 +173,19 @@ def _check_file(objects: int, cameras: int, found: Forms) -> None:
 
 def _assemble(parts: Mapping[str, Any], tensors: State) -> Scene:
     ids, what = parts["ids"], tensors["what"]
+    # Scenes of older versions have no appearance, or parts of it.
+    nothing = no_appearance(len(ids), what)
     return Scene(
         ids=tuple(ids),
         what=what,
         center=tensors["center"],
         rotation=tensors["rotation"],
-        detail=tensors.get("detail", no_detail(len(ids), what)),
-        alone=tensors.get("alone", torch.zeros(len(ids))),
+        appearance=Appearance(
+            tensors.get("detail", nothing.detail),
+            tensors.get("alone", nothing.alone),
+            tensors.get("light", nothing.light),
+            tensors.get("pattern", nothing.texture),
+        ),
         background=tensors["background"],
         cameras=tuple(
             Camera(k, pose, width, height)
@@ -189,8 +196,6 @@ def _assemble(parts: Mapping[str, Any], tensors: State) -> Scene:
         model=parts["model"],
         checkpoint=parts["checkpoint"],
         clip=parts["clip"],
-        light=tensors.get("light", no_light()),
-        pattern=tensors.get("pattern", no_pattern()),
     )
 
 
@@ -210,27 +215,25 @@ def _number(value: object, largest: int, *, least: int = 1) -> int:
 
 def _is_whole(scene: Scene) -> bool:
     """Whether the arrays fit each other and hold numbers; files may come from anywhere."""
-    frames, objects = scene.frames, len(scene.ids)
+    frames, objects, appearance = scene.frames, len(scene.ids), scene.appearance
+    nothing = no_appearance(objects, scene.what)
+    looks = [(getattr(appearance, name), getattr(nothing, name)) for name in ("detail", "alone", "light", "texture")]
     sizes = (
         scene.what.shape[:2] == (frames, objects)
         and scene.what.ndim == 3
         and scene.center.shape == (frames, objects, 3)
         and scene.rotation.shape == (frames, objects, 3, 3)
-        and scene.detail.shape == no_detail(objects, scene.what).shape
-        and scene.alone.shape == (objects,)
         and scene.background.ndim == 2
-        and scene.light.shape == (4,)
-        and scene.pattern.shape == no_pattern().shape
+        and all(value.shape == none.shape for value, none in looks)
         and frames > 0
         and objects <= MOST_OBJECTS
     )
-    values = [scene.what, scene.center, scene.rotation, scene.detail, scene.alone]
-    values += [scene.background, scene.light, scene.pattern]
+    values = [scene.what, scene.center, scene.rotation, scene.background, *(value for value, _ in looks)]
     values += [value for camera in scene.cameras for value in (camera.k, camera.world_from_camera)]
     numbers = all(value.dtype == torch.float32 and bool((value.abs() <= _LARGEST_VALUE).all()) for value in values)
     distinct = len(set(scene.ids)) == objects
     seen = len(scene.cameras) > 0 and all(map(_is_camera, scene.cameras))
-    return sizes and numbers and distinct and seen and _are_rotations(scene.rotation) and is_light(scene.light)
+    return sizes and numbers and distinct and seen and _are_rotations(scene.rotation) and is_light(appearance.light)
 
 
 def _are_rotations(rotation: Float[torch.Tensor, "*batch 3 3"]) -> bool:

@@ -1,9 +1,13 @@
-"""Read safetensors files, which may come from anybody: sizes, names, types and shapes are checked before the values."""
+"""Safetensors files, possibly from untrusted sources: sizes, names, types and shapes are checked before the values.
+
+Files may hold float32 values in fewer bytes (`pack`); `read_tensors` always gives them as float32.
+"""
 
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -15,8 +19,15 @@ from obpose.storage.pretrained import MOST_BYTES
 
 MOST_HEADER_BYTES = 16 * 2**20
 """Largest header: names, types, shapes, and the curves of a training."""
+_LEAST_STEP = 2.0**-24
+"""Smallest float16 above 0."""
+STEP = ".step"
+"""Suffix of the tensor that holds the quantisation steps of an int8 tensor, one for each row."""
 _NAMED = 3
-"""Differences that a message names."""
+"""Number of differences that a message lists."""
+
+Precision = Literal["float32", "float16", "int8"]
+"""Type in which float32 values are stored."""
 
 State = dict[str, Tensor]
 
@@ -47,16 +58,40 @@ class Form:
 
 Forms = dict[str, Form]
 Check = Callable[[Forms], None]
-"""Raises ValueError where the tensors of a file are not those that are expected."""
+"""Check of the types and shapes in a file, as `read_tensors` gives them; raises ValueError if they are wrong."""
+
+
+def pack(tensors: Mapping[str, Tensor], precision: Precision) -> State:
+    """Store float32 values in fewer bytes; other tensors stay as they are.
+
+    float16 keeps 11 significant bits. int8 stores each row (along the first axis) as whole multiples of a float16
+    step, at most 127 of them; tensors with fewer than two axes become float16.
+    """
+    packed: State = {}
+    for name, tensor in tensors.items():
+        if precision == "float32" or tensor.dtype != torch.float32:
+            packed[name] = tensor.contiguous()
+        elif precision == "float16" or tensor.ndim < 2:
+            packed[name] = tensor.half().contiguous()
+        else:
+            step = (tensor.abs().flatten(1).amax(dim=1) / 127).clamp(min=_LEAST_STEP).half()
+            packed[name] = (tensor / _like_rows(step, tensor)).round().clamp(-127, 127).to(torch.int8).contiguous()
+            packed[name + STEP] = step
+    return packed
+
+
+def _like_rows(step: Tensor, rows: Tensor) -> Tensor:
+    """Quantisation steps, shaped such that they multiply rows."""
+    return step.float().view(-1, *[1] * (rows.ndim - 1))
 
 
 def forms_of(tensors: Mapping[str, Tensor]) -> Forms:
-    """Types and shapes of tensors."""
+    """Give the types and shapes of tensors."""
     return {name: Form(tensor.dtype, tuple(tensor.shape)) for name, tensor in tensors.items()}
 
 
 def differences_of(found: Forms, expected: Forms) -> str | None:
-    """Say how the tensors of a file differ from those that are expected; None if they do not."""
+    """Describe how the tensors of a file differ from those that are expected; None if they do not."""
     wrong = [f"{name} is missing" for name in expected.keys() - found.keys()]
     wrong += [f"{name:.80} is unknown" for name in found.keys() - expected.keys()]
     wrong += [
@@ -71,18 +106,18 @@ def differences_of(found: Forms, expected: Forms) -> str | None:
 def read_tensors(
     path: Path, advice: str, check: Check | None = None, *, most_bytes: int = MOST_BYTES
 ) -> tuple[State, dict[str, str]]:
-    """Read the tensors and the metadata of a safetensors file.
+    """Read the tensors and the metadata of a safetensors file; values that `pack` made smaller come back as float32.
 
     Args:
         path: The file.
-        advice: What to do where it is damaged: the end of a sentence.
-        check: Looks at types and shapes before values are read.
-        most_bytes: Its largest size.
+        advice: Advice for the user if the file is damaged: the end of a sentence.
+        check: Check of types and shapes, which runs before values are read.
+        most_bytes: Largest size of the file.
 
     Raises:
         FileNotFoundError: there is no such file.
-        UsageError: it is no regular file.
-        CorruptFile: it is damaged, too large, or holds NaN or infinity.
+        UsageError: the path is not a regular file.
+        CorruptFile: the file is damaged, too large, or holds NaN or infinity.
     """
     check_file(path, most_bytes)
     try:
@@ -90,7 +125,7 @@ def read_tensors(
         with safe_open(path, framework="pt") as file:
             forms = {name: _form(file, name) for name in file.keys()}  # noqa: SIM118 (not a dict)
             if check:
-                check(forms)
+                check(_unpacked_forms(forms))
             # Copies, because the library maps the file: reading after it was cut short would end the process.
             tensors = {name: file.get_tensor(name).clone() for name in forms}
             metadata = dict(file.metadata() or {})
@@ -98,11 +133,39 @@ def read_tensors(
             raise ValueError(f"{broken[0]} holds NaN or infinity")
     except (SafetensorError, ValueError, TypeError, OverflowError, RuntimeError, UnicodeDecodeError) as error:
         raise CorruptFile(f"{path} is damaged ({brief_reason(error)}); {advice}") from None
-    return tensors, metadata
+    return _unpacked(tensors), metadata
+
+
+def _is_packed(name: str, forms: Forms) -> bool:
+    """Whether a tensor is stored as int8 with a step for each row."""
+    form, step = forms[name], forms.get(name + STEP)
+    return form.dtype == torch.int8 and len(form.shape) > 1 and step == Form(torch.float16, form.shape[:1])
+
+
+def _unpacked_forms(forms: Forms) -> Forms:
+    """Types and shapes after unpacking."""
+    packed = {name for name in forms if _is_packed(name, forms)}
+    steps = {name + STEP for name in packed}
+    floats = {name for name, form in forms.items() if name in packed or form.dtype == torch.float16}
+    return {
+        name: Form(torch.float32 if name in floats else form.dtype, form.shape)
+        for name, form in forms.items()
+        if name not in steps
+    }
+
+
+def _unpacked(tensors: State) -> State:
+    """Undo `pack`."""
+    forms = forms_of(tensors)
+    values = {name: tensors[name].to(form.dtype) for name, form in _unpacked_forms(forms).items()}
+    for name in values:
+        if _is_packed(name, forms):
+            values[name] *= _like_rows(tensors[name + STEP], values[name])
+    return values
 
 
 def _check_header(path: Path) -> None:
-    """The library would take a header of 100 MB."""
+    """Check the size of the header; the library itself accepts 100 MB."""
     with path.open("rb") as file:
         first = file.read(8)
     size = struct.unpack("<Q", first)[0] if len(first) == 8 else 0

@@ -16,8 +16,8 @@ from obpose.scenes.clip import name_clip, read_clip
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin, load_origin, origin_of
 from obpose.scenes.pictures import strip
-from obpose.scenes.priors.flow_prior import FlowPrior, has_flow, named_prior
-from obpose.scenes.priors.gaussian import FILE, ScenePrior
+from obpose.scenes.priors import load_prior
+from obpose.scenes.priors.interface import ScenePrior
 from obpose.scenes.priors.sample import sample_scene
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Camera, ClipName, Scene
@@ -119,7 +119,7 @@ class Sampler:
 
     def __init__(self, origin: Origin):
         self._origin = origin
-        self._prior: FlowPrior | ScenePrior | None = None
+        self._prior: ScenePrior | None = None
         self.seed = -1
         """Seed of the newest scene; -1 before the first."""
 
@@ -131,17 +131,10 @@ class Sampler:
             CorruptFile: the file of a prior is damaged.
         """
         if self._prior is None:
-            self._prior = _best_prior(self._origin)
+            self._prior = load_prior(self._origin)
         self.seed += 1
         generator = torch.Generator().manual_seed(self.seed)
         return sample_scene(self._origin, self._prior, objects=objects, cameras=cameras, generator=generator)
-
-
-def _best_prior(origin: Origin) -> FlowPrior | ScenePrior:
-    """Load the learned flow, otherwise the fitted mixtures, otherwise the prior that the model learned."""
-    if has_flow(origin):
-        return named_prior(origin, "flow")
-    return named_prior(origin, "fitted" if (origin.folder / FILE).is_file() else "learned")
 
 
 def save_new(root: Path, scene: Scene, renderer: Renderer) -> Path:

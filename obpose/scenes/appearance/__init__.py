@@ -1,1 +1,42 @@
-"""Light and table texture of a scene."""
+"""Appearance of scenes beyond their latents: residual details of objects, light and table texture.
+
+Not in the paper, whose scenes have none of these.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.model.nerf.detail import no_detail
+from obpose.scenes.appearance.light import Light, no_light
+from obpose.scenes.appearance.table_texture import Texture, no_texture
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """Parts of a scene that its latents leave out; values are 0 where nothing was fitted."""
+
+    detail: Float[Tensor, "object edge edge edge 4"]
+    """Residual grids of density and colour (`obpose.model.nerf.detail`)."""
+    alone: Float[Tensor, "object"]
+    """Where positive, the residual grid replaces the object's field, in a cube of this many times the box's edge."""
+    light: Light = field(default_factory=no_light)
+    """Light that casts shadows on the background (`obpose.scenes.appearance.light`)."""
+    texture: Texture = field(default_factory=no_texture)
+    """Texture of the table (`obpose.scenes.appearance.table_texture`)."""
+
+    def only(self, places: list[int]) -> "Appearance":
+        """Keep the objects in these places."""
+        return replace(self, detail=self.detail[places], alone=self.alone[places])
+
+    def with_object(self, other: "Appearance", place: int) -> "Appearance":
+        """Append an object of another scene."""
+        detail = torch.cat([self.detail, other.detail[place, None]])
+        return replace(self, detail=detail, alone=torch.cat([self.alone, other.alone[place, None]]))
+
+
+def no_appearance(objects: int, like: Tensor) -> Appearance:
+    """Give the appearance of a scene that is nothing but its latents, on the device and in the type of `like`."""
+    return Appearance(no_detail(objects, like), like.new_zeros(objects), no_light(like), no_texture(like))

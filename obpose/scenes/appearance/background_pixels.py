@@ -1,4 +1,4 @@
-"""Pixels of a clip that show the background, and how a scene's own background looks there."""
+"""Pixels of a clip that show the background, with the colours of the scene's background there."""
 
 from dataclasses import dataclass
 
@@ -26,22 +26,22 @@ class Shown:
     seen: Float[Tensor, "pixel 3"]
     """Colour in the frames."""
     drawn: Float[Tensor, "pixel 3"]
-    """That of the scene's background there, which has no pattern and no shadow."""
+    """Colour of the scene's background, without texture and shadows."""
 
     def at(self, index: Int[Tensor, " some"] | slice | Bool[Tensor, " pixel"]) -> "Shown":
-        """Some of them."""
+        """Select some of the pixels."""
         return Shown(self.point[index], self.frame[index], self.seen[index], self.drawn[index])
 
 
 @torch.no_grad()
 def shown_background(model: ObPose, observation: Observation, scene: Scene, *, margin: int = 0) -> Shown:
-    """Those at whose surface no object is denser than the background, in the workspace and around it.
+    """Find pixels at whose surface no object is denser than the background, in and near the workspace.
 
     Args:
-        model: That the scene is of.
+        model: The model of the scene.
         observation: A batch of the clip that the scene is fitted to.
-        scene: As it is without what is looked for.
-        margin: Pixels from others at least, along both axes of the images.
+        scene: The scene without light and texture.
+        margin: Least distance in pixels from other pixels, along both axes of the images.
     """
     rays = all_rays(observation)
     surface = rays.origin + rays.direction * rays.depth[..., None]
@@ -59,7 +59,7 @@ def shown_background(model: ObPose, observation: Observation, scene: Scene, *, m
 def occlusion_where_shown(
     renderer: Renderer, scene: Scene, shown: Shown, toward: Float[Tensor, "3"]
 ) -> Float[Tensor, " pixel"]:
-    """Share of the light from a direction that objects keep from the pixels' points."""
+    """Compute the share of the light from a direction that objects keep from the pixels."""
     occluded = torch.zeros_like(shown.seen[:, 0])
     for frame in shown.frame.unique().tolist():
         here = shown.frame == frame

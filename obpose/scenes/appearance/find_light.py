@@ -1,8 +1,8 @@
-"""The light of a scene, found by the shadows that its objects cast; no label says where it is.
+"""Estimation of a scene's light from the shadows of its objects, without labels.
 
-Whatever is dense of the objects is projected onto the table along a direction that the light may come from, in several
-frames at once. The better that tells where the frames are darker than the scene's own background, the likelier is the
-direction. The fields have to be good, so scenes are fitted to their frames before (`obpose.scenes.refine`).
+The dense voxels of the objects are projected onto the table along candidate directions, in several frames at once. The
+best direction explains where the frames are darker than the scene's background. This needs good fields, so scenes are
+fitted to their frames first (`obpose.scenes.refine`).
 """
 
 import math
@@ -23,25 +23,25 @@ from obpose.scenes.scene import Scene
 from obpose.types import Observation
 
 LEAST_STRENGTH = 0.1
-"""What takes less of the background's colour is no shadow, or one that is not missed."""
+"""Least share of the background's colour that shadows take; weaker lights are not reported."""
 LEAST_EXPLAINED = 0.02
-"""Share of the variance of how dark the background is in the frames that shadows explain at least."""
+"""Least share of the variance of the background's darkness that shadows explain."""
 MOST_OVERHEAD = 0.8
-"""Share of it that a light straight above explains at most: there is no telling its shadows from the dimness around the
-foot of whatever stands in diffuse light."""
+"""Largest share of the explained variance that a light straight above may explain, because its shadows cannot be
+distinguished from ambient occlusion at object bases."""
 _WEIGHTS = (0.3, 0.6, 0.1)
-"""Of red, green and blue in luminance."""
+"""Weights of red, green and blue in luminance."""
 _DARK, _DARKEST, _BRIGHTEST = 0.02, -1.5, 0.3
-"""Least luminance of which a log is taken; logs beyond the others are of other things than shadows."""
+"""Least luminance before the logarithm, and limits of its difference; larger differences are not shadows."""
 _OPACITY = 0.3
-"""Optical thickness of a voxel: low, as objects' fields are fatter than they are."""
+"""Optical thickness of a voxel: low, because fields are larger than their objects."""
 _ELEVATIONS, _AZIMUTHS = range(22, 86, 9), range(0, 360, 20)
 _LOWEST, _HIGHEST = 15.0, 88.0
-"""Degrees above the horizon."""
+"""Range of elevations, degrees."""
 _ROUNDS, _PART = 8, 4
-"""Steps of the search around the best of these directions; of those themselves every so-manieth pixel is judged."""
+"""Rounds of the local search around the best direction; the coarse grid uses every 4th pixel."""
 _PIXELS = 4096
-"""That the strength is taken from."""
+"""Number of pixels from which the strength is estimated."""
 
 
 class _Judged(NamedTuple):
@@ -51,11 +51,11 @@ class _Judged(NamedTuple):
     """World frame, metres."""
     frame: Int[Tensor, " pixel"]
     darkness: Float[Tensor, " pixel"]
-    """Log of how much brighter than in the scene it is, around 0."""
+    """Log of the ratio of brightness in the frames and in the scene, minus its median."""
 
 
 class _Voxels(NamedTuple):
-    """Of the objects above the table."""
+    """Dense voxels of the objects above the table."""
 
     point: Float[Tensor, "voxel 3"]
     frame: Int[Tensor, " voxel"]
@@ -63,14 +63,14 @@ class _Voxels(NamedTuple):
 
 @torch.no_grad()
 def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
-    """The light whose shadows are seen in the frames, or none where there hardly are any.
+    """Estimate the light from shadows in the frames; no light if there are hardly any.
 
-    What comes out depends on the arguments alone. It costs about as much as twenty steps of fitting.
+    The result is deterministic. The cost is about that of twenty steps of refinement.
 
     Args:
-        model: That the scene is of.
+        model: The model of the scene.
         observation: A batch of the clip that the scene is fitted to.
-        scene: As it is without shadows.
+        scene: The scene without a light.
     """
     shown = shown_background(model, observation, scene)
     voxels = _voxels(model, scene)
@@ -122,7 +122,7 @@ def _search(judged: _Judged, voxels: _Voxels, frames: int, cell: float) -> tuple
 
 
 def _toward(azimuth: float, elevation: float) -> Float[Tensor, "3"]:
-    """Direction from angles in degrees."""
+    """Give the direction of an azimuth and an elevation in degrees."""
     turn, rise = math.radians(azimuth), math.radians(elevation)
     return torch.tensor([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
 
@@ -137,7 +137,7 @@ def _luminance(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, " pixel"]:
 
 
 def _explained(judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
-    """Share of the variance of the pixels' darkness that is that of shadows of a light there; 0 if they are bright."""
+    """Compute the share of the variance of darkness that shadows from a direction explain; 0 if they are bright."""
     shadow, darkness = _projected(judged, voxels, toward, frames, cell), judged.darkness
     shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
     common = float(shadow @ darkness)
@@ -148,7 +148,7 @@ def _explained(judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], fra
 def _projected(
     judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
 ) -> Float[Tensor, " pixel"]:
-    """Share of the light that voxels keep from the pixels' points, roughly: on a grid of the table, metres a cell."""
+    """Estimate the share of the light that voxels keep from the pixels, on a grid of the table with cells in metres."""
     receivers, blockers = (_cast(points, toward) for points in (judged.point, voxels.point))
     low = receivers.amin(dim=0)
     size = ((receivers.amax(dim=0) - low) / cell).long() + 1
@@ -162,22 +162,22 @@ def _projected(
 
 
 def _cast(points: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]) -> Float[Tensor, "point 2"]:
-    """Where on z = 0 the light from there, through these points, falls."""
+    """Project points onto z = 0 along the direction of the light."""
     return points[:, :2] - points[:, 2:] * (toward[:2] / toward[2])
 
 
 def _cell(
     places: Float[Tensor, "point 2"], low: Float[Tensor, "2"], cell: float, size: Int[Tensor, "2"]
 ) -> tuple[Bool[Tensor, " point"], Int[Tensor, " point"]]:
-    """Whether places are on the grid, and in which of its cells."""
+    """Give for each place whether it is on the grid, and the index of its cell."""
     at = ((places - low) / cell).floor().long()
     return ((at >= 0) & (at < size)).all(dim=-1), at[:, 0] * size[1] + at[:, 1]
 
 
 def _strength(renderer: Renderer, shown: Shown, scene: Scene, toward: Float[Tensor, "3"]) -> float:
-    """Share of the background's colour that shadows as they are rendered should take, by least squares; 0..1.
+    """Fit the share of the background's colour that rendered shadows take, by least squares; 0..1.
 
-    The background may be brighter in the frames by some factor, which is no light's.
+    A common factor of brightness between frames and scene is fitted too, and ignored.
     """
     shown = shown.at(slice(None, None, max(1, len(shown.point) // _PIXELS)))
     occluded = occlusion_where_shown(renderer, scene, shown, toward)

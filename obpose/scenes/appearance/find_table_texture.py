@@ -1,9 +1,8 @@
-"""The pattern of a scene's table, found in its frames: what they show that the background's field leaves out.
+"""Estimation of the texture of a scene's table: the difference of the frames from the smooth background field.
 
-An addition. That field is one for all tables and smooth; wood, checks and the glow of a lamp are not in it. What is the
-same in all frames belongs to the table. Shadows of a known light are taken out before; where none is known, what is
-darker around objects than elsewhere is taken for shadows. What only some frames show counts little: shadows of what was
-not found, and edges of objects.
+Not in the paper. The background field is shared by all tables; it has no wood, no checks and no glow of a lamp.
+Differences that all frames share belong to the table. Shadows of a known light are removed first. Without a known
+light, unexplained dark regions near objects are excluded. Differences in only some frames have a low weight.
 """
 
 import math
@@ -16,63 +15,65 @@ from torch import Tensor
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.background_pixels import Shown, occlusion_where_shown, shown_background
 from obpose.scenes.appearance.light import strength
-from obpose.scenes.appearance.table_texture import EDGE, Pattern, no_pattern, on_pattern, pattern_at
+from obpose.scenes.appearance.table_texture import EDGE, Texture, no_texture, on_texture, texture_at
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Scene
 from obpose.types import Observation
 
 _ROUNDS = 4
-"""Of splatting what is left on the pattern, which make it sharp, and tell outliers."""
+"""Rounds of splatting residuals onto the texture, which sharpen it and identify outliers."""
 _USUAL = 0.15
-"""Logits; what is left of most pixels is less, and pixels of which more is left count less (a Cauchy likelihood)."""
+"""Scale of the Cauchy likelihood of residuals, logits; pixels with larger residuals count less."""
 _PULL = 0.05
-"""Towards the median, in pixels: where hardly anything of the table was seen."""
+"""Weight of the median, in pixels, for regions of the table that were hardly seen."""
 _LIT, _ODD = 0.98, 0.05
-"""Where the table is seen with less of its light, logits are within those of the others but for such a share at each
-end."""
+"""Pixels with less than this share of the light are in shadow. Their logits are clamped to the range of the others, of
+which this share is ignored at each end."""
 _AROUND = 0.75
-"""So many edges of a box from an object's middle, seen from above, there may be shadows of it if no light is known."""
+"""Horizontal reach of possible shadows from the centre of an object, in box edges, if no light is known."""
 _DARK = 0.02
-"""Colours are at least so far from black and white where logits are taken."""
+"""Least distance of colours from black and white before logits are taken."""
 
 
 @torch.no_grad()
-def find_pattern(model: ObPose, observation: Observation, scene: Scene) -> Pattern:
-    """The pattern with which a scene's background is what the frames show, but for shadows.
+def find_texture(model: ObPose, observation: Observation, scene: Scene) -> Texture:
+    """Estimate the texture that makes a scene's background look like the frames, except for shadows.
 
     Args:
-        model: That the scene is of.
+        model: The model of the scene.
         observation: A batch of the clip that the scene is fitted to.
-        scene: As it is without a pattern, and with the light that was found.
+        scene: The scene without a texture, with its light.
     """
     # Pixels at outlines show a little of the object.
     shown = shown_background(model, observation, scene, margin=1)
-    places, on_table = on_pattern(model, shown.point)
+    places, on_table = on_texture(model, shown.point)
     shown, places = shown.at(on_table), places[on_table]
     lit = torch.ones_like(shown.seen[:, 0])
-    if strength(scene.light):
-        lit -= strength(scene.light) * occlusion_where_shown(Renderer(model), scene, shown, scene.light[:3])
+    if strength(scene.appearance.light):
+        lit -= strength(scene.appearance.light) * occlusion_where_shown(
+            Renderer(model), scene, shown, scene.appearance.light[:3]
+        )
         in_light = lit > _LIT
     else:
         in_light = _from_objects(scene, shown) > _AROUND * model.config.model.pose.box_size
     wanted = _logit(shown.seen / lit[:, None]) - _logit(shown.drawn)
     if not bool(in_light.any()):
-        return no_pattern(scene.center)
-    # Shadows are not drawn as they are to the last pixel, and what is left of them is no pattern.
+        return no_texture(scene.center)
+    # Rendered shadows are not exact to the pixel; their residuals do not belong to the texture.
     low, middle, high = wanted[in_light].quantile(wanted.new_tensor([_ODD, 0.5, 1 - _ODD]), dim=0)
     wanted = torch.where(in_light[:, None], wanted, wanted.clamp(low, high))
-    pattern, weight = no_pattern(scene.center) + middle, lit.square()
+    texture, weight = no_texture(scene.center) + middle, lit.square()
     for number in range(_ROUNDS):
-        rest = wanted - pattern_at(model, pattern, shown.point)
+        rest = wanted - texture_at(model, texture, shown.point)
         usual = 1.0 if number == 0 else 1 / (1 + (rest / _USUAL).square().mean(dim=-1))
         shares = (weight * usual)[:, None]
         spread = _smooth(_splat(places, torch.cat([shares * rest, shares], dim=-1)), _blur(model))
-        pattern = pattern + spread[..., :3] / (spread[..., 3:] + _PULL)
-    return pattern
+        texture = texture + spread[..., :3] / (spread[..., 3:] + _PULL)
+    return texture
 
 
 def _from_objects(scene: Scene, shown: Shown) -> Float[Tensor, " pixel"]:
-    """Metres from the pixels' points to the nearest middle of an object, seen from above; far where there is none."""
+    """Compute horizontal distances to the nearest centre of an object, metres; infinite without objects."""
     apart = (shown.point[:, None, :2] - scene.center[shown.frame, :, :2]).norm(dim=-1)
     return F.pad(apart, (0, 1), value=math.inf).amin(dim=-1)
 
@@ -82,12 +83,12 @@ def _logit(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, "pixel 3"]:
 
 
 def _blur(model: ObPose) -> float:
-    """Half as far as pixels of training lie apart, in points of the pattern."""
+    """Give half the spacing of training pixels, in points of the texture."""
     return model.config.model.spacing / 2 * (EDGE - 1) / model.config.model.workspace_size
 
 
 def _splat(places: Float[Tensor, "pixel 2"], values: Float[Tensor, "pixel value"]) -> Float[Tensor, "edge edge value"]:
-    """Sums of values at points of a pattern, those of a pixel shared among the four around it (-1..1)."""
+    """Sum values at the points of a texture; each pixel (-1..1) is shared among the four points around it."""
     steps = ((places + 1) * ((EDGE - 1) / 2)).clamp(0, EDGE - 1)
     low = steps.floor().clamp(max=EDGE - 2)
     upper = steps - low
@@ -100,7 +101,7 @@ def _splat(places: Float[Tensor, "pixel 2"], values: Float[Tensor, "pixel value"
 
 
 def _smooth(values: Float[Tensor, "edge edge value"], blur: float) -> Float[Tensor, "edge edge value"]:
-    """A Gaussian of this standard deviation, in points."""
+    """Blur with a Gaussian of this standard deviation, in points."""
     reach = math.ceil(3 * blur)
     kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1).to(values) / blur).square())
     kernel = kernel / kernel.sum()

@@ -1,25 +1,25 @@
-"""Principal components: a few numbers for a vector of many, where vectors differ in a few ways."""
+"""Principal components of vectors."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 _ITERATIONS = 4
-"""Of the randomised search for axes; more change them by less than noise does."""
+"""Iterations of the randomised SVD; more make no visible difference."""
 _SPARE = 8
-"""Axes that are searched for beyond those that are kept, as the last ones are found badly."""
+"""Extra axes of the randomised SVD, because the last ones are inaccurate."""
 
 
 class Components(nn.Module):
-    """Mean and principal axes of vectors; before `fit` there is no axis, and all vectors are the mean, which is 0.
+    """Mean and principal axes of vectors. Before `fit`, the mean and all axes are 0.
 
-    Numbers along the axes are divided by one scale, so that their mean square over vectors and axes is 1: axes along
-    which vectors differ more keep their weight.
+    Coefficients are divided by one common scale, such that their mean square over vectors and axes is 1. Axes with more
+    variance keep their weight.
     """
 
     mean: Float[Tensor, " size"]
     axes: Float[Tensor, "size count"]
-    """Of length 1, or 0 where vectors did not differ in so many ways."""
+    """Unit vectors; zero vectors beyond the rank of the data."""
     scale: Float[Tensor, ""]
 
     def __init__(self, size: int, count: int) -> None:
@@ -29,7 +29,7 @@ class Components(nn.Module):
         self.register_buffer("scale", torch.ones(()))
 
     def fit(self, vectors: Float[Tensor, "n size"]) -> None:
-        """Take the mean and the axes of these; what comes out depends on them and their order alone."""
+        """Compute the mean and the axes of vectors; the result depends only on the vectors and their order."""
         size, count = self.axes.shape
         self.mean.copy_(vectors.mean(dim=0))
         most = min(count + _SPARE, len(vectors), size)
@@ -42,9 +42,9 @@ class Components(nn.Module):
         self.scale.copy_((lengths[:kept].square().sum() / (len(vectors) * kept)).sqrt() if kept else torch.ones(()))
 
     def encode(self, vectors: Float[Tensor, "n size"]) -> Float[Tensor, "n count"]:
-        """Numbers along the axes."""
+        """Compute the coefficients along the axes."""
         return (vectors - self.mean) @ self.axes / self.scale
 
     def decode(self, numbers: Float[Tensor, "n count"]) -> Float[Tensor, "n size"]:
-        """The vectors that have these numbers, and nothing across all axes."""
+        """Reconstruct vectors from their coefficients."""
         return self.mean + (numbers * self.scale) @ self.axes.T

@@ -1,6 +1,5 @@
 """Training examples of a flow: objects that a model finds in clips, cached in one file per clip."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.priors.grids import Grids, grids_of, together
+from obpose.scenes.priors.interface import Say
 from obpose.scenes.refine import STEPS
 from obpose.scenes.scene import Scene
 from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
@@ -28,8 +28,6 @@ from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
 FRAMES = 6
 """Largest number of frames used of a clip; moving objects show several sides."""
 _MOST_BYTES = 2**28
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +97,14 @@ def _read(path: Path, latent: int) -> Examples:
     tensors, _ = read_tensors(path, advice, partial(_check_file, latent), most_bytes=_MOST_BYTES)
     if not bool((tensors["half"] > 0).all()):
         raise CorruptFile(f"{path} is damaged (half has values below 0); {advice}")
-    return Examples(Grids(tensors["values"].float(), tensors["half"]), tensors["what"])
+    return Examples(Grids(tensors["values"], tensors["half"]), tensors["what"])
 
 
 def _check_file(latent: int, found: Forms) -> None:
     """Check names, types and shapes of the tensors of a cache file; grids and codes may differ in number."""
     objects, codes = (found[name].shape[:1] if name in found else () for name in ("half", "what"))
     expected = {
-        "values": Form(torch.float16, (*objects, EDGE, EDGE, EDGE, 4)),
+        "values": Form(torch.float32, (*objects, EDGE, EDGE, EDGE, 4)),
         "half": Form(torch.float32, objects),
         "what": Form(torch.float32, (*codes, latent)),
     }

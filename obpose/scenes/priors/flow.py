@@ -1,9 +1,8 @@
-"""A flow from noise to objects: a distribution of whole objects, with all that their codes leave out.
+"""A flow from noise to objects: a distribution of whole objects with their details.
 
-An addition. It is a rectified flow (Liu, Gong and Liu 2023; Lipman et al. 2023) on the principal components of grids of
-objects that a model found, and predicts, as in Li and He (2025), the object and not the velocity. Components are those
-of whole grids: parts of a sampled object fit together, where a network that sees blocks of a grid has to learn that
-they do. No labels are used.
+Not in the paper. It is a rectified flow (Liu, Gong and Liu 2023; Lipman et al. 2023) on the principal components of
+grids of objects that a model found. As in Li and He (2025), it predicts the object instead of the velocity. Components
+describe whole grids, so that the parts of a sampled object fit together. No labels are used.
 """
 
 import math
@@ -18,28 +17,28 @@ from obpose.scenes.priors.components import Components
 from obpose.scenes.priors.grids import COLOUR_LIMIT, DENSITY_LIMIT, Grids, mean_colour
 
 SHAPES, COLOURS = 128, 64
-"""Components of densities, and of colours as far as they differ from the object's mean."""
+"""Number of components of densities, and of differences of colours from the object's mean colour."""
 PLAIN = 4
-"""Numbers that are told as they are: the mean colour and the size."""
+"""Number of values that are not compressed: the mean colour and the size."""
 VALUES = SHAPES + COLOURS + PLAIN
-"""Of an object."""
+"""Number of values that describe an object."""
 WIDTH, DEPTH, TIME_WIDTH = 384, 5, 128
 DROPOUT = 0.1
 TIME_MEAN, TIME_STD = -0.4, 1.0
-"""Of the logit of the share of the object in what is looked at in training."""
+"""Mean and standard deviation of the logit of the training times."""
 LEAST_NOISE = 0.1
-"""Where less of it is left, errors weigh no more: they are divided by the squared share of the noise."""
+"""Lower limit of the share of noise in the weights of errors, which are divided by its square."""
 PLAIN_WEIGHT = 8.0
-"""Of the errors of mean colour and size, beside those of components, of which there are many more."""
+"""Weight of the errors of mean colour and size, relative to those of the many components."""
 SAMPLE_STEPS = 40
 _FREQUENCIES = 16
 _SLOWEST = 0.1
 _FASTEST = 100.0
-"""Of the sines that say the time, radians over all of it."""
+"""Frequencies of the encoding of time, radians per unit of time."""
 
 
 class Layer(nn.Module):
-    """Of a residual network; what enters is scaled and shifted by the time, and so is the size of what is added."""
+    """Residual layer; time scales and shifts its input, and scales its output."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -52,17 +51,17 @@ class Layer(nn.Module):
     def forward(
         self, hidden: Float[Tensor, "object width"], time: Float[Tensor, "object time"]
     ) -> Float[Tensor, "object width"]:
-        """The hidden values of the next layer."""
+        """Compute the hidden values of the next layer."""
         scale, shift, gate = self.modulation(time).chunk(3, dim=-1)
         entered = F.layer_norm(hidden, hidden.shape[-1:]) * (1 + scale) + shift
         return hidden + (1 + gate) * self.outer(self.drop(F.gelu(self.inner(entered))))
 
 
 class Flow(nn.Module):
-    """What an object is in few numbers, and a network that tells it from noise."""
+    """Compression of objects to few values, and a network that denoises them."""
 
     code: Float[Tensor, "what"]
-    """Of objects that have none of their own, as sampled ones."""
+    """Code of sampled objects: the mean of z_what."""
     plain_mean: Float[Tensor, "4"]
     plain_std: Float[Tensor, "4"]
 
@@ -82,7 +81,7 @@ class Flow(nn.Module):
     def forward(
         self, noisy: Float[Tensor, "object value"], time: Float[Tensor, "object"]
     ) -> Float[Tensor, "object value"]:
-        """The object that is likely in `time` of it and the rest noise."""
+        """Predict objects from a mixture of noise and a share `time` of the object."""
         rates = torch.logspace(math.log10(_SLOWEST), math.log10(_FASTEST), _FREQUENCIES)
         angles = time[:, None] * rates
         when = self.time(torch.cat([angles.sin(), angles.cos()], dim=-1))
@@ -92,7 +91,7 @@ class Flow(nn.Module):
         return self.leave(self.norm(hidden))
 
     def encode(self, grids: Grids) -> Float[Tensor, "object value"]:
-        """Grids in few numbers, about as large as standard normal noise."""
+        """Compress grids to values of about unit variance."""
         density, colour, plain = _apart(grids)
         return torch.cat(
             [self.shapes.encode(density), self.colours.encode(colour), (plain - self.plain_mean) / self.plain_std],
@@ -100,7 +99,7 @@ class Flow(nn.Module):
         )
 
     def decode(self, values: Float[Tensor, "object value"]) -> Grids:
-        """Grids that have these numbers, within the limits of logits."""
+        """Reconstruct grids from values, within the limits of logits."""
         shape, colour, plain = values.split([SHAPES, COLOURS, PLAIN], dim=1)
         plain = plain * self.plain_std + self.plain_mean
         density = self.shapes.decode(shape).view(-1, EDGE, EDGE, EDGE, 1)
@@ -112,7 +111,7 @@ class Flow(nn.Module):
 def _apart(
     grids: Grids,
 ) -> tuple[Float[Tensor, "object density"], Float[Tensor, "object colour"], Float[Tensor, "object 4"]]:
-    """Densities, colours as they differ from the object's mean colour, and that with the log of the size."""
+    """Split grids into densities, differences from the mean colour, and the mean colour with the log of the size."""
     density, colour = grids.values[..., :1], grids.values[..., 1:]
     mean = mean_colour(density, colour)
     difference = colour - mean[:, None, None, None]
@@ -120,7 +119,7 @@ def _apart(
 
 
 def describe(flow: Flow, grids: Grids, what: Float[Tensor, "object what"]) -> None:
-    """Keep the mean code and the components, colours and sizes of the objects that a flow is to learn."""
+    """Set the statistics of a flow from its training objects: components, mean code, colours and sizes."""
     density, colour, plain = _apart(grids)
     flow.shapes.fit(density)
     flow.colours.fit(colour)
@@ -130,7 +129,7 @@ def describe(flow: Flow, grids: Grids, what: Float[Tensor, "object what"]) -> No
 
 
 def flow_loss(flow: Flow, objects: Float[Tensor, "object value"], noise: torch.Generator) -> Float[Tensor, ""]:
-    """Mean squared error of the velocity from noise to encoded objects (rectified flow), at one time for each."""
+    """Compute the mean squared error of the velocity (rectified flow) at one random time for each encoded object."""
     time = torch.sigmoid(torch.randn(len(objects), generator=noise) * TIME_STD + TIME_MEAN)
     share = time[:, None]
     noisy = share * objects + (1 - share) * torch.randn(objects.shape, generator=noise)
@@ -141,7 +140,7 @@ def flow_loss(flow: Flow, objects: Float[Tensor, "object value"], noise: torch.G
 
 @torch.no_grad()
 def sample_grids(flow: Flow, count: int, generator: torch.Generator) -> Grids:
-    """Objects from noise, by Heun's method."""
+    """Integrate the flow from noise to objects by Heun's method."""
     state = torch.randn(count, VALUES, generator=generator)
 
     def velocity(state: Float[Tensor, "object value"], time: float) -> Float[Tensor, "object value"]:
@@ -157,5 +156,5 @@ def sample_grids(flow: Flow, count: int, generator: torch.Generator) -> Grids:
 
 
 def mirrored(grids: Grids) -> Grids:
-    """Left and right exchanged, which leaves an object's place, and what is up, as they are."""
+    """Mirror grids left to right."""
     return Grids(grids.values.flip(2), grids.half)

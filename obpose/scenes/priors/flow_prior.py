@@ -1,91 +1,74 @@
-"""Prior of scenes with a learned flow: the flow samples the objects, the fitted prior everything else."""
+"""Prior with a learned flow: the flow samples the objects, the fitted mixtures everything else."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import torch
-from jaxtyping import Float
 from safetensors.torch import save
-from torch import Tensor
 
 from datagen.storage.atomic import write_atomically
-from obpose.errors import CorruptFile, UsageError
-from obpose.model.layers.latent import LATENT
+from obpose.errors import UsageError
+from obpose.model.nerf.voxels import THRESHOLD, occupancy
+from obpose.model.obpose import ObPose
+from obpose.scenes.appearance import Appearance
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.flow import Flow
-from obpose.scenes.priors.gaussian import Mixture, ScenePrior, learned_prior, load_prior
-from obpose.scenes.priors.tables import Tables
-from obpose.storage.tensors import Form, Forms, differences_of, forms_of, read_tensors
-
-PriorName = Literal["flow", "fitted", "learned"]
+from obpose.scenes.priors.codes import draw_dense
+from obpose.scenes.priors.flow import Flow, sample_grids
+from obpose.scenes.priors.gaussian import load_gaussian
+from obpose.scenes.priors.grids import Grids, together
+from obpose.scenes.priors.interface import WEIGHTS, Objects, ScenePrior, read_prior
+from obpose.storage.tensors import Forms, differences_of, forms_of, pack
 
 FILE = "flow.safetensors"
 """Name of the flow's file, in the folder of the model's weights."""
-_WEIGHTS = "weights"
-"""Metadata key: SHA-256 of the weights that found the objects."""
-_MOST_BYTES = 2**28
-_AGAIN = "make it again with obpose-edit learn, or give another --prior."
+_AGAIN = "make it again with obpose-edit fit-prior --kind flow, or give another --prior."
 
 
 @dataclass(frozen=True, eq=False)
-class FlowPrior:
-    """Distribution of objects, tables and backgrounds; positions are drawn between `low` and `high`."""
+class FlowObjects:
+    """Distribution of whole objects with their details, as grids that replace the object field."""
 
     flow: Flow
-    tables: Tables
-    background: Mixture
-    low: Float[Tensor, "2"]
-    """Lowest world x and y of the objects' box centres, metres."""
-    high: Float[Tensor, "2"]
-    """Highest world x and y of the objects' box centres, metres."""
+
+    @torch.no_grad()
+    def draw(self, model: ObPose, count: int, generator: torch.Generator) -> Objects:
+        """Draw objects that have enough voxels; after too many attempts, any objects."""
+
+        def voxels(grid: Grids) -> int:
+            return int((occupancy(grid.values[..., 0]) > THRESHOLD).sum())
+
+        drawn = draw_dense(lambda missing: sample_grids(self.flow, missing, generator).apart(), voxels, count)
+        grids = together(drawn, like=self.flow.code)
+        # Boxes share the centres and axes of the grids; parts of a grid outside of its box are cut off.
+        alone = 2 * grids.half / model.config.model.pose.box_size
+        return Objects(self.flow.code.expand(count, -1), Appearance(grids.values, alone), face_camera=True)
 
 
 def save_flow(origin: Origin, flow: Flow) -> Path:
-    """Write a flow for `load_flow`, in half precision; give the path of the file."""
-    contents = {name: tensor.half().contiguous() for name, tensor in flow.state_dict().items()}
-    write_atomically(origin.folder / FILE, save(contents, metadata={_WEIGHTS: origin.hash}))
+    """Write a flow for `load_flow`, with matrices as int8; give the path of the file."""
+    write_atomically(origin.folder / FILE, save(pack(flow.state_dict(), "int8"), metadata={WEIGHTS: origin.hash}))
     return origin.folder / FILE
 
 
-def has_flow(origin: Origin) -> bool:
-    """Whether the folder of a model's weights has a learned flow."""
-    return (origin.folder / FILE).is_file()
-
-
-def load_flow(origin: Origin) -> FlowPrior:
-    """Load the learned flow of a model, together with its fitted prior.
+def load_flow(origin: Origin) -> ScenePrior:
+    """Load the learned flow of a model, together with its fitted mixtures.
 
     Raises:
         UsageError: one of them is missing.
         CorruptFile: a file is damaged, or belongs to another model.
     """
-    path = origin.folder / FILE
-    if not has_flow(origin):
-        raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit learn, or give another --prior.")
-    rest = load_prior(origin)
+    if not (origin.folder / FILE).is_file():
+        raise UsageError(
+            f"{origin.folder} has no {FILE}; make one with obpose-edit fit-prior --kind flow, or give another --prior."
+        )
+    rest = load_gaussian(origin)
     with torch.random.fork_rng(devices=[]):
         flow = Flow(LATENT)
-    expected = {name: Form(torch.float16, form.shape) for name, form in forms_of(flow.state_dict()).items()}
+    expected = forms_of(flow.state_dict())
 
     def check(found: Forms) -> None:
         if wrong := differences_of(found, expected):
             raise ValueError(wrong)
 
-    values, metadata = read_tensors(path, _AGAIN, check, most_bytes=_MOST_BYTES)
-    if metadata.get(_WEIGHTS) != origin.hash:
-        raise CorruptFile(f"{path} is of other weights than those beside it; {_AGAIN}")
-    flow.load_state_dict({name: value.float() for name, value in values.items()})
-    return FlowPrior(flow.eval().requires_grad_(requires_grad=False), rest.tables, rest.background, rest.low, rest.high)
-
-
-def named_prior(origin: Origin, name: PriorName) -> FlowPrior | ScenePrior:
-    """Load a prior by name: learned by the model, fitted to its codes, or a flow learned from objects it found.
-
-    Raises:
-        UsageError: the prior is missing.
-        CorruptFile: a file is damaged, or belongs to another model.
-    """
-    if name == "learned":
-        return learned_prior(origin.model)
-    return load_flow(origin) if name == "flow" else load_prior(origin)
+    flow.load_state_dict(read_prior(origin, FILE, _AGAIN, check))
+    return replace(rest, objects=FlowObjects(flow.eval().requires_grad_(requires_grad=False)))

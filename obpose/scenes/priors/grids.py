@@ -1,7 +1,7 @@
-"""An object as it lies, seen from where the camera is: densities and colours on a grid that is just as large.
+"""Objects as grids of density and colour, aligned with gravity and the camera, and as large as the object.
 
-An addition, for `obpose.scenes.priors.flow`. Objects differ less in this frame than in their boxes: up is up, and the
-unseen side is the far side.
+Not in the paper; for `obpose.scenes.priors.flow`. Objects vary less in this frame than in their boxes: the vertical
+axis is fixed, and the unseen side is always the far side.
 """
 
 import math
@@ -23,32 +23,32 @@ from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene, upright
 
 MARGIN = 0.015
-"""Around the middles of occupied voxels, metres: more than a voxel, as the surface may be as far."""
+"""Margin around the centres of occupied voxels, metres: more than a voxel, because the surface may be that far."""
 DENSITY_LIMIT, COLOUR_LIMIT = 6.0, 4.0
-"""Logits are at most so far from 0; densities at least are where nothing is."""
+"""Limits of the magnitude of logits; empty space has the lowest density."""
 _ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class Grids:
-    """Of one or more objects. The grids' axes point to the camera, to its right, both level, and up."""
+    """Grids of objects. Their axes point horizontally to the camera, horizontally to its right, and up."""
 
     values: Float[Tensor, "object edge edge edge 4"]
-    """Logits of density and colours, the latter seen from the camera; `edge` is that of details."""
+    """Logits of density and of colours as seen from the camera; `edge` is that of details."""
     half: Float[Tensor, "object"]
-    """Half an edge, metres."""
+    """Half the edge of each grid, metres."""
 
     def take(self, places: Int[Tensor, " n"]) -> "Grids":
-        """Of some of the objects."""
+        """Select some of the objects."""
         return Grids(self.values[places], self.half[places])
 
     def apart(self) -> "list[Grids]":
-        """Of each object."""
+        """Split into single objects."""
         return [self.take(place) for place in torch.arange(len(self.half)).split(1)]
 
 
 def together(grids: Sequence[Grids], like: Tensor) -> Grids:
-    """Of all objects; numbers are of the kind of `like` where there are none."""
+    """Concatenate grids; if there are none, the empty result has the type of `like`."""
     none = Grids(like.new_zeros(0, EDGE, EDGE, EDGE, 4), like.new_zeros(0))
     parts = [none, *grids]
     return Grids(torch.cat([part.values for part in parts]), torch.cat([part.half for part in parts]))
@@ -56,19 +56,19 @@ def together(grids: Sequence[Grids], like: Tensor) -> Grids:
 
 @torch.no_grad()
 def grids_of(model: ObPose, scene: Scene, frame: int) -> Grids:
-    """Of a frame's objects, but for those that are hardly anywhere dense above the table."""
+    """Compute the grids of a frame's objects; those with hardly any density above the table are left out."""
     found = [grid for place in range(len(scene.ids)) if (grid := _grid(model, scene, frame, place))]
     return together(found, like=scene.what)
 
 
 def facing(place: Float[Tensor, "3"], camera: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """World from grid where an object is at this place, and the camera there; below a camera any way will do."""
+    """Give the rotation, world from grid, for an object and a camera at these positions."""
     x, y = (camera - place)[:2].tolist()
     return upright(math.atan2(y, x), place)
 
 
 def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
-    """As large as what is dense on a grid that is as large as the voxels that the object is in."""
+    """Compute a grid as large as the dense part of a coarser grid around the occupied voxels."""
     center, camera = scene.center[frame, place], scene.cameras[0].world_from_camera[:3, 3]
     world_from_grid = facing(center, camera)
     grid_from_box = world_from_grid.T @ scene.rotation[frame, place]
@@ -76,7 +76,7 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
     sight = F.normalize(center - camera, dim=0) @ scene.rotation[frame, place]
 
     def around(dense: Float[Tensor, "n 3"], margin: float) -> tuple[Float[Tensor, "point 3"], Tensor, Tensor]:
-        """Points, and logits of density and colours there."""
+        """Give points around dense ones, and the logits of density and colours there."""
         low, high = dense.amin(dim=0), dense.amax(dim=0)
         points = _points() * ((high - low).max() / 2 + margin) + (low + high) / 2
         inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
@@ -92,7 +92,7 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
     if len(dense) < LEAST_VOXELS:
         return None
     points, density, colour = around(dense, margin=float(points[1, 2] - points[0, 2]))
-    # Where nothing is the field's colours mean nothing.
+    # Colours of empty space are arbitrary; use the mean colour.
     density = density[:, None]
     share = torch.sigmoid(2 * density + 2)
     colour = share * colour + (1 - share) * mean_colour(density[None], colour[None])
@@ -103,7 +103,7 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
 def mean_colour(
     density: Float[Tensor, "object *point 1"], colour: Float[Tensor, "object *point 3"]
 ) -> Float[Tensor, "object 3"]:
-    """Logits of colours, weighed by how dense it is where they are."""
+    """Average the logits of colours, weighted by density."""
     weight = torch.sigmoid(2 * density).flatten(1, -2)
     return (colour.flatten(1, -2) * weight).sum(dim=1) / weight.sum(dim=1)
 
@@ -111,13 +111,13 @@ def mean_colour(
 def _logits(
     model: ObPose, codes: Conditioning, points: Float[Tensor, "point 3"], sight: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "point"], Float[Tensor, "point 3"]]:
-    """Of density and colours at points of the box -1..1; `sight` is in the box's axes."""
+    """Compute logits of density and colours at points of the box -1..1; `sight` is in the box's axes."""
     density, hidden = model.object_field.density(points, codes)
     colour = model.object_field.colour(hidden, sight.expand_as(points), codes)
     return density, torch.logit(colour, eps=1e-3)
 
 
 def _points() -> Float[Tensor, "point 3"]:
-    """-1..1, the outermost on the faces."""
+    """Give the points of a grid in -1..1, the outermost on its faces."""
     steps = torch.linspace(-1, 1, EDGE)
     return torch.cartesian_prod(steps, steps, steps)

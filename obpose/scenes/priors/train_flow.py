@@ -3,7 +3,6 @@
 import json
 import math
 import shutil
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,12 @@ from obpose.data.datasets import SceneDataset
 from obpose.errors import CorruptFile, Diverged, UsageError
 from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
-from obpose.scenes.priors.examples import Examples, Say, find_examples, joined
+from obpose.scenes.priors.examples import Examples, find_examples, joined
 from obpose.scenes.priors.flow import Flow, describe, flow_loss, mirrored, sample_grids
-from obpose.scenes.priors.flow_prior import FILE, has_flow, save_flow
+from obpose.scenes.priors.flow_prior import save_flow
+from obpose.scenes.priors.gaussian import load_gaussian
 from obpose.scenes.priors.grids import Grids
+from obpose.scenes.priors.interface import FitSettings, Say
 from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.storage.tensors import State, differences_of, forms_of, read_tensors
 
@@ -43,43 +44,32 @@ _LEAST_OBJECTS = 32
 _MOST_SETTINGS_BYTES = 2**16
 
 
-@dataclass(frozen=True)
-class Lesson:
-    """Settings of the training of a flow."""
-
-    clips: int
-    """Number of clips, from the first of the training split on."""
-    steps: int
-    seed: int
-
-
-def learn_flow(origin: Origin, data: Path, lesson: Lesson, *, workers: int, say: Say) -> Path:
+def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Path:
     """Train a flow and write it beside the model's weights; give the path of the file.
 
     Args:
         origin: The model that finds the objects.
         data: Folder of the dataset.
-        lesson: Settings of the training.
-        workers: Number of processes that look for objects.
+        settings: Settings of the training; all but the number of workers have to stay when it is resumed.
         say: Callback for progress messages.
 
     Raises:
-        UsageError: too few objects are found, the folder holds a run with other settings, or there is a flow already.
+        UsageError: there is no fitted prior, too few objects are found, or the folder holds a run with other settings.
         Diverged: the loss is not finite.
         CorruptFile: a file of the interrupted run is damaged.
         Busy: another process uses the folder.
     """
-    if has_flow(origin):
-        raise UsageError(f"{origin.folder / FILE} is there already; move it elsewhere to learn another one.")
+    load_gaussian(origin)
+    training = {"clips": settings.clips, "steps": settings.steps, "seed": settings.seed}
     folder = origin.folder / PARTIAL
     with locked_folder(folder):
         dataset = SceneDataset(data, "train").settings_hash
         _check_same(folder / _LOOKING, {"weights": origin.hash, "data": dataset})
         if (folder / _STATE).exists():
-            _check_same(folder / _LEARNING, asdict(lesson))
-        found = find_examples(origin, data, folder, lesson.clips, workers=workers, say=say)
-        write_atomically(folder / _LEARNING, json.dumps(asdict(lesson), indent=1).encode())
-        flow = _train(_fresh(origin, lesson), found, folder, lesson, say)
+            _check_same(folder / _LEARNING, training)
+        found = find_examples(origin, data, folder, settings.clips, workers=settings.workers, say=say)
+        write_atomically(folder / _LEARNING, json.dumps(training, indent=1).encode())
+        flow = _train(_fresh(origin, settings.seed), found, folder, settings, say)
         path = save_flow(origin, flow)
     shutil.rmtree(folder)
     return path
@@ -105,13 +95,13 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
         )
 
 
-def _fresh(origin: Origin, lesson: Lesson) -> Flow:
+def _fresh(origin: Origin, seed: int) -> Flow:
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(lesson.seed)
+        torch.manual_seed(seed)
         return Flow(LATENT)
 
 
-def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say: Say) -> Flow:
+def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSettings, say: Say) -> Flow:
     """Train a flow; give the moving average of its weights."""
     held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
     if len(learned.half) < _LEAST_OBJECTS:
@@ -127,13 +117,13 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
     objects, others = _both_ways(flow, learned), flow.encode(held)
     mean = _copy(flow).eval()
     optimiser = torch.optim.AdamW(flow.parameters(), lr=RATE, betas=(0.9, 0.99), weight_decay=0.01)
-    done = _restore(folder / _STATE, flow, mean, optimiser, steps=lesson.steps)
+    done = _restore(folder / _STATE, flow, mean, optimiser, steps=settings.steps)
     losses: list[float] = []
-    for step in range(done, lesson.steps):
-        noise = torch.Generator().manual_seed((lesson.seed << 32) + step)
+    for step in range(done, settings.steps):
+        noise = torch.Generator().manual_seed((settings.seed << 32) + step)
         batch = objects[torch.randint(len(objects), (BATCH,), generator=noise)]
         for group in optimiser.param_groups:
-            group["lr"] = RATE * _pace(step, lesson.steps)
+            group["lr"] = RATE * _pace(step, settings.steps)
         with torch.random.fork_rng(devices=[]):
             # Dropout draws from the global generator.
             torch.manual_seed(noise.initial_seed())
@@ -148,7 +138,7 @@ def _train(flow: Flow, found: list[Examples], folder: Path, lesson: Lesson, say:
         losses.append(loss.item())
         if (step + 1) % SAVE_STEPS == 0:
             _save(folder / _STATE, flow, mean, optimiser, step + 1)
-            say(f"step {step + 1} of {lesson.steps}: loss {sum(losses) / len(losses):.4f}{_held_out(mean, others)}")
+            say(f"step {step + 1} of {settings.steps}: loss {sum(losses) / len(losses):.4f}{_held_out(mean, others)}")
             losses.clear()
     say(_likeness(mean, objects, others))
     return mean

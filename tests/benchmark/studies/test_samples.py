@@ -21,9 +21,10 @@ from benchmark.studies.samples import (
 from datagen.storage.reader import Dataset
 from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
+from obpose.scenes.priors import load_prior
 from obpose.scenes.priors.flow import Flow
-from obpose.scenes.priors.flow_prior import named_prior, save_flow
-from obpose.scenes.priors.gaussian import learned_prior, save_prior
+from obpose.scenes.priors.flow_prior import save_flow
+from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.rendering import Image
 from obpose.storage.pretrained import shipped_to_create
 from tests.obpose.scenes.small_scenes import CAMERA
@@ -83,7 +84,7 @@ def test_real_scenes_are_the_first_image_of_each(clips: Path):
 def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(clips: Path, origin: Origin):
     real = real_images(Dataset(clips).split("test"), 2)
     one, same, other = (
-        list(sampled_images(origin, named_prior(origin, "learned"), real, seed=seed)) for seed in (0, 0, 1)
+        list(sampled_images(origin, load_prior(origin, "learned"), real, seed=seed)) for seed in (0, 0, 1)
     )
     for scene, like in zip(one, real, strict=True):
         assert scene.clip.rgb.shape == like.clip.rgb.shape
@@ -95,14 +96,14 @@ def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(cli
 def test_the_command_compares_priors_and_draws(
     clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    save_prior(origin, learned_prior(origin.model))
+    save_gaussian(origin, learned_prior(origin))
     save_flow(origin, Flow(LATENT))
     files = {"--picture": tmp_path / "grid.png", "--csv": tmp_path / "samples.csv"}
     flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "2"]
     assert main(["samples", *flags, *(str(word) for pair in files.items() for word in pair)]) == 0
     assert f"segments with {checkpoint}, which also samples" in capsys.readouterr().out
     kept = list(csv.DictReader(files["--csv"].read_text().splitlines()))
-    sampled = [f"sampled, prior {name}" for name in ("flow", "fitted", "learned")]
+    sampled = [f"sampled, prior {name}" for name in ("flow", "gaussian", "learned")]
     assert [line["scenes"] for line in kept] == ["real (test)", "real (val)", *sampled]
     assert {line["segmenter"] for line in kept} == {str(checkpoint)}
     assert [line["mmd2 size p"] != "" for line in kept[:2]] == [False, True]

@@ -7,7 +7,7 @@ from unittest import mock
 
 import assets
 from datagen.errors import UsageError
-from tests.fuzz.worlds.group import MODEL, MOVING, TINY, Group, Target, run
+from tests.fuzz.worlds.group import MOVING, TINY, Group, Target, run
 
 
 def build_models(world: Path) -> None:
@@ -26,7 +26,8 @@ def build_models(world: Path) -> None:
         run(CONTINUE.format(w=world), code=2)
     run(f"obpose-train --data {world}/data --steps 1 --variant obsurf --out {world}/obsurf")
     shutil.copytree(assets.CHECKPOINTS / "obpose-sharp--moving--64x64", world / "model")
-    shutil.copytree(assets.CHECKPOINTS / MODEL, world / "learning")
+    shutil.copytree(assets.CHECKPOINTS / "obpose-sharp--moving--64x64", world / "learning")
+    (world / "learning" / "flow.safetensors").unlink()
     infer = f"obpose-edit infer --checkpoint {world}/model --refine 0 --resolution 8x8"
     run(f"{infer} --data {world}/data --out {world}/scene")
     with (
@@ -37,7 +38,7 @@ def build_models(world: Path) -> None:
         run(LEARN.format(w=world), code=2)
 
 
-LEARN = "obpose-edit learn --checkpoint {w}/learning --data {w}/data --clips 12 --steps 1 --workers 1"
+LEARN = "obpose-edit fit-prior --kind flow --checkpoint {w}/learning --data {w}/data --clips 12 --steps 1 --workers 1"
 CONTINUE = f"obpose-train --data {{w}}/data --steps 2 --out {{w}}/run {TINY}"
 INFER_BY = "obpose-edit infer --checkpoint {w}/MODEL --data {w}/data --refine 0 --resolution 8x8 --out {o}"
 SAMPLE = "obpose-edit sample --checkpoint {w}/model --camera {w}/scene --objects 1 --resolution 8x8 --out {o}"
@@ -50,7 +51,7 @@ OF_SCENES = [
     "obpose-edit remove {w}/scene --object 1 --resolution 8x8 --out {o}",
     "obpose-edit rotate {w}/scene --object 1 --degrees 10 --resolution 8x8 --out {o}",
     "obpose-edit add {w}/scene --object 1 --by 0.02,0,0 --resolution 8x8 --out {o}",
-    f"{SAMPLE} --prior fitted",
+    f"{SAMPLE} --prior gaussian",
     "obpose-view {w}/scene",
     "obpose-view {w}/scene --data {w}/data",
 ]
@@ -70,7 +71,7 @@ MODELS = Group(
         Target("run/validation.csv", [CONTINUE], 4),
         Target("obsurf/config.json", _by("obsurf", SCORE_BY), 4),
         Target("obsurf/model.safetensors", _by("obsurf", SCORE_BY), 3),
-        Target("model/prior.safetensors", [f"{SAMPLE} --prior fitted", f"{SAMPLE} --prior flow"], 8),
+        Target("model/prior.safetensors", [f"{SAMPLE} --prior gaussian", f"{SAMPLE} --prior flow"], 8),
         Target("model/flow.safetensors", [f"{SAMPLE} --prior flow", SAMPLE], 6),
         Target("scene/scene.json", OF_SCENES, 14),
         Target("scene/scene.safetensors", OF_SCENES, 14),

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +21,14 @@ from obpose.data.datasets import SceneDataset
 from obpose.model.layers.latent import LATENT
 from obpose.scenes.appearance.light import no_light, strength
 from obpose.scenes.model_ref import load_origin, origin_of
-from obpose.scenes.priors import examples, train_flow
-from obpose.scenes.priors.flow_prior import load_flow, save_flow
-from obpose.scenes.priors.gaussian import load_prior
+from obpose.scenes.priors import examples, gaussian, train_flow
+from obpose.scenes.priors.flow_prior import save_flow
+from obpose.scenes.priors.gaussian import load_gaussian, save_gaussian
+from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import ClipName
 from obpose.scenes.storage import load_scene
-from tests.obpose.scenes.small_scenes import alike, dense_flow, equal
+from tests.obpose.scenes.small_scenes import dense_flow, equal
 from tests.worlds import generated
 
 MODEL = "obpose--moving--64x64"
@@ -137,12 +137,12 @@ def test_a_refined_scene_is_nearer_to_its_frames(inferred: Path, tiny_dataset: P
     assert "Resolution: neighbouring pixels are" in told
     before, after = load_scene(inferred), load_scene(tmp_path / "refined")
     renderer, clip = Renderer(origin_of(after).model), tiny_dataset_clip(tiny_dataset)
-    without = replace(after, detail=torch.zeros_like(after.detail))
+    without = after.with_appearance(detail=torch.zeros_like(after.appearance.detail))
     errors = [(renderer.render(scene).rgb - clip["rgb"][0, 0]).square().mean() for scene in (before, without, after)]
     assert errors[2] < errors[1]
     assert errors[2] < 0.9 * errors[0]
     assert after.ids == before.ids
-    assert ("No light was found" in told) == (strength(after.light) == 0)
+    assert ("No light was found" in told) == (strength(after.appearance.light) == 0)
 
 
 def test_it_is_said_that_no_light_was_found(tiny_dataset: Path, tmp_path: Path, capsys, monkeypatch):
@@ -171,10 +171,10 @@ def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):
     torch.testing.assert_close(load_scene(tmp_path / "put").center[0, -1], torch.tensor([0.0, 0.0, 0.05]))
 
 
-@pytest.mark.parametrize("prior", ["learned", "fitted"])
-def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, tmp_path: Path, prior: str):
+@pytest.mark.parametrize("prior", ["learned", "gaussian"])
+def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, own_model: Path, tmp_path: Path, prior: str):
     for out in ("one", "again"):
-        flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", prior, "--seed", 3, "--objects", 2]
+        flags = ["--checkpoint", own_model, "--camera", inferred, "--prior", prior, "--seed", 3, "--objects", 2]
         assert run("sample", *flags, "--out", tmp_path / out) == EXIT_OK
     one, again = load_scene(tmp_path / "one"), load_scene(tmp_path / "again")
     assert one.ids == (1, 2)
@@ -184,9 +184,11 @@ def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, tmp_path: Path, pri
 
 @pytest.fixture(scope="module")
 def own_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of weights that ship, beside which files may be written."""
+    """A copy of weights that ship, beside which files may be written, with a Gaussian prior."""
     folder = tmp_path_factory.mktemp("models") / "own"
     shutil.copytree(assets.CHECKPOINTS / MODEL, folder)
+    origin = load_origin(str(folder))
+    save_gaussian(origin, learned_prior(origin))
     return folder
 
 
@@ -196,36 +198,40 @@ def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
     origin = load_origin(str(own_model))
     flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 2]
     assert run("sample", *flags, "--out", tmp_path / "before") == EXIT_OK
-    assert not load_scene(tmp_path / "before").detail.any()
+    assert not load_scene(tmp_path / "before").appearance.detail.any()
     save_flow(origin, dense_flow(LATENT))
     for out in ("one", "again"):
         assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
     assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK
     one, again, default = (load_scene(tmp_path / name) for name in ("one", "again", "default"))
-    assert one.detail.flatten(1).any(dim=1).all()
+    assert one.appearance.detail.flatten(1).any(dim=1).all()
     assert equal(one, again)
     assert equal(one, default)
-    assert run("sample", *flags, "--prior", "fitted", "--out", tmp_path / "fitted") == EXIT_OK
-    assert not load_scene(tmp_path / "fitted").detail.any()
+    flags = ["--checkpoint", own_model, "--objects", 0]
+    assert run("sample", *flags, "--prior", "gaussian", "--out", tmp_path / "fitted") == EXIT_OK
+    assert (load_scene(tmp_path / "fitted").cameras[0].width, len(load_scene(tmp_path / "fitted").ids)) == (128, 0)
+    flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 1]
+    assert run("sample", *flags, "--prior", "gaussian", "--out", tmp_path / "gaussian") == EXIT_OK
+    assert not load_scene(tmp_path / "gaussian").appearance.detail.any()
 
 
 def test_a_prior_is_fitted_beside_the_weights_and_takes_no_other_one_s_place(
     own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(edit_cli, "STEPS", 1)
+    monkeypatch.setattr(gaussian, "STEPS", 1)
     data, folder = tmp_path / "data", tmp_path / "own"
     generate(data, generated.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
     shutil.copytree(own_model, folder)
     before = (folder / "prior.safetensors").read_bytes()
-    assert run("fit", "--checkpoint", folder, "--data", data) == EXIT_USAGE
-    assert "prior.safetensors is there already; move it elsewhere" in capsys.readouterr().err
+    assert run("fit-prior", "--checkpoint", folder, "--data", data) == EXIT_USAGE
+    assert "prior.safetensors exists; move it elsewhere" in capsys.readouterr().err
     assert (folder / "prior.safetensors").read_bytes() == before
     (folder / "prior.safetensors").unlink()
-    assert run("fit", "--checkpoint", folder, "--data", data, "--clips", 3) == EXIT_OK
+    assert run("fit-prior", "--checkpoint", folder, "--data", data, "--clips", 3) == EXIT_OK
     told = capsys.readouterr().out
     assert "has 2 training clips, fewer than --clips 3" in told
     assert "Fitted to 2 clips" in told
-    assert len(load_prior(load_origin(str(folder))).tables.lights) == 2
+    assert len(load_gaussian(load_origin(str(folder))).tables.lights) == 2
 
 
 def test_a_flow_is_learned_beside_the_weights(
@@ -240,56 +246,33 @@ def test_a_flow_is_learned_beside_the_weights(
     folder = tmp_path / "own"
     shutil.copytree(own_model, folder, ignore=shutil.ignore_patterns("flow.safetensors"))
     flags = ["--checkpoint", folder, "--data", data, "--workers", 1]
-    assert run("learn", *flags, "--steps", 0) == EXIT_USAGE
+    assert run("fit-prior", "--kind", "flow", *flags, "--steps", 0) == EXIT_USAGE
     assert "--steps 0: expected 1 to" in capsys.readouterr().err
-    assert run("learn", *flags, "--seed", -1) == EXIT_USAGE
+    assert run("fit-prior", "--kind", "flow", *flags, "--seed", -1) == EXIT_USAGE
     assert "--seed -1: expected 0 to" in capsys.readouterr().err
-    assert run("learn", *flags, "--clips", 1) == EXIT_USAGE
+    assert run("fit-prior", "--kind", "flow", *flags, "--clips", 1) == EXIT_USAGE
     assert "--clips 1: expected 2 or more, of the training split" in capsys.readouterr().err
-    assert run("learn", *flags[:4], "--workers", 0) == EXIT_USAGE
+    assert run("fit-prior", "--kind", "flow", *flags[:4], "--workers", 0) == EXIT_USAGE
     assert "--workers 0: expected at least 1" in capsys.readouterr().err
     monkeypatch.setattr(train_flow, "flow_loss", interrupting)
-    assert run("learn", *flags, "--steps", 1) == EXIT_INTERRUPTED
-    assert "what was done is kept, and the same command goes on" in capsys.readouterr().err
+    assert run("fit-prior", "--kind", "flow", *flags, "--steps", 1) == EXIT_INTERRUPTED
+    assert "what was done is kept, and the same command resumes" in capsys.readouterr().err
     monkeypatch.undo()
     monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1)
-    assert run("learn", *flags, "--steps", 1) == EXIT_OK
+    assert run("fit-prior", "--kind", "flow", *flags, "--steps", 1) == EXIT_OK
     assert "Looking for objects in 0 clips" in (said := capsys.readouterr().out)
-    assert "Learned from 2 clips" in said
-    assert load_flow(load_origin(str(folder))).flow.code.any()
-    assert run("learn", *flags, "--steps", 1) == EXIT_USAGE
-    assert "flow.safetensors is there already" in capsys.readouterr().err
+    assert "Fitted to 2 clips" in said
+    assert (folder / "flow.safetensors").is_file()
+    assert run("fit-prior", "--kind", "flow", *flags, "--steps", 1) == EXIT_USAGE
+    assert "flow.safetensors exists; move it elsewhere" in capsys.readouterr().err
+    (folder / "flow.safetensors").unlink()
     (folder / "prior.safetensors").unlink()
-    assert run("learn", *flags, "--steps", 1) == EXIT_USAGE
-    assert "make one with obpose-edit fit first" in capsys.readouterr().err
+    assert run("fit-prior", "--kind", "flow", *flags, "--steps", 1) == EXIT_USAGE
+    assert "make one with obpose-edit fit-prior --kind gaussian first" in capsys.readouterr().err
 
 
 def interrupting(*_: object) -> torch.Tensor:
     raise KeyboardInterrupt
-
-
-def test_objects_of_training_clips_are_put_together_anew(
-    inferred: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.setattr(edit_cli, "STEPS", 2)
-    data = tmp_path / "data"
-    generate(data, generated.recipe(frames=2), splits={"train": 3}, resolution=(64, 64))
-    flags = ["--checkpoint", MODEL, "--camera", inferred, "--prior", "found", "--objects", 3]
-    assert run("sample", *flags, "--out", tmp_path / "none") == EXIT_USAGE
-    assert "--prior found needs --data DIR" in capsys.readouterr().err
-    assert run("sample", *flags[:4], "--data", data, "--out", tmp_path / "none") == EXIT_USAGE
-    assert "--data is for --prior found; other priors take nothing" in capsys.readouterr().err
-    bare = tmp_path / "bare"
-    generate(bare, generated.recipe(frames=2), splits={"test": 1}, resolution=(64, 64))
-    assert run("sample", *flags, "--data", bare, "--out", tmp_path / "none") == EXIT_USAGE
-    assert "bare has no training scenes to take objects from" in capsys.readouterr().err
-    assert run("sample", *flags, "--data", data, "--clips", 0, "--out", tmp_path / "none") == EXIT_USAGE
-    for out in ("one", "again"):
-        assert run("sample", *flags, "--data", data, "--clips", 2, "--out", tmp_path / out) == EXIT_OK
-    one, again = load_scene(tmp_path / "one"), load_scene(tmp_path / "again")
-    assert one.ids == (1, 2, 3)
-    assert one.detail.flatten(1).any(dim=1).all()
-    assert alike(one, again, by=0.01)
 
 
 def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path, capsys):
@@ -317,7 +300,7 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        (["remove", "SCENE", "--object", "9", "--out", "new"], "no object 9. There are"),
+        (["remove", "SCENE", "--object", "9", "--out", "new"], "no object 9. Its objects are"),
         (["move", "SCENE", "--object", "1", "--out", "new"], "Give either --by or --to"),
         (["move", "SCENE", "--object", "1", "--by", "1,2", "--out", "new"], "expected x,y,z in metres"),
         (
@@ -349,16 +332,16 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["mesh", "SCENE", "--object", "1", "--out", "a.obj"], "expected a name that ends with .ply or .glb"),
         (["mesh", "SCENE", "--object", "1", "--cells", "1", "--out", "a.ply"], "--cells 1: expected 2 to 256"),
         (
-            ["fit", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
+            ["fit-prior", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
             "ships with the package, its prior too",
         ),
         (
-            ["learn", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
+            ["fit-prior", "--kind", "flow", "--checkpoint", "obpose--moving--64x64", "--data", "nowhere"],
             "ships with the package, its prior too",
         ),
         (
             ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow", "--out", "new"],
-            "make one with obpose-edit learn, or give another --prior",
+            "make one with obpose-edit fit-prior --kind flow, or give another --prior",
         ),
         (
             ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--seed", str(2**64), "--out", "new"],
@@ -404,9 +387,11 @@ FRAMES = ["--rgb", "nowhere", "--depth", "nowhere", "--intrinsics", "60,60,32,32
         (["infer", "--checkpoint", "nowhere", "--data", "d"], "--checkpoint nowhere: no such folder"),
         (["infer", "--checkpoint", MODEL, "--data", "DATA", "--scene", "9"], "--scene 9: expected"),
         (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--objects", "-1"], "--objects -1: expected 0 to"),
-        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "found"], "--prior found needs --data"),
         (["sample", "--checkpoint", MODEL, "--camera", "nowhere"], "nowhere holds no scene"),
-        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow"], "obpose-edit learn"),
+        (
+            ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow"],
+            "obpose-edit fit-prior --kind flow",
+        ),
         (["render", "SCENE", "--frame", "10"], "--frame 10: expected 0 to 9"),
         (["render", "SCENE", "--resolution", "9"], "expected WIDTHxHEIGHT"),
         (["render", "nowhere"], "nowhere holds no scene"),
@@ -441,7 +426,7 @@ def test_wrong_arguments_are_named_before_the_output_that_is_there(
     ("command", "slow"),
     [
         (["infer", "--checkpoint", MODEL, "--data", "DATA"], "infer_scene"),
-        (["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "found", "--data", "DATA"], "find_objects"),
+        (["sample", "--checkpoint", MODEL, "--camera", "SCENE"], "Renderer"),
         (["mesh", "SCENE", "--object", "FIRST"], "object_mesh"),
         (["render", "SCENE"], "Renderer"),
         (["remove", "SCENE", "--object", "FIRST"], "Renderer"),

@@ -9,7 +9,7 @@ from torch import Tensor
 from obpose.geometry import camera_rays
 from obpose.model.nerf.field import Conditioning, Field, Hidden
 from obpose.model.obpose import ObPose
-from obpose.scenes.appearance.table_texture import no_pattern
+from obpose.scenes.appearance.table_texture import no_texture
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Camera, Scene
 from obpose.types import Observation
@@ -52,7 +52,9 @@ def moving_balls(centers: Sequence[Sequence[Sequence[float]]], *, light: Sequenc
     frames, objects = len(centers), len(centers[0])
     scene = some_scene(objects=objects, frames=frames)
     places = {"center": torch.tensor(centers), "rotation": torch.eye(3).expand(frames, objects, 3, 3)}
-    return model, replace(scene, **places, cameras=(VIEW,), light=torch.tensor(light), pattern=no_pattern())
+    return model, replace(scene, **places, cameras=(VIEW,)).with_appearance(
+        light=torch.tensor(light), texture=no_texture()
+    )
 
 
 def table_points(camera: Camera) -> Tensor:

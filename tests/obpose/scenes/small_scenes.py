@@ -7,7 +7,8 @@ import torch
 from obpose.model.build import build_obpose
 from obpose.model.nerf.detail import no_detail
 from obpose.model.obpose import ObPose
-from obpose.scenes.appearance.table_texture import EDGE, SPOT
+from obpose.scenes.appearance import Appearance
+from obpose.scenes.appearance.table_texture import EDGE, PATCH
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.grids import DENSITY_LIMIT
 from obpose.scenes.priors.tables import Tables
@@ -50,32 +51,36 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
         center=above + 0.2 * draw(frames, objects, 3).clamp(-1, 1),
         rotation=rotation * torch.linalg.det(rotation)[..., None, None],
         background=draw(frames, 32),
-        detail=draw(*no_detail(objects, above).shape),
-        alone=torch.zeros(objects),
+        appearance=Appearance(
+            detail=draw(*no_detail(objects, above).shape),
+            alone=torch.zeros(objects),
+            light=torch.tensor([0.6, 0.0, 0.8, 0.3]),
+            texture=0.3 * draw(EDGE, EDGE, 3),
+        ),
         cameras=(CAMERA,),
         model=model,
         checkpoint="somewhere",
-        light=torch.tensor([0.6, 0.0, 0.8, 0.3]),
-        pattern=0.3 * draw(EDGE, EDGE, 3),
     )
 
 
 def some_tables(count: int = 2) -> Tables:
-    """With lights and patterns of their own."""
+    """With lights and textures of their own."""
     generator = torch.Generator().manual_seed(0)
     across = torch.linspace(0.0, 0.6, count)
     lights = torch.stack([across, torch.zeros(count), (1 - across**2).sqrt(), 0.3 + across / 2], dim=1)
-    return Tables(lights, 0.3 * torch.randn(count, SPOT, SPOT, 3, generator=generator))
+    return Tables(lights, 0.3 * torch.randn(count, PATCH, PATCH, 3, generator=generator))
 
 
-_NAMES = ("what", "center", "rotation", "detail", "alone", "background", "light", "pattern")
+def _tensors(scene: Scene) -> list[torch.Tensor]:
+    looks = scene.appearance
+    return [scene.what, scene.center, scene.rotation, scene.background, *vars(looks).values()]
 
 
 def equal(one: Scene, other: Scene) -> bool:
-    return one.ids == other.ids and all(torch.equal(getattr(one, name), getattr(other, name)) for name in _NAMES)
+    return one.ids == other.ids and all(map(torch.equal, _tensors(one), _tensors(other)))
 
 
 def alike(one: Scene, other: Scene, by: float = 1e-3) -> bool:
     """Equal to rounding, which gradients carry on."""
-    close = (torch.allclose(getattr(one, name), getattr(other, name), atol=by, rtol=0) for name in _NAMES)
+    close = (torch.allclose(a, b, atol=by, rtol=0) for a, b in zip(_tensors(one), _tensors(other), strict=True))
     return one.ids == other.ids and all(close)

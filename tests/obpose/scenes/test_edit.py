@@ -1,5 +1,4 @@
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -7,7 +6,7 @@ import torch
 from obpose.errors import UsageError
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import no_light
-from obpose.scenes.appearance.table_texture import no_pattern
+from obpose.scenes.appearance.table_texture import no_texture
 from obpose.scenes.scene import Scene, upright
 from tests.obpose.scenes.small_scenes import equal, some_scene
 
@@ -19,7 +18,7 @@ def test_removed_is_removed_and_the_others_keep_their_names():
     without = edit.remove(scene, 2)
     assert without.ids == (1, 3)
     assert torch.equal(without.center, scene.center[:, [0, 2]])
-    assert torch.equal(without.detail, scene.detail[[0, 2]])
+    assert torch.equal(without.appearance.detail, scene.appearance.detail[[0, 2]])
     assert edit.remove(edit.remove(without, 1), 3).ids == ()
 
 
@@ -73,7 +72,7 @@ def test_swapped_objects_stay_what_they_are():
     assert torch.equal(swapped.center[..., :2], scene.center[:, [1, 0, 2], :2])
     assert torch.equal(swapped.center[..., 2], scene.center[..., 2])
     assert torch.equal(swapped.what, scene.what)
-    assert torch.equal(swapped.detail, scene.detail)
+    assert torch.equal(swapped.appearance.detail, scene.appearance.detail)
     assert torch.equal(swapped.rotation, scene.rotation)
 
 
@@ -83,17 +82,17 @@ def test_an_object_of_another_scene_is_added_and_stays_where_its_frames_end():
     assert added.ids == (1, 2, 3, 4)
     frames = [0, 1, 1, 1]
     assert torch.equal(added.what[:, 3], source.what[frames, 2])
-    assert torch.equal(added.detail[3], source.detail[2])
+    assert torch.equal(added.appearance.detail[3], source.appearance.detail[2])
     assert torch.equal(added.center[:, 3], source.center[frames, 2])
     assert equal(edit.remove(added, 4), target)
 
 
-def test_light_and_pattern_stay_whatever_is_done_to_objects():
+def test_light_and_texture_stay_whatever_is_done_to_objects():
     scene = some_scene()
-    source = replace(some_scene(seed=1), light=no_light(), pattern=no_pattern())
+    source = some_scene(seed=1).with_appearance(light=no_light(), texture=no_texture())
     for changed in (*every_edit(scene), edit.transfer(source, 1, scene)):
-        assert torch.equal(changed.light, scene.light)
-        assert torch.equal(changed.pattern, scene.pattern)
+        assert torch.equal(changed.appearance.light, scene.appearance.light)
+        assert torch.equal(changed.appearance.texture, scene.appearance.texture)
 
 
 def test_nothing_is_changed_in_place():
@@ -116,14 +115,14 @@ def every_edit(scene: Scene) -> list[Scene]:
 
 
 def test_objects_of_other_models_mean_nothing():
-    with pytest.raises(UsageError, match="of different models"):
+    with pytest.raises(UsageError, match="belong to different models"):
         edit.transfer(some_scene(model="abc"), 1, some_scene(model="xyz"))
 
 
 def test_objects_that_are_alone_stay_so_and_others_do_not_become_it():
-    scene = replace(some_scene(), alone=torch.tensor([0.0, 0.4, 0.6]))
-    assert edit.remove(scene, 1).alone.tolist() == pytest.approx([0.4, 0.6])
-    assert edit.remove(scene, 3).alone.tolist() == pytest.approx([0.0, 0.4])
-    assert edit.duplicate(scene, 2, torch.zeros(3)).alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.4])
-    assert edit.transfer(scene, 3, some_scene()).alone.tolist() == pytest.approx([0.0, 0.0, 0.0, 0.6])
-    assert edit.transfer(some_scene(), 3, scene).alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.0])
+    scene = some_scene().with_appearance(alone=torch.tensor([0.0, 0.4, 0.6]))
+    assert edit.remove(scene, 1).appearance.alone.tolist() == pytest.approx([0.4, 0.6])
+    assert edit.remove(scene, 3).appearance.alone.tolist() == pytest.approx([0.0, 0.4])
+    assert edit.duplicate(scene, 2, torch.zeros(3)).appearance.alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.4])
+    assert edit.transfer(scene, 3, some_scene()).appearance.alone.tolist() == pytest.approx([0.0, 0.0, 0.0, 0.6])
+    assert edit.transfer(some_scene(), 3, scene).appearance.alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.0])

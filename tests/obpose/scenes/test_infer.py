@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,8 +8,8 @@ from obpose.data.resolution import fitting_model
 from obpose.model.obpose import ObPose
 from obpose.scenes import infer
 from obpose.scenes.appearance.light import no_light
-from obpose.scenes.appearance.table_texture import no_pattern
-from obpose.scenes.infer import LOOKED_AT, fit_to_frames, infer_labelled, infer_scene, views_as_trained
+from obpose.scenes.appearance.table_texture import no_texture
+from obpose.scenes.infer import APPEARANCE_FRAMES, fit_to_frames, infer_labelled, infer_scene, views_as_trained
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
 from obpose.scenes.scene import Scene
@@ -26,7 +25,7 @@ def test_a_scene_holds_the_posterior_means_of_the_objects_in_use():
     inference = origin.model.segment(clip).inference
     assert scene.ids == (1, 2, 3, 4)
     assert torch.equal(scene.what, inference.what.mean[0])
-    assert not scene.detail.any()
+    assert not scene.appearance.detail.any()
     assert torch.equal(scene.center, inference.boxes.center[0])
     assert (scene.model, scene.checkpoint, scene.frames) == ("hash", "name", 3)
     assert torch.equal(scene.cameras[0].world_from_camera, clip.world_from_camera[0, 0])
@@ -38,10 +37,10 @@ def test_a_scene_can_be_refined_at_once():
     model = fitting_model(origin.model, clip)
     refined = infer_scene(origin, clip, refinements=2)
     assert alike(
-        replace(refined, light=no_light(), pattern=no_pattern()),
+        refined.with_appearance(light=no_light(), texture=no_texture()),
         refine(model, clip, infer_scene(origin, clip), steps=2),
     )
-    assert refined.detail.any()
+    assert refined.appearance.detail.any()
 
 
 def test_a_light_and_then_a_pattern_are_looked_for_in_what_was_fitted_to_the_frames(monkeypatch: pytest.MonkeyPatch):
@@ -51,41 +50,41 @@ def test_a_light_and_then_a_pattern_are_looked_for_in_what_was_fitted_to_the_fra
 
     def found(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
         assert observation.depth.shape[1] == scene.frames == clip.depth.shape[1]
-        fitted.append(bool(scene.detail.any()))
+        fitted.append(bool(scene.appearance.detail.any()))
         return light
 
-    def pattern(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
-        return no_pattern() + scene.light[0]
+    def texture(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
+        return no_texture() + scene.appearance.light[0]
 
     monkeypatch.setattr(infer, "find_light", found)
-    monkeypatch.setattr(infer, "find_pattern", pattern)
+    monkeypatch.setattr(infer, "find_texture", texture)
     plain = infer_scene(origin, clip)
-    assert torch.equal(plain.light, no_light())
-    assert torch.equal(plain.pattern, no_pattern())
+    assert torch.equal(plain.appearance.light, no_light())
+    assert torch.equal(plain.appearance.texture, no_texture())
     for scene in (
         infer_scene(origin, clip, refinements=2),
         fit_to_frames(plain, origin.model, clip, refinements=2),
     ):
-        assert torch.equal(scene.light, light)
-        assert torch.equal(scene.pattern, no_pattern() + light[0])
-    assert torch.equal(fit_to_frames(plain, origin.model, clip, refinements=0).light, no_light())
+        assert torch.equal(scene.appearance.light, light)
+        assert torch.equal(scene.appearance.texture, no_texture() + light[0])
+    assert torch.equal(fit_to_frames(plain, origin.model, clip, refinements=0).appearance.light, no_light())
     assert fitted == [True, True]
 
 
 def test_light_and_pattern_are_looked_for_in_some_frames_of_a_long_clip(monkeypatch: pytest.MonkeyPatch):
     origin, seen = Origin(some_model(), Path("folder"), "name", "hash"), []
-    clip = table_scene(batch=1, frames=LOOKED_AT + 3, height=16, width=16)
+    clip = table_scene(batch=1, frames=APPEARANCE_FRAMES + 3, height=16, width=16)
 
     def look(find: Callable[[], torch.Tensor]) -> Callable[..., torch.Tensor]:
         return lambda model, observation, scene: (seen.append((observation, scene)), find())[1]
 
     monkeypatch.setattr(infer, "find_light", look(no_light))
-    monkeypatch.setattr(infer, "find_pattern", look(no_pattern))
+    monkeypatch.setattr(infer, "find_texture", look(no_texture))
     whole = infer_scene(origin, clip, refinements=1)
-    assert whole.frames == LOOKED_AT + 3
+    assert whole.frames == APPEARANCE_FRAMES + 3
     assert len(seen) == 2
     for observation, scene in seen:
-        assert observation.depth.shape[1] == scene.frames == LOOKED_AT
+        assert observation.depth.shape[1] == scene.frames == APPEARANCE_FRAMES
         for part, all_of_it in (
             (observation.rgb[0], clip.rgb[0]),
             (observation.depth[0], clip.depth[0]),

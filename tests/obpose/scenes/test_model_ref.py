@@ -32,7 +32,7 @@ def test_a_scene_finds_its_model_and_refuses_others(tmp_path: Path):
 def test_a_model_that_was_moved_can_be_named(tmp_path: Path):
     scene = replace(some_scene(model=load_origin(trained(tmp_path / "a")).hash), checkpoint=str(tmp_path / "a"))
     (tmp_path / "a").rename(tmp_path / "b")
-    with pytest.raises(UsageError, match=r"not where it was.*Say with --checkpoint"):
+    with pytest.raises(UsageError, match=r"was not found.*Give its place with --checkpoint"):
         origin_of(scene)
     assert origin_of(scene, str(tmp_path / "b")).folder == tmp_path / "b"
 

@@ -38,7 +38,7 @@ def inferred(model: ObPose, observation: Observation) -> Scene:
 
 def explained(model: ObPose, observation: Observation, scene: Scene) -> float:
     """Loss of all pixels, with the weights that refinement gives it."""
-    leaves = refining._Leaves(scene.what, scene.background, scene.center, scene.detail)
+    leaves = refining._Leaves(scene.what, scene.background, scene.center, scene.appearance.detail)
     with torch.no_grad():
         decoding = refining._decoding(model, scene, leaves)
         along = fields_along(all_rays(observation), decoding, torch.Generator().manual_seed(3))
@@ -48,14 +48,14 @@ def explained(model: ObPose, observation: Observation, scene: Scene) -> float:
 
 
 def parts(scene: Scene) -> tuple[torch.Tensor, ...]:
-    return scene.what, scene.background, scene.center, scene.detail
+    return scene.what, scene.background, scene.center, scene.appearance.detail
 
 
 def test_the_frames_are_explained_better_and_with_details_better_still(model: ObPose):
     observation = clip()
     before = inferred(model, observation)
     after = refine(model, observation, before, steps=STEPS)
-    without = replace(after, detail=torch.zeros_like(after.detail))
+    without = after.with_appearance(detail=torch.zeros_like(after.appearance.detail))
     losses = [explained(model, observation, scene) for scene in (before, without, after)]
     assert losses[1] < losses[0] - 0.1
     assert losses[2] < losses[1]
@@ -69,7 +69,7 @@ def test_its_loss_at_the_start_is_that_of_what_was_inferred(model: ObPose):
     scene, inference = inferred(model, observation), model.segment(observation).inference
     rays, colours = all_rays(observation), "with"
     points = rays.origin + rays.direction * rays.depth[..., None]
-    leaves = refining._Leaves(scene.what, scene.background, scene.center, scene.detail)
+    leaves = refining._Leaves(scene.what, scene.background, scene.center, scene.appearance.detail)
     with torch.no_grad():
         of_scene = refining._decoding(model, scene, leaves)(points, rays.direction, colours)
         of_model = model.decode(inference, points, rays.direction, colours)
@@ -80,7 +80,7 @@ def test_its_loss_at_the_start_is_that_of_what_was_inferred(model: ObPose):
 def test_details_are_added_to_the_fields_of_their_own_objects_in_all_frames(model: ObPose):
     observation = clip()
     scene = inferred(model, observation)
-    detail = torch.randn(scene.detail.shape, generator=torch.Generator().manual_seed(0))
+    detail = torch.randn(scene.appearance.detail.shape, generator=torch.Generator().manual_seed(0))
     points = scene.center + torch.tensor([0.02, 0.01, 0.0])
     points = replace_height(points)[None]
     with torch.no_grad():
@@ -175,9 +175,8 @@ def test_boxes_move_by_a_step_at_most_and_do_not_turn(model: ObPose):
 def test_it_repeats_and_leaves_the_model_and_what_it_was_given_alone(model: ObPose):
     observation = clip()
     scene = inferred(model, observation)
-    given = replace(
-        scene, **{name: getattr(scene, name).clone() for name in ("what", "background", "center", "detail")}
-    )
+    given = replace(scene, **{name: getattr(scene, name).clone() for name in ("what", "background", "center")})
+    given = given.with_appearance(detail=scene.appearance.detail.clone())
     weights = [weight.detach().clone() for weight in model.parameters()]
     first, second = (refine(model, observation, scene, steps=3) for _ in range(2))
     assert alike(first, second)

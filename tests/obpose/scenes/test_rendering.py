@@ -12,11 +12,11 @@ from obpose.model.nerf.along import JITTER
 from obpose.model.obpose import ObPose
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import no_light
-from obpose.scenes.appearance.table_texture import no_pattern
+from obpose.scenes.appearance.table_texture import no_texture
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import load_origin
-from obpose.scenes.priors.gaussian import load_prior
+from obpose.scenes.priors import load_prior
 from obpose.scenes.rendering import Renderer, outlines
 from obpose.scenes.scene import Camera, Scene
 from obpose.storage.pretrained import shipped_names
@@ -56,7 +56,9 @@ def seen_objects() -> tuple[ObPose, Scene]:
             field.colour_out.bias.zero_()
     center = torch.tensor([[-0.15, 0.0, 0.2], [0.15, 0.0, 0.2]]).expand(2, 2, 3)
     rotation = torch.eye(3).expand(2, 2, 3, 3)
-    return model, replace(scene, center=center, rotation=rotation, detail=torch.zeros_like(scene.detail))
+    return model, replace(scene, center=center, rotation=rotation).with_appearance(
+        detail=torch.zeros_like(scene.appearance.detail)
+    )
 
 
 @pytest.mark.parametrize("frame", [0, 1])
@@ -66,17 +68,17 @@ def test_details_are_seen_and_of_their_object_alone(frame: int):
     plain = renderer.render(scene, frame, antialiased=False)
     assert float(plain.rgb[plain.nearest == 2].sub(0.5).abs().max()) < 0.01
     for name, other in ((1, 2), (2, 1)):
-        red = torch.zeros_like(scene.detail)
+        red = torch.zeros_like(scene.appearance.detail)
         red[name - 1, ..., 1:] = torch.tensor([20.0, -20.0, -20.0])
         # The same renderer, which must not take what it remembers of the object without details.
-        image = renderer.render(replace(scene, detail=red), frame, antialiased=False)
+        image = renderer.render(scene.with_appearance(detail=red), frame, antialiased=False)
         assert torch.equal(image.nearest, plain.nearest)
         mine, others = image.rgb[image.nearest == name], image.rgb[image.nearest == other]
         torch.testing.assert_close(mine, torch.tensor([1.0, 0, 0]).expand_as(mine), atol=0.01, rtol=0)
         torch.testing.assert_close(others, torch.tensor(0.5).expand_as(others), atol=0.01, rtol=0)
-        gone = torch.zeros_like(scene.detail)
+        gone = torch.zeros_like(scene.appearance.detail)
         gone[name - 1, ..., 0] = -60.0
-        image = renderer.render(replace(scene, detail=gone), frame, antialiased=False)
+        image = renderer.render(scene.with_appearance(detail=gone), frame, antialiased=False)
         assert not (image.nearest == name).any()
         assert torch.equal(image.nearest == other, plain.nearest == other)
 
@@ -128,7 +130,7 @@ def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, re
     """
     origin = load_origin("obpose--moving--64x64")
     scene = infer_scene(origin, read_clip(tiny_dataset, "test", 0), refinements=refinements)
-    scene = replace(scene, light=no_light(), pattern=no_pattern())
+    scene = scene.with_appearance(light=no_light(), texture=no_texture())
     camera, renderer = scene.cameras[0].resized(24, 24), Renderer(origin.model)
     image = renderer.render(scene, camera=camera, antialiased=False)
     dense = densely(renderer, scene, camera, behind=JITTER)
@@ -147,7 +149,9 @@ def test_so_it_is_for_all_weights_and_from_above(name: str, elevation: int):
     background = load_prior(origin).background.means[:1]
     empty = edit.remove(some_scene(objects=1, frames=1), 1)
     camera = looking_down(origin.model, elevation)
-    scene = replace(empty, background=background, cameras=(camera,), light=no_light(), pattern=no_pattern())
+    scene = replace(empty, background=background, cameras=(camera,)).with_appearance(
+        light=no_light(), texture=no_texture()
+    )
     renderer = Renderer(origin.model)
     image = renderer.render(scene, antialiased=False)
     dense = densely(renderer, scene, camera, behind=JITTER)

@@ -14,9 +14,9 @@ def test_objects_keep_their_names_and_what_is_not_there_is_named():
     scene = some_scene(objects=2)
     assert [scene.place(name) for name in (1, 2)] == [0, 1]
     assert scene.new_id() == 3
-    with pytest.raises(UsageError, match=r"no object 5\. There are 1, 2\."):
+    with pytest.raises(UsageError, match=r"no object 5\. Its objects are 1, 2\."):
         scene.place(5)
-    with pytest.raises(UsageError, match="There are none at all"):
+    with pytest.raises(UsageError, match="It has no objects"):
         some_scene(objects=0).place(1)
 
 
@@ -40,8 +40,10 @@ def test_objects_look_alike_where_code_detail_and_what_the_detail_is_are_the_sam
     scene = some_scene(objects=2)
     look = scene.look(0, 0)
     assert replace(scene, center=scene.center + 1).look(0, 0) == look
-    for name in ("what", "detail", "alone"):
-        assert replace(scene, **{name: getattr(scene, name) + 0.1}).look(0, 0) != look
+    assert replace(scene, what=scene.what + 0.1).look(0, 0) != look
+    for name in ("detail", "alone"):
+        changed = scene.with_appearance(**{name: getattr(scene.appearance, name) + 0.1})
+        assert changed.look(0, 0) != look
 
 
 def test_new_names_follow_the_others_as_long_as_there_are_any():

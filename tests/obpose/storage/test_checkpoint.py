@@ -205,7 +205,7 @@ def test_pipes_in_the_place_of_files_do_not_hang(run: Path, place: str):
         ({"more": torch.zeros(1)}, "more is unknown"),
         ({"mean": None, "meen": torch.zeros(3)}, "mean is missing, meen is unknown"),
         ({"mean": torch.zeros(3, dtype=torch.float64)}, "mean is float64 of shape [3], expected float32 of shape [3]"),
-        ({"mean": torch.zeros(3, dtype=torch.float16)}, "mean is float16"),
+        ({"mean": torch.zeros(3, dtype=torch.bfloat16)}, "mean is bfloat16"),
         ({"mean": torch.zeros(3, dtype=torch.int32)}, "mean is int32"),
         ({"mean": torch.zeros(1, 3)}, "mean is float32 of shape [1, 3]"),
         ({"mean": torch.zeros(())}, "mean is float32 of shape []"),

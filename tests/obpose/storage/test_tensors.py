@@ -9,7 +9,16 @@ import torch
 from safetensors.torch import save_file
 
 from obpose.errors import CorruptFile, UsageError
-from obpose.storage.tensors import MOST_HEADER_BYTES, Form, Forms, differences_of, forms_of, read_tensors
+from obpose.storage.tensors import (
+    MOST_HEADER_BYTES,
+    Form,
+    Forms,
+    Precision,
+    differences_of,
+    forms_of,
+    pack,
+    read_tensors,
+)
 
 ADVICE = "make it again."
 TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.zeros(2, dtype=torch.float16)}
@@ -29,8 +38,24 @@ def with_header(path: Path, header: dict, data: bytes) -> None:
 def test_what_was_written_is_read(path: Path):
     tensors, metadata = read_tensors(path, ADVICE)
     assert metadata == {"note": "here"}
-    assert forms_of(tensors) == {"a": Form(torch.float32, (2, 3)), "b": Form(torch.float16, (2,))}
+    assert forms_of(tensors) == {"a": Form(torch.float32, (2, 3)), "b": Form(torch.float32, (2,))}
     assert torch.equal(tensors["a"], TENSORS["a"])
+
+
+@pytest.mark.parametrize(("precision", "error"), [("float32", 0), ("float16", 2**-11), ("int8", 0.5 / 127)])
+def test_packed_values_come_back_as_float32_to_their_precision(tmp_path: Path, precision: Precision, error: float):
+    rows = (
+        torch.randn(3, 5, 4, generator=torch.Generator().manual_seed(0)) * torch.tensor([1e-3, 1, 50.0])[:, None, None]
+    )
+    tensors = {"rows": rows, "zeros": torch.zeros(2, 3), "scale": torch.tensor(0.3), "count": torch.tensor([3, 4])}
+    save_file(pack(tensors, precision), tmp_path / "packed")
+    seen: list[Forms] = []
+    found, _ = read_tensors(tmp_path / "packed", ADVICE, seen.append)
+    assert seen == [forms_of(tensors)] == [forms_of(found)]
+    allowed = rows.abs().flatten(1).amax(dim=1)[:, None, None] * (error * 1.01)
+    assert ((found["rows"] - rows).abs() <= allowed).all()
+    assert torch.equal(found["zeros"], tensors["zeros"])
+    assert torch.equal(found["count"], tensors["count"])
 
 
 def test_tensors_outlive_their_file(path: Path):

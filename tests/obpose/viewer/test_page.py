@@ -107,7 +107,7 @@ def test_a_drag_moves_the_nodes_and_is_undone_as_one(page: Page):
 def test_an_inferred_scene_is_fitted_once_and_the_fit_can_be_undone(page: Page, opened: OpenedScene):
     page.fit()
     fitted = settled(page).session.scene
-    assert fitted.detail.any()
+    assert fitted.appearance.detail.any()
     assert alike(fitted, infer_scene(opened.origin, opened.clip, refinements=5), by=0.01)
     assert page.session.version.sources == {name: name for name in opened.scene.ids}
     page.fit()

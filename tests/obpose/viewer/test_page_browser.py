@@ -75,7 +75,7 @@ def test_a_scene_is_looked_at_edited_and_saved(page: Page, tmp_path: Path):
         user.settle()
         plain = seen(user, tmp_path / "plain.png")
         user.press("Fit to the frames")
-        wait_until(lambda: page.session.scene.detail.any(), seconds=120, what="the scene to be fitted")
+        wait_until(lambda: page.session.scene.appearance.detail.any(), seconds=120, what="the scene to be fitted")
         user.settle()
         assert differs(seen(user, tmp_path / "fitted.png"), plain)
         assert tab.complaints == []

@@ -52,7 +52,7 @@ def test_a_small_picture_comes_first_and_a_large_one_last():
 
 def test_shapes_depend_on_details_and_are_cached_across_moves():
     scene = some_scene(objects=1, frames=1)
-    detailed = replace(scene, detail=torch.ones_like(scene.detail))
+    detailed = scene.with_appearance(detail=torch.ones_like(scene.appearance.detail))
     moved = replace(scene, center=scene.center + 0.1)
     renderer = ProgressiveRenderer(Renderer(some_model()), scene, None, preview=4, final=4)
     chunks = [list(renderer.render(RenderRequest(each, 0, 0, 0.0))) for each in (scene, moved, detailed)]

@@ -7,8 +7,11 @@ import torch
 from obpose.errors import UsageError
 from obpose.scenes import edit
 from obpose.scenes.model_ref import Origin
+from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.flow_prior import save_flow
-from obpose.scenes.priors.gaussian import Mixture, learned_prior, save_prior
+from obpose.scenes.priors.gaussian import save_gaussian
+from obpose.scenes.priors.learned import learned_prior
+from obpose.scenes.priors.mixture import Mixture
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.storage import load_scene, save_scene
 from obpose.viewer.scene_io import Sampler, open_path, save_new
@@ -95,12 +98,12 @@ def test_each_sampler_counts_its_seeds_from_0():
 def test_scenes_are_sampled_from_the_best_available_prior(tmp_path: Path):
     origin = Origin(some_model(), tmp_path, "name", "hash")
     learned = Sampler(origin).next(1, (CAMERA,))
-    save_prior(origin, replace(learned_prior(origin.model), what=Mixture(*centred_on(3.0))))
+    save_gaussian(origin, replace(learned_prior(origin), objects=CodePrior(Mixture(*centred_on(3.0)))))
     fitted = Sampler(origin).next(1, (CAMERA,))
     assert float((learned.what - 3).abs().max()) > 1 > float((fitted.what - 3).abs().max())
-    assert not fitted.detail.any()
+    assert not fitted.appearance.detail.any()
     save_flow(origin, dense_flow(latent=32))
-    assert Sampler(origin).next(1, (CAMERA,)).detail.any()
+    assert Sampler(origin).next(1, (CAMERA,)).appearance.detail.any()
 
 
 def centred_on(value: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

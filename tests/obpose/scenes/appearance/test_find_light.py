@@ -21,7 +21,9 @@ BALLS = ((-0.1, 0.05, 0.1), (0.12, -0.08, 0.05))
 def test_what_is_behind_an_object_is_darker_by_the_strength_and_nothing_else_is(center: tuple[float, float, float]):
     model, scene = balls_over_table(center, light=LIGHT)
     renderer = Renderer(model)
-    image, plain = (renderer.render(each, antialiased=False) for each in (scene, replace(scene, light=no_light())))
+    image, plain = (
+        renderer.render(each, antialiased=False) for each in (scene, scene.with_appearance(light=no_light()))
+    )
     toward = torch.tensor(LIGHT[:3])
     to = torch.tensor(center) - table_points(VIEW)
     beside = (to - (to @ toward)[..., None] * toward).norm(dim=-1)
@@ -55,8 +57,8 @@ def test_a_shadow_goes_where_its_object_goes_and_goes_with_it():
 def test_without_a_light_or_objects_nothing_is_looked_for(monkeypatch: pytest.MonkeyPatch):
     model, scene = balls_over_table(*BALLS, light=LIGHT)
     empty = edit.remove(edit.remove(scene, 1), 2)
-    unlit = replace(scene, light=no_light())
-    dark = replace(scene, light=torch.tensor([*LIGHT[:3], 0.0]))
+    unlit = scene.with_appearance(light=no_light())
+    dark = scene.with_appearance(light=torch.tensor([*LIGHT[:3], 0.0]))
 
     def fail(*_: object) -> None:
         raise AssertionError("looked for shadows")
@@ -64,7 +66,7 @@ def test_without_a_light_or_objects_nothing_is_looked_for(monkeypatch: pytest.Mo
     monkeypatch.setattr(Renderer, "occlusion", fail)
     renderer = Renderer(model)
     assert torch.equal(renderer.render(dark).rgb, renderer.render(unlit).rgb)
-    assert torch.equal(renderer.render(empty).rgb, renderer.render(replace(empty, light=no_light())).rgb)
+    assert torch.equal(renderer.render(empty).rgb, renderer.render(empty.with_appearance(light=no_light())).rgb)
     with pytest.raises(AssertionError, match="looked for"):
         renderer.render(scene)
 
@@ -110,7 +112,7 @@ def test_what_is_nearer_than_pixels_lie_apart_keeps_no_light_away():
 def test_it_is_found_in_the_frames_and_not_in_the_scene_and_again():
     model, scene = balls_over_table(*BALLS, light=LIGHT)
     frames = observed(model, scene)
-    found = find_light(model, frames, replace(scene, light=no_light()))
+    found = find_light(model, frames, scene.with_appearance(light=no_light()))
     assert found.any()
     assert torch.equal(found, find_light(model, frames, scene))
 

@@ -26,14 +26,14 @@ def beside(x: float, y: float, z: float) -> Camera:
 def lopsided() -> tuple[ObPose, Scene]:
     """An object whose detail makes it dense in one of eight corners only, and the camera on its x side."""
     model, scene = some_model(), some_scene(objects=1, frames=1)
-    detail = torch.zeros_like(scene.detail)
+    detail = torch.zeros_like(scene.appearance.detail)
     detail[..., 0] = -60.0
     detail[:, 9:15, 9:15, 9:15, 0] = 60.0
     detail[:, :, :, 12:, 1] = 3.0
     center, rotation = torch.tensor([[[0.0, 0.0, HIGH]]]), torch.eye(3)[None, None]
     return model, replace(
-        scene, center=center, rotation=rotation, detail=detail, cameras=(beside(2.0, 0.0, HIGH + 1.0),)
-    )
+        scene, center=center, rotation=rotation, cameras=(beside(2.0, 0.0, HIGH + 1.0),)
+    ).with_appearance(detail=detail)
 
 
 def close(one: Grids, other: Grids, by: float = 1e-3) -> bool:
@@ -88,8 +88,8 @@ def test_turning_the_object_alone_turns_its_grid():
 def test_nothing_is_dense_below_the_table():
     model = some_model()
     model.object_field = BallField(0.6, latent=32)
-    scene = replace(some_scene(objects=1, frames=1), center=torch.zeros(1, 1, 3), detail=torch.zeros(1, 16, 16, 16, 4))
-    scene = replace(scene, cameras=(beside(1.0, 0.0, 1.0),))
+    scene = some_scene(objects=1, frames=1).with_appearance(detail=torch.zeros(1, 16, 16, 16, 4))
+    scene = replace(scene, center=torch.zeros(1, 1, 3), cameras=(beside(1.0, 0.0, 1.0),))
     grids = grids_of(model, scene, 0)
     height = torch.linspace(-1, 1, EDGE) * float(grids.half[0])
     # A half ball of 6 cm: its middle is 3 cm high, and the grid as wide as the ball.
@@ -112,7 +112,7 @@ def test_a_grid_alone_is_the_object_that_it_is_of():
     """Its logits at the grid's points, whatever the code; here the box's middle is the grid's."""
     model, what = some_model(), torch.randn(32, generator=torch.Generator().manual_seed(0))
     model.object_field = BallField(0.6, latent=32)
-    scene = replace(some_scene(objects=1, frames=1), detail=torch.zeros(1, 16, 16, 16, 4))
+    scene = some_scene(objects=1, frames=1).with_appearance(detail=torch.zeros(1, 16, 16, 16, 4))
     scene = replace(scene, center=torch.tensor([[[0.0, 0.0, HIGH]]]), cameras=(beside(1.0, 0.0, 1.0),))
     grids = grids_of(model, scene, 0)
     steps = torch.linspace(-1, 1, EDGE) * float(grids.half[0]) / 0.1
