@@ -37,6 +37,7 @@ from benchmark.results.run_folder import (
 )
 from benchmark.results.scoring import SPLIT, score_labels
 from datagen.errors import UsageError
+from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset, Split
 from datagen.tracks import Profile
 

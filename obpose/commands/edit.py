@@ -23,6 +23,7 @@ from torch import Tensor
 import assets
 from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
+from datagen.storage.atomic import check_new_file, check_new_folder, new_file
 from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note

@@ -8,6 +8,7 @@ from safetensors.torch import save
 
 from datagen.storage.atomic import write_atomically
 from obpose.errors import UsageError
+from obpose.model.layers.latent import LATENT
 from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance import Appearance

@@ -24,6 +24,7 @@ from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors import load_prior
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.flow_prior import save_flow
+from obpose.scenes.priors.gaussian import save_gaussian
 from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.rendering import Image
 from obpose.storage.pretrained import shipped_to_create

@@ -106,7 +106,7 @@ def test_another_architecture_is_trained_by_the_same_command(
         (("--track", "moving", "--workers", "-1"), "--workers -1: expected more than 0"),
         (("--track", "moving", "--threads", "0"), "--threads 0: expected more than 0"),
         (("--track", "moving", "--set", "train.learning_rate=nan"), "--set train.learning_rate=nan: expected a number"),
-        (("--track", "moving", "--set", "loss.air=1e999"), "--set loss.air=1e999: expected a number"),
+        (("--track", "moving", "--set", "loss.air_growth=1e999"), "--set loss.air_growth=1e999: expected a number"),
         (("--track", ""), "--track is empty; expected a value"),
         (("--data", ""), "--data is empty; expected a value"),
         (("--track", "moving", "--out="), "--out is empty; expected a value"),
