@@ -6,6 +6,8 @@ A grid holds few values, each with a reason to be the best on some data; labels 
 from itertools import product
 
 from benchmark.models.classical.boxes import OracleVisibleBoxes, OracleVisibleMeans, PlaneHdbscanBoxes
+from benchmark.models.classical.clip_tracker import ClipTracker
+from benchmark.models.classical.convexity import Convexity
 from benchmark.models.classical.floors import AllBackground, ConstantGrid, OneCluster, RandomSlots
 from benchmark.models.classical.kmeans import KMeansXyzRgb
 from benchmark.models.classical.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground
@@ -29,6 +31,10 @@ DBSCAN_COLOUR = _grid(colour=(1.25, 2.5, 4.0), reach=(2.0, 2.5, 3.0, 4.0))
 HDBSCAN = _grid(least_cells=(4, 3, 5, 6, 8, 12))
 # From the slope of one surface in neighbouring pixels up to the depth of an object.
 COMPONENTS = _grid(step=(2.0, 0.75, 1.0, 1.5, 3.0, 4.5))
+# Wider gaps bridge holes and oblique surfaces, narrower ones keep neighbours apart.
+TRACKER = _grid(gap=(3.0, 2.0, 2.5, 3.5, 4.0))
+# Each of the three cues from weak to decisive.
+CONVEXITY = _grid(concavity=(2.0, 1.0, 3.0), colour=(2.0, 0.0), gap=(1.75, 2.1))
 # Against a table of about a metre: from position alone to colour alone.
 KMEANS = _grid(colour=(12.8, 0.0, 0.8, 3.2, 6.4, 25.6, 51.2))
 
@@ -71,6 +77,22 @@ CLASSICAL = {
         "RANSAC plane removal, then connected components of the depth image",
         "classical",
         COMPONENTS,
+        priors=PLANE,
+    ),
+    "clip-tracker": ModelSpec(
+        Builder(ClipTracker),
+        1,
+        "components of the clearest frame, followed through the clip by rigid registration",
+        "classical",
+        TRACKER,
+        priors=PLANE,
+    ),
+    "convexity": ModelSpec(
+        Builder(Convexity),
+        1,
+        "RANSAC plane removal, then divisions at concave edges, colour edges and gaps",
+        "classical",
+        CONVEXITY,
         priors=PLANE,
     ),
     "kmeans-xyz-rgb": ModelSpec(
