@@ -63,6 +63,8 @@ class ModelSpec:
     """Training budget in seconds of one core, unless the command sets another."""
     extra: tuple[str, ...] = ()
     """Names of the segmentations in `Prediction.extra`; each gets its own row."""
+    uses_time: bool = False
+    """Whether the segmentation of a frame depends on the other frames; tuning then uses whole clips."""
     labelled_trials: int = 0
     """Number of settings that were compared on labelled validation scenes during development; if not 0, rows are marked
     as tuned."""

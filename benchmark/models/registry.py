@@ -15,14 +15,14 @@ from dataclasses import dataclass
 
 from benchmark.models import plugins
 from benchmark.models.adapters import LEARNED
-from benchmark.models.classical import CLASSICAL, FLOORS, ORACLES, POSED
+from benchmark.models.classical import CLASSICAL, FLOORS, ORACLES, POSED, STRONGER
 from benchmark.models.model_spec import ModelSpec
 from benchmark.models.plugins import Problem
 from datagen.errors import UsageError, unknown_name
 
 __all__ = ["GROUPS", "MODELS", "Group", "ModelSpec", "Problem", "budget_of", "discover", "expand", "find_model"]
 
-MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **POSED, **LEARNED}
+MODELS: dict[str, ModelSpec] = {**FLOORS, **CLASSICAL, **ORACLES, **POSED, **STRONGER, **LEARNED}
 """Models of this package; `discover` adds those of other packages."""
 
 
@@ -43,6 +43,7 @@ GROUPS: dict[str, Group] = {
     "oracles": Group(tuple(ORACLES)),
     "training-free": Group((*FLOORS, *CLASSICAL, *ORACLES)),
     "poses": Group(tuple(POSED)),
+    "stronger": Group(tuple(STRONGER)),
     "paper": Group(
         (
             "obpose-loc",

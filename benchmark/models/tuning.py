@@ -46,7 +46,7 @@ def choose(
     """
     if len(spec.grid) < 2:
         return Choice({**options, **spec.default}, ())
-    sample = subsample(val, truths, limit)
+    sample = subsample(val, truths, limit, whole_clips=spec.uses_time)
     scores = []
     for value in spec.grid:
         model = spec.build({**options, **value})
@@ -56,12 +56,18 @@ def choose(
     return Choice({**options, **spec.grid[best]}, tuple(scores))
 
 
-def subsample(clips: Sequence[Clip], truths: Sequence[Labels], limit: int) -> list[Sample]:
-    """Select at most `limit` frames, evenly: the same number of every clip, or one frame each of fewer clips."""
-    chosen = _spread(len(clips), limit)
+def subsample(
+    clips: Sequence[Clip], truths: Sequence[Labels], limit: int, *, whole_clips: bool = False
+) -> list[Sample]:
+    """Select at most `limit` frames, evenly: the same number of every clip, or one frame each of fewer clips.
+
+    With `whole_clips`, select all frames of as many clips as have at most `limit` frames, but of at least one clip.
+    """
+    length = len(clips[0].rgb) if whole_clips and len(clips) else 1
+    chosen = _spread(len(clips), max(1, limit // length))
     sample = []
     for i in chosen:
-        frames = _spread(len(clips[i].rgb), limit // max(len(chosen), 1))
+        frames = _spread(len(clips[i].rgb), length if whole_clips else limit // max(len(chosen), 1))
         sample.append((clips[i].select(frames), truths[i][frames]))
     return sample
 

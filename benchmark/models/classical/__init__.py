@@ -6,6 +6,8 @@ A grid holds the few values that may be best on some data; labels of the validat
 from itertools import product
 
 from benchmark.models.classical.boxes import OracleVisibleBoxes, OracleVisibleMeans, PlaneHdbscanBoxes
+from benchmark.models.classical.clip_tracker import ClipTracker
+from benchmark.models.classical.convexity import Convexity
 from benchmark.models.classical.floors import AllBackground, ConstantGrid, OneCluster, RandomSlots
 from benchmark.models.classical.kmeans import KMeansXyzRgb
 from benchmark.models.classical.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground
@@ -30,6 +32,10 @@ DBSCAN_COLOUR = _grid(colour=(1.25, 2.5, 4.0), reach=(2.0, 2.5, 3.0, 4.0))
 HDBSCAN = _grid(least_cells=(4, 3, 5, 6, 8, 12))
 # From the slope of one surface between neighbouring pixels to the depth of an object.
 COMPONENTS = _grid(step=(2.0, 0.75, 1.0, 1.5, 3.0, 4.5))
+# Wider gaps bridge holes and oblique surfaces, narrower ones keep neighbours apart.
+TRACKER = _grid(gap=(3.0, 2.0, 2.5, 3.5, 4.0))
+# Each of the three cues from weak to decisive.
+CONVEXITY = _grid(concavity=(2.0, 1.0, 3.0), colour=(2.0, 0.0), gap=(1.75, 2.1))
 # From position alone to colour alone, on a table of about a metre.
 KMEANS = _grid(colour=(12.8, 0.0, 0.8, 3.2, 6.4, 25.6, 51.2))
 
@@ -103,3 +109,25 @@ POSED = {
     ),
 }
 """Baselines for the poses of models, listed apart because their segmentations repeat those of other models."""
+
+STRONGER = {
+    "clip-tracker": ModelSpec(
+        Builder(ClipTracker),
+        1,
+        "components of the clearest frame, followed through the clip by rigid registration",
+        "classical",
+        TRACKER,
+        uses_time=True,
+        priors=PLANE,
+    ),
+    "convexity": ModelSpec(
+        Builder(Convexity),
+        1,
+        "RANSAC plane removal, then divisions at concave edges, colour edges and gaps",
+        "classical",
+        CONVEXITY,
+        priors=PLANE,
+        labelled_trials=140,
+    ),
+}
+"""Stronger baselines without published results yet; they are not part of the group `training-free`."""

@@ -98,3 +98,10 @@ def test_frames_are_spread_evenly(clips: int, limit: int, kept: int, frames: lis
         assert thin.truth[:, 0, 0, 0].tolist() == frames
         assert thin.rgb.shape == (*labels.shape, 3)
         np.testing.assert_array_equal(thin.valid, labels > 0)
+
+
+@pytest.mark.parametrize(("limit", "clips"), [(12, 3), (15, 3), (4, 1), (1, 1), (1000, 5)])
+def test_models_that_use_time_are_tuned_on_whole_clips(limit: int, clips: int):
+    sample = subsample([CLIP] * 5, [TRUTH] * 5, limit, whole_clips=True)
+    assert len(sample) == clips
+    assert all(np.array_equal(truth, TRUTH) and len(clip.rgb) == len(TRUTH) for clip, truth in sample)

@@ -30,7 +30,7 @@ def test_it_runs_the_command(program: str):
     assert program in done.stdout
 
 
-@pytest.mark.parametrize("program", COMMANDS)
+@pytest.mark.parametrize("program", sorted({*COMMANDS} - {"obpose-view"}))  # its help needs no NumPy
 def test_ctrl_c_during_the_imports_is_one_line(program: str):
     with subprocess.Popen(command_of(program), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         # NumPy's libraries are mapped early while everything is being imported.
