@@ -92,9 +92,25 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
     """
     if path.suffix not in FORMATS:
         raise UsageError(f"{path}: expected a name that ends with {' or '.join(FORMATS)}.")
-    data = mesh.export(file_type=path.suffix[1:])
+    data = to_glb(mesh) if path.suffix == ".glb" else mesh.export(file_type=path.suffix[1:])
     assert isinstance(data, bytes)
     write_atomically(path, data)
+
+
+def to_glb(mesh: trimesh.Trimesh) -> bytes:
+    """Encode a mesh as GLB, whose vertex colours are linear (glTF 2.0); those of the mesh are sRGB."""
+    encoded = mesh.copy()
+    encoded.visual.vertex_colors = linear(np.asarray(mesh.visual.vertex_colors))  # pyright: ignore
+    data = encoded.export(file_type="glb")
+    assert isinstance(data, bytes)
+    return data
+
+
+def linear(colours: np.ndarray) -> np.ndarray:
+    """Convert 8-bit sRGB to linear RGB, which glTF's vertex colours are; an alpha channel stays unchanged."""
+    values = colours[:, :3] / 255
+    decoded = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return np.concatenate([(255 * decoded).round().astype(np.uint8), colours[:, 3:]], axis=1)
 
 
 def _logit(density: float) -> float:

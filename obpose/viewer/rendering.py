@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 
 from obpose.errors import UsageError
@@ -119,7 +118,7 @@ class ProgressiveRenderer:
 
     def _make_shape(self, scene: Scene, frame: int, name: int) -> bytes | None:
         # Late, because trimesh and marching cubes take a second to import, and the first picture does not need them.
-        from obpose.scenes.meshes import object_mesh
+        from obpose.scenes.meshes import object_mesh, to_glb
 
         unrotated = torch.eye(3).expand_as(scene.rotation)
         posed = replace(scene, center=torch.zeros_like(scene.center), rotation=unrotated)
@@ -127,17 +126,7 @@ class ProgressiveRenderer:
             mesh = object_mesh(self._renderer.model, posed, name, frame=frame, resolution=_SHAPE_CELLS)
         except UsageError:
             return None
-        mesh.visual.vertex_colors = linear(np.asarray(mesh.visual.vertex_colors))  # pyright: ignore
-        data = mesh.export(file_type="glb")
-        assert isinstance(data, bytes)
-        return data
-
-
-def linear(colours: np.ndarray) -> np.ndarray:
-    """Convert 8-bit sRGB to linear RGB, as browsers expect vertex colours; an alpha channel stays unchanged."""
-    values = colours[:, :3] / 255
-    decoded = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([(255 * decoded).round().astype(np.uint8), colours[:, 3:]], axis=1)
+        return to_glb(mesh)
 
 
 def with_longer_side(camera: Camera, pixels: int) -> Camera:

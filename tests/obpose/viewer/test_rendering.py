@@ -1,6 +1,5 @@
 from dataclasses import replace
 
-import numpy as np
 import torch
 
 from obpose.scenes.rendering import Renderer
@@ -12,7 +11,6 @@ from obpose.viewer.rendering import (
     Shape,
     bands,
     joined,
-    linear,
     with_longer_side,
 )
 from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene
@@ -60,9 +58,3 @@ def test_shapes_depend_on_details_and_are_cached_across_moves():
     assert first is not None
     assert same is first
     assert other != first
-
-
-def test_vertex_colours_are_linear():
-    """188 is the sRGB value of half the light."""
-    colours = np.array([[0, 188, 255, 128]], np.uint8)
-    assert linear(colours).tolist() == [[0, 128, 255, 128]]
