@@ -1,4 +1,4 @@
-"""What can go wrong in a way the user can mend, and the exit codes that all our commands share."""
+"""Errors that users can fix, and the exit codes of all commands."""
 
 from datagen.errors import (
     EXIT_INCOMPLETE,

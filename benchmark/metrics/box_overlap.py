@@ -1,4 +1,4 @@
-"""How much two boxes in space share, as intersection over union of their volumes; exact but for rounding."""
+"""Intersection over union of the volumes of two boxes in space, exact up to rounding."""
 
 import itertools
 
@@ -10,7 +10,7 @@ _UNIT = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 """Corners of the box with sides of 1 around the origin."""
 _EDGES = np.array([(i, j) for i, j in itertools.combinations(range(8), 2) if np.sum(_UNIT[i] != _UNIT[j]) == 1])
 _TOLERANCE = 1e-9
-"""Metres by which a point may lie outside a box and still count as being in it."""
+"""Tolerance in metres within which a point outside a box counts as inside."""
 
 Box = tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
 """Centre (metres), rotation (world from box) and side lengths along the box's axes (metres)."""
@@ -51,7 +51,7 @@ def _inside(one: Box, other: Box) -> Float[np.ndarray, "point 3"]:
 def _piercings(
     start: Float[np.ndarray, "edge 3"], end: Float[np.ndarray, "edge 3"], half: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "point 3"]:
-    """Where segments meet the planes of the faces of the box of these half sides."""
+    """Intersect segments with the planes of the faces of a box of these half sides."""
     way = end - start
     found = []
     for axis, side in itertools.product(range(3), (-1.0, 1.0)):
@@ -67,7 +67,7 @@ def _within(points: Float[np.ndarray, "point 3"], half: Float[np.ndarray, "3"]) 
 
 
 def _hull_volume(points: Float[np.ndarray, "point 3"]) -> float:
-    """Of the convex hull; 0 where the points lie in one plane, or are too few."""
+    """Volume of the convex hull; 0 if the points lie in one plane or are too few."""
     if len(points) < 4:
         return 0.0
     try:

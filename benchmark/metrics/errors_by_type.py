@@ -1,4 +1,4 @@
-"""What goes wrong with an object: merged, split, missed, leaked or renamed, read off the contingency tables."""
+"""Types of errors, from contingency tables: an object is merged, split, missed, leaked or renamed."""
 
 import numpy as np
 from jaxtyping import Bool, Int64

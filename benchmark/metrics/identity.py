@@ -1,16 +1,16 @@
-"""Whether a model keeps an object in one slot while time passes."""
+"""Identity over time: whether a model keeps an object in one slot."""
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 
 def identity_switches(iou: Float64[np.ndarray, "frame view truth slot"]) -> Int64[np.ndarray, "view"]:
-    """How often an object's best slot differs from its slot in the last frame in which it was visible."""
+    """Count how often an object's best slot differs from its slot in the last frame in which it was visible."""
     return switches(iou).sum(axis=(0, 2))
 
 
 def switches(iou: Float64[np.ndarray, "frame view truth slot"]) -> Bool[np.ndarray, "frame view object"]:
-    """Where an object's best slot differs from its slot in the last frame in which it was visible.
+    """Find the frames in which an object's best slot differs from its slot in the last frame in which it was visible.
 
     The best slot is that of the largest IoU, the background's included. Among equals the object stays where it was, or
     could have been: the count is the smallest that any choice among equals gives, so names of slots do not matter.

@@ -1,4 +1,4 @@
-"""How far an orientation is from the true one, where a body looks the same in several.
+"""Orientation errors of bodies that look the same in several orientations.
 
 Groups are those of `datagen.shapes.symmetry`; continuous ones are handled in closed form and not by sampling.
 """
@@ -9,11 +9,11 @@ from jaxtyping import Float
 from datagen.shapes.symmetry import is_continuous, symmetry_rotations
 
 BOX_GROUP = symmetry_rotations("O")
-"""The 24 rotations that carry a box's axes to a box's axes: which is called x, and which way it points."""
+"""The 24 rotations that map the axes of a box to axes of the box."""
 
 
 def orientation_error(found: Float[np.ndarray, "3 3"], truth: Float[np.ndarray, "3 3"], symmetry: str) -> float:
-    """Degrees between an orientation and the nearest of those in which the body looks as it does in the true one.
+    """Angle in degrees between an orientation and the nearest one that looks like the true one.
 
     Rotations are world from object; `symmetry` is the name of the body's exact group in the object's frame. 0 for what
     looks the same however it is turned.
@@ -31,7 +31,7 @@ def box_orientation_error(
     symmetry: str,
     box: Float[np.ndarray, "3 3"],
 ) -> float:
-    """The same where only the axes of the body's box are known, and not which of them is called what.
+    """Angle between orientations of a box whose axes have no names, in degrees.
 
     Args:
         found: World from box, its axes named anyhow.

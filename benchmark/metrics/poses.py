@@ -1,4 +1,4 @@
-"""Scores of poses: where a model puts the objects that it has found, how it turns them, and how large their boxes are.
+"""Scores of poses: errors of position, orientation and box size of the objects that a model has found.
 
 An object is found by the slot that has more than half of the union of their pixels in an image. Such pairs are one to
 one without any matching (Kirillov et al., Panoptic Segmentation, 2019), and what overlaps less is not the same thing,
@@ -18,7 +18,7 @@ from benchmark.metrics.overlap import intersection_over_union
 from benchmark.models.interface import Poses
 
 LEAST_IOU = 0.5
-"""Of an object's pixels and a slot's, above which the slot has found the object."""
+"""IoU of an object's pixels and a slot's above which the slot has found the object."""
 
 POSE_METRICS = (
     "posed",
@@ -30,7 +30,7 @@ POSE_METRICS = (
     "orientation_error_named",
     "box_iou",
 )
-"""In the order in which tables show them; see `pose_scores`. Errors are better the smaller they are."""
+"""Names of the scores in the order of tables; see `pose_scores`. Smaller errors are better."""
 
 _ERRORS = ("translation_error", "translation_error_visible", "orientation_error", "orientation_error_named")
 _MEDIANS = {"translation_median": "translation_error", "orientation_median": "orientation_error"}
@@ -38,16 +38,16 @@ _MEDIANS = {"translation_median": "translation_error", "orientation_median": "or
 
 @dataclass(frozen=True, eq=False)
 class TruePoses:
-    """Of the objects of a clip, in the generator's order: object i has id i + 1. World frame, metres."""
+    """True poses of the objects of a clip, in the generator's order: object i has id i + 1. World frame, metres."""
 
     rotation: Float[np.ndarray, "frame object 3 3"]
-    """World from object."""
+    """Rotations, world from object."""
     symmetry: tuple[str, ...]
     """Name of each object's exact rotation group, in its own frame."""
     box_center: Float[np.ndarray, "frame object 3"]
-    """Of the box of least volume around the whole object."""
+    """Centre of the box of least volume around the whole object."""
     box_rotation: Float[np.ndarray, "object 3 3"]
-    """Object from box."""
+    """Rotation of that box, object from box."""
     box_size: Float[np.ndarray, "object 3"]
     visible_center: Float[np.ndarray, "frame view object 3"]
     """Mean of the surface points of its pixels; nan where it has none."""
@@ -106,7 +106,7 @@ def _image_errors(
     overlap: Float[np.ndarray, "truth slot"],
     seen: Bool[np.ndarray, "truth"],
 ) -> dict[str, np.ndarray]:
-    """Of one image, a value an object: those that were found, or for `posed` and `box_iou` all that are in view."""
+    """Score one image: a value per found object, or for `posed` and `box_iou` per object in view."""
     pairs = list(_pairs(overlap, found.center[frame, view]))
     missed = [0.0] * (int(seen[1:].sum()) - len(pairs))
     errors: dict[str, list[float]] = {name: [] for name in _ERRORS}
@@ -132,7 +132,7 @@ def _image_errors(
 def _pairs(
     overlap: Float[np.ndarray, "truth slot"], centers: Float[np.ndarray, "label 3"]
 ) -> Iterator[tuple[int, int]]:
-    """Rows of objects and the labels that have found them, of those that have a pose."""
+    """Match objects (rows) with the labels that have found them and have a pose."""
     for row, label in np.argwhere(overlap[1:] > LEAST_IOU).tolist():
         if label < len(centers) and np.isfinite(centers[label]).all():
             yield row, label

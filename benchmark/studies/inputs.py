@@ -1,4 +1,4 @@
-"""What studies share: models and scenes chosen by flags, objects matched with ground truth, and tables."""
+"""Shared parts of the studies: models and scenes chosen by flags, objects matched with ground truth, tables."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

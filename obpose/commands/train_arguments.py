@@ -11,23 +11,23 @@ Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 
 @dataclass(frozen=True)
 class Train:
-    """Train a model without labels; the same command again goes on where it was stopped."""
+    """Train a model without labels; the same command resumes a stopped run."""
 
     track: str | None = None
     """Name of a track of obpose-bench; its dataset is made on first use."""
     data: Path | None = None
-    """Folder of a dataset, in the place of a track."""
+    """Folder of a dataset, instead of a track."""
     variant: str = "obpose"
-    """What the model is; see obpose/systems.py."""
+    """Name of the system; obpose/systems.py lists them."""
     profile: str = "cpu"
-    """How large it is, and the track's images: cpu, gpu or paper."""
+    """Size of the model and of the track's images: cpu, gpu or paper."""
     minutes: float | None = None
-    """Budget in minutes of CPU time (on a GPU: of time of day), the profile's if left out; validating, drawing and
-    saving do not count."""
+    """Budget in minutes of CPU time (wall time on a GPU), by default the profile's. Validating, drawing and saving do not
+    count."""
     steps: int | None = None
-    """Budget in steps, in the place of minutes."""
+    """Budget in steps, instead of minutes."""
     seed: int = 0
-    """Of weights, order of clips, and noise."""
+    """Seed of weights, order of clips, and noise."""
     out: Path | None = None
     """The run's folder; default runs/VARIANT-PROFILE-DATA-seedS."""
     set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -35,7 +35,7 @@ class Train:
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """`auto`: a GPU if there is one."""
     threads: int = 1
-    """Of a CPU; two runs side by side get further than one with two."""
+    """CPU threads; two runs with one thread each are faster than one run with two."""
     workers: int = 2
     """Processes that make the track's dataset."""
     tensorboard: Switch = False

@@ -59,7 +59,7 @@ class Cloud(NamedTuple):
         return np.hstack([self.points, self.colours])
 
     def part(self, chosen: np.ndarray) -> "Cloud":
-        """Some of the points."""
+        """Select some of the points."""
         return Cloud(self.points[chosen], self.colours[chosen])
 
 

@@ -21,7 +21,7 @@ class Appearance:
     detail: Float[Tensor, "object edge edge edge 4"]
     """Residual grids of density and colour (`obpose.model.nerf.detail`)."""
     alone: Float[Tensor, "object"]
-    """Where positive, the residual grid replaces the object's field, in a cube of this many times the box's edge."""
+    """If positive, the residual grid replaces the object's field, in a cube of this many times the box's edge."""
     light: Light = field(default_factory=no_light)
     """Light that casts shadows on the background (`obpose.scenes.appearance.light`)."""
     texture: Texture = field(default_factory=no_texture)
