@@ -14,6 +14,7 @@ from jaxtyping import Integer
 from benchmark.metrics import clip_scores
 from benchmark.models.interface import Clip, Prediction
 from benchmark.results.csv_files import Curve, load_curve, save_curve
+from datagen.errors import CorruptFile
 
 VALIDATION = "watched"
 """Subfolder of the run folder for these scores."""
@@ -47,7 +48,10 @@ class ValidationScorer:
         return [{**scores.get(point.get("step", np.nan), {}), **point} for point in curve]
 
     def _points(self) -> Curve:
-        return load_curve(self.path) or []
+        points = load_curve(self.path) or []
+        if not all("step" in point for point in points):
+            raise CorruptFile(f"{self.path} has no column step; delete it and run the same command again.")
+        return points
 
     def _scores(self, segment: Segment, index: int) -> Mapping[str, np.ndarray]:
         clip, truth = self.clips[index].select(slice(FRAMES)), self.truths[index][:FRAMES]

@@ -15,7 +15,7 @@ from datagen.tracks import DataFolder, Track
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.commands.train import main
-from obpose.model.obpose import ObPose
+from obpose.model.build import build_obpose
 from obpose.storage.checkpoint import load, read_config
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
@@ -207,7 +207,7 @@ def test_a_run_that_is_ended_goes_on_exactly(data: Path, tmp_path: Path):
     assert "Stopped by SIGTERM after step" in errors_at_end(process)
     assert process.returncode == 130
     assert "validation" in errors_at_end(training(data, tmp_path / "parts"))
-    one, other = (load(tmp_path / name, ObPose)[0].state_dict() for name in ("whole", "parts"))
+    one, other = (load(tmp_path / name, build_obpose)[0].state_dict() for name in ("whole", "parts"))
     assert all(torch.equal(value, other[name]) for name, value in one.items())
 
 
@@ -220,7 +220,7 @@ def test_two_processes_train_the_model_as_one_does_with_the_doubled_batch(tmp_pa
     all_rays = ("--set", "train.rays=0", "--set", "train.warmup=8")
     one = losses_of(training(data, tmp_path / "one", more=(*all_rays, "--set", "train.batch=2"), steps=40))
     two = losses_of(training(data, tmp_path / "two", *launcher, more=all_rays, steps=40))
-    assert load(tmp_path / "two", ObPose)[2]["step"] == 40
+    assert load(tmp_path / "two", build_obpose)[2]["step"] == 40
     assert len(one) == len(two) == 40
     for name in ("total", "colour", "gradient_norm"):
         assert two[0][name] == pytest.approx(one[0][name], rel=0.02)

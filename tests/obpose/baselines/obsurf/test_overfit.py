@@ -38,6 +38,7 @@ SMALL: dict[str, Any] = {
     "train.steps": 4000,
     "train.object_rays": 0.0,
     "train.learning_rate": 2e-3,
+    "train.decay": "cosine",
 }
 """Two slots, the background's among them."""
 FROM_COLOURS = SMALL | {
@@ -50,6 +51,7 @@ FROM_COLOURS = SMALL | {
     "train.batch": 32,
     "train.steps": 3000,
     "train.learning_rate": 4e-3,
+    "train.decay": "halving",
 }
 """Without the points beside the image: a wider encoder, simpler and softer fields, more images, published colours."""
 SETTINGS: dict[str, dict[str, Any]] = {
