@@ -44,12 +44,16 @@ class Budget:
         return math.floor(now * self.validations) > math.floor(before * self.validations)
 
 
+HALVINGS = 1
+"""How often `halving` halves the learning rate over the budget."""
+
+
 def learning_rate(config: TrainConfig, fraction: float) -> float:
     """Learning rate at a fraction of the budget."""
     if config.decay == "none":
         return config.learning_rate
     if config.decay == "halving":
-        return config.learning_rate * 0.5**fraction
+        return config.learning_rate * 0.5 ** (HALVINGS * fraction)
     return config.learning_rate * 0.5 * (1 + math.cos(math.pi * fraction))
 
 
