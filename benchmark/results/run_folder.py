@@ -17,11 +17,11 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-import msgspec
 import numpy as np
 
 from benchmark.metrics import CLIP_METRICS, METRICS
@@ -32,6 +32,7 @@ from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import MOST_JSON_BYTES, brief_reason, parse_json, read_text
+from datagen.storage.structure import strict_converter, structure
 
 RUNS, SCENES, LABELS, CURVES, TRAINING = "runs", "scenes", "labels", "curves", "training"
 COUNTS = ("objects", "one_object", "undefined", "identity_switches", "ignored")
@@ -42,8 +43,6 @@ SCORES = (*METRICS, *CLIP_METRICS)
 """Columns whose values lie between -1 and 1."""
 ROUNDING = 1e-6
 """Tolerance of the range check, as stored scores are rounded."""
-
-Count = Annotated[int, msgspec.Meta(ge=0)]
 
 SceneTable = dict[str, np.ndarray]
 """Column name to float64 array over scenes: `scene`, `n_frames`, `<metric>`, `<metric>_n`, and `COUNTS`."""
@@ -57,8 +56,8 @@ class RunKey:
     fit_track: str
     """Track fitted, or tuned, on; equals `track` if that is the scored track itself."""
     model: str
-    seed: Count
-    version: Count
+    seed: int
+    version: int
     """Version of the model."""
     config_hash: str
     """SHA-256 of the settings that were known before the run: the declared grid, budgets, options."""
@@ -109,9 +108,9 @@ class RunRow:
     """Inputs of the model beside the clips, such as the number of slots."""
     random: bool
     """Whether results depend on the seed; if not, one run stands for all seeds."""
-    n_scenes: Count
+    n_scenes: int
     """Number of scored scenes; 0 if the run failed."""
-    parameters: Count
+    parameters: int
     """Number of learned parameters; 0 for models that learn nothing."""
     device: str
     commit: str
@@ -121,7 +120,7 @@ class RunRow:
     """Name of the weights that were used in place of training; empty if the run trained."""
     views: str = ""
     """Views of a frame that the model gets and that supervise it; empty if undeclared or if there is only one view."""
-    trials: Count = 0
+    trials: int = 0
     """Number of values compared by validation scores, if known."""
     learning_curve: list[dict[str, float]] | None = field(default=None)
     """Learning curve recorded in training, one dict per recorded step; kept in `curves/`."""
@@ -159,7 +158,7 @@ def storable(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-_DAMAGE = (msgspec.ValidationError, ValueError, TypeError, KeyError, AttributeError)
+_DAMAGE = (ValueError, TypeError, KeyError, AttributeError)
 """Errors that damaged values of a row raise."""
 
 
@@ -228,11 +227,16 @@ def load_row(path: Path) -> RunRow:
 def _row(name: str, values: dict[str, Any]) -> RunRow:
     """Build the row of that name from plain values; raises an error of `_DAMAGE` if they are damaged."""
     json.dumps(values, ensure_ascii=False).encode()  # raises ValueError for text that cannot be written again
-    costs = {name: math.nan if cost is None else cost for name, cost in values["measured"].items()}
-    row = msgspec.convert({**values, "measured": costs}, RunRow)
-    for kind, part in ((RunRow, values), (RunKey, values["key"]), (Measured, costs)):
-        if unknown := set(part) - {field.name for field in dataclasses.fields(kind)}:
-            raise ValueError(f"it has an unknown field {min(unknown):.40}")
+    # JSON has no nan, which stands for costs that were not measured.
+    costs = values["measured"]
+    known = {cost: 0.0 if value is None else value for cost, value in costs.items()}
+    plain = {field: value for field, value in values.items() if field != "learning_curve"}
+    row = structure({**plain, "measured": known}, RunRow, strict_converter())
+    missing = {cost: math.nan for cost, value in costs.items() if value is None}
+    row = replace(row, measured=replace(row.measured, **missing), learning_curve=values.get("learning_curve"))
+    for count in ("key.seed", "key.version", "n_scenes", "parameters", "trials"):
+        if attrgetter(count)(row) < 0:
+            raise ValueError(f"$.{count} is negative")
     if row.key.name != name or not {"/", "\0"}.isdisjoint(name):
         raise ValueError(f"it holds the row {row.key.name}")
     return row

@@ -1,4 +1,4 @@
-"""What is fitting a scene to its frames worth, to the eye?
+"""Pictures of scenes as inferred, fitted to their frames, and edited.
 
 Draws one row per scene, the middle frame of the first view: the input, the scene from codes alone, the scene fitted to
 its frames, and the fitted scene with its largest object moved and rotated about the vertical.

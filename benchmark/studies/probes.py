@@ -1,4 +1,4 @@
-"""What do the objects' latents hold? Linear probes of z_what for shape, colour and size.
+"""Linear probes of z_what: which of shape, colour and size can be read from the objects' latents.
 
 Position is probed as well, which the latent should not hold. Each probe is compared with one of T_hat, and with the
 best answer without input.
