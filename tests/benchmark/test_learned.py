@@ -156,7 +156,7 @@ def test_weights_that_ship_need_no_training(
         lines = {line["model"]: line for line in csv.DictReader(file)}
     assert (lines["obpose-pretrained"]["n_seeds"], lines["obpose-pretrained"]["marks"]) == ("1", "‡70§")
     assert lines["plane-dbscan"]["n_seeds"] == "3"
-    assert "§ pretrained" in (out / "leaderboard.md").read_text()
+    assert "§ behind a name: pretrained" in (out / "leaderboard.md").read_text()
     given = ("--checkpoint", trained, "--name", "mine")
     assert run_cli(*given, "--data", tiny_dataset, "--out", tmp_path / "given") == EXIT_OK
     for model, labels in labels_in(whole).items():
