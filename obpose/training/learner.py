@@ -106,6 +106,6 @@ class _Losses(nn.Module):
         self, tensors: Mapping[str, Tensor], *, step: int, fraction: float, generator: torch.Generator
     ) -> dict[str, Tensor]:
         observation = self.model.observation_type(**tensors)
-        if self._views == "apart":
+        if self._views == "separate":
             observation = separate_views(observation)
         return self.model.losses(observation, step=step, fraction=fraction, generator=generator)

@@ -1,3 +1,5 @@
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -7,6 +9,7 @@ from obpose.errors import UsageError
 from obpose.storage.checkpoint import TrainingState
 from obpose.training.devices import make_fabric
 from obpose.training.learner import Learner
+from obpose.types import Observation
 from tests.obpose.toy import ToyClips, ToyModel, toy_config
 
 
@@ -76,3 +79,18 @@ def test_parameters_without_a_gradient_yet_have_no_state(batch: dict[str, Tensor
     made = learner()
     made.step(batch, step=0, fraction=0.5, learning_rate=0.01)  # warm-up
     assert {name.rpartition(".")[0] for name in made.optimizer_state()} == {"mean"}
+
+
+@pytest.mark.parametrize(("views", "clips"), [("all", 1), ("separate", 3)])
+def test_separate_views_are_as_many_clips(views: str, clips: int):
+    seen: list[int] = []
+
+    class Counting(ToyModel):
+        def losses(self, observation: Observation, **step: Any) -> dict[str, Tensor]:
+            seen.append(len(observation.depth))
+            return super().losses(observation, **step)
+
+    config = toy_config(**{"train.views": views})
+    learner = Learner(make_fabric("cpu", config.train), config, Counting)
+    learner.step(stack([ToyClips(views=3).window(0, 0, 2)]), step=0, fraction=0.0, learning_rate=0.0)
+    assert seen == [clips]
