@@ -48,15 +48,18 @@ TRAINING: tuple[Rule, ...] = (
     at_most("train.rays", 1_000_000),
     at_most("train.steps", MOST_STEPS),
     at_most("train.minutes", MOST_MINUTES),
-    # Label images have 8 bits: the background, and at most 254 objects.
-    counts("model.slots"),
-    at_most("model.slots", 254),
     positive("train.learning_rate train.minutes"),
     not_negative("train.rays train.clip train.warmup"),
     ("train.seed", lambda value: 0 <= value < 2**63, "0 or more, and less than 2^63"),
     ("train.object_rays", lambda value: 0 <= value < 1, "0 or more, and less than 1"),
 )
 """Rules for the training of every architecture."""
+SLOTS: tuple[Rule, ...] = (
+    # Label images have 8 bits: the background, and at most 254 objects.
+    counts("model.slots"),
+    at_most("model.slots", 254),
+)
+"""Rules for architectures with a fixed number of slots."""
 
 _FIELDS = ("model.object_field", "model.background_field")
 _FREQUENCIES = " ".join(
@@ -70,6 +73,7 @@ _ROUNDS = "model.attention.mean_shift_steps model.attention.posterior_refinement
 
 _RULES: tuple[Rule, ...] = (
     *TRAINING,
+    *SLOTS,
     counts(f"model.voxels model.latent.samples {_WIDTHS} {_DEPTHS}"),
     positive(
         "model.pose.box_size model.spacing model.workspace_size model.background_size loss.air_growth "

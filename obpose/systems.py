@@ -16,6 +16,7 @@ from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
 from obpose.config import Config, SupervisedConfig, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
+from obpose.contact.config import ContactConfig, check_contact_bounds
 from obpose.errors import unknown_name
 from obpose.variants import PROFILES, SEARCHED, VARIANTS, make_config, searched_in
 
@@ -96,10 +97,19 @@ def _build_supervised(config: SupervisedConfig) -> "Trainable":
     return build_supervised(config)
 
 
+def _build_contact(config: ContactConfig) -> "Trainable":
+    from obpose.contact.model import ContactModel
+
+    return ContactModel(config)
+
+
 OBPOSE = Architecture("obpose", Config, PROFILES, _build_obpose, check_bounds)
 OBSURF = Architecture("obsurf", ObsurfConfig, OBSURF_PROFILES, _build_obsurf, check_obsurf_bounds)
 SUPERVISED = Architecture("supervised", SupervisedConfig, PROFILES, _build_supervised, check_bounds)
-ARCHITECTURES = {architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED)}
+CONTACT = Architecture(
+    "contact", ContactConfig, {"cpu": {}, "gpu": {"train.batch": 256}}, _build_contact, check_contact_bounds
+)
+ARCHITECTURES = {architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED, CONTACT)}
 
 DESCRIPTIONS = {
     "obpose": "objects at their location and rotation",
@@ -115,6 +125,7 @@ DESCRIPTIONS = {
     "obsurf-no-overlap": "the same without the overlap loss",
     "obsurf-no-overlap-depth": "the same with depth as an input, too",
     "supervised": "backbone and IC-SBP of obpose, trained with labels",
+    "obpose-contact": "masks alone, from pasted contacts, followed through the clip",
 }
 
 
@@ -172,6 +183,12 @@ SYSTEMS: dict[str, System] = {
         ("slots", "background slot", "camera pose"),
         uses_labels=True,
         extra=(),
+    ),
+    "obpose-contact": System(
+        CONTACT,
+        {},
+        DESCRIPTIONS["obpose-contact"],
+        ("background slot", "camera pose", "plane"),
     ),
 }
 """Systems by the names of the benchmark's models and of `obpose-train --variant`."""

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from obpose.config import TrainConfig
+from obpose.data.clips import ClipSource
 from obpose.types import Observation, Segmentation
 
 
@@ -30,6 +31,10 @@ class Trainable(nn.Module, ABC):
     def background_slot(self) -> int | None:
         """Label of the background; None if no label stands for it."""
         return 0
+
+    def training_source(self, source: ClipSource) -> ClipSource:
+        """Give the source of the clips of training steps, from that of the dataset's clips."""
+        return source
 
     @abstractmethod
     def losses(

@@ -131,7 +131,13 @@ def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str
     """Configuration changes that follow from the flags."""
     own = system.on_tracks.get(values.track or "", {})
     budget = {} if values.minutes is None else {"train.minutes": values.minutes}
-    return {**own, **slots_for(data.slots), "train.seed": values.seed, "train.steps": values.steps, **budget}
+    return {
+        **own,
+        **system.known(slots_for(data.slots)),
+        "train.seed": values.seed,
+        "train.steps": values.steps,
+        **budget,
+    }
 
 
 def _in_words(settings: TrainConfig) -> str:

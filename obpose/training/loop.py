@@ -117,7 +117,8 @@ def train(
         with locked_folder(folder) if folder and writes else nullcontext():
             progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
             record = Record(folder, config, steps=progress.step, tensorboard=tensorboard) if folder and writes else None
-            run = _Run(fabric, learner, source, val_source, config, progress, record, report, look, score)
+            clips = learner.model.training_source(source)
+            run = _Run(fabric, learner, clips, val_source, config, progress, record, report, look, score)
             try:
                 with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
                     run.go_on(request)

@@ -73,7 +73,9 @@ def validate(
     score: Score | None,
 ) -> CurvePoint:
     """Compute losses in training mode and, if a score is given, score the segmentations in evaluation mode."""
-    losses = validation_losses(model, source, config, step=step, fraction=fraction, device=device)
+    losses = validation_losses(
+        model, model.training_source(source), config, step=step, fraction=fraction, device=device
+    )
     if score is None:
         return CurvePoint(step, seconds, losses, None)
     model.eval()

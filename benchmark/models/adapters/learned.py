@@ -50,9 +50,9 @@ class LearnedSegmenter:
         watch: ValidationScorer | None = None,
     ):
         """Set options as in `benchmark.models.interface`; `slots` counts the background."""
-        self._changes = {**slots_for(slots), "train.steps": steps, **(changes or {})}
-        self._profile, self._watch = profile, watch
         self._system, self._folder, self._checkpoint = find_system(system), folder, checkpoint
+        self._changes = {**self._system.known(slots_for(slots)), "train.steps": steps, **(changes or {})}
+        self._profile, self._watch = profile, watch
 
     def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
         """Train for `budget` seconds of one core, or resume the training in the folder."""

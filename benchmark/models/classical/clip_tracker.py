@@ -1,74 +1,20 @@
 """Segment the clearest frame of a clip by connected components, and follow its objects through the other frames.
 
 Objects that touch in one frame are often apart in another. The frame with the most components is segmented; its objects
-are then followed forwards and backwards by alternating assignment and rigid registration (iterative closest points,
-Besl and McKay 1992).
+are then followed forwards and backwards.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int64
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
+from jaxtyping import Int64
 
 from benchmark.models.classical.above_plane import standing
 from benchmark.models.classical.points import pixel_width, scene_points
 from benchmark.models.classical.untrained import Untrained, keep_largest
 from benchmark.models.interface import Clip, Prediction
-
-LEAST_POINTS = 6
-"""Components of fewer points are not objects."""
-COLOUR_SCALE = 0.15
-"""Metres that the step from black to full red, green or blue counts as, where points are assigned to objects."""
-NEW_OBJECT = 0.05
-"""Distance in metres from all objects beyond which points start a new one."""
-ROUNDS = 6
-"""Rounds of assignment and registration in each frame."""
-TRANSLATIONS = 2
-"""Initial rounds that only translate: rotations from a wrong assignment do not recover."""
-LEAST_FOR_ROTATION = 12
-"""Number of points from which a rotation is estimated."""
-LARGEST_ANGLE = 0.6
-"""Largest rotation in one round, radians; larger ones come from wrong correspondences."""
-OUTLIER_FACTOR, LEAST_OUTLIER = 2.5, 0.01
-"""Points of an object are hidden if they are farther from what is seen than this factor times the median distance, and
-than this many metres."""
-NEIGHBOURS = 6
-"""Nearest points, the point itself included, over which labels are smoothed."""
-
-Points = Float[np.ndarray, "_ 3"]
-Pairs = tuple[Float[np.ndarray, "pair 3"], Float[np.ndarray, "pair 3"]]
-"""Points and their counterparts."""
-
-
-class Cloud(NamedTuple):
-    """Points above the table in one frame, over all views."""
-
-    points: Points
-    """Metres, in the frame of the first camera."""
-    colours: Points
-    """RGB in 0..1, times `COLOUR_SCALE`."""
-
-    @property
-    def features(self) -> Float[np.ndarray, "point 6"]:
-        """Position and scaled colour."""
-        return np.hstack([self.points, self.colours])
-
-    def part(self, chosen: np.ndarray) -> "Cloud":
-        """Select some of the points."""
-        return Cloud(self.points[chosen], self.colours[chosen])
-
-
-class Followed(NamedTuple):
-    """An object as it was last seen, or as it is predicted for the next frame."""
-
-    cloud: Cloud
-    velocity: Float[np.ndarray, "3"]
-    """Metres per frame."""
+from obpose.contact.tracking import COLOUR_SCALE, Cloud, join_small, large, split, track
 
 
 @dataclass
@@ -85,147 +31,13 @@ class ClipTracker(Untrained):
         scaled = clip.rgb * (COLOUR_SCALE / 255)
         clouds = [Cloud(points[frame][seen], scaled[frame][seen]) for frame, seen in enumerate(mask)]
         labels = np.zeros(clip.depth.shape, np.int64)
-        for frame, found in enumerate(track(clouds, gap)):
+        for frame, found in enumerate(follow_clearest(clouds, gap)):
             labels[frame][mask[frame]] = found + 1
         return Prediction(keep_largest(labels), background_slot=0)
 
 
-def track(clouds: Sequence[Cloud], gap: float) -> list[Int64[np.ndarray, "point"]]:
+def follow_clearest(clouds: Sequence[Cloud], gap: float) -> list[Int64[np.ndarray, "point"]]:
     """Label the points of all frames, from 0, with one label for an object over time; `gap` is in metres."""
     components = [split(cloud.points, gap) for cloud in clouds]
     key = max(range(len(clouds)), key=lambda frame: (len(large(components[frame])), len(clouds[frame].points)))
-    labels = [np.zeros(len(cloud.points), np.int64) for cloud in clouds]
-    labels[key] = join_small(clouds[key].points, components[key])
-    unused = int(labels[key].max(initial=-1)) + 1
-    for order in (range(key + 1, len(clouds)), range(key - 1, -1, -1)):
-        objects = {
-            int(name): Followed(clouds[key].part(labels[key] == name), np.zeros(3)) for name in np.unique(labels[key])
-        }
-        for frame in order:
-            labels[frame], objects, unused = follow(clouds[frame], objects, gap, unused)
-    return labels
-
-
-def follow(
-    cloud: Cloud, objects: dict[int, Followed], gap: float, unused: int
-) -> tuple[Int64[np.ndarray, "point"], dict[int, Followed], int]:
-    """Label the points of the next frame; also give the objects as they are there, and the next unused label."""
-    if not len(cloud.points):
-        return np.zeros(0, np.int64), {name: _unseen(seen) for name, seen in objects.items()}, unused
-    labels, distances, predicted = register(cloud, objects)
-
-    # Points far from all objects start new ones.
-    far = np.flatnonzero(distances > NEW_OBJECT)
-    components = split(cloud.points[far], gap)
-    for component in large(components):
-        labels[far[components == component]] = unused
-        unused += 1
-
-    # Objects with too few visible points keep their predicted points.
-    after = {}
-    for name in {*objects, *labels.tolist()}:
-        seen = labels == name
-        if np.count_nonzero(seen) >= LEAST_POINTS:
-            moved = predicted[name] - objects[name].cloud.points if name in objects else np.zeros((1, 3))
-            after[name] = Followed(cloud.part(seen), moved.mean(axis=0))
-        elif name in objects:
-            after[name] = Followed(Cloud(predicted[name], objects[name].cloud.colours), np.zeros(3))
-    return labels, after, unused
-
-
-def register(
-    cloud: Cloud, objects: dict[int, Followed]
-) -> tuple[Int64[np.ndarray, "point"], Float[np.ndarray, "point"], dict[int, Points]]:
-    """Assign points to objects and move the objects to them, in turns.
-
-    Returns:
-        The object of each point, its distance from the nearest object (position and scaled colour, metres), and the
-        moved points of the objects.
-    """
-    names = np.array([*objects])
-    predicted = {name: seen.cloud.points + seen.velocity for name, seen in objects.items()}
-    features, distances, nearest = cloud.features, np.full(len(cloud.points), np.inf), np.zeros(0, np.int64)
-    for turn in range(ROUNDS if objects else 0):
-        queries = [
-            KDTree(np.hstack([predicted[name], objects[name].cloud.colours])).query(features) for name in objects
-        ]
-        table = np.stack([distance for distance, _ in queries])
-        nearest, distances = table.argmin(axis=0), table.min(axis=0)
-        for number, name in enumerate(objects):
-            mine = nearest == number
-            if np.count_nonzero(mine) >= 3:
-                model = Cloud(predicted[name], objects[name].cloud.colours)
-                pairs = correspondences(model, cloud.part(mine), np.asarray(queries[number][1])[mine])
-                predicted[name] = move(predicted[name], pairs, turning=turn >= TRANSLATIONS)
-    if not objects:
-        return np.full(len(cloud.points), -1), distances, predicted
-    return names[smooth(features, nearest, len(names))], distances, predicted
-
-
-def correspondences(model: Cloud, seen: Cloud, nearest: Int64[np.ndarray, "seen"]) -> Pairs:
-    """Pairs of points of an object and of what is seen of it, in both directions, without its hidden points."""
-    distances, back = KDTree(seen.features).query(model.features)
-    visible = distances < max(OUTLIER_FACTOR * np.median(distances), LEAST_OUTLIER)
-    return (
-        np.concatenate([model.points[nearest], model.points[visible]]),
-        np.concatenate([seen.points, seen.points[np.asarray(back)[visible]]]),
-    )
-
-
-def move(points: Points, pairs: Pairs, *, turning: bool) -> Points:
-    """Move points by the rigid motion that best maps the first of each pair to the second, or by its translation."""
-    source, target = pairs
-    shift = (target - source).mean(axis=0)
-    if not turning or len(points) < LEAST_FOR_ROTATION:
-        return points + shift
-    rotation = kabsch(source, target)
-    if np.trace(rotation) < 1 + 2 * np.cos(LARGEST_ANGLE):
-        return points + shift
-    return (points - source.mean(axis=0)) @ rotation.T + target.mean(axis=0)
-
-
-def kabsch(source: Points, target: Points) -> Float[np.ndarray, "3 3"]:
-    """Rotation that best maps the centred source to the centred target (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd((source - source.mean(axis=0)).T @ (target - target.mean(axis=0)))
-    return vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
-
-
-def smooth(
-    features: Float[np.ndarray, "point 6"], labels: Int64[np.ndarray, "point"], count: int
-) -> Int64[np.ndarray, "point"]:
-    """Replace labels by those that prevail among the nearest points."""
-    nearest = KDTree(features).query(features, k=min(NEIGHBOURS, len(features)))[1]
-    neighbours = np.reshape(nearest, (len(features), -1))
-    own = np.eye(count)[labels]
-    votes = own
-    for _ in range(2):
-        votes = own / 2 + votes[neighbours].mean(axis=1)
-    return votes.argmax(axis=1)
-
-
-def split(points: Points, gap: float) -> Int64[np.ndarray, "point"]:
-    """Connected components, from 0, of points that are connected if at most `gap` metres apart."""
-    if not len(points):
-        return np.zeros(0, np.int64)
-    pairs = KDTree(points).query_pairs(gap, output_type="ndarray").T
-    graph = coo_array((np.ones(pairs.shape[1], np.int8), (pairs[0], pairs[1])), (len(points), len(points)))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
-
-
-def large(labels: Int64[np.ndarray, "point"]) -> Int64[np.ndarray, "component"]:
-    """Components with at least `LEAST_POINTS` points."""
-    return np.flatnonzero(np.bincount(labels, minlength=0) >= LEAST_POINTS)
-
-
-def join_small(points: Points, labels: Int64[np.ndarray, "point"]) -> Int64[np.ndarray, "point"]:
-    """Give the points of small components to the large component that is nearest, if there is one."""
-    inside = np.isin(labels, large(labels))
-    if inside.all() or not inside.any():
-        return labels
-    joined = labels.copy()
-    joined[~inside] = labels[inside][KDTree(points[inside]).query(points[~inside])[1]]
-    return joined
-
-
-def _unseen(seen: Followed) -> Followed:
-    return Followed(Cloud(seen.cloud.points + seen.velocity, seen.cloud.colours), np.zeros(3))
+    return track(clouds, key, join_small(clouds[key].points, components[key]), gap)

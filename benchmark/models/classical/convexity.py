@@ -5,7 +5,6 @@ added); average linkage joins the pairs of segments with the largest mean attrac
 et al. 2022).
 """
 
-import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ from benchmark.models.classical.plane_hdbscan import adopt_lone
 from benchmark.models.classical.points import pixel_width, scene_points
 from benchmark.models.classical.untrained import Untrained, keep_largest
 from benchmark.models.interface import Clip, Prediction
+from obpose.contact.linkage import average_linkage
 
 OFFSETS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Rows and columns from a pixel to those that it is compared with."""
@@ -116,45 +116,3 @@ def _difference(points: Image3, valid: Bool[np.ndarray, "height width"], axis: i
     after, before = np.concatenate([step, none]), np.concatenate([none, step])
     nearer = np.where((np.abs(after).max(-1) < np.abs(before).max(-1))[..., None], after, before)
     return np.moveaxis(np.where(np.isfinite(nearer), nearer, 0.0), 0, axis)
-
-
-def average_linkage(
-    count: int, pairs: Int64[np.ndarray, "2 edge"], attractions: Float[np.ndarray, "edge"]
-) -> Int64[np.ndarray, "node"]:
-    """Join the two segments with the largest mean attraction between them, until no mean is positive.
-
-    Returns:
-        The segment of every node, numbered from 0.
-    """
-    # Sum and number of the edges between each pair of segments.
-    between: list[dict[int, tuple[float, int]]] = [{} for _ in range(count)]
-    for one, other, attraction in zip(*pairs.tolist(), attractions.tolist(), strict=True):
-        total, number = between[one].get(other, (0.0, 0))
-        between[one][other] = between[other][one] = (total + attraction, number + 1)
-    queue = [(-total / number, i, j) for i, row in enumerate(between) for j, (total, number) in row.items() if i < j]
-    heapq.heapify(queue)
-    parent = list(range(count))
-    while queue and queue[0][0] < 0:
-        mean, one, other = heapq.heappop(queue)
-        edge = between[one].get(other)
-        if edge is None or -edge[0] / edge[1] != mean:
-            continue  # joined or changed since
-        if len(between[one]) < len(between[other]):
-            one, other = other, one
-        parent[other] = one
-        del between[one][other], between[other][one]
-        for third, (total, number) in between[other].items():
-            del between[third][other]
-            before = between[one].get(third, (0.0, 0))
-            joined = (before[0] + total, before[1] + number)
-            between[one][third] = between[third][one] = joined
-            heapq.heappush(queue, (-joined[0] / joined[1], min(one, third), max(one, third)))
-        between[other] = {}
-    roots = np.array([_root(parent, node) for node in range(count)], np.int64)
-    return np.unique(roots, return_inverse=True)[1].reshape(-1)
-
-
-def _root(parent: list[int], node: int) -> int:
-    while parent[node] != node:
-        node = parent[node]
-    return node

@@ -4,6 +4,7 @@ from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.config_bounds import (
     MOST_DEPTH,
     MOST_FIELD_WIDTH,
+    SLOTS,
     TRAINING,
     Rule,
     at_most,
@@ -19,6 +20,7 @@ MOST_WIDTH, MULTIPLE = 512, 4
 
 _RULES: tuple[Rule, ...] = (
     *TRAINING,
+    *SLOTS,
     counts("model.encoder.width model.decoder.width"),
     at_most("model.encoder.width", MOST_WIDTH),
     at_most("model.decoder.width", MOST_FIELD_WIDTH),

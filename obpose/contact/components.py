@@ -1,0 +1,60 @@
+"""Connected components of what stands above the table: pseudo-objects for training without labels."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int64, UInt8
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
+"""Rows and columns from a pixel to half of its eight neighbours."""
+
+
+def image_components(
+    points: Float[np.ndarray, "height width 3"],
+    standing: Bool[np.ndarray, "height width"],
+    *,
+    gap: float,
+    least: int,
+) -> UInt8[np.ndarray, "height width"]:
+    """Label the connected components of an image.
+
+    Args:
+        points: Surface points in metres.
+        standing: Pixels that belong to components.
+        gap: Largest distance in metres between the points of connected neighbours.
+        least: Components with fewer pixels are left out.
+
+    Returns:
+        Components from 1 in the order of their first pixels, 0 elsewhere; only the first 255 are labelled.
+    """
+    labels = np.zeros(standing.shape, np.uint8)
+    count = int(np.count_nonzero(standing))
+    if not count:
+        return labels
+    index = np.full(standing.shape, -1)
+    index[standing] = np.arange(count)
+    pairs = np.hstack([_connected(points, index, offset, gap) for offset in NEIGHBOURS])
+    graph = coo_array((np.ones(pairs.shape[1], np.int8), (pairs[0], pairs[1])), (count, count))
+    found = connected_components(graph, directed=False)[1]
+    sizes = np.bincount(found)
+    names = np.where(sizes >= least, np.cumsum(sizes >= least), 0)
+    labels[standing] = np.where(names > 255, 0, names)[found]
+    return labels
+
+
+def _connected(
+    points: Float[np.ndarray, "height width 3"], index: Int64[np.ndarray, "height width"], offset: tuple, gap: float
+) -> Int64[np.ndarray, "2 pair"]:
+    """Pairs of indices of connected pixels that are `offset` apart."""
+    here, there = shifted(index.shape, offset)
+    distance = np.linalg.norm(points[there] - points[here], axis=-1)
+    linked = (index[here] >= 0) & (index[there] >= 0) & (distance < gap)
+    return np.stack([index[here][linked], index[there][linked]])
+
+
+def shifted(shape: tuple[int, ...], offset: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Slices of the pixels of an image that have a partner at an offset (rows, columns), and of their partners."""
+    (down, right), (height, width) = offset, shape
+    here = slice(max(0, -down), max(0, height - max(0, down))), slice(max(0, -right), max(0, width - max(0, right)))
+    there = slice(max(0, down), max(0, height + min(0, down))), slice(max(0, right), max(0, width + min(0, right)))
+    return here, there

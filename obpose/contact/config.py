@@ -1,0 +1,59 @@
+"""Configuration of the contact model, with bounds. All defaults are ours."""
+
+from dataclasses import dataclass, field
+
+from obpose.config import TrainConfig
+from obpose.config_bounds import TRAINING, Rule, check_values, expect, not_negative, positive
+
+
+@dataclass(frozen=True)
+class ContactModelConfig:
+    """The architecture, and how its outputs become objects."""
+
+    table: float = 0.0
+    """Height of the table above the world's z = 0, metres."""
+    floor: float = 0.0015
+    """Height in metres above the table from which points belong to pseudo-objects."""
+    gap: float = 0.06
+    """Largest distance in metres between neighbouring points of a pseudo-object."""
+    bias: float = 1.0
+    """Added to the logits of affinities before pixels are grouped: larger values divide less."""
+    workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Middle of the observed points, world frame, metres; measured before training
+    (`obpose.data.scene_stats.measure_scene`)."""
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """All settings of a run of the contact model, except for its data."""
+
+    model: ContactModelConfig = field(default_factory=ContactModelConfig)
+    train: TrainConfig = field(
+        default_factory=lambda: TrainConfig(
+            batch=16,
+            frames=1,
+            learning_rate=3e-3,
+            clip=5.0,
+            warmup=0,
+            views="separate",
+        )
+    )
+
+
+_RULES: tuple[Rule, ...] = (
+    *TRAINING,
+    positive("model.gap"),
+    not_negative("model.floor"),
+)
+
+
+def check_contact_bounds(config: ContactConfig) -> None:
+    """Check that a configuration can be built and trained.
+
+    Raises:
+        UsageError: a value is out of bounds; the message names the first one and what is expected.
+    """
+    check_values(config, _RULES)
+    frames, views = config.train.frames, config.train.views
+    expect(frames == 1, "train.frames", frames, "1, as training images are pasted one by one")
+    expect(views == "separate", "train.views", views, "separate, as the network sees single images")

@@ -1,0 +1,128 @@
+"""Contact model: tells touching objects apart, having learned from pasted contacts, and follows them over the clip.
+
+A network gives every pixel of an image a foreground logit, an embedding, and affinities with its neighbours
+(`obpose.contact.network`). It is trained on pseudo-objects that were pasted next to each other
+(`obpose.contact.pasting`), without labels. At evaluation the pixels of each image are grouped by their affinities
+(`obpose.contact.grouping`), and the groups of the most consistent frame are followed through the clip
+(`obpose.contact.clip`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from einops import rearrange
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.contact.clip import Frame, segment_frames
+from obpose.contact.config import ContactConfig
+from obpose.contact.grouping import group
+from obpose.contact.images import CHANNELS, Images, augmented, cropped, images_of
+from obpose.contact.losses import affinity_loss, embedding_loss, foreground_loss
+from obpose.contact.network import UNet
+from obpose.contact.offsets import OFFSETS
+from obpose.contact.pasting import PastedClips
+from obpose.data.clips import ClipSource
+from obpose.trainable import Trainable
+from obpose.types import LabelledObservation, Observation, Segmentation
+
+EMBEDDING = 8
+"""Channels of the embedding."""
+POSITION, COLOUR = 8.0, 1.5
+"""Position in metres and colour, times these, are added to channels of the embedding (Novotny et al. 2018)."""
+CROP = 48
+"""Edge of training crops in pixels, at 64 pixels' width."""
+FOREGROUND, PUSH, AFFINITY = 2.0, 0.5, 2.0
+"""Weights of the losses; that of the pull is 1."""
+
+
+class Outputs(NamedTuple):
+    """Outputs of the network for images."""
+
+    foreground: Float[Tensor, "image height width"]
+    """Logits."""
+    embedding: Float[Tensor, "image channel height width"]
+    affinities: Float[Tensor, "image offset height width"]
+    """Logits of whether a pixel and its partner at each of `OFFSETS` belong to the same object."""
+
+
+class ContactModel(Trainable):
+    """U-Net with heads for foreground, embedding and affinities."""
+
+    # Labels of the pasted images, never those of the dataset.
+    observation_type = LabelledObservation
+    center: Tensor
+
+    def __init__(self, config: ContactConfig):
+        """Build the network with fresh weights from PyTorch's global generator."""
+        super().__init__()
+        self.config = config
+        self.network = UNet(CHANNELS, 1 + EMBEDDING + len(OFFSETS)).to(memory_format=torch.channels_last)
+        self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
+
+    def training_source(self, source: ClipSource) -> PastedClips:
+        """Paste training images from the clips of a source; labels of the source are not read."""
+        model = self.config.model
+        return PastedClips(source, table=model.table, floor=model.floor, gap=model.gap, seed=self.config.train.seed)
+
+    def images(self, observation: Observation) -> Images:
+        """Arrange the images of an observation."""
+        return images_of(observation, center=self.center, table=self.config.model.table)
+
+    def outputs(self, images: Images) -> Outputs:
+        """Run the network."""
+        found = self.network(images.inputs()).float()
+        foreground, embedding, affinities = found.split([1, EMBEDDING, len(OFFSETS)], dim=1)
+        # Semi-convolutional embedding: equal objects at different places must differ.
+        own = torch.cat([POSITION * images.points, COLOUR * (images.rgb - 0.5)], dim=1)
+        rest = torch.zeros_like(embedding[:, : EMBEDDING - own.shape[1]])
+        return Outputs(foreground[:, 0], embedding + torch.cat([own, rest], dim=1), affinities)
+
+    def losses(
+        self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
+    ) -> dict[str, Tensor]:
+        """Compute the losses on augmented crops around the objects."""
+        scale = scale_of(observation)
+        images = cropped(augmented(self.images(observation), generator), CROP * scale, generator)
+        foreground, embedding, affinities = self.outputs(images)
+        pull, push = embedding_loss(embedding, images.labels)
+        terms = {
+            "foreground": foreground_loss(foreground, images.labels),
+            "pull": pull,
+            "push": push,
+            "affinity": affinity_loss(affinities, images.labels, scale=scale),
+        }
+        total = FOREGROUND * terms["foreground"] + pull + PUSH * push + AFFINITY * terms["affinity"]
+        return {"total": total, **{name: term.detach() for name, term in terms.items()}}
+
+    @torch.no_grad()
+    def segment(self, observation: Observation) -> Segmentation:
+        """Label objects over whole clips, and over all views of a frame.
+
+        `attention` holds the groups of single images, whose labels differ between images.
+        """
+        images, scale = self.images(observation), scale_of(observation)
+        outputs = self.outputs(images)
+        mask = ((outputs.foreground > 0) & images.valid).cpu().numpy()
+        arrays = zip(mask, outputs.affinities.cpu().numpy(), outputs.embedding.cpu().numpy(), strict=True)
+        singles = np.stack([group(*each, bias=self.config.model.bias, scale=scale) for each in arrays])
+        batch, frames, views = observation.depth.shape[:3]
+        clips = [rearrange(value, "(b i) h w -> b i h w", b=batch) for value in (mask, singles)]
+        points = rearrange(images.points.cpu().numpy(), "(b i) c h w -> b i h w c", b=batch)
+        colours = rearrange(images.rgb.cpu().numpy(), "(b i) c h w -> b i h w c", b=batch)
+        labels = [
+            segment_frames([Frame(*each) for each in zip(*clip, strict=True)], gap=self.config.model.gap)
+            for clip in zip(*clips, points, colours, strict=True)
+        ]
+        shape, device = "b (f v) h w -> b f v h w", observation.depth.device
+        over_time, single = (
+            torch.from_numpy(rearrange(np.stack(value), shape, f=frames, v=views)).to(device)
+            for value in (labels, list(clips[1]))
+        )
+        return Segmentation(labels=over_time, attention=single)
+
+
+def scale_of(observation: Observation) -> int:
+    """Factor from the 64 pixels' width that lengths in pixels refer to."""
+    return max(1, round(observation.depth.shape[-1] / 64))

@@ -1,0 +1,240 @@
+"""Training images without labels: pseudo-objects of different clips, pasted next to each other.
+
+The connected components of a clip's clearest frame serve as pseudo-objects. Some of them are moved, in the image, next
+to a component of another clip. Which pixel belongs to which is then known, although the pixels touch.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, UInt8
+from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
+from torch import Tensor
+
+from obpose.contact.components import image_components
+from obpose.data.clips import ClipSource, observation_of
+from obpose.errors import UsageError
+from obpose.geometry import unproject
+
+LEAST_PIXELS = 6
+"""Number of pixels of a 64x64 image from which a component is a pseudo-object."""
+MOST_OBJECTS = 6
+"""No more objects are pasted into an image with this many."""
+PASTED = (1, 2, 3)
+"""Numbers of pseudo-objects that are pasted into an image."""
+PLACES = 12
+"""Places that are tried for each pasted object."""
+LARGEST_SCALING = 0.12
+"""Largest relative change of the distance from the camera: pasted objects keep their size in the image."""
+LEAST_VISIBLE, LEAST_LEFT = 0.5, 0.4
+"""Shares of a pasted object and of each other one that must be visible afterwards."""
+CHECKED = 32
+"""Number of clips, from the first on, one of which must show pseudo-objects."""
+APART = 0.2
+"""Probability that a place without contact is accepted."""
+
+Image = Float32[np.ndarray, "height width 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class PseudoScene:
+    """Frame of a clip, with its pseudo-objects."""
+
+    rgb: Image
+    """sRGB in 0..1."""
+    depth: Float32[np.ndarray, "height width"]
+    """Planar z in metres, 0 where there is no return."""
+    labels: UInt8[np.ndarray, "height width"]
+    """Pseudo-objects from 1; 0 elsewhere."""
+    k: Float32[np.ndarray, "3 3"]
+    world_from_camera: Float32[np.ndarray, "4 4"]
+
+    @property
+    def count(self) -> int:
+        """Number of pseudo-objects."""
+        return int(self.labels.max())
+
+    def slope(self, rows: np.ndarray | float, columns: np.ndarray | float) -> np.ndarray | float:
+        """Change of height per metre of planar depth, along the rays through places of the image."""
+        x, y = (columns + 0.5 - self.k[0, 2]) / self.k[0, 0], (rows + 0.5 - self.k[1, 2]) / self.k[1, 1]
+        right, down, forward = self.world_from_camera[2, :3]
+        return right * x + down * y + forward
+
+
+@dataclass(frozen=True, eq=False)
+class Cutout:
+    """A pseudo-object that was cut out of its image."""
+
+    rows: np.ndarray
+    """Row of each pixel."""
+    columns: np.ndarray
+    rgb: Float32[np.ndarray, "pixel 3"]
+    depth: Float32[np.ndarray, " pixel"]
+    height: float
+    """Mean height above the world's z = 0, metres."""
+
+
+class PastedClips:
+    """Source of labelled single images; a window's first frame is the seed of its image (`ClipSource`).
+
+    Labels are pseudo-objects. The labels of the clips, if they have any, are never read.
+    """
+
+    frames_of_clip = 2**20
+    """Number of different images with the background of one clip."""
+
+    def __init__(self, source: ClipSource, *, table: float, floor: float, gap: float, seed: int):
+        """Check that the clips show objects; pseudo-objects of a clip are found when they are first used.
+
+        Args:
+            source: Clips with cameras whose world has z upwards.
+            table: Height of the table in the world, metres.
+            floor: Height above the table from which points belong to pseudo-objects, metres.
+            gap: Largest distance between neighbouring points of a pseudo-object, metres.
+            seed: Seed of the images.
+
+        Raises:
+            UsageError: the first clips show nothing above the table.
+        """
+        self._source, self._table, self._floor, self._gap, self._seed = source, table, floor, gap, seed
+        self._scenes: dict[int, PseudoScene] = {}
+        if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
+            raise UsageError(
+                f"The first training clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
+                "objects on a table. If the table is elsewhere, give its height: --set model.table=..."
+            )
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
+        """Paste an image: fields of `obpose.types.LabelledObservation` without the batch axis, one frame and view.
+
+        Raises:
+            UsageError: more than one frame is requested.
+        """
+        if frames != 1:
+            raise UsageError(f"Pasted images are single frames; expected train.frames=1, not {frames}.")
+        rng = np.random.default_rng([self._seed, 2, index, start])
+        scene = self._scene(index)
+        for _ in range(rng.choice(PASTED) if scene.count else 0):
+            other = self._scene(int(rng.integers(len(self))))
+            cutout = cut_out(other, rng) if other.count else None
+            if cutout is not None and scene.count < MOST_OBJECTS:
+                scene = paste(scene, cutout, rng)
+        arrays = {
+            "rgb": scene.rgb[None, None],
+            "depth": scene.depth[None, None],
+            "valid": scene.depth[None, None] > 0,
+            "k": scene.k[None],
+            "world_from_camera": scene.world_from_camera[None],
+            "segmentation": scene.labels[None, None].astype(np.int64),
+        }
+        return {name: torch.from_numpy(array) for name, array in arrays.items()}
+
+    def _scene(self, index: int) -> PseudoScene:
+        """Image of a clip that shows the most pseudo-objects."""
+        if index not in self._scenes:
+            scenes = pseudo_scenes(self._source, index, table=self._table, floor=self._floor, gap=self._gap)
+            self._scenes[index] = max(scenes, key=lambda scene: scene.count)
+        return self._scenes[index]
+
+
+def pseudo_scenes(source: ClipSource, index: int, *, table: float, floor: float, gap: float) -> Iterator[PseudoScene]:
+    """Find the pseudo-objects in all images of a clip, by frames and views."""
+    observation = observation_of([source.window(index, 0, source.frames_of_clip)])
+    points = unproject(observation)[0].numpy()
+    rgb, depth, valid = (getattr(observation, name)[0].numpy() for name in ("rgb", "depth", "valid"))
+    least = max(LEAST_PIXELS, round(LEAST_PIXELS * depth[0, 0].size / 64**2))
+    for frame, view in np.ndindex(*depth.shape[:2]):
+        standing = valid[frame, view] & (points[frame, view, ..., 2] > table + floor)
+        yield PseudoScene(
+            rgb=rgb[frame, view].copy(),
+            depth=np.where(valid[frame, view], depth[frame, view], 0).astype(np.float32),
+            labels=image_components(points[frame, view], standing, gap=gap, least=least),
+            k=observation.k[0, view].numpy(),
+            world_from_camera=observation.world_from_camera[0, view].numpy(),
+        )
+
+
+def cut_out(scene: PseudoScene, rng: np.random.Generator) -> Cutout | None:
+    """Cut out one of the pseudo-objects, half of the time mirrored; None if it reaches the border of the image."""
+    mask = scene.labels == rng.integers(1, scene.count + 1)
+    if mask[[0, -1]].any() or mask[:, [0, -1]].any():
+        return None
+    rows, columns = np.nonzero(mask)
+    depth = scene.depth[mask]
+    height = float(np.mean(scene.world_from_camera[2, 3] + scene.slope(rows, columns) * depth))
+    colours = _inner_colours(scene.rgb, mask)
+    if rng.random() < 0.5:
+        columns = mask.shape[1] - 1 - columns
+    return Cutout(rows, columns, colours, depth, height)
+
+
+def _inner_colours(rgb: Image, mask: Bool[np.ndarray, "height width"]) -> Float32[np.ndarray, "pixel 3"]:
+    """Colours of the pixels of a mask; those at its border, which the background tints, have that of an inner pixel."""
+    rows, columns = np.nonzero(mask)
+    box = slice(rows.min() - 1, rows.max() + 2), slice(columns.min() - 1, columns.max() + 2)
+    inner = binary_erosion(mask[box], np.ones((3, 3)))
+    if not inner.any():
+        return rgb[mask]
+    distance, nearest = distance_transform_edt(~inner, return_indices=True)
+    colours = np.where((distance <= 2)[..., None], rgb[box][tuple(nearest)], rgb[box])
+    return colours[mask[box]].astype(np.float32)
+
+
+def paste(scene: PseudoScene, cutout: Cutout, rng: np.random.Generator) -> PseudoScene:
+    """Move a cut-out object next to one of a scene; the scene is unchanged if no place that is tried is suitable."""
+    target = scene.labels == rng.integers(1, scene.count + 1)
+    if not target.any():
+        return scene
+    rgb = cutout.rgb
+    if rng.random() < 0.5:
+        # Colour alone must not tell the two apart.
+        rgb = np.clip(rgb * (scene.rgb[target].mean(axis=0) / (rgb.mean(axis=0) + 0.02)), 0, 1).astype(np.float32)
+    sizes = np.sqrt(len(cutout.rows)) + np.sqrt(np.count_nonzero(target))
+    middle = np.array([np.nonzero(target)[axis].mean() for axis in (0, 1)])
+    own = np.array([cutout.rows.mean(), cutout.columns.mean()])
+    for _ in range(PLACES):
+        angle, radius = rng.uniform(0, 2 * np.pi), rng.uniform(0.4, 1.1) * 0.6 * sizes
+        place = middle + radius * np.array([np.sin(angle), np.cos(angle)])
+        pasted = _paste_at(scene, replace(cutout, rgb=rgb), np.rint(place - own).astype(int), own)
+        if pasted is not None and (_adjoins(pasted) or rng.random() < APART):
+            return pasted
+    return scene
+
+
+def _paste_at(scene: PseudoScene, cutout: Cutout, shift: np.ndarray, own: Float[np.ndarray, "2"]) -> PseudoScene | None:
+    """Paste at a shift in pixels, with a depth that keeps the height above the table; None if that does not fit."""
+    rows, columns = cutout.rows + shift[0], cutout.columns + shift[1]
+    height, width = scene.labels.shape
+    if rows.min() < 1 or columns.min() < 1 or rows.max() >= height - 1 or columns.max() >= width - 1:
+        return None
+    slope = float(scene.slope(*(own + shift)))
+    if slope >= 0:
+        return None  # above the horizon
+    distance, mean = (cutout.height - scene.world_from_camera[2, 3]) / slope, cutout.depth.mean()
+    if abs(distance / mean - 1) > LARGEST_SCALING:
+        return None
+    depth = cutout.depth + np.float32(distance - mean)
+    behind = scene.depth[rows, columns]
+    nearer = (depth < behind) | (behind == 0)
+    if nearer.mean() < LEAST_VISIBLE:
+        return None
+    rows, columns = rows[nearer], columns[nearer]
+    labels = scene.labels.copy()
+    labels[rows, columns] = scene.count + 1
+    before, after = (np.bincount(each.ravel(), minlength=scene.count + 2) for each in (scene.labels, labels))
+    if (after[1:-1] < LEAST_LEFT * before[1:-1]).any():
+        return None
+    new_rgb, new_depth = scene.rgb.copy(), scene.depth.copy()
+    new_rgb[rows, columns], new_depth[rows, columns] = cutout.rgb[nearer], depth[nearer]
+    return replace(scene, rgb=new_rgb, depth=new_depth, labels=labels)
+
+
+def _adjoins(scene: PseudoScene) -> bool:
+    """Whether the object pasted last adjoins another one."""
+    last = scene.labels == scene.count
+    return bool((binary_dilation(last) & ~last & (scene.labels > 0)).any())
