@@ -45,6 +45,14 @@ class LabelledObservation(Observation):
 
 
 @dataclass(frozen=True, eq=False)
+class PastedObservation(Observation):
+    """Single images with pseudo-objects that were pasted next to each other (`obpose.contact.pasting`)."""
+
+    pseudo_labels: Int[Tensor, "batch frame view height width"]
+    """Pseudo-objects, 0 = background. They come from the geometry of the images, not from labels."""
+
+
+@dataclass(frozen=True, eq=False)
 class Embeddings:
     """Embeddings of the points of the grid (paper, section Encoder)."""
 

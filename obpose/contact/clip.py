@@ -48,7 +48,7 @@ def segment_frames(images: Sequence[Frame], *, gap: float) -> Int64[np.ndarray, 
     keys = np.unique(np.linspace(0, len(seen) - 1, min(KEY_FRAMES, len(seen))).round().astype(int))
     candidates = [track(clouds, seen[key], groups[seen[key]] - 1, gap) for key in keys]
 
-    def agreement(found: list[Int64[np.ndarray, "point"]]) -> float:
+    def agreement(found: list[np.ndarray]) -> float:
         return float(np.mean([adjusted_rand_score(groups[frame], found[frame]) for frame in seen]))
 
     for label, image, found in zip(labels, images, max(candidates, key=agreement), strict=True):

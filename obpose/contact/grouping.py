@@ -6,7 +6,7 @@ from scipy.spatial import KDTree
 
 from obpose.contact.components import shifted
 from obpose.contact.linkage import average_linkage
-from obpose.contact.offsets import OFFSETS
+from obpose.contact.offsets import offsets
 
 LEAST = 3
 """Segments of fewer pixels join the nearest larger one."""
@@ -24,10 +24,10 @@ def group(
 
     Args:
         mask: Foreground.
-        affinities: Logits of whether a pixel and its partner at each of `OFFSETS` belong to the same object.
+        affinities: Logits of whether a pixel and its partner at each of `offsets(scale)` belong to the same object.
         embedding: Embedding of each pixel.
         bias: Added to the logits; larger values divide less.
-        scale: Factor on the offsets.
+        scale: Width of the image in units of 64 pixels.
     """
     labels = np.zeros(mask.shape, np.int64)
     count = int(np.count_nonzero(mask))
@@ -36,8 +36,8 @@ def group(
     index = np.full(mask.shape, -1)
     index[mask] = np.arange(count)
     pairs, attractions = [], []
-    for channel, (down, right) in enumerate(OFFSETS):
-        here, there = shifted(mask.shape, (down * scale, right * scale))
+    for channel, offset in enumerate(offsets(scale)):
+        here, there = shifted(mask.shape, offset)
         both = mask[here] & mask[there]
         one, other = index[here][both], index[there][both]
         pairs.append(np.stack([one, other]))

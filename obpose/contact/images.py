@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import unproject
-from obpose.types import LabelledObservation, Observation
+from obpose.types import Observation, PastedObservation
 
 CHANNELS = 11
 """Number of channels of `Images.inputs`."""
@@ -32,7 +32,7 @@ class Images:
     """Unit normals from central differences; 0 where not valid."""
     valid: Bool[Tensor, "image height width"]
     labels: Int[Tensor, "image height width"]
-    """Object ids, 0 = background; all 0 without labels."""
+    """Pseudo-objects, 0 = background; all 0 if the observation has none."""
 
     def inputs(self) -> Float[Tensor, "image 11 height width"]:
         """Input channels of the network, scaled to about -1..1."""
@@ -66,8 +66,8 @@ def images_of(observation: Observation, *, center: Float[Tensor, "3"], table: fl
     points = rearrange(unproject(observation) - origin, "b f v h w c -> (b f v) h w c")
     points = torch.einsum("nij,nhwj->nihw", _turn(cameras), points) * valid[:, None]
     labels = torch.zeros_like(valid, dtype=torch.int64)
-    if isinstance(observation, LabelledObservation):
-        labels = rearrange(observation.segmentation, "b f v h w -> (b f v) h w") * valid
+    if isinstance(observation, PastedObservation):
+        labels = rearrange(observation.pseudo_labels, "b f v h w -> (b f v) h w") * valid
     rgb = rearrange(observation.rgb, "b f v h w c -> (b f v) c h w")
     return Images(rgb, points, _normals(points) * valid[:, None], valid, labels)
 

@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.contact.components import shifted
-from obpose.contact.offsets import OFFSETS
+from obpose.contact.offsets import offsets
 
 PULL_MARGIN, PUSH_MARGIN = 0.3, 3.0
 """Distance from the mean embedding below which pixels are not pulled, and between means above which they are not
@@ -50,10 +50,10 @@ def embedding_loss(
 def affinity_loss(
     logits: Float[Tensor, "image offset height width"], labels: Labels, *, scale: int = 1
 ) -> Float[Tensor, ""]:
-    """Cross-entropy of whether two pixels of objects belong to the same one, for each of `OFFSETS` times `scale`."""
+    """Cross-entropy of whether two pixels of objects belong to the same one, for each of `offsets(scale)`."""
     total, count = logits.new_zeros(()), logits.new_zeros(())
-    for channel, (down, right) in enumerate(OFFSETS):
-        here, there = shifted(labels.shape[1:], (down * scale, right * scale))
+    for channel, offset in enumerate(offsets(scale)):
+        here, there = shifted(labels.shape[1:], offset)
         one, other = labels[:, here[0], here[1]], labels[:, there[0], there[1]]
         both, same = (one > 0) & (other > 0), one == other
         weights = both * torch.where(same, 1.0, DIVIDED)

@@ -25,7 +25,7 @@ from obpose.contact.offsets import OFFSETS
 from obpose.contact.pasting import PastedClips
 from obpose.data.clips import ClipSource
 from obpose.trainable import Trainable
-from obpose.types import LabelledObservation, Observation, Segmentation
+from obpose.types import Observation, PastedObservation, Segmentation
 
 EMBEDDING = 8
 """Channels of the embedding."""
@@ -44,21 +44,20 @@ class Outputs(NamedTuple):
     """Logits."""
     embedding: Float[Tensor, "image channel height width"]
     affinities: Float[Tensor, "image offset height width"]
-    """Logits of whether a pixel and its partner at each of `OFFSETS` belong to the same object."""
+    """Logits of whether a pixel and its partner at each of `offsets` belong to the same object."""
 
 
 class ContactModel(Trainable):
     """U-Net with heads for foreground, embedding and affinities."""
 
-    # Labels of the pasted images, never those of the dataset.
-    observation_type = LabelledObservation
+    observation_type = PastedObservation
     center: Tensor
 
     def __init__(self, config: ContactConfig):
         """Build the network with fresh weights from PyTorch's global generator."""
         super().__init__()
         self.config = config
-        self.network = UNet(CHANNELS, 1 + EMBEDDING + len(OFFSETS)).to(memory_format=torch.channels_last)
+        self.network = UNet(CHANNELS, 1 + EMBEDDING + OFFSETS).to(memory_format=torch.channels_last)
         self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
 
     def training_source(self, source: ClipSource) -> PastedClips:
@@ -73,7 +72,7 @@ class ContactModel(Trainable):
     def outputs(self, images: Images) -> Outputs:
         """Run the network."""
         found = self.network(images.inputs()).float()
-        foreground, embedding, affinities = found.split([1, EMBEDDING, len(OFFSETS)], dim=1)
+        foreground, embedding, affinities = found.split([1, EMBEDDING, OFFSETS], dim=1)
         # Semi-convolutional embedding: equal objects at different places must differ.
         own = torch.cat([POSITION * images.points, COLOUR * (images.rgb - 0.5)], dim=1)
         rest = torch.zeros_like(embedding[:, : EMBEDDING - own.shape[1]])

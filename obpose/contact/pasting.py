@@ -110,7 +110,7 @@ class PastedClips:
         return len(self._source)
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Paste an image: fields of `obpose.types.LabelledObservation` without the batch axis, one frame and view.
+        """Paste an image: fields of `obpose.types.PastedObservation` without the batch axis, one frame and view.
 
         Raises:
             UsageError: more than one frame is requested.
@@ -130,7 +130,7 @@ class PastedClips:
             "valid": scene.depth[None, None] > 0,
             "k": scene.k[None],
             "world_from_camera": scene.world_from_camera[None],
-            "segmentation": scene.labels[None, None].astype(np.int64),
+            "pseudo_labels": scene.labels[None, None].astype(np.int64),
         }
         return {name: torch.from_numpy(array) for name, array in arrays.items()}
 

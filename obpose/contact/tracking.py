@@ -65,7 +65,7 @@ class Followed(NamedTuple):
 
 def track(
     clouds: Sequence[Cloud], key: int, labels: Int64[np.ndarray, "point"], gap: float
-) -> list[Int64[np.ndarray, "point"]]:
+) -> list[Int64[np.ndarray, "_"]]:
     """Follow the objects of a key frame forwards and backwards.
 
     Args:

@@ -8,10 +8,11 @@ from obpose.baselines.obsurf.model import Obsurf
 from obpose.baselines.supervised import Supervised
 from obpose.config import Config, SupervisedConfig
 from obpose.config_text import from_plain, to_plain
+from obpose.contact.config import ContactConfig
 from obpose.data.scene_stats import SceneMeasures
 from obpose.errors import UsageError
 from obpose.model.obpose import ObPose
-from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model, find_system, system_of
+from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model, find_system, slots_for, system_of
 from obpose.types import LabelledObservation
 from obpose.variants import VARIANTS, make_config
 
@@ -55,7 +56,7 @@ def test_the_measures_of_a_scene_reach_whoever_has_a_value_for_them():
 @pytest.mark.parametrize(("name", "profile"), [(n, p) for n, s in SYSTEMS.items() for p in s.architecture.profiles])
 def test_a_run_of_a_system_is_known_as_one(name: str, profile: str):
     system = SYSTEMS[name]
-    run = {"model.slots": 9, "train.seed": 3, "train.steps": 7, "train.learning_rate": 0.5}
+    run = {**system.known(slots_for(10)), "train.seed": 3, "train.steps": 7, "train.learning_rate": 0.5}
     assert system_of(system.config(profile, {**run, **system.known(MEASURES)})) == name
 
 
@@ -68,6 +69,7 @@ def test_a_configuration_says_which_model_it_is_of():
         Config,
         ObsurfConfig,
         SupervisedConfig,
+        ContactConfig,
     }
     with pytest.raises(TypeError, match="configured by SceneMeasures"):
         architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0))
@@ -75,7 +77,7 @@ def test_a_configuration_says_which_model_it_is_of():
 
 def test_a_system_that_uses_labels_is_one_whose_model_sees_them():
     torch.manual_seed(0)
-    for name in ("obpose", "obsurf", "supervised"):
+    for name in ("obpose", "obsurf", "supervised", "obpose-contact"):
         system = SYSTEMS[name]
         assert (build_model(system.config()).observation_type is LabelledObservation) is system.uses_labels
 

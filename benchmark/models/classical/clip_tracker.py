@@ -36,7 +36,7 @@ class ClipTracker(Untrained):
         return Prediction(keep_largest(labels), background_slot=0)
 
 
-def follow_clearest(clouds: Sequence[Cloud], gap: float) -> list[Int64[np.ndarray, "point"]]:
+def follow_clearest(clouds: Sequence[Cloud], gap: float) -> list[Int64[np.ndarray, "_"]]:
     """Label the points of all frames, from 0, with one label for an object over time; `gap` is in metres."""
     components = [split(cloud.points, gap) for cloud in clouds]
     key = max(range(len(clouds)), key=lambda frame: (len(large(components[frame])), len(clouds[frame].points)))

@@ -3,8 +3,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from benchmark.metrics import clip_scores
-from benchmark.models.classical.clip_tracker import LEAST_POINTS, ClipTracker, Cloud, kabsch, move, split, track
+from benchmark.models.classical.clip_tracker import ClipTracker, follow_clearest
 from benchmark.models.classical.plane_dbscan import PlaneDbscan
+from obpose.contact.tracking import LEAST_POINTS, Cloud, kabsch, move, split
 from tests.worlds.sphere_clips import balls
 
 STEPS = np.linspace(-0.12, 0.12, 7)
@@ -39,24 +40,24 @@ def test_a_hidden_object_returns_under_its_label():
     there = np.stack([STEPS, np.zeros(7), np.full(7, 0.045)], axis=-1)
     clouds = [Cloud(points + 0.003 * cube(5), np.zeros((125, 3))) for points in there]
     clouds[3] = Cloud(np.zeros((0, 3)), np.zeros((0, 3)))
-    labels = track(clouds, 0.02)
+    labels = follow_clearest(clouds, 0.02)
     assert [np.unique(found).tolist() for found in labels] == [[0], [0], [0], [], [0], [0], [0]]
 
 
 def test_a_clip_without_points_has_no_labels():
-    assert [len(found) for found in track([Cloud(np.zeros((0, 3)), np.zeros((0, 3)))] * 3, 0.02)] == [0, 0, 0]
+    assert [len(found) for found in follow_clearest([Cloud(np.zeros((0, 3)), np.zeros((0, 3)))] * 3, 0.02)] == [0, 0, 0]
 
 
 def test_the_frame_with_most_components_decides():
     two = np.concatenate([cube(3) * 0.01, cube(3) * 0.01 + [0.05, 0, 0]])
     one = np.concatenate([cube(3) * 0.01, cube(3) * 0.01 + [0.03, 0, 0]])
     clouds = [Cloud(points, np.zeros_like(points)) for points in (one, two, one)]
-    assert [len(np.unique(found)) for found in track(clouds, 0.012)] == [2, 2, 2]
+    assert [len(np.unique(found)) for found in follow_clearest(clouds, 0.012)] == [2, 2, 2]
 
 
 def test_specks_join_the_nearest_object():
     speck = np.tile([0.1, 0, 0], (LEAST_POINTS - 1, 1))
-    labels = track([Cloud(np.concatenate([cube(3) * 0.01, speck]), np.zeros((27 + len(speck), 3)))], 0.02)[0]
+    labels = follow_clearest([Cloud(np.concatenate([cube(3) * 0.01, speck]), np.zeros((27 + len(speck), 3)))], 0.02)[0]
     assert np.all(labels == labels[0])
 
 

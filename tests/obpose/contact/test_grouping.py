@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+from sklearn.metrics import adjusted_rand_score
+
+from obpose.contact.components import shifted
+from obpose.contact.grouping import LEAST, group
+from obpose.contact.offsets import OFFSETS, offsets
+
+
+def affinities(truth: np.ndarray, strength: float = 4.0, scale: int = 1) -> np.ndarray:
+    logits = np.zeros((OFFSETS, *truth.shape), np.float32)
+    for channel, offset in enumerate(offsets(scale)):
+        here, there = shifted(truth.shape, offset)
+        logits[channel][here] = np.where(truth[here] == truth[there], strength, -strength)
+    return logits
+
+
+def three(size: int = 24) -> np.ndarray:
+    rows, columns = np.mgrid[:size, :size]
+    truth = np.where(columns < size // 3, 1, np.where(rows < size // 2, 2, 3))
+    truth[0], truth[-1] = 0, 0
+    return truth
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_true_affinities_give_the_objects(scale: int):
+    truth = three()
+    found = group(truth > 0, affinities(truth, scale=scale), np.zeros((2, *truth.shape)), bias=0.0, scale=scale)
+    assert adjusted_rand_score(truth.ravel(), found.ravel()) == 1
+    assert np.array_equal(found > 0, truth > 0)
+    assert np.unique(found).tolist() == [0, 1, 2, 3]
+
+
+def test_noise_is_averaged_out():
+    truth = three()
+    noisy = affinities(truth, 2.0) + np.random.default_rng(0).normal(0, 1, (OFFSETS, *truth.shape))
+    found = group(truth > 0, noisy, np.zeros((2, *truth.shape)), bias=0.0)
+    assert adjusted_rand_score(truth[truth > 0], found[truth > 0]) > 0.9
+
+
+def test_a_large_bias_joins_all_that_is_within_reach():
+    truth = three()
+    assert group(truth > 0, affinities(truth), np.zeros((2, *truth.shape)), bias=9.0).max() == 1
+
+
+def test_specks_join_the_object_with_the_nearest_embedding():
+    truth = three()
+    truth[5, 4 : 4 + LEAST - 1] = 4
+    embedding = np.where(truth == 3, 0.0, np.where(truth == 4, 0.2, 5.0))[None]
+    found = group(truth > 0, affinities(truth), embedding, bias=0.0)
+    assert np.unique(found[(truth == 4) | (truth == 3)]).size == 1
+    assert found.max() == 3
+
+
+def test_an_empty_mask_has_no_groups():
+    assert not group(np.zeros((8, 8), bool), np.zeros((OFFSETS, 8, 8)), np.zeros((2, 8, 8)), bias=0.0).any()

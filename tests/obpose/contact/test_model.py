@@ -1,0 +1,110 @@
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+
+from obpose.contact.config import ContactConfig, check_contact_bounds
+from obpose.contact.images import Images, augmented, cropped, images_of
+from obpose.contact.model import ContactModel
+from obpose.contact.network import UNet
+from obpose.data.clips import ArrayClips, observation_of
+from obpose.errors import UsageError
+from obpose.systems import find_system
+from obpose.types import Observation, PastedObservation
+from tests.worlds.sphere_clips import balls
+
+ORIGIN = torch.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def observation() -> PastedObservation:
+    places = np.array([[[-0.1, 0.05, 0.045], [0.08, -0.1, 0.045]], [[-0.1, 0.05, 0.045], [0.08, -0.06, 0.045]]])
+    clip, truth = balls(places)
+    window = ArrayClips([clip]).window(0, 0, 2) | {"pseudo_labels": torch.from_numpy(truth.astype(np.int64))}
+    return observation_of([window], PastedObservation)
+
+
+def arranged(observation: Observation) -> Images:
+    return images_of(observation, center=ORIGIN, table=0.0)
+
+
+def test_inputs_do_not_depend_on_the_side_from_which_the_camera_looks(observation: PastedObservation):
+    angle = torch.tensor(2.0)
+    turn = torch.eye(4)
+    turn[:2, :2] = torch.tensor([[angle.cos(), -angle.sin()], [angle.sin(), angle.cos()]])
+    other = replace(observation, world_from_camera=turn @ observation.world_from_camera)
+    torch.testing.assert_close(arranged(other).inputs(), arranged(observation).inputs(), atol=1e-4, rtol=1e-4)
+
+
+def test_normals_of_the_table_point_upwards(observation: PastedObservation):
+    images = arranged(observation)
+    flat = (images.labels == 0) & images.valid
+    for axis, shift in ((1, 1), (1, -1), (2, 1), (2, -1)):
+        flat &= (images.labels == 0).roll(shift, axis)
+    flat[:, [0, -1]] = flat[:, :, [0, -1]] = False
+    torch.testing.assert_close(
+        images.normals.movedim(1, -1)[flat], torch.tensor([0.0, 0, 1]).expand(int(flat.sum()), 3), atol=1e-3, rtol=0
+    )
+
+
+def test_augmentation_mirrors_images_with_their_geometry(observation: PastedObservation):
+    images = arranged(observation)
+    many = replace(images, **{each.name: torch.cat([getattr(images, each.name)] * 8) for each in fields(images)})
+    changed = augmented(many, torch.Generator().manual_seed(0))
+    mirrored = [not torch.equal(a, b) for a, b in zip(changed.labels, many.labels, strict=True)]
+    assert 2 < sum(mirrored) < 14
+    for index, turned in enumerate(mirrored):
+        points = changed.points[index].flip(-1) if turned else changed.points[index]
+        expected = many.points[index].clone()
+        expected[0] *= -1 if turned else 1
+        torch.testing.assert_close(points, expected)
+        # Right is where the first coordinate is larger, as before.
+        assert changed.points[index, 0, 30, 40] > changed.points[index, 0, 30, 20]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_crops_hold_the_objects(observation: PastedObservation, seed: int):
+    images = arranged(observation)
+    cut = cropped(images, 40, torch.Generator().manual_seed(seed))
+    assert cut.rgb.shape[2:] == cut.labels.shape[1:] == (40, 40)
+    assert torch.equal((cut.labels > 0).sum((1, 2)), (images.labels > 0).sum((1, 2)))
+    assert cropped(images, 64, None) is images
+
+
+def test_networks_take_images_of_any_size():
+    network = UNet(3, 5)
+    assert network(torch.randn(2, 3, 13, 21)).shape == (2, 5, 13, 21)
+
+
+def test_training_steps_reduce_the_loss(observation: PastedObservation):
+    torch.manual_seed(0)
+    model = ContactModel(ContactConfig())
+    optimizer = torch.optim.Adam(model.parameters(), 3e-3)
+    losses = []
+    for step in range(12):
+        terms = model.losses(observation, step=step, generator=torch.Generator().manual_seed(0))
+        optimizer.zero_grad()
+        terms["total"].backward()
+        optimizer.step()
+        losses.append(terms["total"].item())
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_segmentations_have_the_shape_of_the_clip_and_leave_out_pixels_without_depth(observation: PastedObservation):
+    torch.manual_seed(0)
+    model = ContactModel(ContactConfig()).eval()
+    model.network.head[-1].bias.data[0] = 9.0  # everything is foreground
+    valid = observation.valid.clone()
+    valid[:, :, :, 24:] = False
+    valid[..., 12:] = False
+    found = model.segment(replace(observation, valid=valid, depth=observation.depth * valid))
+    assert found.labels.shape == found.attention.shape == observation.depth.shape
+    assert torch.equal(found.labels > 0, valid)
+
+
+def test_settings_that_cannot_work_are_refused():
+    system = find_system("obpose-contact")
+    for name, value, message in (("frames", 2, "expected 1"), ("views", "all", "expected separate")):
+        with pytest.raises(UsageError, match=message):
+            check_contact_bounds(system.config("cpu", {f"train.{name}": value}))

@@ -1,0 +1,90 @@
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+import torch
+
+from obpose.contact.pasting import PastedClips, pseudo_scenes
+from obpose.data.clips import ArrayClips, observation_of
+from obpose.errors import UsageError
+from obpose.geometry import unproject
+from tests.worlds.sphere_clips import balls
+
+RADIUS = 0.045
+SETTINGS = {"table": 0.0, "floor": 0.0015, "gap": 0.06}
+
+
+def source(*scenes: Sequence[tuple[float, float]]) -> ArrayClips:
+    """Clips of one frame with balls on the table at these places."""
+    paths = [np.array([[(*place, RADIUS) for place in scene]], dtype=float).reshape(1, -1, 3) for scene in scenes]
+    return ArrayClips([balls(path)[0] for path in paths])
+
+
+@pytest.fixture(scope="module")
+def clips() -> ArrayClips:
+    return source([(0.0, 0.0)], [(0.1, 0.1)], [(-0.15, 0.05), (0.1, -0.1)])
+
+
+def pasted(clips: ArrayClips, count: int = 20) -> list[dict[str, torch.Tensor]]:
+    made = PastedClips(clips, **SETTINGS, seed=3)
+    return [made.window(index % len(clips), start, 1) for start, index in enumerate(range(count))]
+
+
+def test_images_depend_only_on_seed_clip_and_number(clips: ArrayClips):
+    one, other = pasted(clips), pasted(clips)
+    for name in one[0]:
+        assert all(torch.equal(a[name], b[name]) for a, b in zip(one, other, strict=True))
+    labels = torch.stack([image["pseudo_labels"] for image in one[::3]])
+    assert len(labels.unique(dim=0)) > 3
+
+
+def test_objects_are_added_to_those_that_are_there(clips: ArrayClips):
+    counts = [int(image["pseudo_labels"].max()) for image in pasted(clips)]
+    own = [1, 1, 2]
+    assert all(count >= own[index % 3] for index, count in enumerate(counts))
+    assert max(counts) >= 4
+
+
+def test_pasted_balls_stand_on_the_table_and_keep_their_size(clips: ArrayClips):
+    for image in pasted(clips):
+        points = unproject(observation_of([image]))[0, 0, 0]
+        for name in range(1, int(image["pseudo_labels"].max()) + 1):
+            height = points[image["pseudo_labels"][0, 0] == name][:, 2]
+            assert height.max() < 2 * RADIUS + 0.012  # the top of a ball, of which some pixels may be hidden
+            assert height.min() > -0.012
+
+
+def test_pasted_objects_hide_what_is_behind_them(clips: ArrayClips):
+    for index, image in enumerate(pasted(clips)):
+        before = clips.window(index % 3, 0, 1)
+        changed = image["depth"] != before["depth"]
+        assert torch.all(image["depth"][changed] < before["depth"][changed])
+        assert torch.all(image["pseudo_labels"][changed] > 0)
+
+
+def test_most_pasted_objects_touch_another_one(clips: ArrayClips):
+    def adjoins(labels: np.ndarray) -> bool:
+        pairs = [(labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1])]
+        return any(np.any((a != b) & (a > 0) & (b > 0)) for a, b in pairs)
+
+    images = [image["pseudo_labels"][0, 0].numpy() for image in pasted(clips)]
+    assert sum(map(adjoins, images)) > len(images) / 2
+
+
+def test_the_image_with_the_most_objects_is_used():
+    apart = np.array([[[-0.15, 0, RADIUS], [0.15, 0, RADIUS]]])
+    together = np.array([[[-0.04, 0, RADIUS], [0.04, 0, RADIUS]]])
+    clips = ArrayClips([balls(np.concatenate([together, apart, together]))[0]])
+    assert [scene.count for scene in pseudo_scenes(clips, 0, **SETTINGS)] == [1, 2, 1]
+    image = PastedClips(clips, **SETTINGS, seed=0).window(0, 0, 1)
+    assert int(image["pseudo_labels"].max()) >= 2
+
+
+def test_clips_that_show_nothing_are_refused():
+    with pytest.raises(UsageError, match="nothing more than"):
+        PastedClips(source([], []), **SETTINGS, seed=0)
+
+
+def test_only_single_frames_are_given(clips: ArrayClips):
+    with pytest.raises(UsageError, match=r"train\.frames=1"):
+        PastedClips(clips, **SETTINGS, seed=0).window(0, 0, 2)
