@@ -16,7 +16,7 @@ class ContactModelConfig:
     """Height in metres above the table from which points belong to pseudo-objects."""
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
-    bias: float = 1.0
+    bias: float = 0.5
     """Added to the logits of affinities before pixels are grouped: larger values divide less."""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training
@@ -35,6 +35,7 @@ class ContactConfig:
             learning_rate=3e-3,
             clip=5.0,
             warmup=0,
+            minutes=12.0,
             views="separate",
         )
     )
