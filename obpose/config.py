@@ -235,11 +235,6 @@ class Config:
     train: TrainConfig = field(default_factory=TrainConfig)
 
 
-@dataclass(frozen=True)
-class SupervisedConfig(Config):
-    """Configuration of `obpose.baselines.supervised`, which ignores the values of latents, fields and losses."""
-
-
 def override(config: Any, changes: dict[str, Any]) -> Any:
     """Give a configuration with some values replaced, by dotted name.
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from obpose.baselines.obsurf.config import OBSURF_PROFILES, OBSURF_SEARCHED, OBSURF_VARIANTS, ObsurfConfig
 from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
-from obpose.config import Config, SupervisedConfig, override
+from obpose.config import Config, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
-from obpose.contact.config import ContactConfig, check_contact_bounds
+from obpose.contact.config import ContactConfig, SupervisedConfig, check_contact_bounds
 from obpose.errors import unknown_name
 from obpose.variants import PROFILES, SEARCHED, VARIANTS, make_config, searched_in
 
@@ -92,9 +92,9 @@ def _build_obsurf(config: ObsurfConfig) -> "Trainable":
 
 
 def _build_supervised(config: SupervisedConfig) -> "Trainable":
-    from obpose.baselines.supervised import build_supervised
+    from obpose.baselines.supervised import Supervised
 
-    return build_supervised(config)
+    return Supervised(config)
 
 
 def _build_contact(config: ContactConfig) -> "Trainable":
@@ -105,10 +105,9 @@ def _build_contact(config: ContactConfig) -> "Trainable":
 
 OBPOSE = Architecture("obpose", Config, PROFILES, _build_obpose, check_bounds)
 OBSURF = Architecture("obsurf", ObsurfConfig, OBSURF_PROFILES, _build_obsurf, check_obsurf_bounds)
-SUPERVISED = Architecture("supervised", SupervisedConfig, PROFILES, _build_supervised, check_bounds)
-CONTACT = Architecture(
-    "contact", ContactConfig, {"cpu": {}, "gpu": {"train.batch": 256}}, _build_contact, check_contact_bounds
-)
+_CONTACT_PROFILES: dict[str, Changes] = {"cpu": {}, "gpu": {"train.batch": 256, "train.precision": "bf16-mixed"}}
+SUPERVISED = Architecture("supervised", SupervisedConfig, _CONTACT_PROFILES, _build_supervised, check_contact_bounds)
+CONTACT = Architecture("contact", ContactConfig, _CONTACT_PROFILES, _build_contact, check_contact_bounds)
 ARCHITECTURES = {architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED, CONTACT)}
 
 DESCRIPTIONS = {
@@ -124,7 +123,7 @@ DESCRIPTIONS = {
     "obsurf": "ObSuRF with depth supervision and its overlap loss",
     "obsurf-no-overlap": "the same without the overlap loss",
     "obsurf-no-overlap-depth": "the same with depth as an input, too",
-    "supervised": "backbone and IC-SBP of obpose, trained with labels",
+    "supervised": "network and losses of obpose-contact, trained with labels",
     "obpose-contact": "masks alone, from pasted contacts, followed through the clip",
 }
 
@@ -180,9 +179,9 @@ SYSTEMS: dict[str, System] = {
         SUPERVISED,
         {},
         DESCRIPTIONS["supervised"],
-        ("slots", "background slot", "camera pose"),
+        ("background slot", "camera pose", "plane"),
+        version=2,
         uses_labels=True,
-        extra=(),
     ),
     "obpose-contact": System(
         CONTACT,

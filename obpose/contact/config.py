@@ -30,13 +30,18 @@ class ContactConfig:
     model: ContactModelConfig = field(default_factory=ContactModelConfig)
     train: TrainConfig = field(
         default_factory=lambda: TrainConfig(
-            batch=16,
-            frames=1,
-            learning_rate=3e-3,
-            clip=5.0,
-            warmup=0,
-            minutes=12.0,
-            views="separate",
+            batch=16, frames=1, learning_rate=3e-3, clip=5.0, warmup=0, minutes=12.0, views="separate"
+        )
+    )
+
+
+@dataclass(frozen=True)
+class SupervisedConfig(ContactConfig):
+    """Configuration of `obpose.baselines.supervised`, which trains on whole images of a few clips."""
+
+    train: TrainConfig = field(
+        default_factory=lambda: TrainConfig(
+            batch=3, frames=5, learning_rate=3e-3, clip=5.0, warmup=0, minutes=12.0, views="separate"
         )
     )
 
@@ -56,5 +61,6 @@ def check_contact_bounds(config: ContactConfig) -> None:
     """
     check_values(config, _RULES)
     frames, views = config.train.frames, config.train.views
-    expect(frames == 1, "train.frames", frames, "1, as training images are pasted one by one")
+    pasted = not isinstance(config, SupervisedConfig)
+    expect(frames == 1 or not pasted, "train.frames", frames, "1, as training images are pasted one by one")
     expect(views == "separate", "train.views", views, "separate, as the network sees single images")

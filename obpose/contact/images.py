@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import unproject
-from obpose.types import Observation, PastedObservation
+from obpose.types import LabelledObservation, Observation, PastedObservation
 
 CHANNELS = 11
 """Number of channels of `Images.inputs`."""
@@ -32,7 +32,7 @@ class Images:
     """Unit normals from central differences; 0 where not valid."""
     valid: Bool[Tensor, "image height width"]
     labels: Int[Tensor, "image height width"]
-    """Pseudo-objects, 0 = background; all 0 if the observation has none."""
+    """Objects or pseudo-objects, 0 = background; all 0 if the observation has neither."""
 
     def inputs(self) -> Float[Tensor, "image 11 height width"]:
         """Input channels of the network, scaled to about -1..1."""
@@ -66,8 +66,10 @@ def images_of(observation: Observation, *, center: Float[Tensor, "3"], table: fl
     points = rearrange(unproject(observation) - origin, "b f v h w c -> (b f v) h w c")
     points = torch.einsum("nij,nhwj->nihw", _turn(cameras), points) * valid[:, None]
     labels = torch.zeros_like(valid, dtype=torch.int64)
-    if isinstance(observation, PastedObservation):
-        labels = rearrange(observation.pseudo_labels, "b f v h w -> (b f v) h w") * valid
+    if isinstance(observation, PastedObservation | LabelledObservation):
+        pasted = isinstance(observation, PastedObservation)
+        labels = observation.pseudo_labels if pasted else observation.segmentation
+        labels = rearrange(labels, "b f v h w -> (b f v) h w") * valid
     rgb = rearrange(observation.rgb, "b f v h w c -> (b f v) c h w")
     return Images(rgb, points, _normals(points) * valid[:, None], valid, labels)
 

@@ -60,7 +60,7 @@ class ContactModel(Trainable):
         self.network = UNet(CHANNELS, 1 + EMBEDDING + OFFSETS).to(memory_format=torch.channels_last)
         self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
 
-    def training_source(self, source: ClipSource) -> PastedClips:
+    def training_source(self, source: ClipSource) -> ClipSource:
         """Paste training images from the clips of a source; labels of the source are not read."""
         model = self.config.model
         return PastedClips(source, table=model.table, floor=model.floor, gap=model.gap, seed=self.config.train.seed)

@@ -53,21 +53,18 @@ def embed(
     return Embeddings(grid, valid, position, rgb, colour, features, scene, log_prescope)
 
 
-def log_masks_at_pixels(
-    masks: Masks, valid: Bool[Tensor, "batch frame point"], observation: Observation, *, grid: tuple[int, int]
-) -> Float[Tensor, "batch frame component pixel"]:
-    """Log of the masks at every pixel of all views; `grid` are rows and columns of the embedding grid of an image."""
-    batch, frames, views, height, width = observation.depth.shape
-    if grid == (height, width):
-        return masks.log_masks
-    pixels = torch.arange(views * height * width, device=valid.device).expand(batch, frames, -1)
-    return masks_at(masks.log_masks, valid, pixels, grid=(views, *grid), size=(height, width))
-
-
 @torch.no_grad()
 def pixel_owners(
     masks: Masks, valid: Bool[Tensor, "batch frame point"], observation: Observation, *, grid: tuple[int, int]
 ) -> Int[Tensor, "batch frame view height width"]:
-    """Component with the largest attention mask at each pixel; 0 for pixels without depth."""
-    owners = log_masks_at_pixels(masks, valid, observation, grid=grid).argmax(dim=2)
+    """Component with the largest attention mask at each pixel; 0 for pixels without depth.
+
+    `grid` are rows and columns of the embedding grid of an image.
+    """
+    batch, frames, views, height, width = observation.depth.shape
+    log_masks = masks.log_masks
+    if grid != (height, width):
+        pixels = torch.arange(views * height * width, device=valid.device).expand(batch, frames, -1)
+        log_masks = masks_at(log_masks, valid, pixels, grid=(views, *grid), size=(height, width))
+    owners = log_masks.argmax(dim=2)
     return owners.view_as(observation.valid) * observation.valid

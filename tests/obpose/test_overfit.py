@@ -13,14 +13,11 @@ import pytest
 import torch
 
 from benchmark.metrics import clip_scores
-from obpose.baselines.supervised import build_supervised
-from obpose.config import SupervisedConfig, TrainConfig, override
-from obpose.config_bounds import check_bounds
-from obpose.model.build import build_obpose
+from obpose.config import TrainConfig
+from obpose.systems import build_model, find_system
 from obpose.trainable import Trainable
 from obpose.training.budget import learning_rate
 from obpose.types import LabelledObservation
-from obpose.variants import make_config
 from tests.worlds.observations import labels_by_colour, table_scene
 
 SIZE, OBJECTS = 48, 2
@@ -77,7 +74,7 @@ objects in one slot with some of them."""
 @pytest.mark.parametrize(
     ("system", "changes", "count", "steps", "least"),
     [
-        ("supervised", {}, 1, 400, 0.99),
+        ("supervised", {}, 1, 100, 0.99),
         ("obpose", {"train.warmup": 100}, 1, 300, 0.99),
         ("obpose-loc", {"train.warmup": 100}, 1, 300, 0.99),
         ("slot-attention", {}, 16, 900, 0.99),
@@ -109,8 +106,7 @@ def test_slot_attention_tells_objects_apart_that_stand_anywhere():
 
 
 def fresh_model(system: str, changes: dict[str, Any]) -> Trainable:
-    if system == "supervised":
-        return build_supervised(override(SupervisedConfig(), SCENE | changes))
-    config = make_config(system, **SCENE, **changes)
-    check_bounds(config)
-    return build_obpose(config)
+    found = find_system(system)
+    config = found.config("cpu", found.known(SCENE) | changes)
+    found.architecture.check(config)
+    return build_model(config)

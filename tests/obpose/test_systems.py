@@ -6,9 +6,9 @@ from datagen.tracks import all_tracks
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.baselines.supervised import Supervised
-from obpose.config import Config, SupervisedConfig
+from obpose.config import Config
 from obpose.config_text import from_plain, to_plain
-from obpose.contact.config import ContactConfig
+from obpose.contact.config import ContactConfig, SupervisedConfig
 from obpose.data.scene_stats import SceneMeasures
 from obpose.errors import UsageError
 from obpose.model.obpose import ObPose

@@ -251,7 +251,7 @@ def test_files_older_than_the_second_architecture_are_of_the_first(run: Path):
     assert load(run, ToyModel)[1] == CONFIGURATION
     for name in ("elsewhere", []):
         (run / CONFIG).write_text(json.dumps({**facts, "architecture": name}))
-        with pytest.raises(UsageError, match=r"architecture .*; this version has obpose, obsurf, supervised"):
+        with pytest.raises(UsageError, match=r"architecture .*; this version has obpose, obsurf, supervised, contact"):
             load(run, ToyModel)
 
 
