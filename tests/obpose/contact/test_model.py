@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 import torch
 
+from obpose.config import override
 from obpose.contact.config import ContactConfig, check_contact_bounds
 from obpose.contact.images import Images, augmented, cropped, images_of
 from obpose.contact.model import ContactModel
 from obpose.contact.network import UNet
-from obpose.data.clips import ArrayClips, observation_of
+from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of
 from obpose.errors import UsageError
 from obpose.systems import find_system
+from obpose.training.loop import train
 from obpose.types import Observation, PastedObservation
 from tests.worlds.sphere_clips import balls
 
@@ -108,3 +110,16 @@ def test_settings_that_cannot_work_are_refused():
     for name, value, message in (("frames", 2, "expected 1"), ("views", "all", "expected separate")):
         with pytest.raises(UsageError, match=message):
             check_contact_bounds(system.config("cpu", {f"train.{name}": value}))
+
+
+def test_labels_of_the_dataset_do_not_reach_the_training():
+    places = np.array([[[[-0.1, 0.05, 0.045], [0.08, -0.1, 0.045]]], [[[0.0, 0.1, 0.045], [0.1, -0.1, 0.045]]]])
+    clips = [balls(place) for place in places]
+    config = override(ContactConfig(), {"train.steps": 2, "train.batch": 2})
+    trained = []
+    for truth in ([truth for _, truth in clips], [np.zeros_like(truth) for _, truth in clips]):
+        labelled = [
+            replace(clip, truth=labels.astype(np.uint8)) for (clip, _), labels in zip(clips, truth, strict=True)
+        ]
+        trained.append(train(LabelledArrayClips(labelled), None, config).model.state_dict())
+    assert all(torch.equal(value, trained[1][name]) for name, value in trained[0].items())
