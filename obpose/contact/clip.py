@@ -51,6 +51,6 @@ def segment_frames(images: Sequence[Frame], *, gap: float) -> Int64[np.ndarray, 
     def agreement(found: list[np.ndarray]) -> float:
         return float(np.mean([adjusted_rand_score(groups[frame], found[frame]) for frame in seen]))
 
-    for label, image, found in zip(labels, images, max(candidates, key=agreement), strict=True):
-        label[image.mask] = found + 1
+    for frame, found in enumerate(max(candidates, key=agreement)):
+        labels[frame, images[frame].mask] = found + 1
     return labels

@@ -57,7 +57,7 @@ class ContactModel(Trainable):
         """Build the network with fresh weights from PyTorch's global generator."""
         super().__init__()
         self.config = config
-        self.network = UNet(CHANNELS, 1 + EMBEDDING + OFFSETS).to(memory_format=torch.channels_last)
+        self.network = UNet(CHANNELS, 1 + EMBEDDING + OFFSETS)
         self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
 
     def training_source(self, source: ClipSource) -> ClipSource:

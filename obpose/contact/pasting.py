@@ -177,10 +177,12 @@ def _inner_colours(rgb: Image, mask: Bool[np.ndarray, "height width"]) -> Float3
     """Colours of the pixels of a mask; those at its border, which the background tints, have that of an inner pixel."""
     rows, columns = np.nonzero(mask)
     box = slice(rows.min() - 1, rows.max() + 2), slice(columns.min() - 1, columns.max() + 2)
-    inner = binary_erosion(mask[box], np.ones((3, 3)))
+    inner = np.asarray(binary_erosion(mask[box], np.ones((3, 3))), bool)
     if not inner.any():
         return rgb[mask]
-    distance, nearest = distance_transform_edt(~inner, return_indices=True)
+    nearest = distance_transform_edt(~inner, return_distances=False, return_indices=True)
+    assert isinstance(nearest, np.ndarray)
+    distance = np.linalg.norm(nearest - np.indices(inner.shape), axis=0)
     colours = np.where((distance <= 2)[..., None], rgb[box][tuple(nearest)], rgb[box])
     return colours[mask[box]].astype(np.float32)
 
