@@ -1,5 +1,4 @@
 import csv
-import os
 import signal
 import subprocess
 import sys
@@ -327,15 +326,14 @@ def toy_process(
 ) -> None:
     """Train in a process of its own, which must end with that exit code."""
     command = [*python, "-m", "tests.obpose.toy", str(folder), str(steps), str(batch), str(seconds)]
-    environment = {"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"}
+    environment = {"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
     process = subprocess.Popen(
         command, cwd=ROOT, env=environment, text=True, stderr=subprocess.PIPE, start_new_session=True
     )
     try:
         meanwhile(process)
-    except BaseException:
-        os.killpg(process.pid, signal.SIGKILL)
+    except AssertionError:
+        assert not errors_at_end(process, seconds=0)
         raise
-    finally:
-        errors = errors_at_end(process)
+    errors = errors_at_end(process)
     assert process.returncode == code, errors
