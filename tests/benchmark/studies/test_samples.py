@@ -18,6 +18,7 @@ from benchmark.studies.samples import (
     sampled_images,
     shipped_to_segment,
 )
+from datagen.errors import EXIT_USAGE
 from datagen.storage.reader import Dataset
 from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import Origin
@@ -110,10 +111,8 @@ def test_the_command_compares_priors_and_draws(
     assert [line["mmd2 size p"] != "" for line in kept[:2]] == [False, True]
     with Pillow.open(files["--picture"]) as picture:
         assert picture.size == (2 * (96 + 2 * GAP), 4 * (96 + 2 * GAP))
-    other = ["--segmenter", "obpose--moving--64x64", "--csv", str(tmp_path / "other.csv")]
-    assert main(["samples", *flags, *other]) == 0
-    (named,) = {line["segmenter"] for line in csv.DictReader((tmp_path / "other.csv").read_text().splitlines())}
-    assert named == other[1]
+    assert main(["samples", *flags, "--segmenter", "nowhere"]) == EXIT_USAGE
+    assert "nowhere: no such folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
