@@ -13,6 +13,8 @@ export CHECK_PYTHON
 # One thread a process: the numbers must not depend on how many cores a machine has.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
+# Tests start many processes, and without cached bytecode each of them compiles all modules.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-slow check bench docs clean
 

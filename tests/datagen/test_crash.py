@@ -107,7 +107,8 @@ def test_an_interrupted_run_says_so_in_one_line_and_can_be_completed(tmp_path, w
     assert_begins_with(tmp_path, whole)
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_full_disk_is_one_line_and_leaves_finished_shards_intact(tmp_path, whole, workers: int):
     process = start(tmp_path, "--workers", workers, "--split", "train=1,val=4", limit=60_000)
     errors = errors_at_end(process)

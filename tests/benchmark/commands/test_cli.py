@@ -102,14 +102,14 @@ def test_a_second_run_makes_only_what_is_missing(data: Path, copy: Path, capsys)
     assert "All rows are there" in said
 
 
-def test_a_failure_is_a_row_with_its_reason_and_made_again_when_asked(data: Path, tmp_path: Path, capsys):
-    command = ("--model", "raises", "good", "--data", data, "--out", tmp_path, "--seeds", 1)
+def test_a_failure_is_a_row_with_its_reason_and_made_again_when_asked(data: Path, copy: Path, capsys):
+    command = ("--model", "raises", "good", "--data", data, "--out", copy, "--seeds", 1)
     assert run_cli(*command) == EXIT_INCOMPLETE
-    rows = rows_of(tmp_path)
+    rows = rows_of(copy)
     assert (rows["raises"].status, rows["raises"].reason) == ("failed", "ValueError: no idea")
     assert rows["good"].status == "ok"
     assert "data, raises, seed 0: FAILED, ValueError: no idea" in capsys.readouterr().err
-    assert "Traceback" in next((tmp_path / "logs").glob("data--raises--*.log")).read_text()
+    assert "Traceback" in next((copy / "logs").glob("data--raises--*.log")).read_text()
     assert run_cli(*command) == EXIT_INCOMPLETE
     assert "1 of these rows failed; --retry makes them again." in capsys.readouterr().err
     assert run_cli(*command, "--retry") == EXIT_INCOMPLETE

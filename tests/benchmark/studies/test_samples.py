@@ -95,6 +95,7 @@ def test_sampled_scenes_have_the_cameras_of_real_ones_and_depend_on_the_seed(cli
     assert not np.array_equal(one[0].clip.rgb, other[0].clip.rgb)
 
 
+@pytest.mark.slow
 def test_the_command_compares_priors_and_draws(
     clips: Path, checkpoint: Path, origin: Origin, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

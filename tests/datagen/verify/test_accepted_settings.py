@@ -198,5 +198,6 @@ def views(draw: st.DrawFn) -> dict[str, Any]:
     return {"values": {**recipe, **changes}, "resolution": (width, height), "seed": draw(st.integers(0, 99))}
 
 
+@pytest.mark.slow
 def test_every_accepted_camera_is_verified():
-    check(views(), examples=10, least=2)
+    check(views(), examples=20, least=5)
