@@ -31,8 +31,8 @@ demo: .venv/.core
 	@echo "  report         $(CURDIR)/demo/results/report.html  (open it in a browser)"
 	@echo "  contact sheet  $(CURDIR)/demo/contact-sheet.png"
 
-# Files are spread over processes, each whole, as its tests share what they made.
-BESIDE := -n auto --maxprocesses 4 --dist loadfile --benchmark-disable
+# Files are spread over processes, each whole, as its tests share what they made. tests/conftest.py decides their order.
+BESIDE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --benchmark-disable
 
 test: .venv/.dev
 	$(BIN)/python -m pytest $(BESIDE)

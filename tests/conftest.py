@@ -2,6 +2,7 @@
 
 import dataclasses
 import signal
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,16 @@ install_import_hook(_leaf_modules(), "beartype.beartype")
 
 # A shell starts what it puts in the background with Ctrl-C ignored, and programs under test would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files of the longest tests, judged by their timeouts, so that processes end together."""
+    longest = Counter[Path]()
+    for item in items:
+        mark = item.get_closest_marker("timeout")
+        longest[item.path] = max(longest[item.path], mark.args[0] if mark else 0)
+    items.sort(key=lambda item: -longest[item.path])
 
 
 @pytest.fixture(scope="session")
