@@ -13,6 +13,8 @@ export CHECK_PYTHON
 # One thread a process: the numbers must not depend on how many cores a machine has.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
+# Tests start many processes, and without cached bytecode each of them compiles all modules.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-slow check bench docs clean
 
@@ -29,8 +31,8 @@ demo: .venv/.core
 	@echo "  report         $(CURDIR)/demo/results/report.html  (open it in a browser)"
 	@echo "  contact sheet  $(CURDIR)/demo/contact-sheet.png"
 
-# Files are spread over processes, each whole, as its tests share what they made.
-BESIDE := -n auto --maxprocesses 4 --dist loadfile --benchmark-disable
+# Files are spread over processes, each whole, as its tests share what they made. tests/conftest.py decides their order.
+BESIDE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --benchmark-disable
 
 test: .venv/.dev
 	$(BIN)/python -m pytest $(BESIDE)

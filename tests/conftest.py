@@ -1,6 +1,8 @@
-"""Shared by all tests: shape checks on every module, and small datasets made once a session."""
+"""Shared by all tests: shape checks, and a small dataset made once a session."""
 
+import dataclasses
 import signal
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,8 @@ UNCHECKED = {"datagen.render.kernels"}
 
 def _leaf_modules() -> list[str]:
     files = (path for package in ("datagen", "obpose", "benchmark") for path in (ROOT / package).rglob("*.py"))
-    names = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files if path.stem != "__init__"}
+    with_shapes = (path for path in files if "jaxtyping" in path.read_text())
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in with_shapes if path.stem != "__init__"}
     return sorted(names - UNCHECKED)
 
 
@@ -24,13 +27,24 @@ install_import_hook(_leaf_modules(), "beartype.beartype")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files of the longest tests, judged by their timeouts, so that processes end together."""
+    longest = Counter[Path]()
+    for item in items:
+        mark = item.get_closest_marker("timeout")
+        longest[item.path] = max(longest[item.path], mark.args[0] if mark else 0)
+    items.sort(key=lambda item: -longest[item.path])
+
+
 @pytest.fixture(scope="session")
 def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of eight clips of the recipe `moving`, 4 train, 2 val, 2 test, at 64x64; not to be changed."""
+    """Folder of clips of the recipe `moving` with four frames, 4 train, 2 val, 2 test, at 64x64; not to be changed."""
     pytest.importorskip("pybullet", reason="simulation needs PyBullet")
     from datagen.config import load_recipe
     from datagen.pipeline.generate import generate
 
     folder = tmp_path_factory.mktemp("data") / "moving"
-    generate(folder, load_recipe("moving"), splits={"train": 4, "val": 2, "test": 2}, resolution=(64, 64))
+    recipe = dataclasses.replace(load_recipe("moving"), frames=4)
+    generate(folder, recipe, splits={"train": 4, "val": 2, "test": 2}, resolution=(64, 64))
     return folder

@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,27 +13,42 @@ import pytest
 
 
 def errors_at_end(process: subprocess.Popen[Any], *, seconds: float = 240) -> Any:
-    """What a process has written to its standard error, once it and all that hold its output open have ended.
+    """Standard error of a process, once it and all that hold its output open have ended.
 
-    The process must lead a session of its own. If they have not ended in time, they are killed and the test fails.
+    If they have not ended in time, they are killed and the test fails. Processes with faulthandler enabled
+    (PYTHONFAULTHANDLER=1) write first where they were.
     """
     try:
         return process.communicate(timeout=seconds)[1]
     except subprocess.TimeoutExpired:
-        left = "\n".join(f"{member}: {line.decode()}" for member, line in session_members(process.pid).items())
-        os.killpg(process.pid, signal.SIGKILL)
-        _, errors = process.communicate(timeout=20)
-        pytest.fail(f"These have not ended within {seconds:g} s:\n{left}\nThey had written:\n{errors}")
+        left = {member: command_line(member).replace(b"\0", b" ").decode() for member in _members(process)}
+        errors = _end(process, signal.SIGABRT, left) or _end(process, signal.SIGKILL, _members(process))
+        named = "\n".join(f"{member}: {line}" for member, line in left.items())
+        pytest.fail(f"These have not ended within {seconds:g} s:\n{named}\nThey had written:\n{errors}")
 
 
-def session_members(leader: int) -> dict[int, bytes]:
-    """Command lines of the processes of a session, empty for one that has ended but was not waited for."""
-    found = {}
-    for process in (int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()):
-        with suppress(OSError):
-            if os.getsid(process) == leader:
-                found[process] = command_line(process).replace(b"\0", b" ")
-    return found
+def _end(process: subprocess.Popen[Any], number: int, members: Iterable[int]) -> Any:
+    """Send a signal to the members; give all that they had written, or what is known of it, nothing if they go on."""
+    for member in members:
+        with suppress(ProcessLookupError):
+            os.kill(member, number)
+    try:
+        return process.communicate(timeout=20)[1] or "nothing"
+    except subprocess.TimeoutExpired as error:
+        return error.stderr if number == signal.SIGKILL else None
+
+
+def _members(process: subprocess.Popen[Any]) -> set[int]:
+    """The process, its descendants in whatever session, and all others that hold its standard error open."""
+    running = {process.pid} if process.poll() is None else set()
+    holders: set[int] = set()
+    if process.stderr and not process.stderr.closed:
+        pipe = os.fstat(process.stderr.fileno())
+        for entry in Path("/proc").glob("[0-9]*/fd/*"):
+            with suppress(OSError):
+                if os.path.samestat(entry.stat(), pipe):
+                    holders.add(int(entry.parts[2]))
+    return (running | holders | set(descendants(process.pid))) - {os.getpid()}
 
 
 def descendants(process: int) -> Iterator[int]:

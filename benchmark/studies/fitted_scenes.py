@@ -34,6 +34,8 @@ class Flags(ModelFlags):
 
     picture: Path
     """PNG to write."""
+    refine: int = STEPS
+    """Steps of fitting a scene to its frames."""
 
 
 def run(flags: Flags) -> None:
@@ -42,17 +44,17 @@ def run(flags: Flags) -> None:
     check_suffix("--picture", flags.picture, ".png")
     origin, folder = flags.origin(), flags.folder()
     chosen = range(min(flags.scenes, len(Dataset(folder).split(flags.split))))
-    rows = [np.concatenate(list(_row(origin, folder, flags.split, index)), axis=1) for index in chosen]
+    rows = [np.concatenate(list(_row(origin, folder, flags, index)), axis=1) for index in chosen]
     write_png(flags.picture, np.concatenate(rows))
 
 
-def _row(origin: Origin, folder: Path, split: str, index: int) -> Iterator[Picture]:
-    clip, renderer = read_clip(folder, split, index), Renderer(origin.model)
+def _row(origin: Origin, folder: Path, flags: Flags, index: int) -> Iterator[Picture]:
+    clip, renderer = read_clip(folder, flags.split, index), Renderer(origin.model)
     frame = clip.depth.shape[1] // 2
     inferred = infer_labelled(origin, clip)
     camera = inferred.scene.cameras[0]
     camera = camera.resized(TIMES * camera.width, TIMES * camera.height)
-    fitted = fit_to_frames(inferred.scene, origin.model, clip, refinements=STEPS)
+    fitted = fit_to_frames(inferred.scene, origin.model, clip, refinements=flags.refine)
     yield enlarged(_bytes(clip.rgb[0, frame, 0]), TIMES)
     for scene in (inferred.scene, fitted, move_largest(fitted, inferred.labels[frame, 0])):
         yield _bytes(renderer.render(scene, frame, camera).rgb)

@@ -2,6 +2,8 @@
 
 import ctypes
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -42,13 +44,17 @@ def make_fabric(device: str, config: TrainConfig) -> Fabric:
     )
 
 
-def leave() -> None:
-    """Leave the process group, if there is one.
+@contextmanager
+def process_group() -> Iterator[None]:
+    """Destroy the process group at the end, if there is one.
 
     At the exit of the interpreter it would be too late: threads of gloo sometimes abort a finished process.
     """
-    if torch.distributed.is_available() and torch.distributed.is_initialized():
-        torch.distributed.destroy_process_group()
+    try:
+        yield
+    finally:
+        if torch.distributed.is_available() and torch.distributed.is_initialized():
+            torch.distributed.destroy_process_group()
 
 
 def keep_memory() -> None:

@@ -85,6 +85,14 @@ class Learner:
                 "in another folder with --out."
             ) from None
 
+    def close(self) -> None:
+        """Drop the optimiser and the wrapper for data-parallel training; the model stays.
+
+        The wrapper holds the process group. If it were the last to do so, freeing it could wait forever for a thread
+        of gloo that waits for the interpreter's lock.
+        """
+        del self._module, self._optimizer
+
     def _clip(self) -> Tensor:
         """Clip the gradient and give its norm before clipping; a limit of 0 only measures."""
         norm = self._fabric.clip_gradients(

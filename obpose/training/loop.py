@@ -9,7 +9,7 @@ in steps the weights are reproducible to the last bit.
 
 import math
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from obpose.systems import build_model
 from obpose.trainable import Configuration, Trainable
 from obpose.training.batches import Sampling, Share, batches, readers_for
 from obpose.training.budget import Budget, Stopwatch, learning_rate
-from obpose.training.devices import keep_memory, leave, make_fabric, mean_over_processes
+from obpose.training.devices import keep_memory, make_fabric, mean_over_processes, process_group
 from obpose.training.guard import check_validation
 from obpose.training.learner import Learner
 from obpose.training.record import Record
@@ -111,22 +111,24 @@ def train(
     keep_memory()
     fabric = make_fabric(device, config.train)
     fabric.launch()
-    try:
-        learner = Learner(fabric, config, build)
-        writes = folder is not None and fabric.is_global_zero
-        with locked_folder(folder) if folder and writes else nullcontext():
-            progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
-            record = Record(folder, config, steps=progress.step, tensorboard=tensorboard) if folder and writes else None
-            clips = learner.model.training_source(source)
-            run = _Run(fabric, learner, clips, val_source, config, progress, record, report, look, score)
-            try:
-                with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
-                    run.go_on(request)
-            finally:
-                if record:
-                    record.close()
-    finally:
-        leave()
+    writes = folder is not None and fabric.is_global_zero
+    with (
+        process_group(),
+        closing(Learner(fabric, config, build)) as learner,
+        locked_folder(folder) if folder and writes else nullcontext(),
+    ):
+        progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
+        # Otherwise a slow process would find the files that the first one writes.
+        fabric.barrier()
+        record = Record(folder, config, steps=progress.step, tensorboard=tensorboard) if folder and writes else None
+        clips = learner.model.training_source(source)
+        run = _Run(fabric, learner, clips, val_source, config, progress, record, report, look, score)
+        try:
+            with stop_on_signals() if folder else nullcontext(StopRequest()) as request:
+                run.go_on(request)
+        finally:
+            if record:
+                record.close()
     return Trained(learner.model.cpu().eval(), config, progress.step, progress.seconds, tuple(progress.curve))
 
 

@@ -64,7 +64,7 @@ def whole(place: Path) -> tuple[dict[str, object], float]:
 def test_a_run_that_is_killed_at_any_moment_and_resumed_gives_the_same_tables(place: Path, whole, tmp_path: Path):
     expected, seconds = whole
     chance = random.Random(0)
-    for _ in range(6):
+    for _ in range(4):
         process = start(place, tmp_path)
         try:
             process.communicate(timeout=chance.uniform(0.1, 0.6) * seconds)
@@ -93,10 +93,11 @@ def test_workers_and_what_models_start_do_not_outlive_a_killed_run(place: Path, 
     wait_until_gone(workers)
 
 
-def test_ctrl_c_is_one_line_and_leaves_no_half_row(place: Path, tmp_path: Path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_is_one_line_and_leaves_no_half_row(place: Path, tmp_path: Path, number: signal.Signals):
     process = start(place, tmp_path)
     wait_until(lambda: list(tmp_path.glob("runs/*.json")), what="the first row")
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     errors = errors_at_end(process)
     assert process.returncode == 130
     assert (

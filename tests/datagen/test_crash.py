@@ -80,7 +80,7 @@ def test_a_killed_run_is_completed_and_its_workers_do_not_outlive_it(tmp_path, w
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seconds", [0.1, 0.2, 0.4, 0.6, 1.0, 1.5, 2.2, 3.0])
+@pytest.mark.parametrize("seconds", [0.1, 0.3, 0.6, 1.2, 2.5])
 def test_an_interrupt_while_it_begins_is_one_line(tmp_path, seconds: float):
     process = start(tmp_path, "--workers", 2, "--split", "train=400")
     assert process.stdout is not None
@@ -107,7 +107,8 @@ def test_an_interrupted_run_says_so_in_one_line_and_can_be_completed(tmp_path, w
     assert_begins_with(tmp_path, whole)
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_full_disk_is_one_line_and_leaves_finished_shards_intact(tmp_path, whole, workers: int):
     process = start(tmp_path, "--workers", workers, "--split", "train=1,val=4", limit=60_000)
     errors = errors_at_end(process)
@@ -134,7 +135,7 @@ def test_a_worker_that_is_killed_is_one_line_and_the_run_can_be_completed(tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_twenty_random_kills_lose_and_double_no_scene(tmp_path, whole):
+def test_ten_random_kills_lose_and_double_no_scene(tmp_path, whole):
     chance = random.Random(0)
     unbroken = time.monotonic()
     finish(tmp_path / "timed", "--workers", 2)
@@ -147,9 +148,9 @@ def test_twenty_random_kills_lose_and_double_no_scene(tmp_path, whole):
         kills += is_killed(start(folder, "--workers", 2, "--overwrite"), chance.uniform(0.1, 1.0) * unbroken)
         after = {path.name: path.stat().st_ino for path in folder.glob("*.h5")}
         assert before.items() <= after.items()
-        if kills == 20:
+        if kills == 10:
             break
-    assert kills == 20
+    assert kills == 10
     finish(folder, "--workers", 2)
     assert hashes(folder) == whole
     assert not list(folder.glob("*.partial*"))

@@ -7,7 +7,7 @@ import pytest
 from tests.fuzz.inputs import faults_among
 from tests.fuzz.running import endings_of
 
-INPUTS = 900
+INPUTS = 400
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 from tests.fuzz.inputs import faults_among
 from tests.fuzz.running import endings_of
 
-INPUTS = 350
+INPUTS = 200
 
 
 @pytest.mark.slow

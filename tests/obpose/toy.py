@@ -1,6 +1,7 @@
 """A model and clips that are as small as can be, and a training of them in a process of its own."""
 
 import dataclasses
+import os
 import sys
 from pathlib import Path
 
@@ -118,10 +119,24 @@ def main() -> None:
     class SlowToy(QuietToy):
         def losses(self, observation: Observation, **options: object) -> dict[str, Tensor]:
             time.sleep(float(seconds))
+            slow_down_other_threads()
             return super().losses(observation, **options)
 
     config = toy_config(**{"train.steps": int(steps), "train.batch": int(batch)})
     train(ToyClips(), ToyClips(labels=True), config, folder=Path(folder), device="cpu", build=SlowToy)
+
+
+def slow_down_other_threads() -> None:
+    """Let threads other than the main one run only while it waits, which brings out deadlocks at the end.
+
+    They share a core with it, at the lowest priority.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    core = cores[int(os.environ.get("LOCAL_RANK", 0)) % len(cores)]
+    for thread in map(int, os.listdir("/proc/self/task")):
+        os.sched_setaffinity(thread, {core})
+        if thread != os.getpid():
+            os.sched_setscheduler(thread, os.SCHED_IDLE, os.sched_param(0))
 
 
 if __name__ == "__main__":

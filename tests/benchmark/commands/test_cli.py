@@ -35,6 +35,20 @@ def plugins(tmp_path_factory: pytest.TempPathFactory):
         yield
 
 
+@pytest.fixture(scope="module")
+def finished(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two models, `good` and `chance`, with one seed; not to be changed."""
+    out = tmp_path_factory.mktemp("finished") / "run"
+    assert run_cli("--model", "good", "chance", "--data", data, "--out", out, "--seeds", 1) == EXIT_OK
+    return out
+
+
+@pytest.fixture
+def copy(finished: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run, with the times of its files."""
+    return Path(shutil.copytree(finished, tmp_path / "copy"))
+
+
 def run_cli(*arguments: object) -> int:
     return main([str(argument) for argument in arguments])
 
@@ -48,6 +62,7 @@ def test_a_run_leaves_rows_tables_and_a_short_table_on_the_screen(data: Path, tm
     assert run_cli("--model", "plane-dbscan", "good", "--data", data, "--out", out, "--seeds", 2) == EXIT_OK
     shown = capsys.readouterr()
     assert "data, plane-dbscan, seed 1: fit" in shown.err
+    assert shown.err.count("good, seed") == 1  # it has no randomness
     assert "plane-dbscan  ‡" in shown.out
     assert str(out) in shown.out
     with (out / "leaderboard.csv").open(newline="") as file:
@@ -55,6 +70,10 @@ def test_a_run_leaves_rows_tables_and_a_short_table_on_the_screen(data: Path, tm
     assert set(lines) == {"plane-dbscan", "good"}
     assert float(lines["plane-dbscan"]["ari_fg_mean"]) > 0.99
     assert lines["good"]["n_seeds"] == "2"
+    tables = [path.read_bytes() for path in (out / "scenes").glob("*--good--*")]
+    assert len(tables) == 2
+    assert len(set(tables)) == 1
+    assert len(list((out / "labels").glob("*--good--*"))) == 1
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["models"] == {"good": 3, "plane-dbscan": 1}
     assert manifest["rows"] == {"ok": 4, "failed": 0}
@@ -63,42 +82,40 @@ def test_a_run_leaves_rows_tables_and_a_short_table_on_the_screen(data: Path, tm
     assert "No floor was scored on data" in shown.out
 
 
-def test_a_second_run_makes_only_what_is_missing(data: Path, tmp_path: Path, capsys):
-    command = ("--data", data, "--out", tmp_path, "--model")
-    assert run_cli(*command, "chance", "--seeds", 1) == EXIT_OK
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "runs").iterdir()}
-    assert run_cli(*command, "chance", "good", "--seeds", 2) == EXIT_OK
-    assert capsys.readouterr().err.count("chance, seed 0") == 1
+def test_a_second_run_makes_only_what_is_missing(data: Path, copy: Path, capsys):
+    command = ("--data", data, "--out", copy, "--model", "chance", "good", "--seeds", 2)
+    before = {path: path.stat().st_mtime_ns for path in (copy / "runs").iterdir()}
+    assert run_cli(*command) == EXIT_OK
+    said = capsys.readouterr().err
+    assert "chance, seed 1" in said
+    assert "chance, seed 0" not in said
     assert {path: path.stat().st_mtime_ns for path in before} == before
-    assert [(row.key.model, row.key.seed) for row in load_runs(tmp_path)] == [
+    assert [(row.key.model, row.key.seed) for row in load_runs(copy)] == [
         ("chance", 0),
         ("chance", 1),
         ("good", 0),
         ("good", 1),
     ]
-    assert run_cli(*command, "chance", "good", "--seeds", 2) == EXIT_OK
+    assert run_cli(*command) == EXIT_OK
     said = capsys.readouterr().err
     assert "seed" not in said
     assert "All rows are there" in said
 
 
-@pytest.mark.slow
-def test_a_model_without_randomness_runs_once(data: Path, tmp_path: Path, capsys):
-    assert run_cli("--model", "good", "--data", data, "--out", tmp_path, "--seeds", 3) == EXIT_OK
-    assert capsys.readouterr().err.count("good, seed") == 1
-    assert len(list((tmp_path / "labels").iterdir())) == 1
-    tables = [path.read_bytes() for path in (tmp_path / "scenes").iterdir()]
-    assert len(tables) == 3
-    assert len(set(tables)) == 1
-
-
-def test_a_failure_is_a_row_with_its_reason(data: Path, tmp_path: Path, capsys):
-    assert run_cli("--model", "raises", "good", "--data", data, "--out", tmp_path, "--seeds", 1) == EXIT_INCOMPLETE
-    rows = rows_of(tmp_path)
+def test_a_failure_is_a_row_with_its_reason_and_made_again_when_asked(data: Path, copy: Path, capsys):
+    command = ("--model", "raises", "good", "--data", data, "--out", copy, "--seeds", 1)
+    assert run_cli(*command) == EXIT_INCOMPLETE
+    rows = rows_of(copy)
     assert (rows["raises"].status, rows["raises"].reason) == ("failed", "ValueError: no idea")
     assert rows["good"].status == "ok"
     assert "data, raises, seed 0: FAILED, ValueError: no idea" in capsys.readouterr().err
-    assert "Traceback" in next((tmp_path / "logs").glob("data--raises--*.log")).read_text()
+    assert "Traceback" in next((copy / "logs").glob("data--raises--*.log")).read_text()
+    assert run_cli(*command) == EXIT_INCOMPLETE
+    assert "1 of these rows failed; --retry makes them again." in capsys.readouterr().err
+    assert run_cli(*command, "--retry") == EXIT_INCOMPLETE
+    shown = capsys.readouterr().err
+    assert "raises, seed 0: FAILED" in shown
+    assert "good" not in shown
 
 
 FAILURES = {
@@ -127,20 +144,6 @@ def test_every_failure_is_a_row_with_its_reason_and_the_rest_goes_on(data: Path,
     }.keys() == FAILURES.keys()
     assert rows["good"].status == "ok"
     assert "in fit" in next((tmp_path / "logs").glob("data--exits--*.log")).read_text()
-    capsys.readouterr()
-    assert run_cli(*command) == EXIT_INCOMPLETE
-    assert "FAILED" not in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_failed_rows_are_tried_again_when_asked(data: Path, tmp_path: Path, capsys):
-    command = ("--model", "raises", "good", "--data", data, "--out", tmp_path, "--seeds", 1)
-    assert run_cli(*command) == EXIT_INCOMPLETE
-    capsys.readouterr()
-    assert run_cli(*command, "--retry") == EXIT_INCOMPLETE
-    shown = capsys.readouterr().err
-    assert "raises, seed 0: FAILED" in shown
-    assert "good" not in shown
 
 
 @pytest.mark.slow
@@ -158,18 +161,15 @@ def test_a_model_that_takes_too_much_memory_is_stopped(data: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_what_a_model_says_of_itself_is_in_its_row(data: Path, tmp_path: Path):
-    assert run_cli("--model", "chance", "--data", data, "--out", tmp_path, "--seeds", 1, "--steps", 5) == EXIT_OK
+def test_what_a_model_says_of_itself_is_in_its_row_and_other_settings_do_not_replace_it(
+    data: Path, tmp_path: Path, capsys
+):
+    command = ("--model", "chance", "--data", data, "--out", tmp_path, "--seeds", 2)
+    assert run_cli(*command, "--steps", 5) == EXIT_OK
     row = rows_of(tmp_path)["chance"]
     assert row.config == {"slots": 5, "steps": 5}
     assert row.learning_curve == [{"step": 1.0, "loss": 0.5}]
     assert (row.parameters, row.random, row.kind, row.key.version) == (7, True, "learned", 3)
-
-
-@pytest.mark.slow
-def test_other_settings_do_not_replace_rows_unasked(data: Path, tmp_path: Path, capsys):
-    command = ("--model", "chance", "--data", data, "--out", tmp_path, "--seeds", 2)
-    assert run_cli(*command, "--steps", 5) == EXIT_OK
     assert run_cli(*command, "--steps", 6) == EXIT_USAGE
     assert "config_hash differs" in capsys.readouterr().err
     assert run_cli(*command, "--steps", 6, "--overwrite") == EXIT_OK
@@ -177,56 +177,46 @@ def test_other_settings_do_not_replace_rows_unasked(data: Path, tmp_path: Path, 
     assert len(list((tmp_path / "labels").iterdir())) == 2
 
 
-@pytest.mark.slow
-def test_scores_are_computed_again_from_label_maps(data: Path, tmp_path: Path, capsys):
-    command = ("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 2)
-    assert run_cli(*command) == EXIT_OK
-    before = {path: path.read_bytes() for path in (tmp_path / "scenes").iterdir()}
+def test_scores_are_computed_again_from_label_maps(copy: Path, capsys):
+    before = {path: path.read_bytes() for path in (copy / "scenes").iterdir()}
     for path in before:
         path.unlink()
-    assert run_cli("report", tmp_path) == EXIT_INCOMPLETE
+    assert run_cli("report", copy) == EXIT_INCOMPLETE
     assert "obpose-bench rescore" in capsys.readouterr().err
-    assert run_cli("rescore", tmp_path) == EXIT_OK
+    assert run_cli("rescore", copy) == EXIT_OK
     assert {path: path.read_bytes() for path in before} == before
 
 
-@pytest.mark.slow
-def test_scores_stay_as_they_were_where_one_label_map_is_missing(data: Path, tmp_path: Path, capsys):
-    assert run_cli("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 1) == EXIT_OK
-    for path in (tmp_path / "scenes").iterdir():
+def test_scores_stay_as_they_were_where_one_label_map_is_missing(copy: Path, capsys):
+    for path in (copy / "scenes").iterdir():
         path.write_text("as they were")
-    max((tmp_path / "labels").iterdir()).unlink()
-    assert run_cli("rescore", tmp_path) != EXIT_OK
+    max((copy / "labels").iterdir()).unlink()
+    assert run_cli("rescore", copy) != EXIT_OK
     assert "is missing" in capsys.readouterr().err
-    assert {path.read_text() for path in (tmp_path / "scenes").iterdir()} == {"as they were"}
+    assert {path.read_text() for path in (copy / "scenes").iterdir()} == {"as they were"}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("cut", [np.s_[:1], np.s_[..., :16]])
-def test_label_maps_that_do_not_fit_the_scenes_get_one_line(data: Path, tmp_path: Path, capsys, cut: Any):
-    assert run_cli("--model", "good", "--data", data, "--out", tmp_path, "--seeds", 1) == EXIT_OK
-    (path,) = (tmp_path / "labels").iterdir()
-    with h5py.File(path, "a") as file:
+def test_label_maps_that_do_not_fit_the_scenes_get_one_line(copy: Path, capsys, cut: Any):
+    with h5py.File(min((copy / "labels").iterdir()), "a") as file:
         labels = np.asarray(file["labels"])[cut]
         del file["labels"]
         file["labels"] = labels
-    assert run_cli("rescore", tmp_path) == EXIT_INCOMPLETE
+    assert run_cli("rescore", copy) == EXIT_INCOMPLETE
     assert "does not fit the dataset's scenes" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_two_models_are_compared(data: Path, tmp_path: Path, capsys):
-    assert run_cli("--model", "good", "chance", "--data", data, "--out", tmp_path, "--seeds", 2) == EXIT_OK
-    assert run_cli("compare", "good", "chance", "--run", tmp_path) == EXIT_OK
+def test_two_models_are_compared(finished: Path, capsys):
+    assert run_cli("compare", "good", "chance", "--run", finished) == EXIT_OK
     assert "95 % interval" in capsys.readouterr().out
-    assert run_cli("compare", "good", "god", "--run", tmp_path) == EXIT_USAGE
+    assert run_cli("compare", "good", "god", "--run", finished) == EXIT_USAGE
 
 
-def test_packed_results_are_compared_and_reported_and_never_run_into(data: Path, tmp_path: Path, capsys):
+def test_packed_results_are_compared_and_reported_and_never_run_into(
+    data: Path, finished: Path, tmp_path: Path, capsys
+):
     packed = tmp_path / "packed"
-    run = ("--model", "good", "chance", "--data", data, "--seeds", 1)
-    assert run_cli(*run, "--out", tmp_path / "run") == EXIT_OK
-    assert run_cli("pack", tmp_path / "run", "--out", packed) == EXIT_OK
+    assert run_cli("pack", finished, "--out", packed) == EXIT_OK
     assert f"2 rows added to {packed}, which has 2 now." in capsys.readouterr().out
     assert run_cli("compare", "good", "chance", "--run", packed) == EXIT_OK
     assert run_cli("report", packed) == EXIT_OK
@@ -234,6 +224,7 @@ def test_packed_results_are_compared_and_reported_and_never_run_into(data: Path,
     assert "A = good, B = chance" in shown
     assert (packed / "report.html").exists()
     before = sorted(packed.rglob("*"))
+    run = ("--model", "good", "chance", "--data", data, "--seeds", 1)
     for command in ((*run, "--overwrite", "--out", packed), ("rescore", packed)):
         assert run_cli(*command) == EXIT_USAGE
         assert "read-only" in capsys.readouterr().err
@@ -356,10 +347,6 @@ def test_what_another_process_is_making_is_not_a_failure(data: Path, tmp_path: P
     assert run_cli("--model", "taken", "--data", data, "--out", out) == EXIT_USAGE
     assert "Another process is writing to there; let it end." in capsys.readouterr().err
     assert not load_runs(out)
-    assert run_cli("--model", "raises", "--data", data, "--seeds", "1", "--out", out) == EXIT_INCOMPLETE
-    capsys.readouterr()
-    assert run_cli("--model", "raises", "--data", data, "--seeds", "1", "--out", out) == EXIT_INCOMPLETE
-    assert "1 of these rows failed; --retry makes them again." in capsys.readouterr().err
 
 
 def test_a_damaged_row_gets_one_line(data: Path, tmp_path: Path, capsys):

@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import pytest
 import torch
 from PIL import Image
 
@@ -20,9 +21,21 @@ def test_the_largest_object_is_moved(clips: Path, origin: Origin):
     assert move_largest(scene, torch.zeros_like(labels)) is scene
 
 
+@pytest.mark.slow
 def test_the_command_draws_four_pictures_a_scene(clips: Path, checkpoint: Path, tmp_path: Path):
     picture = tmp_path / "fitted.png"
-    flags = ["--data", str(clips), "--checkpoint", str(checkpoint), "--scenes", "1", "--picture", str(picture)]
+    flags = [
+        "--data",
+        str(clips),
+        "--checkpoint",
+        str(checkpoint),
+        "--scenes",
+        "1",
+        "--refine",
+        "2",
+        "--picture",
+        str(picture),
+    ]
     assert main(["fitted_scenes", *flags]) == EXIT_OK
     with Image.open(picture) as drawn:
         assert drawn.size == (4 * TIMES * 32, TIMES * 32)

@@ -22,6 +22,7 @@ def test_scenes_without_a_light_count_as_not_found():
     assert summary(found[-1:]) == {"scenes": 1, "lights found": 0}
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_line_for_each_scene(
     clips: Path, checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

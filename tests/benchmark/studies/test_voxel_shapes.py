@@ -83,6 +83,7 @@ def test_the_picture_shows_voxels_in_every_tile(oracle_dataset: Path):
     assert sheet.crop((sheet.width - TILE, LINE + TILE, sheet.width, LINE + 2 * TILE)).getextrema() != ((255, 255),) * 3
 
 
+@pytest.mark.slow
 def test_the_command_summarises_and_draws(oracle_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     model = untrained()
     save_model(tmp_path / "model", model.state_dict(), model.config, {})

@@ -21,10 +21,10 @@ def test_the_sheet_shows_the_pixels_of_first_middle_and_last_frame(tiny_dataset:
     picture = np.asarray(Image.open(sheet))
     chosen = preview._chosen(preview.Dataset(tiny_dataset).split("train"), [0, 2])
     for record in chosen.values():
-        for frame in (0, 5, 9):
+        for frame in (0, 2, 3):
             assert contains(picture, np.repeat(np.repeat(record["rgb"][frame, 0], 3, axis=0), 3, axis=1))
     with Image.open(animation) as clip:
-        assert clip.n_frames == 10  # pyright: ignore[reportAttributeAccessIssue]
+        assert clip.n_frames == 4  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def contains(picture: np.ndarray, part: np.ndarray) -> bool:

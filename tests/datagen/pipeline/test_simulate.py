@@ -3,6 +3,7 @@ import importlib.util
 import subprocess
 import sys
 from collections import Counter
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,7 +25,12 @@ VIDEO = [name for name in recipe_names() if load_recipe(name).video]
 
 
 def scenes(name: str, count: int, split: str = "train") -> list[Simulated]:
-    return [simulate_scene(load_recipe(name), 0, split, index) for index in range(count)]
+    return [scene(name, split, index) for index in range(count)]
+
+
+@cache
+def scene(name: str, split: str, index: int) -> Simulated:
+    return simulate_scene(load_recipe(name), 0, split, index)
 
 
 def fingerprint(made: Simulated) -> str:

@@ -138,7 +138,7 @@ def test_every_box_that_is_turned_by_a_degree_about_any_axis_is_found(tiny_datas
     ]
     assert boxes
     rng = np.random.default_rng(0)
-    for split, index, row in boxes[:3]:
+    for split, index, row in boxes[:2]:
         for axis in [*np.eye(3), *rng.normal(size=(2, 3))]:
             record = {name: array.copy() for name, array in Dataset(tiny_dataset).split(split)[index].items()}
             turn_by_a_degree(record, row, axis)

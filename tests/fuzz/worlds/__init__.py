@@ -4,13 +4,12 @@ from tests.fuzz.worlds.benchmarks import BENCHMARKS
 from tests.fuzz.worlds.datasets import DATASETS
 from tests.fuzz.worlds.frames import FRAMES
 from tests.fuzz.worlds.models import MODELS
-from tests.fuzz.worlds.quick import MISBEHAVING, SMOKE
+from tests.fuzz.worlds.quick import MISBEHAVING
 
 GROUPS = {
     "datasets": DATASETS,
     "models": MODELS,
     "frames": FRAMES,
     "benchmarks": BENCHMARKS,
-    "smoke": SMOKE,
     "misbehaving": MISBEHAVING,
 }

@@ -22,6 +22,8 @@ from obpose.scenes.scene import ClipName
 from obpose.scenes.storage import load_scene
 
 MODEL = "obpose--moving--64x64"
+SMALL = ("--resolution", "16x16")
+"""Size of pictures at which nobody looks."""
 
 
 def run(command: str, *arguments: object) -> int:
@@ -30,7 +32,7 @@ def run(command: str, *arguments: object) -> int:
 
 def test_what_is_inferred_looks_like_the_clip(inferred: Path, tiny_dataset: Path, capsys):
     scene = load_scene(inferred)
-    assert scene.frames == 10
+    assert scene.frames == 4
     assert scene.clip == ClipName(SceneDataset(tiny_dataset).settings_hash, "test", 0)
     assert 1 <= len(scene.ids) <= 4
     with Image.open(inferred / "picture.png") as picture:
@@ -139,33 +141,36 @@ def test_it_is_said_that_no_light_was_found(tiny_dataset: Path, tmp_path: Path, 
 def test_edits_are_scenes_again(inferred: Path, tmp_path: Path):
     before = load_scene(inferred)
     name = before.ids[0]
-    assert run("move", inferred, "--object", name, "--by", "0.05,0,0", "--out", tmp_path / "moved") == EXIT_OK
+    assert run("move", inferred, *SMALL, "--object", name, "--by", "0.05,0,0", "--out", tmp_path / "moved") == EXIT_OK
     moved = load_scene(tmp_path / "moved")
     torch.testing.assert_close(moved.center[:, 0, 0], before.center[:, 0, 0] + 0.05)
-    assert run("add", tmp_path / "moved", "--object", name, "--by=-0.1,0,0", "--out", tmp_path / "added") == EXIT_OK
+    assert (
+        run("add", tmp_path / "moved", *SMALL, "--object", name, "--by=-0.1,0,0", "--out", tmp_path / "added")
+        == EXIT_OK
+    )
     assert load_scene(tmp_path / "added").ids == (*before.ids, max(before.ids) + 1)
-    assert run("remove", tmp_path / "added", "--object", name, "--out", tmp_path / "removed") == EXIT_OK
+    assert run("remove", tmp_path / "added", *SMALL, "--object", name, "--out", tmp_path / "removed") == EXIT_OK
     assert name not in load_scene(tmp_path / "removed").ids
-    assert run("rotate", inferred, "--object", name, "--degrees", 90, "--out", tmp_path / "turned") == EXIT_OK
+    assert run("rotate", inferred, *SMALL, "--object", name, "--degrees", 90, "--out", tmp_path / "turned") == EXIT_OK
     pair = ["--objects", name, max(before.ids) + 1]
-    assert run("swap", tmp_path / "added", *pair, "--out", tmp_path / "swapped") == EXIT_OK
+    assert run("swap", tmp_path / "added", *SMALL, *pair, "--out", tmp_path / "swapped") == EXIT_OK
     other = ["--object", name, "--from", inferred, "--to", "0,0,0.05"]
-    assert run("add", tmp_path / "removed", *other, "--out", tmp_path / "put") == EXIT_OK
+    assert run("add", tmp_path / "removed", *SMALL, *other, "--out", tmp_path / "put") == EXIT_OK
     torch.testing.assert_close(load_scene(tmp_path / "put").center[0, -1], torch.tensor([0.0, 0.0, 0.05]))
 
 
 def test_turns_and_clips_are_animations(inferred: Path, tmp_path: Path, capsys):
-    assert run("render", inferred, "--turntable", 3, "--resolution", "16x16", "--out", tmp_path / "turn.gif") == EXIT_OK
+    assert run("render", inferred, "--turntable", 3, *SMALL, "--out", tmp_path / "turn.gif") == EXIT_OK
     # The one camera of `moving` never looked from there.
     assert re.search("In [12] of 3 pictures there is fog before the scene", capsys.readouterr().out)
-    assert run("render", inferred, "--clip", "--resolution", "16x16", "--out", tmp_path / "clip.gif") == EXIT_OK
-    for name, frames in (("turn.gif", 3), ("clip.gif", 10)):
+    assert run("render", inferred, "--clip", *SMALL, "--out", tmp_path / "clip.gif") == EXIT_OK
+    for name, frames in (("turn.gif", 3), ("clip.gif", 4)):
         with Image.open(tmp_path / name) as animation:
             assert animation.n_frames == frames  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_a_clear_turn_is_not_said_to_have_fog(inferred: Path, tmp_path: Path, capsys):
-    assert run("render", inferred, "--turntable", 1, "--resolution", "16x16", "--out", tmp_path / "turn.gif") == EXIT_OK
+    assert run("render", inferred, "--turntable", 1, *SMALL, "--out", tmp_path / "turn.gif") == EXIT_OK
     assert "fog" not in capsys.readouterr().out
 
 
@@ -195,7 +200,7 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["render", "SCENE", "--out", "a.jpg"], "expected a name that ends with .png"),
         (["render", "SCENE", "--turntable", "999", "--out", "a.gif"], "--turntable 999: expected 1 to 360"),
         (["render", "SCENE", "--turntable", "0", "--out", "a.gif"], "--turntable 0: expected 1 to 360"),
-        (["render", "SCENE", "--frame", "10", "--out", "a.png"], "--frame 10: expected 0 to 9"),
+        (["render", "SCENE", "--frame", "4", "--out", "a.png"], "--frame 4: expected 0 to 3"),
         (["render", "SCENE", "--view", "1", "--out", "a.png"], "--view 1: expected 0"),
         (["render", "SCENE", "--out", "a.gif"], "ends with .png, or --turntable or --clip for an animation"),
         (["render", "SCENE", "--clip", "--frame", "0", "--out", "a.gif"], "leave out --turntable and --frame, or it"),
@@ -271,7 +276,7 @@ FRAMES = ["--rgb", "nowhere", "--depth", "nowhere", "--intrinsics", "60,60,32,32
             ["sample", "--checkpoint", MODEL, "--camera", "SCENE", "--prior", "flow"],
             "obpose-edit fit-prior --kind flow",
         ),
-        (["render", "SCENE", "--frame", "10"], "--frame 10: expected 0 to 9"),
+        (["render", "SCENE", "--frame", "4"], "--frame 4: expected 0 to 3"),
         (["render", "SCENE", "--resolution", "9"], "expected WIDTHxHEIGHT"),
         (["render", "nowhere"], "nowhere holds no scene"),
         (["mesh", "SCENE", "--object", "9"], "no object 9"),

@@ -15,21 +15,11 @@ from obpose.scenes.priors import examples, gaussian, train_flow
 from obpose.scenes.priors.flow_prior import save_flow
 from obpose.scenes.priors.gaussian import load_gaussian, save_gaussian
 from obpose.scenes.priors.learned import learned_prior
+from obpose.scenes.scene import Scene
 from obpose.scenes.storage import load_scene
-from tests.obpose.commands.test_edit import MODEL, run
+from tests.obpose.commands.test_edit import MODEL, SMALL, run
 from tests.obpose.scenes.small_scenes import dense_flow, equal
 from tests.worlds import generated
-
-
-@pytest.mark.parametrize("prior", ["learned", "gaussian"])
-def test_a_scene_is_sampled_as_its_seed_says(inferred: Path, own_model: Path, tmp_path: Path, prior: str):
-    for out in ("one", "again"):
-        flags = ["--checkpoint", own_model, "--camera", inferred, "--prior", prior, "--seed", 3, "--objects", 2]
-        assert run("sample", *flags, "--out", tmp_path / out) == EXIT_OK
-    one, again = load_scene(tmp_path / "one"), load_scene(tmp_path / "again")
-    assert one.ids == (1, 2)
-    assert torch.equal(one.what, again.what)
-    assert (tmp_path / "one" / "picture.png").read_bytes() == (tmp_path / "again" / "picture.png").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -42,35 +32,42 @@ def own_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_flow_is_what_scenes_are_sampled_from_where_there_is_one(
-    inferred: Path, own_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    origin = load_origin(str(own_model))
-    flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 2]
-    assert run("sample", *flags, "--out", tmp_path / "before") == EXIT_OK
-    assert not load_scene(tmp_path / "before").appearance.detail.any()
-    save_flow(origin, dense_flow(LATENT))
-    for out in ("one", "again"):
-        assert run("sample", *flags, "--prior", "flow", "--out", tmp_path / out) == EXIT_OK
-    assert run("sample", *flags, "--out", tmp_path / "default") == EXIT_OK
-    one, again, default = (load_scene(tmp_path / name) for name in ("one", "again", "default"))
-    assert one.appearance.detail.flatten(1).any(dim=1).all()
-    assert equal(one, again)
-    assert equal(one, default)
-    flags = ["--checkpoint", own_model, "--objects", 0]
-    assert run("sample", *flags, "--prior", "gaussian", "--out", tmp_path / "fitted") == EXIT_OK
-    assert (load_scene(tmp_path / "fitted").cameras[0].width, len(load_scene(tmp_path / "fitted").ids)) == (128, 0)
-    flags = ["--checkpoint", own_model, "--camera", inferred, "--objects", 1]
-    assert run("sample", *flags, "--prior", "gaussian", "--out", tmp_path / "gaussian") == EXIT_OK
-    assert not load_scene(tmp_path / "gaussian").appearance.detail.any()
+def test_scenes_are_sampled_as_prior_and_seed_say(inferred: Path, own_model: Path, tmp_path: Path):
+    def sample(out: str, *flags: object) -> Scene:
+        command = ("sample", "--checkpoint", own_model, "--camera", inferred, "--objects", 2, "--seed", 3)
+        assert run(*command, *SMALL, *flags, "--out", tmp_path / out) == EXIT_OK
+        return load_scene(tmp_path / out)
+
+    # The best prior that there is, is the default.
+    gaussian = sample("one")
+    assert gaussian.ids == (1, 2)
+    assert not gaussian.appearance.detail.any()
+    assert equal(gaussian, sample("again", "--prior", "gaussian"))
+    assert (tmp_path / "one" / "picture.png").read_bytes() == (tmp_path / "again" / "picture.png").read_bytes()
+    assert not equal(gaussian, sample("learned", "--prior", "learned"))
+    save_flow(load_origin(str(own_model)), dense_flow(LATENT))
+    flow = sample("flow")
+    assert flow.appearance.detail.flatten(1).any(dim=1).all()
+    assert equal(flow, sample("flow again", "--prior", "flow"))
+    # Without a scene there is a camera of the program's.
+    flags = ["--checkpoint", own_model, "--objects", 0, "--prior", "gaussian", *SMALL]
+    assert run("sample", *flags, "--out", tmp_path / "empty") == EXIT_OK
+    assert (load_scene(tmp_path / "empty").cameras[0].width, len(load_scene(tmp_path / "empty").ids)) == (128, 0)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clips to fit priors to."""
+    folder = tmp_path_factory.mktemp("clips") / "data"
+    generate(folder, generated.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
+    return folder
 
 
 def test_a_prior_is_fitted_beside_the_weights_and_takes_no_other_one_s_place(
-    own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    own_model: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(gaussian, "STEPS", 1)
-    data, folder = tmp_path / "data", tmp_path / "own"
-    generate(data, generated.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
+    folder = tmp_path / "own"
     shutil.copytree(own_model, folder)
     before = (folder / "prior.safetensors").read_bytes()
     assert run("fit-prior", "--checkpoint", folder, "--data", data) == EXIT_USAGE
@@ -85,14 +82,12 @@ def test_a_prior_is_fitted_beside_the_weights_and_takes_no_other_one_s_place(
 
 
 def test_a_flow_is_learned_beside_the_weights(
-    own_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    own_model: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(examples, "STEPS", 1)
     monkeypatch.setattr(train_flow, "COMPARED", 8)
     monkeypatch.setattr(train_flow, "BATCH", 4)
     monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1)
-    data = tmp_path / "data"
-    generate(data, generated.recipe(frames=2), splits={"train": 2}, resolution=(64, 64))
     folder = tmp_path / "own"
     shutil.copytree(own_model, folder, ignore=shutil.ignore_patterns("flow.safetensors"))
     flags = ["--checkpoint", folder, "--data", data, "--workers", 1]

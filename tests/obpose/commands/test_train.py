@@ -218,15 +218,15 @@ def test_two_processes_train_the_model_as_one_does_with_the_doubled_batch(tmp_pa
     data = write_dataset(tmp_path / "spheres", scenes=4, frames=3, size=(24, 16))
     launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2")
     all_rays = ("--set", "train.rays=0", "--set", "train.warmup=8")
-    one = losses_of(training(data, tmp_path / "one", more=(*all_rays, "--set", "train.batch=2"), steps=40))
-    two = losses_of(training(data, tmp_path / "two", *launcher, more=all_rays, steps=40))
-    assert load(tmp_path / "two", build_obpose)[2]["step"] == 40
-    assert len(one) == len(two) == 40
+    one = losses_of(training(data, tmp_path / "one", more=(*all_rays, "--set", "train.batch=2"), steps=24))
+    two = losses_of(training(data, tmp_path / "two", *launcher, more=all_rays, steps=24))
+    assert load(tmp_path / "two", build_obpose)[2]["step"] == 24
+    assert len(one) == len(two) == 24
     for name in ("total", "colour", "gradient_norm"):
         assert two[0][name] == pytest.approx(one[0][name], rel=0.02)
-    for step in range(40):
+    for step in range(24):
         assert two[step]["total"] == pytest.approx(one[step]["total"], rel=0.15)
-    late = [mean(row["total"] for row in rows[20:]) for rows in (one, two)]
+    late = [mean(row["total"] for row in rows[12:]) for rows in (one, two)]
     assert late[1] == pytest.approx(late[0], rel=0.04)
 
 
@@ -239,7 +239,7 @@ def losses_of(process: subprocess.Popen[str]) -> list[dict[str, float]]:
         return [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(file)]
 
 
-def training(data: Path, out: Path, *python: str, more: tuple[str, ...] = (), steps: int = 60) -> subprocess.Popen[str]:
+def training(data: Path, out: Path, *python: str, more: tuple[str, ...] = (), steps: int = 30) -> subprocess.Popen[str]:
     """The command in a process of its own, with these options of Python's before its module."""
     flags = ["--data", str(data), "--steps", str(steps), "--out", str(out), *SETTINGS, *more]
     return subprocess.Popen(

@@ -102,7 +102,7 @@ def test_depth_is_the_sensors_where_there_is_one(sensor: Path):
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-@pytest.mark.parametrize("start", ["spawn", "fork"])
+@pytest.mark.parametrize("start", [pytest.param("spawn", marks=pytest.mark.slow), "fork"])
 def test_loader_workers_give_what_one_process_gives(video: Path, start: str):
     dataset = SceneDataset(video, frames=2, window="random")
     dataset[0]  # files open in this process must not disturb the workers

@@ -1,5 +1,4 @@
 import csv
-import os
 import signal
 import subprocess
 import sys
@@ -270,20 +269,27 @@ def test_signals_are_left_alone_without_a_folder():
     assert set(seen) == {before}
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a run that nothing ended."""
+    folder = tmp_path_factory.mktemp("unbroken") / "whole"
+    toy_process(folder, steps=30)
+    return folder
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("number", "code", "saved"), [(signal.SIGTERM, 130, 8), (signal.SIGKILL, -9, 0)])
-def test_a_process_that_is_ended_goes_on_exactly(tmp_path: Path, number: int, code: int, saved: int):
-    toy_process(tmp_path / "whole", steps=30)
+def test_a_process_that_is_ended_goes_on_exactly(whole: Path, tmp_path: Path, number: int, code: int, saved: int):
     table = tmp_path / "parts" / "training.csv"
     toy_process(tmp_path / "parts", steps=30, seconds=0.1, meanwhile=ending(table, number), code=code)
     assert saved <= int(load(tmp_path / "parts", QuietToy)[2]["step"]) < 30
     toy_process(tmp_path / "parts", steps=30)
-    first, second = (load(tmp_path / name, QuietToy)[0].state_dict() for name in ("whole", "parts"))
+    first, second = (load(folder, QuietToy)[0].state_dict() for folder in (whole, tmp_path / "parts"))
     for name, value in first.items():
         assert torch.equal(value, second[name]), name
     for name in ("training.csv", "validation.csv"):
-        one, other = ([{**row, "seconds": ""} for row in rows(tmp_path / run / name)] for run in ("whole", "parts"))
+        one, other = ([{**row, "seconds": ""} for row in rows(run / name)] for run in (whole, tmp_path / "parts"))
         assert one == other
 
 
@@ -327,15 +333,14 @@ def toy_process(
 ) -> None:
     """Train in a process of its own, which must end with that exit code."""
     command = [*python, "-m", "tests.obpose.toy", str(folder), str(steps), str(batch), str(seconds)]
-    environment = {"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"}
+    environment = {"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
     process = subprocess.Popen(
         command, cwd=ROOT, env=environment, text=True, stderr=subprocess.PIPE, start_new_session=True
     )
     try:
         meanwhile(process)
-    except BaseException:
-        os.killpg(process.pid, signal.SIGKILL)
+    except AssertionError:
+        assert not errors_at_end(process, seconds=0)
         raise
-    finally:
-        errors = errors_at_end(process)
+    errors = errors_at_end(process)
     assert process.returncode == code, errors
