@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.layers.numerics import full_precision
-from obpose.types import Observation, Rays
+from obpose.types import Observation, RayPoints, Rays
 
 _DEPTH_OF_NOTHING = 1.0
 """Depth in metres of rays without one, which no loss counts."""
@@ -143,7 +143,7 @@ def _rays(observation: Observation, index: Tensor) -> Rays:
     )
 
 
-def _pick(values: Float[Tensor, "batch frame place 3"], index: Tensor) -> Float[Tensor, "batch frame ray 3"]:
+def _pick(values: Float[Tensor, "batch frame place 3"], index: Tensor) -> RayPoints:
     return values.gather(-2, repeat(index, "b f ray -> b f ray 3"))
 
 

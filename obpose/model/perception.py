@@ -2,7 +2,7 @@
 
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.config import ModelConfig, Views
@@ -10,7 +10,7 @@ from obpose.data.clips import Observed, random_view
 from obpose.model.attention.heads import Heads
 from obpose.model.attention.upsample import masks_at
 from obpose.model.backbone import Backbone
-from obpose.types import Embeddings, Masks, Observation
+from obpose.types import Embeddings, GridValid, Masks, Observation
 
 Points = Float[Tensor, "batch frame view height width 3"]
 
@@ -54,7 +54,7 @@ def embed(
 
 
 def log_masks_at_pixels(
-    masks: Masks, valid: Bool[Tensor, "batch frame point"], observation: Observation, *, grid: tuple[int, int]
+    masks: Masks, valid: GridValid, observation: Observation, *, grid: tuple[int, int]
 ) -> Float[Tensor, "batch frame component pixel"]:
     """Log of the masks at every pixel of all views; `grid` are rows and columns of the embedding grid of an image."""
     batch, frames, views, height, width = observation.depth.shape
@@ -66,7 +66,7 @@ def log_masks_at_pixels(
 
 @torch.no_grad()
 def pixel_owners(
-    masks: Masks, valid: Bool[Tensor, "batch frame point"], observation: Observation, *, grid: tuple[int, int]
+    masks: Masks, valid: GridValid, observation: Observation, *, grid: tuple[int, int]
 ) -> Int[Tensor, "batch frame view height width"]:
     """Component with the largest attention mask at each pixel; 0 for pixels without depth."""
     owners = log_masks_at_pixels(masks, valid, observation, grid=grid).argmax(dim=2)

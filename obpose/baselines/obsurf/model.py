@@ -24,7 +24,7 @@ from obpose.model.attention.summary import not_largest
 from obpose.model.nerf.along import NEAR_SHARE
 from obpose.model.nerf.points import air_points, surface_points
 from obpose.trainable import Trainable
-from obpose.types import Observation, Rays, Segmentation
+from obpose.types import Observation, RayPoints, Rays, Segmentation
 
 JITTER = 0.07
 """Distance behind the surface up to which fields are fitted, units of planar depth. [code: along the ray]"""
@@ -168,7 +168,7 @@ class Obsurf(Trainable):
         return {"total": total, **{name: term.detach() for name, term in terms.items()}}
 
     def _densities(
-        self, encoded: Encoded, points: Float[Tensor, "batch frame ray 3"]
+        self, encoded: Encoded, points: RayPoints
     ) -> tuple[Float[Tensor, "batch frame slot ray"], Float[Tensor, "image slot ray hidden"]]:
         """Compute density logits of all slots at world points, and hidden values for colours."""
         model = self.config.model
@@ -178,7 +178,7 @@ class Obsurf(Trainable):
         return rearrange(logits, "(b f) slot ray -> b f slot ray", b=len(points)), hidden
 
     def _colours(
-        self, encoded: Encoded, hidden: Tensor, points: Float[Tensor, "batch frame ray 3"], rays: Rays
+        self, encoded: Encoded, hidden: Tensor, points: RayPoints, rays: Rays
     ) -> Float[Tensor, "batch frame slot ray 3"]:
         """Compute colours of all slots, with the input image's features at the points' pixels; 0 behind the camera."""
         flat = rearrange(points, "b f ray xyz -> (b f) ray xyz")

@@ -3,13 +3,14 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import log_softmax, pad
 
 from obpose.config import ModelConfig
 from obpose.model.backbone import EMBEDDING
 from obpose.model.layers.mlp import Linear, mlp
+from obpose.types import GridPoints, GridValid, Prescope
 
 COLOUR = 8
 """D_c: channels of the colour embeddings, which the attention clusters. The position is added to three of them, the
@@ -27,7 +28,7 @@ class HeadOutputs(NamedTuple):
     """zeta_c, for the IC-SBP; without channels for slot attention."""
     features: Float[Tensor, "batch frame point feature"]
     """zeta_f for the other encoders, and the standardised colours if wanted; without channels if there is no head."""
-    log_prescope: Float[Tensor, "batch frame point 2"] | None
+    log_prescope: Prescope | None
     """Log of s^p: the background's mask, then the scope s_0 that the objects share. None without a background."""
 
 
@@ -67,9 +68,9 @@ class Heads(nn.Module):
 
     def forward(
         self,
-        points: Float[Tensor, "batch frame point 3"],
-        valid: Bool[Tensor, "batch frame point"],
-        rgb: Float[Tensor, "batch frame point 3"],
+        points: GridPoints,
+        valid: GridValid,
+        rgb: GridPoints,
         embedding: Float[Tensor, "batch frame point embedding"],
         *,
         center: Float[Tensor, "3"],

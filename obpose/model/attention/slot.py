@@ -18,7 +18,7 @@ from obpose.model.attention.interface import EXCLUDED, Attended, Attention
 from obpose.model.attention.summary import mean_under
 from obpose.model.layers.mlp import mlp, pass_on
 from obpose.model.nerf.field import positional_encoding
-from obpose.types import Embeddings, Masks
+from obpose.types import ComponentMasks, Embeddings, GridValid, Masks
 
 ITERATIONS = 3
 """Iterations in each frame. [code]"""
@@ -159,9 +159,7 @@ class SlotAttention(Attention):
         return queries @ keys.mT * self._width**-0.5
 
 
-def _masks(
-    logits: Float[Tensor, "batch frame component point"], valid: Bool[Tensor, "batch frame point"], *, background: bool
-) -> Masks:
+def _masks(logits: ComponentMasks, valid: GridValid, *, background: bool) -> Masks:
     """Masks like those of the IC-SBP: the background comes first in any case, and has the invalid points."""
     there = rearrange(valid, "b f point -> b f 1 point")
     log_masks = logits.log_softmax(dim=2).masked_fill(~there, EXCLUDED)

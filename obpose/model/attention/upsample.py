@@ -4,9 +4,11 @@ import math
 
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import grid_sample
+
+from obpose.types import ComponentMasks, ComponentRays, GridValid
 
 _SMALLEST = -80.0
 """Log masks are not below this: e^-80 is about the smallest probability in single precision."""
@@ -16,13 +18,13 @@ _INVALID = 1e-20
 
 
 def masks_at(
-    log_masks: Float[Tensor, "batch frame component point"],
-    valid: Bool[Tensor, "batch frame point"],
+    log_masks: ComponentMasks,
+    valid: GridValid,
     index: Int[Tensor, "batch frame ray"],
     *,
     grid: tuple[int, int, int],
     size: tuple[int, int],
-) -> Float[Tensor, "batch frame component ray"]:
+) -> ComponentRays:
     """Log of the masks at the pixels `index`, counted through all views, by bilinear interpolation of the masks.
 
     `grid` is (view, height, width) of the points, `size` (height, width) of the image. Invalid cells are left out, and

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from obpose.model.nerf.components import Colours
 from obpose.model.nerf.points import air_points, surface_points
-from obpose.types import Decoded, Rays
+from obpose.types import Decoded, RayPoints, Rays, RayValues
 
 JITTER = 0.01
 """Distance behind the surface up to which colour and density are fitted, metres of planar depth. [code]"""
@@ -21,12 +19,7 @@ NEAR_SHARE = 0.98
 class Decode(Protocol):
     """Function from world points to densities, and colours if requested."""
 
-    def __call__(
-        self,
-        points: Float[Tensor, "batch frame ray 3"],
-        directions: Float[Tensor, "batch frame ray 3"],
-        colours: Colours,
-    ) -> Decoded:
+    def __call__(self, points: RayPoints, directions: RayPoints, colours: Colours) -> Decoded:
         """Evaluate all components, or some."""
         ...
 
@@ -39,7 +32,7 @@ class FieldsAlongRays:
     surface: Decoded
     """Densities and colours."""
     air: Decoded
-    inverse_rho: Float[Tensor, "batch frame ray"]
+    inverse_rho: RayValues
     """1 / rho_air at the points in the air, metres."""
 
 

@@ -14,7 +14,7 @@ from obpose.geometry import to_box
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.detail import Detail
 from obpose.model.nerf.field import Field
-from obpose.types import Boxes, Decoded
+from obpose.types import Active, Boxes, Decoded, RayPoints
 
 Colours = Literal["with", "without"]
 Background = Literal["everywhere", "in boxes"]
@@ -53,7 +53,7 @@ class Fields:
 class Codes:
     """Latents of a scene, and boxes of its objects."""
 
-    active: Bool[Tensor, "batch slot"]
+    active: Active
     what: Float[Tensor, "batch frame slot latent"]
     background: Float[Tensor, "batch frame background"] | None
     boxes: Boxes | None
@@ -79,8 +79,8 @@ class InBox:
 def decode(
     fields: Fields,
     codes: Codes,
-    points: Float[Tensor, "batch frame ray 3"],
-    directions: Float[Tensor, "batch frame ray 3"],
+    points: RayPoints,
+    directions: RayPoints,
     *,
     colours: Colours,
     where_background: Background = "everywhere",
@@ -130,8 +130,8 @@ def _in_boxes(
 def decode_background(
     fields: Fields,
     z_background: Float[Tensor, "batch frame background"] | None,
-    points: Float[Tensor, "batch frame ray 3"],
-    directions: Float[Tensor, "batch frame ray 3"],
+    points: RayPoints,
+    directions: RayPoints,
     *,
     colours: Colours,
     only: Int[Tensor, " n"] | None = None,
@@ -159,13 +159,7 @@ def decode_background(
     return Decoded(everywhere(logits), None if found is None else everywhere(found))
 
 
-def points_in_boxes(
-    points: Float[Tensor, "batch frame ray 3"],
-    boxes: Boxes,
-    active: Bool[Tensor, "batch slot"],
-    *,
-    floor: float | None = None,
-) -> InBox:
+def points_in_boxes(points: RayPoints, boxes: Boxes, active: Active, *, floor: float | None = None) -> InBox:
     """Find the points above the floor that lie in boxes of active slots, box by box."""
     # Object-frame coordinates (paper, eq. transform).
     in_box = to_box(points[:, :, None], boxes.center, boxes.rotation, boxes.size)
@@ -179,9 +173,7 @@ def points_in_boxes(
     return InBox(in_box.flatten(0, 3)[index], index, owner, owner // slots * rays + index % rays)
 
 
-def in_box_directions(
-    directions: Float[Tensor, "batch frame ray 3"], boxes: Boxes, inside: InBox
-) -> Float[Tensor, "n 3"]:
+def in_box_directions(directions: RayPoints, boxes: Boxes, inside: InBox) -> Float[Tensor, "n 3"]:
     """View directions of points in boxes, in the frames of the boxes: R^-1 d."""
     rotation = rearrange(boxes.rotation, "b f s i j -> (b f s) i j")[inside.owner]
     return torch.einsum("ni,nij->nj", directions.flatten(0, 2)[inside.ray], rotation)

@@ -21,9 +21,7 @@ _EXPONENTIAL = -20.0
 """Logit below which softplus equals the exponential in single precision."""
 
 
-def log_density(
-    logits: Float[Tensor, "*shape component ray"],
-) -> Float[Tensor, "*shape ray"]:
+def log_density(logits: Float[Tensor, "*shape component ray"]) -> Float[Tensor, "*shape ray"]:
     """Log of the joint density over sigma_max (paper, eq. apex_norm): log tanh(sum_k softplus(sigma_k)).
 
     Finite, with a gradient that does not vanish where the density does, for all logits.
@@ -31,9 +29,7 @@ def log_density(
     return _log_tanh_exp(log_sum_exp(_log_softplus(logits), dim=-2))
 
 
-def log_share(
-    logits: Float[Tensor, "*shape component ray"],
-) -> Float[Tensor, "*shape component ray"]:
+def log_share(logits: Float[Tensor, "*shape component ray"]) -> Float[Tensor, "*shape component ray"]:
     """Log of each component's density over sigma_max (paper, eq. apex_norm): log(tanh(.) softmax_k(sigma_k))."""
     return log_density(logits)[..., None, :] + torch.log_softmax(logits, dim=-2)
 
@@ -68,8 +64,7 @@ def air_density(
 
 
 def mean_colour(
-    logits: Float[Tensor, "*shape component ray"],
-    colours: Float[Tensor, "*shape component ray 3"],
+    logits: Float[Tensor, "*shape component ray"], colours: Float[Tensor, "*shape component ray 3"]
 ) -> Float[Tensor, "*shape ray 3"]:
     """Colour of the composed scene (paper, after eq. apex_norm), sum_k sigma_hat_k c_k / sigma_max; black if empty."""
     return (log_share(logits).exp()[..., None] * colours).sum(dim=-3)

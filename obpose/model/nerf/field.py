@@ -104,10 +104,7 @@ class Field(nn.Module):
         return logit if self.config.density == "raw" else squash(logit), Hidden(hidden, correction)
 
     def colour(
-        self,
-        hidden: Hidden,
-        directions: Float[Tensor, "*points 3"],
-        codes: Conditioning,
+        self, hidden: Hidden, directions: Float[Tensor, "*points 3"], codes: Conditioning
     ) -> Float[Tensor, "*value 3"]:
         """Colours in 0..1 along unit directions."""
         encoded = positional_encoding(directions, self.config.direction_frequencies)

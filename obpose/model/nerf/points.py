@@ -1,22 +1,19 @@
 """Points along rays: at the observed surface and in the air before it (paper, L_obs)."""
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
-from obpose.types import Rays
+from obpose.types import RayPoints, Rays, RayValues
 
 
-def surface_points(rays: Rays, jitter: float, generator: torch.Generator | None) -> Float[Tensor, "batch frame ray 3"]:
+def surface_points(rays: Rays, jitter: float, generator: torch.Generator | None) -> RayPoints:
     """Draw points uniformly up to `jitter` metres of planar depth behind the observed surface."""
     if jitter == 0:
         return _at_depth(rays, rays.depth)
     return _at_depth(rays, rays.depth + jitter * _uniform(rays, generator))
 
 
-def air_points(
-    rays: Rays, near_share: float, generator: torch.Generator | None
-) -> tuple[Float[Tensor, "batch frame ray 3"], Float[Tensor, "batch frame ray"]]:
+def air_points(rays: Rays, near_share: float, generator: torch.Generator | None) -> tuple[RayPoints, RayValues]:
     """Draw a point before the surface of each ray; also give 1 / rho_air, in metres of planar depth.
 
     With equal probability, it lies uniformly in the first `near_share` of the depth or in the rest, next to the

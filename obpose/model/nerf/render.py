@@ -9,25 +9,25 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.nerf.compose import solid_share
-from obpose.types import Decoded
+from obpose.types import ComponentRays, Decoded, RayPoints, RayValues
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
     """Rendered image, ray by ray."""
 
-    colour: Float[Tensor, "batch frame ray 3"]
+    colour: RayPoints
     """0..1, on a black background."""
-    depth: Float[Tensor, "batch frame ray"]
+    depth: RayValues
     """Mean planar depth of the light's origin; `far` for light from beyond."""
-    weights: Float[Tensor, "batch frame component ray"]
+    weights: ComponentRays
     """Share of the light that comes from each component; together the opacity."""
 
 
 def render(
-    decode: Callable[[Float[Tensor, "batch frame ray 3"], Float[Tensor, "batch frame ray 3"]], Decoded],
-    origin: Float[Tensor, "batch frame ray 3"],
-    direction: Float[Tensor, "batch frame ray 3"],
+    decode: Callable[[RayPoints, RayPoints], Decoded],
+    origin: RayPoints,
+    direction: RayPoints,
     *,
     near: float,
     far: float,

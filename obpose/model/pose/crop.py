@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import to_box
-from obpose.types import Boxes
+from obpose.types import Boxes, GridPoints, GridValid, SlotMasks
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,10 @@ class BoxSamples:
 
 
 def gather_box(
-    points: Float[Tensor, "batch frame point 3"],
-    valid: Bool[Tensor, "batch frame point"],
+    points: GridPoints,
+    valid: GridValid,
     features: Float[Tensor, "batch frame point feature"],
-    log_masks: Float[Tensor, "batch frame slot point"],
+    log_masks: SlotMasks,
     boxes: Boxes,
     *,
     samples: int,
@@ -63,7 +63,7 @@ def _to_boxes(points: Tensor, boxes: Boxes) -> Float[Tensor, "batch frame slot p
 
 
 def _largest(
-    log_masks: Float[Tensor, "batch frame slot point"], inside: Bool[Tensor, "batch frame slot point"], samples: int
+    log_masks: SlotMasks, inside: Bool[Tensor, "batch frame slot point"], samples: int
 ) -> tuple[Int[Tensor, "batch frame slot sample"], Bool[Tensor, "batch frame slot sample"]]:
     count = min(samples, log_masks.shape[-1])
     best = log_masks.masked_fill(~inside, -torch.inf).topk(count, dim=-1, sorted=False)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.model.layers.numerics import full_precision, sharpen
+from obpose.types import ComponentMasks, GridPoints, GridValid, SlotMasks
 
 MIN_POINTS = 1
 """A slot keeps its location from the previous frame if it has the largest mask at fewer points of the embedding grid.
@@ -18,12 +19,7 @@ MIN_POINTS = 1
 @torch.no_grad()
 @full_precision
 def observed_center(
-    log_masks: Float[Tensor, "batch frame component point"],
-    points: Float[Tensor, "batch frame point 3"],
-    valid: Bool[Tensor, "batch frame point"],
-    *,
-    exponent: float,
-    min_points: int = MIN_POINTS,
+    log_masks: ComponentMasks, points: GridPoints, valid: GridValid, *, exponent: float, min_points: int = MIN_POINTS
 ) -> Float[Tensor, "batch frame slot 3"]:
     """T, world frame, metres: mean of the observed points weighted by a power of the slot's soft mask.
 
@@ -41,9 +37,7 @@ def observed_center(
     return center.gather(1, repeat(_last_seen(seen), "b f slot -> b f slot 3"))
 
 
-def count_points(
-    log_masks: Float[Tensor, "batch frame component point"], valid: Bool[Tensor, "batch frame point"]
-) -> Int[Tensor, "batch frame slot"]:
+def count_points(log_masks: ComponentMasks, valid: GridValid) -> Int[Tensor, "batch frame slot"]:
     """N_k: number of observed points at which the slot's mask is the largest."""
     # On a CPU the indices of max are eight times as fast as argmax.
     owner = log_masks.max(dim=2).indices.masked_fill(~valid, 0)
@@ -52,10 +46,7 @@ def count_points(
 
 
 def _soft_mean(
-    log_masks: Float[Tensor, "batch frame slot point"],
-    points: Float[Tensor, "batch frame point 3"],
-    valid: Bool[Tensor, "batch frame point"],
-    exponent: float,
+    log_masks: SlotMasks, points: GridPoints, valid: GridValid, exponent: float
 ) -> Float[Tensor, "batch frame slot 3"]:
     """Weighted mean by a softmax over the points, which is stable for small masks; 0 without observed points."""
     unobserved = rearrange(~valid, "b f point -> b f 1 point")

@@ -213,9 +213,7 @@ def _improve(
 
 
 def _nearest(
-    rotation: Float[Tensor, "box candidate 3 3"],
-    small: Bool[Tensor, "box candidate"],
-    before: Float[Tensor, "box 3 3"],
+    rotation: Float[Tensor, "box candidate 3 3"], small: Bool[Tensor, "box candidate"], before: Float[Tensor, "box 3 3"]
 ) -> Float[Tensor, "box 3 3"]:
     """Choose among the 24 orientations of each `small` box the one with the largest trace of before^-1 R.
 
