@@ -18,6 +18,7 @@ from obpose.geometry import from_box
 from obpose.model.nerf.along import JITTER
 from obpose.model.nerf.field import Conditioning
 from obpose.model.obpose import ObPose
+from obpose.pictures import to_bytes
 from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene
 
@@ -80,7 +81,7 @@ def object_mesh(
     mesh.fix_normals()
     outwards = torch.from_numpy(np.array(mesh.vertex_normals)).to(lattice.dtype) @ rotation
     colours = _colours(model, codes, in_box, outwards, behind=2 * JITTER / settings.pose.box_size)
-    mesh.visual = ColorVisuals(mesh, vertex_colors=_bytes(colours))
+    mesh.visual = ColorVisuals(mesh, vertex_colors=to_bytes(colours))
     return mesh
 
 
@@ -129,7 +130,3 @@ def _colours(
     inwards = -F.normalize(outwards, dim=-1)
     _, hidden = model.object_field.density(points + behind * inwards, codes)
     return model.object_field.colour(hidden, inwards, codes)
-
-
-def _bytes(colours: Float[Tensor, "vertex 3"]) -> np.ndarray:
-    return (colours.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
