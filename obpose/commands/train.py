@@ -9,10 +9,12 @@ torchrun --nproc-per-node 2 -m benchmark.commands.train --track moving       two
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import tyro
 from rich.console import Console
 
 from datagen.console.command_line import Command, run_command
@@ -21,7 +23,6 @@ from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
 from datagen.storage.atomic import check_no_dataset
 from datagen.tracks import DataFolder, Track, find_track
-from obpose.commands.train_arguments import Train
 from obpose.config import TrainConfig
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
@@ -30,6 +31,42 @@ from obpose.systems import System, find_system, slots_for
 
 if TYPE_CHECKING:
     from obpose.training.validation import Score
+
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a model without labels; the same command resumes a stopped run."""
+
+    track: str | None = None
+    """Name of a track of obpose-bench; its dataset is made on first use."""
+    data: Path | None = None
+    """Folder of a dataset, instead of a track."""
+    variant: str = "obpose"
+    """Name of the system; obpose/systems.py lists them."""
+    profile: str = "cpu"
+    """Size of the model and of the track's images: cpu, gpu or paper."""
+    minutes: float | None = None
+    """Budget in minutes of CPU time (wall time on a GPU), by default the profile's. Validating, drawing and saving do
+    not count."""
+    steps: int | None = None
+    """Budget in steps, instead of minutes."""
+    seed: int = 0
+    """Seed of weights, order of clips, and noise."""
+    out: Path | None = None
+    """The run's folder; default runs/VARIANT-PROFILE-DATA-seedS."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Any other value of the model's configuration, such as model.pose.box_size=0.3; can be given many times."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """`auto`: a GPU if there is one."""
+    threads: int = 1
+    """CPU threads; two runs with one thread each are faster than one run with two."""
+    workers: int = 2
+    """Processes that make the track's dataset."""
+    tensorboard: Switch = False
+    """Also write curves for TensorBoard; pip install 'obpose[tensorboard]'."""
+
 
 PROGRAM = "obpose-train"
 RUNS = Path("runs")

@@ -18,8 +18,7 @@ from torch import Tensor, nn
 
 from obpose.config import BackboneConfig
 from obpose.model.layers.grid import Grid, Windows, all_places, on_grid, subsample, upsample, windows
-from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import KPConv, influence
+from obpose.model.layers.kpconv import KPConv, influence, kernel_points
 from obpose.model.layers.mlp import Linear
 
 WIDTHS = (16, 32, 64, 64)

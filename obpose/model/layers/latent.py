@@ -1,18 +1,19 @@
 """Latents of a clip: a recurrent posterior over codes, and a recurrent prior over earlier latents.
 
 Paper, section Object Location and Orientation Conditioned Encoding: q(z_t | x_<=t) and p(z_t | z_<t), each a GRU whose
-hidden state an MLP turns into a Gaussian.
+hidden state an MLP turns into a diagonal Gaussian.
 """
 
+import math
 from typing import Literal
 
 import torch
 from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.functional import softplus
 
 from obpose.config import LatentConfig, Weights
-from obpose.model.layers.gaussian import draw_gaussian, mean_and_std
 from obpose.model.layers.mlp import mlp, pass_on
 from obpose.types import Draw, Latent
 
@@ -110,3 +111,34 @@ class RecurrentLatent(nn.Module):
             return torch.cat([torch.zeros_like(z[:1]), mean]), torch.cat([torch.ones_like(z[:1]), std])
         first_mean, first_std = mean_and_std(first, typical_std=PRIOR_STD)
         return torch.cat([first_mean, mean]), torch.cat([first_std, std])
+
+
+SMALLEST_STD = 1e-4
+"""Smallest standard deviation, which keeps divergences finite."""
+
+
+def mean_and_std(
+    parameters: Float[Tensor, "*shape twice"], *, typical_std: float
+) -> tuple[Float[Tensor, "*shape latent"], Float[Tensor, "*shape latent"]]:
+    """Mean and standard deviation from the output of a network; they are 0 and `typical_std` for an output of 0.
+
+    The first half of the output is the mean, the other half goes through a shifted softplus. The authors' is not
+    shifted, so that 0.7 is typical.
+    """
+    mean, spread = parameters.chunk(2, dim=-1)
+    shift = math.log(math.expm1(typical_std))
+    return mean, softplus(spread + shift) + SMALLEST_STD
+
+
+def draw_gaussian(
+    mean: Float[Tensor, "*shape latent"],
+    std: Float[Tensor, "*shape latent"],
+    *,
+    draw: Draw,
+    generator: torch.Generator | None,
+) -> Float[Tensor, "*shape latent"]:
+    """Draw a reparametrised sample, mean + std * noise, or give the mean."""
+    if draw == "mean":
+        return mean
+    noise = torch.randn(mean.shape, generator=generator, device=mean.device, dtype=mean.dtype)
+    return mean + std * noise

@@ -18,8 +18,7 @@ from torch import Tensor, nn
 from torch.nn.functional import elu
 
 from obpose.config import LatentConfig
-from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import KPConv, influence
+from obpose.model.layers.kpconv import KPConv, influence, kernel_points
 from obpose.model.layers.mlp import mlp
 from obpose.model.layers.numerics import full_precision
 from obpose.model.nerf.field import positional_encoding
