@@ -103,13 +103,9 @@ class Backbone(nn.Module):
     ) -> BackboneOutput:
         """Compute embeddings of points with colours.
 
-        Args:
-            points: World frame, metres.
-            rgb: Colours in 0..1.
-            valid: Whether a pixel has a point.
-            spacing: Distance between neighbouring points of the full image, metres.
-            center: Middle of the workspace, metres.
-            workspace_radius: Radius of the scene's code, metres.
+        `points` are in the world frame, metres, `rgb` in 0..1, and `valid` says which pixels have a point. `spacing` is
+        the distance between neighbouring points of the full image, `center` the middle of the workspace, and
+        `workspace_radius` the radius of the scene's code, all in metres.
         """
         grid = Grid(points.masked_fill(~valid[..., None], 0).contiguous(), valid.contiguous())
         # Input: standardised colour and position in the workspace, 0 where there is no point.

@@ -26,10 +26,7 @@ def list_frames(paths: Sequence[Path], endings: Sequence[str], flag: str) -> lis
 
     Ignores subfolders and hidden files, such as the `._0.png` that macOS writes.
 
-    Args:
-        paths: Files, or one folder.
-        endings: File endings of frames in a folder, in lower case.
-        flag: The flag with these paths, for messages.
+    `endings` are those of frames in a folder, in lower case; `flag` names the paths in messages.
 
     Raises:
         UsageError: there are no files, or one does not exist.

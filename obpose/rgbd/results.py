@@ -49,13 +49,7 @@ def write_results(
 ) -> Path:
     """Write all files into a folder, numbered by frame, and give the path of the JSON file.
 
-    Args:
-        out: The folder.
-        recording: The segmented frames.
-        labels: Labels of all pixels, 0 = background.
-        objects: Objects of each frame.
-        pose: world_from_camera.
-        facts: Additional entries of the JSON file.
+    Labels are 0 for the background, `pose` is world_from_camera, and `facts` are additional entries of the JSON file.
     """
     frames = []
     for i, (image, frame_labels, frame_objects) in enumerate(zip(recording.rgb, labels, objects, strict=True)):

@@ -45,14 +45,9 @@ def object_mesh(
     The mesh is in the world frame, in metres. The faces of the object's box close it where the field reaches beyond
     them. The colour of a vertex is the field's as far behind it as it was trained, seen from outside.
 
-    Args:
-        model: The model of the scene.
-        scene: The scene.
-        name: Name of the object.
-        frame: Frame whose pose and code are used.
-        resolution: Points along each edge of the box at which the field is evaluated.
-        floor: Height in the world, metres, at which the mesh is cut: no camera saw what is below a table.
-        surface: Density at the surface, as a share of the largest.
+    The field is evaluated at `resolution` points along each edge of the box. The mesh is cut at the height `floor` in
+    the world, metres, because no camera saw what is below a table. `surface` is the density there, as a share of the
+    largest.
 
     Raises:
         UsageError: there is no such object, or it is nowhere dense.

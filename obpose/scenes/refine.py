@@ -50,11 +50,7 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
     The objective per pixel is the negative log-likelihood plus the negative log of the details' prior. Rotations and
     the model's weights are not changed. The result is deterministic, up to rounding.
 
-    Args:
-        model: The model of the scene.
-        observation: A batch of one clip, with as many frames as the scene.
-        scene: The initial scene.
-        steps: Number of steps; 0 changes nothing.
+    The observation is a batch of one clip, with as many frames as the scene. 0 steps change nothing.
     """
     loss, noise = model.config.loss, torch.Generator().manual_seed(0)
     start = (scene.what, scene.background, scene.center, scene.appearance.detail)

@@ -108,11 +108,8 @@ def read_tensors(
 ) -> tuple[State, dict[str, str]]:
     """Read the tensors and the metadata of a safetensors file; values that `pack` made smaller come back as float32.
 
-    Args:
-        path: The file.
-        advice: Advice for the user if the file is damaged: the end of a sentence.
-        check: Check of types and shapes, which runs before values are read.
-        most_bytes: Largest size of the file.
+    `advice` for the user, if the file is damaged, is the end of a sentence. `check` runs on types and shapes before
+    values are read.
 
     Raises:
         FileNotFoundError: there is no such file.

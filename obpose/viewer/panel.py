@@ -202,10 +202,7 @@ class Panel:
 def compose(image: Image, observed: Observed | None, *, with_depth: bool) -> Picture:
     """Place the rendered picture beside the input, or beside its own depth if there is no input.
 
-    Args:
-        image: The rendered scene.
-        observed: Colours and depth of the input.
-        with_depth: Whether to add a row with the depths of input and scene, in the same greys.
+    `with_depth` adds a row with the depths of input and scene, in the same greys.
     """
     seen = image.depth if observed is None else observed[1]
     known = seen[seen > 0]

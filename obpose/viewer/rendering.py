@@ -73,12 +73,8 @@ class ProgressiveRenderer:
     ):
         """Render scenes of one model.
 
-        Args:
-            renderer: Renderer of the model.
-            inferred: Scene of the clip before any edit; assigns observed points to objects.
-            clip: The input, if any.
-            preview: Longer side of the first picture, pixels.
-            final: Longer side of the last picture, pixels.
+        `inferred` is the scene of the clip before any edit, which assigns observed points to objects. `preview` and
+        `final` are the longer sides of the first and the last picture, pixels.
         """
         self._renderer, self._inferred, self._clip = renderer, inferred, clip
         self._preview, self._final = preview, final

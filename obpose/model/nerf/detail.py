@@ -73,10 +73,7 @@ def no_detail(things: int, like: Tensor) -> Lattices:
 def roughness(lattices: Lattices, *, neighbours: float, size: float) -> Float[Tensor, ""]:
     """Negative log of a Gaussian prior, up to a constant.
 
-    Args:
-        lattices: Residual grids.
-        neighbours: Standard deviation of differences of neighbouring points, logits.
-        size: Standard deviation of corrections themselves, logits.
+    Standard deviations are those of differences of `neighbours`, and of the corrections themselves (`size`), in logits.
     """
     differences = sum((lattices.diff(dim=axis).square().sum() for axis in (1, 2, 3)), start=lattices.new_zeros(()))
     return differences / (2 * neighbours**2) + lattices.square().sum() / (2 * size**2)

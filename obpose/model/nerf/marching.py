@@ -135,18 +135,10 @@ def march(
 ) -> Picture:
     """Render the composed components, like `obpose.model.nerf.render.render` if no occupied cell is missed.
 
-    Args:
-        components: Components, the background first.
-        origin: Camera centres, world frame, metres.
-        direction: Per metre of planar depth.
-        near: First planar depth, metres.
-        far: Last planar depth, metres.
-        samples: Number of points along a ray, in the middles of equal intervals.
-        sigma_max: Density of an opaque point per metre of planar depth.
-        floor: Height in the world below which bounded components are empty, metres; None for no floor.
-        threshold: Density over sigma_max below which space is empty; at most that of the components.
-        behind: Planar depth, metres, that is added where colours are evaluated. Colours are trained up to
-            `obpose.model.nerf.along.JITTER` behind the surface, and light mostly comes from before it.
+    The background is the first component. Rays and samples are as in `render`. Bounded components are empty below the
+    height `floor` in the world, metres; None for no floor. The `threshold` is at most that of the components. Colours
+    are evaluated `behind` metres of planar depth farther along the ray: they are trained up to
+    `obpose.model.nerf.along.JITTER` behind the surface, and light mostly comes from before it.
     """
     length = (far - near) / samples
     colours = origin.new_zeros(len(components), len(origin), 3)
@@ -188,14 +180,8 @@ def thickness_towards(
 ) -> OfRays:
     """Optical thickness of bounded components between points and a distant light; a lower bound where it is opaque.
 
-    Args:
-        components: Bounded components, composed as in `march`.
-        origin: Points, world frame, metres.
-        direction: Unit vector towards the light.
-        step: Distance between samples, metres.
-        sigma_max: Density of an opaque point per metre.
-        floor: As in `march`.
-        threshold: As in `march`.
+    Components are composed as in `march`. `direction` is the unit vector towards the light, `step` the distance between
+    samples in metres, and `sigma_max` the density of an opaque point per metre.
     """
     total = origin.new_zeros(len(origin))
     # Rays between the components and the light.

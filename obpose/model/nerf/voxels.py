@@ -80,16 +80,9 @@ def occupied_voxels(
     Deviations, as in the authors' code: voxels below the floor or in observed free space are empty and not evaluated.
     This removes the bias towards the visible side.
 
-    Args:
-        object_field: The field that all objects share.
-        boxes: Boxes of the objects.
-        active: Slots in use; the others have no occupied voxels.
-        z_what: Codes of the objects.
-        observation: Depth images; a voxel through which a camera saw is empty.
-        resolution: S, voxels along an edge of a box.
-        threshold: sigma_T.
-        floor: Height in the world, metres, below which there are no objects; None for no floor.
-        generator: Draws a point in each voxel; without one it is the centre.
+    Slots that are not `active` have no occupied voxels. `resolution` is S, voxels along an edge of a box, and
+    `threshold` sigma_T. The `floor` is a height in the world, metres; None for no floor. The generator draws a point in
+    each voxel; without one it is the centre.
     """
     # Voxels that may be occupied: of active slots, above the floor, not seen through.
     lattice = lattice_points(resolution, generator, boxes.center)

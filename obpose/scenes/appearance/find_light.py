@@ -67,10 +67,7 @@ def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
 
     The result is deterministic. The cost is about that of twenty steps of refinement.
 
-    Args:
-        model: The model of the scene.
-        observation: A batch of the clip that the scene is fitted to.
-        scene: The scene without a light.
+    The scene has no light yet; the observation is a batch of its clip.
     """
     shown = shown_background(model, observation, scene)
     voxels = _voxels(model, scene)

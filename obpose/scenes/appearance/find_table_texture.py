@@ -39,10 +39,7 @@ _DARK = 0.02
 def find_texture(model: ObPose, observation: Observation, scene: Scene) -> Texture:
     """Estimate the texture that makes a scene's background look like the frames, except for shadows.
 
-    Args:
-        model: The model of the scene.
-        observation: A batch of the clip that the scene is fitted to.
-        scene: The scene without a texture, with its light.
+    The scene has its light and no texture yet; the observation is a batch of its clip.
     """
     # Pixels at outlines show a little of the object.
     shown = shown_background(model, observation, scene, margin=1)

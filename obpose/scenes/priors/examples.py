@@ -43,13 +43,7 @@ class Examples:
 def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, workers: int, say: Say) -> list[Examples]:
     """Find the objects in the first `clips` training clips of a dataset; clips that have a file are read from it.
 
-    Args:
-        origin: The model that finds the objects.
-        data: Folder of the dataset.
-        folder: Folder of the cache files, one per clip.
-        clips: Number of clips.
-        workers: Number of processes that look for objects.
-        say: Callback for progress messages.
+    `workers` processes look for objects; `folder` gets the cache files.
 
     Raises:
         CorruptFile: a file is damaged.

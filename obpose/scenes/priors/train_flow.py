@@ -47,11 +47,7 @@ _MOST_SETTINGS_BYTES = 2**16
 def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Path:
     """Train a flow and write it beside the model's weights; give the path of the file.
 
-    Args:
-        origin: The model that finds the objects.
-        data: Folder of the dataset.
-        settings: Settings of the training; all but the number of workers have to stay when it is resumed.
-        say: Callback for progress messages.
+    All settings but the number of workers have to stay when a training is resumed.
 
     Raises:
         UsageError: there is no fitted prior, too few objects are found, or the folder holds a run with other settings.
