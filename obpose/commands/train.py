@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -23,7 +23,6 @@ from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
 from datagen.storage.atomic import check_no_dataset
 from datagen.tracks import DataFolder, Track, find_track
-from obpose.config import TrainConfig
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_OK, UsageError, unknown_name
@@ -91,7 +90,10 @@ def run(values: Train, score: "Score | None" = None) -> int:
     system = find_system(values.variant)
     _check(values, system)
     changes = parse_changes(values.set, system.architecture.config)
-    data = _data(values)
+    if (values.track is None) == (values.data is None):
+        raise UsageError("Say what to train on: either --track NAME or --data DIR.")
+    size = "cpu" if values.profile == "cpu" else "gpu"
+    data = DataFolder(values.data) if values.data is not None else find_track(str(values.track), size)
     if not data.size("train"):
         raise UsageError(
             f"{values.data} has no training scenes; expected at least one. Make a dataset with some, such as with "
@@ -115,9 +117,14 @@ def run(values: Train, score: "Score | None" = None) -> int:
     source = SceneDataset(folder, extra=["segmentation"] if system.uses_labels else ())
     val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
     measured = system.known(measure_scene(source).changes())
-    config = system.config(values.profile, _chosen(values, data, system) | measured | changes)
+    # Changes that follow from the track and the flags, from the scenes, and those that --set gives.
+    chosen = {**system.on_tracks.get(values.track or "", {}), **slots_for(data.slots), "train.seed": values.seed}
+    chosen |= {"train.steps": values.steps} | ({} if values.minutes is None else {"train.minutes": values.minutes})
+    config = system.config(values.profile, chosen | measured | changes)
     system.architecture.check(config)
-    console.print(f"Training {values.variant} on {data.name}, {_in_words(config.train)}, into {out}", markup=False)
+    minutes, steps = config.train.minutes, config.train.steps
+    budget = counted(minutes, "minute") if steps is None else counted(steps, "step")
+    console.print(f"Training {values.variant} on {data.name}, {budget}, into {out}", markup=False)
     with progress_bar(console) as report:
         trained = train(
             source,
@@ -147,13 +154,6 @@ def _check(values: Train, system: System) -> None:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
 
 
-def _data(values: Train) -> Track | DataFolder:
-    if (values.track is None) == (values.data is None):
-        raise UsageError("Say what to train on: either --track NAME or --data DIR.")
-    profile = "cpu" if values.profile == "cpu" else "gpu"
-    return DataFolder(values.data) if values.data is not None else find_track(str(values.track), profile)
-
-
 def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
     """Prepare the dataset and give its folder. The first process makes it, the others wait until it is complete."""
     splits = [split for split in ("train", "val") if data.size(split)]
@@ -162,17 +162,6 @@ def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
     return data.prepare(
         splits, workers=values.workers, progress=partial(track_progress, console, data.name, data.folder)
     )
-
-
-def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:
-    """Configuration changes that follow from the flags."""
-    own = system.on_tracks.get(values.track or "", {})
-    budget = {} if values.minutes is None else {"train.minutes": values.minutes}
-    return {**own, **slots_for(data.slots), "train.seed": values.seed, "train.steps": values.steps, **budget}
-
-
-def _in_words(settings: TrainConfig) -> str:
-    return counted(settings.minutes, "minute") if settings.steps is None else counted(settings.steps, "step")
 
 
 def _process() -> int:

@@ -44,7 +44,6 @@ from obpose.types import (
     Draw,
     Embeddings,
     Inference,
-    Latent,
     Masks,
     Observation,
     RayPoints,
@@ -283,7 +282,10 @@ class ObPose(Trainable):
         rays = sample_rays(views.observation, self._rays_of(views, observation), generator)
         background = self.background(self.attention.background_code(views.embeddings, generator), "sample", generator)
         # L_obs.
-        decode = partial(self._decode_background, background)
+
+        def decode(points: RayPoints, directions: RayPoints, colours: Colours) -> Decoded:
+            return decode_background(self.fields, background.z, points, directions, colours=colours)
+
         fields = fields_along(rays, decode, generator)
         terms = self._observation_terms(fields, views, observation, decode, generator)
         terms["kl_background"] = kl(background)
@@ -292,11 +294,6 @@ class ObPose(Trainable):
             log_prescope = self._masks_at(views.embeddings.log_prescope.mT, rays, views)
             terms["attention"] = attention_warmup(log_prescope, fields)
         return terms
-
-    def _decode_background(
-        self, background: Latent, points: RayPoints, directions: RayPoints, colours: Colours
-    ) -> Decoded:
-        return decode_background(self.fields, background.z, points, directions, colours=colours)
 
     def _observation_terms(
         self,

@@ -1,7 +1,6 @@
 """Scenes as values: codes and poses of objects, the background, the appearance and the cameras."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -89,7 +88,7 @@ class Scene:
             UsageError: there is no such object; the message lists the existing ones.
         """
         if name not in self.ids:
-            there = f"Its objects are {_listed(self.ids)}." if self.ids else "It has no objects."
+            there = f"Its objects are {', '.join(map(str, self.ids))}." if self.ids else "It has no objects."
             raise UsageError(f"The scene has no object {name}. {there}")
         return self.ids.index(name)
 
@@ -102,10 +101,6 @@ class Scene:
         """Give an unused name: the next one, or the least free one if there is no next one."""
         following = max(self.ids, default=0) + 1
         return following if following <= LARGEST_ID else min(set(range(1, len(self.ids) + 2)) - set(self.ids))
-
-
-def _listed(names: Sequence[int]) -> str:
-    return ", ".join(map(str, names))
 
 
 def upright(yaw: float, like: Tensor) -> Float[Tensor, "3 3"]:

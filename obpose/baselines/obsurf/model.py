@@ -92,13 +92,16 @@ class Obsurf(Trainable):
         rays = all_rays(separate)
         logits, _ = self._densities(encoded, rays.origin + rays.direction * rays.depth[..., None])
         owners = rearrange(logits.argmax(dim=2), "b f (h w) -> (b f) h w", h=observation.depth.shape[3])
+        # Slot with most pixels of each image; its number is swapped with 0.
         valid = rearrange(separate.valid, "b f 1 h w -> (b f) h w")
-        largest = _largest(owners, valid, slots=self.config.model.segments)
+        pixels = F.one_hot(owners.flatten(1), self.config.model.segments) * valid.flatten(1)[..., None]
+        largest = pixels.sum(dim=1).argmax(dim=-1)[:, None, None].expand_as(owners)
         labels, attention = (
-            rearrange(_swapped(maps, largest) * valid, "(b v f) h w -> b f v h w", b=batch, v=views)
+            torch.where(maps == largest, 0, torch.where(maps == 0, largest, maps)) * valid
             for maps in (owners, _upsampled(encoded))
         )
-        return Segmentation(labels, attention)
+        whole = {"pattern": "(b v f) h w -> b f v h w", "b": batch, "v": views}
+        return Segmentation(rearrange(labels, **whole), rearrange(attention, **whole))
 
     def encode(self, observation: Observation, noise: Float[Tensor, "image slot width"]) -> Encoded:
         """Encode the images of one view, clip by clip and frame by frame."""
@@ -198,17 +201,3 @@ def _upsampled(encoded: Encoded) -> Int[Tensor, "image height width"]:
         encoded.slots.attention, "i slot (rows columns) -> i slot rows columns", rows=rows, columns=columns
     )
     return F.interpolate(maps, size=encoded.size, mode="bilinear", align_corners=False).argmax(dim=1)
-
-
-def _largest(owners: Int[Tensor, "image height width"], valid: Tensor, *, slots: int) -> Int[Tensor, " image"]:
-    """Slot with most pixels of each image."""
-    pixels = F.one_hot(owners.flatten(1), slots) * valid.flatten(1)[..., None]
-    return pixels.sum(dim=1).argmax(dim=-1)
-
-
-def _swapped(
-    owners: Int[Tensor, "image height width"], first: Int[Tensor, " image"]
-) -> Int[Tensor, "image height width"]:
-    """Swap the numbers of one slot of each image and of slot 0."""
-    number = first[:, None, None].expand_as(owners)
-    return torch.where(owners == number, 0, torch.where(owners == 0, number, owners))

@@ -126,9 +126,16 @@ def find_candidates(
     grid = box_grid(grid_level).to(corners.points)
     smallest = _shared_volumes(corners, grid).topk(min(_STARTS, len(grid)), dim=-1, largest=False)
     rotation = grid[smallest.indices]
-    # Local refinement with shrinking rotations.
+    # Local refinement: R becomes the R T with the smallest box, for rotations T by shrinking angles.
+    identity, starts = torch.eye(3), rotation.shape[1]
     for turn in range(refinements):
-        rotation = _improve(corners, rotation, _tried_around(_REACH / 2**grid_level * _SHRINK**turn).to(rotation))
+        # The identity, so that no box grows; about the box's own axes, to stay flush with a side; scattered ones.
+        reach = _REACH / 2**grid_level * _SHRINK**turn
+        own_axes = rotation_from_vector(reach * torch.cat([identity, -identity]))
+        tried = torch.cat([identity[None], own_axes, small_rotations(_SCATTERED, reach)]).to(rotation)
+        # In the frames R, the rotations T are the same for all clouds.
+        turned = Clouds(_into(rotation, corners.points), repeat(corners.thickness, "box -> box start", start=starts))
+        rotation = rotation @ tried[_shared_volumes(turned, tried).argmin(dim=-1)]
     return rotation
 
 
@@ -188,28 +195,6 @@ def _outermost(clouds: Clouds) -> Clouds:
     index = torch.cat([along.max(dim=0).indices, along.min(dim=0).indices], dim=-1)
     corners = clouds.points.gather(0, repeat(index, "box corner -> corner box xyz", xyz=3))
     return Clouds(corners, clouds.thickness)
-
-
-def _tried_around(reach: float) -> Float[Tensor, "tried 3 3"]:
-    """Rotations by at most `reach` radians.
-
-    The identity, so that no box grows; rotations about the box's own axes, which keep it flush with a side; scattered
-    ones.
-    """
-    own_axes = rotation_from_vector(reach * torch.cat([torch.eye(3), -torch.eye(3)]))
-    return torch.cat([torch.eye(3)[None], own_axes, small_rotations(_SCATTERED, reach)])
-
-
-def _improve(
-    corners: Clouds, rotation: Float[Tensor, "box start 3 3"], tried: Float[Tensor, "tried 3 3"]
-) -> Float[Tensor, "box start 3 3"]:
-    """Choose among the rotations R T, with T of `tried`, those with the smallest boxes.
-
-    In the frames R, the rotations T are the same for all clouds.
-    """
-    starts = rotation.shape[1]
-    turned = Clouds(_into(rotation, corners.points), repeat(corners.thickness, "box -> box start", start=starts))
-    return rotation @ tried[_shared_volumes(turned, tried).argmin(dim=-1)]
 
 
 def _nearest(

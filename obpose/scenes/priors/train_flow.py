@@ -22,7 +22,6 @@ from obpose.scenes.priors.examples import Examples, find_examples, joined
 from obpose.scenes.priors.flow import Flow, describe, flow_loss, mirrored, sample_grids
 from obpose.scenes.priors.flow_prior import save_flow
 from obpose.scenes.priors.gaussian import load_gaussian
-from obpose.scenes.priors.grids import Grids
 from obpose.scenes.priors.interface import FitSettings, Say
 from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.storage.tensors import State, differences_of, forms_of, read_tensors
@@ -65,8 +64,10 @@ def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Pat
             _check_same(folder / _LEARNING, training)
         found = find_examples(origin, data, folder, settings.clips, workers=settings.workers, say=say)
         write_atomically(folder / _LEARNING, json.dumps(training, indent=1).encode())
-        flow = _train(_fresh(origin, settings.seed), found, folder, settings, say)
-        path = save_flow(origin, flow)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            flow = Flow(LATENT)
+        path = save_flow(origin, _train(flow, found, folder, settings, say))
     shutil.rmtree(folder)
     return path
 
@@ -91,12 +92,6 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
         )
 
 
-def _fresh(origin: Origin, seed: int) -> Flow:
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return Flow(LATENT)
-
-
 def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSettings, say: Say) -> Flow:
     """Train a flow; give the moving average of its weights."""
     held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
@@ -110,7 +105,7 @@ def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSetting
         f"{len(held.half)}."
     )
     describe(flow, learned, torch.cat([each.what for each in found]))
-    objects, others = _both_ways(flow, learned), flow.encode(held)
+    objects, others = torch.cat([flow.encode(learned), flow.encode(mirrored(learned))]), flow.encode(held)
     mean = _copy(flow).eval()
     optimiser = torch.optim.AdamW(flow.parameters(), lr=RATE, betas=(0.9, 0.99), weight_decay=0.01)
     done = _restore(folder / _STATE, flow, mean, optimiser, steps=settings.steps)
@@ -138,11 +133,6 @@ def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSetting
             losses.clear()
     say(_likeness(mean, objects, others))
     return mean
-
-
-def _both_ways(flow: Flow, grids: Grids) -> Float[Tensor, "object value"]:
-    """Encode grids and their mirror images."""
-    return torch.cat([flow.encode(grids), flow.encode(mirrored(grids))])
 
 
 @torch.no_grad()
