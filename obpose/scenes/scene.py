@@ -12,6 +12,7 @@ from obpose.scenes.appearance import Appearance
 
 LARGEST_ID = 2**31 - 1
 """Largest name of an object."""
+Split = Literal["train", "val", "test"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class ClipName:
 
     dataset: str
     """SHA-256 of the settings of the dataset (`obpose.data.datasets.SceneDataset.settings_hash`)."""
-    split: str
+    split: Split
     index: int
 
     def __str__(self) -> str:

@@ -90,7 +90,7 @@ def test_facts_that_are_missing_are_damage(tmp_path: Path, name: str):
     facts = json.loads((tmp_path / "scene.json").read_text())
     del facts[name]
     (tmp_path / "scene.json").write_text(json.dumps(facts))
-    with pytest.raises(CorruptFile, match=r"scene\.json is damaged .expected checkpoint, images, model"):
+    with pytest.raises(CorruptFile, match=rf"scene\.json is damaged .required field missing @ \$\.{name}"):
         load_scene(tmp_path)
 
 
