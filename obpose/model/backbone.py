@@ -78,12 +78,14 @@ class Backbone(nn.Module):
         super().__init__()
         self.config = config
         self.register_buffer("kernel", kernel_points(), persistent=False)
+        # Encoder: colour and position, then strided blocks between levels and blocks on each level.
         self.input = nn.Sequential(Linear(6, widths[0]), nn.LayerNorm(widths[0]), nn.ReLU())
         self.down = nn.ModuleList(Block(fine, coarse) for fine, coarse in pairwise(widths))
         self.blocks = nn.ModuleList(
             nn.ModuleList(Block(width, width) for _ in range(count))
             for width, count in zip(widths, config.blocks, strict=True)
         )
+        # Decoder back to the output level, and the embedding zeta.
         self.up = nn.ModuleList(Up(coarse, fine) for fine, coarse in pairwise(widths[config.output_level :]))
         last = widths[config.output_level]
         self.head = nn.Sequential(
@@ -141,9 +143,11 @@ class Backbone(nn.Module):
     def _levels(self, grid: Grid, spacing: float) -> list[Level]:
         levels = []
         for depth, blocks in enumerate(self.config.blocks):
+            # Radii double with the distance between points.
             radius = RADIUS * spacing * 2**depth
             geometry = partial(windows, grid, radius=radius, kernel=self.kernel)
             coarse, kept = subsample(grid)
+            # Windows around all points serve the level's blocks, those around kept points the next level.
             around = geometry(all_places(grid)) if blocks else None
             levels.append(Level(grid, around, kept, around.at(kept) if around else geometry(kept)))
             grid = coarse
@@ -153,6 +157,7 @@ class Backbone(nn.Module):
         features = self.input(features)
         skips = []
         for depth, level in enumerate(levels):
+            # Strided block from the finer level, then the blocks of this level.
             if depth:
                 finer = levels[depth - 1]
                 features = self.down[depth - 1](features, finer.around_kept, finer.kept)
@@ -164,6 +169,7 @@ class Backbone(nn.Module):
     def _decode(self, levels: list[Level], skips: list[Tensor]) -> Float[Tensor, "image height width channel"]:
         features = on_grid(skips[-1], levels[-1].grid)
         for depth in range(len(levels) - 2, self.config.output_level - 1, -1):
+            # Upsampled features plus those of the encoder at this level.
             fine = on_grid(skips[depth], levels[depth].grid)
             features = self.up[depth - self.config.output_level](
                 features, levels[depth + 1].grid, fine, levels[depth].grid

@@ -226,6 +226,7 @@ class ObPose(Trainable):
         cameras = repeat(centers, "b v c -> b f (v point) c", f=frames, point=count // views)
         found = self.decode(inference, embeddings.points, embeddings.points - cameras, "with", "in boxes")
         assert found.colours is not None
+        # Likelihood of the observed colour, for all channels together.
         likelihood = colour_log_likelihood(found.colours, plain_colours(embeddings.rgb)).sum(dim=-1)
         return posterior_masks(inference.masks, found.logits, likelihood, embeddings.valid)
 

@@ -49,6 +49,7 @@ def embed(
     scene = rearrange(out.scene, "(b f v) c -> b f v c", **axes).mean(dim=2)
     # Heads: each point separately.
     colour, features, log_prescope = heads(grid, valid, rgb, embedding, center=center)
+    # Positions in the workspace, for slot attention.
     position = (grid - center) * valid[..., None] * (2 / config.workspace_size)
     return Embeddings(grid, valid, position, rgb, colour, features, scene, log_prescope)
 

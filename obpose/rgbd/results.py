@@ -79,11 +79,11 @@ def overlay(
 ) -> Image.Image:
     """Draw the labels over the image, and the edges of the objects' boxes."""
     image = Image.fromarray(tint(rgb, labels, OPACITY))
-    camera = {"k": torch.from_numpy(k), "pose": torch.from_numpy(pose)}
+    intrinsics, camera = torch.from_numpy(k), torch.from_numpy(pose)
     for each in objects:
         if each.box_size is not None:
             box = torch.from_numpy(each.center), torch.from_numpy(each.rotation)
-            draw_box(image, box_edges(*box, each.box_size), each.label, **camera)
+            draw_box(image, box_edges(*box, each.box_size), each.label, k=intrinsics, pose=camera)
     return image
 
 

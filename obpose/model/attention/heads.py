@@ -53,11 +53,14 @@ class Heads(nn.Module):
         self.semi_convolution, self.semi_colour = attention.semi_convolution, attention.semi_colour
         self.appends_colours = features and config.latent.colours == "given"
         self.colour = self.features = self.prescope = None
+        # zeta_c, from the embedding and the position (paper, section Encoder).
         if icsbp:
             self.position = Linear(3, EMBEDDING, bias=False)
             self.colour = mlp(EMBEDDING, _HIDDEN, COLOUR, activation=nn.ReLU)
         if features:
+            # zeta_f.
             self.features = mlp(EMBEDDING, _HIDDEN, FEATURE, activation=nn.ReLU)
+        # rho: the logits of the pre-scope s^p (paper, section IC-SBP).
         if icsbp and config.has_background:
             self.prescope = mlp(COLOUR, _HIDDEN, 2, activation=nn.ReLU)
 
@@ -79,11 +82,13 @@ class Heads(nn.Module):
 
         `points` are in the world frame, metres, `rgb` standardised, `center` is the middle of the workspace.
         """
+        # zeta_f, and the observed colours.
         features = embedding[..., :0] if self.features is None else self.features(embedding)
         if self.appends_colours:
             features = torch.cat([features, rgb], dim=-1)
         if self.colour is None:
             return HeadOutputs(embedding[..., :0], features, None)
+        # zeta_c, and the pre-scope s^p = softmax(rho(zeta_c)).
         position = (points - center) * valid[..., None]
         colour = self.colour(embedding + self.position(position))
         log_prescope = None if self.prescope is None else log_softmax(self.prescope(colour), dim=-1)

@@ -156,6 +156,7 @@ class ICSBP(Attention):
                     alpha = _exp(self._log_alpha_at(seed, colour[:, frame])) * active[..., None]
                     remaining = pad(1 - alpha[:, :-1], (0, 0, 1, 0), value=1).cumprod(dim=1)
                     masks = scope[:, frame, None] * alpha * remaining
+                # The seed moves to the mean embedding under its sharpened mask.
                 seed = mean_shift(seed.detach(), masks**self.config.mask_exponent, colour[:, frame])
             seeds.append(seed)
         return torch.stack(seeds, dim=1)
@@ -187,6 +188,7 @@ class ICSBP(Attention):
                 for _ in range(self.config.mean_shift_steps):
                     log_mask = log_scope[:, None] + self._log_alpha_at(seed, colour)
                     seed = mean_shift(seed, _exp(sharpen(log_mask, exponent)), colour)
+                # Residual scope: the share of the scope around the seed that earlier slots have left.
                 alpha = self._log_alpha_at(seed, colour)[:, 0]
                 near = sharpen(alpha, exponent)
                 log_residual_scope.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
@@ -199,6 +201,7 @@ class ICSBP(Attention):
         self, colour: FirstColours, log_scope: FirstScope, rules: Rules, generator: torch.Generator | None
     ) -> Int[Tensor, "batch 1"]:
         """Index of the next seed."""
+        # At the largest scope times uniform noise (GENESIS-V2), or at the largest scope.
         if rules.seeds == "stochastic":
             return (_uniform(log_scope, generator).log() + log_scope).argmax(dim=-1, keepdim=True)
         if rules.seeds == "greedy":
@@ -215,6 +218,7 @@ class ICSBP(Attention):
         """Whether a slot with this remaining scope is active."""
         if rules.inactive == "never":
             return torch.ones_like(log_scope[:, 0], dtype=torch.bool)
+        # At least one point is drawn with the probability of its remaining scope.
         if rules.inactive == "bernoulli":
             return (_uniform(log_scope, generator).log() < log_scope).any(dim=-1)
         return (log_scope > math.log(INACTIVE_SCOPE)).sum(dim=-1) >= self.config.inactive_points
@@ -297,6 +301,7 @@ def _masks(
     active: Active,
 ) -> Masks:
     there = valid[:, :, None] & rearrange(active, "b slot -> b 1 slot 1")
+    # Invalid points belong to the background: log 1 = 0.
     background = log_prescope[..., 0] * valid
     return Masks(
         log_masks=torch.cat([background[:, :, None], masks.masked_fill(~there, EXCLUDED)], dim=2),

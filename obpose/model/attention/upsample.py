@@ -31,6 +31,7 @@ def masks_at(
     the weights of the others sum to one, so that masks and scope still do. Deviation: the authors' code interpolates
     between the three nearest points in space, which needs a search.
     """
+    # Weighted mean of the valid cells around each pixel.
     masks, present = log_masks.exp(), valid[:, :, None].to(log_masks.dtype).clamp(min=_INVALID)
     summed = _interpolate(torch.cat([masks * present, present], dim=2), index, grid=grid, size=size)
     mixed = summed[:, :, :-1] / summed[:, :, -1:]

@@ -28,6 +28,7 @@ def influence(
     difference avoids storing three coordinates per pair, and needs full precision.
     """
     offsets, kernel = offsets / extent, kernel / extent
+    # |y - k|^2 by a matrix product, then 1 - |y - k|, at least 0.
     own = offsets.square() @ offsets.new_ones(3, 1)
     distance = F.linear(offsets, -2 * kernel, kernel.square().sum(-1)).add_(own).clamp_(0, 1).sqrt_()
     return torch.sub(1, distance, out=distance)
@@ -48,6 +49,7 @@ class KPConv(nn.Module):
         self, features: Float[Tensor, "point neighbour inputs"], influences: Float[Tensor, "point neighbour kernel"]
     ) -> Float[Tensor, "point outputs"]:
         """Map features of the neighbours to features of the points."""
+        # Features at each kernel point, then the kernel's linear maps.
         gathered = torch.bmm(influences.mT, features)
         inputs = features.shape[-1]
         weight = rearrange(self.weight, "outputs (inputs kernel) -> outputs (kernel inputs)", inputs=inputs)
@@ -73,6 +75,7 @@ def _disposition(count: int) -> list[list[float]]:
     directions = _spiral(count - 1)
     for _ in range(400):
         differences = directions[:, None] - directions
+        # Coulomb force of each point on each other; the identity avoids 0 / 0 on the diagonal.
         cubes = (differences.square().sum(-1) + torch.eye(count - 1, dtype=torch.float64)) ** 1.5
         force = (differences / cubes[..., None]).sum(1)
         directions = F.normalize(directions + 0.1 * force, dim=-1)

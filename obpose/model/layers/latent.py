@@ -54,6 +54,7 @@ class RecurrentLatent(nn.Module):
     ):
         """Initialise the weights, for codes with `code` channels."""
         super().__init__()
+        # Posterior: a GRU over codes, and an MLP to mean and spread.
         self._std = config.posterior_std
         self._posterior = nn.GRU(code, hidden)
         beside = config.posterior_input == "state and code"
@@ -63,6 +64,7 @@ class RecurrentLatent(nn.Module):
             pass_on(first)
             pass_on(last, gain=_MEAN_GAIN, outputs=latent)
         self._posterior_head = nn.Sequential(first, nn.ELU(), last)
+        # Prior: a GRU over latents, likewise.
         self._prior = nn.GRU(latent, hidden)
         self._prior_head = mlp(hidden, hidden, 2 * latent)
         self._starts = nn.Parameter(torch.zeros(2, hidden)) if start == "learned" else None
@@ -104,6 +106,7 @@ class RecurrentLatent(nn.Module):
 
     def _priors(self, z: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
         """Means and standard deviations of the priors of all frames."""
+        # The first prior is N(0, 1), or that of the learned state.
         first = self._prior_head(start) if self._starts is not None else None
         later = self._prior(z[:-1], start)[0] if len(z) > 1 else z.new_zeros(0, z.shape[1], start.shape[-1])
         mean, std = mean_and_std(self._prior_head(later), typical_std=PRIOR_STD)

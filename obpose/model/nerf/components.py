@@ -88,13 +88,16 @@ def decode(
     """Density logits and colours of all components at world points seen along directions of any length."""
     directions = F.normalize(directions, dim=-1)
     if codes.boxes is None:
+        # World-frame fields: everywhere, like the background's.
         background = decode_background(fields, codes.background, points, directions, colours=colours)
         objects = _in_world(fields, codes, points, directions, colours)
     else:
+        # Object-frame fields: only at points in boxes.
         inside = points_in_boxes(points, codes.boxes, codes.active, floor=fields.floor)
         only = None if where_background == "everywhere" else inside.ray.unique()
         background = decode_background(fields, codes.background, points, directions, colours=colours, only=only)
         objects = _in_boxes(fields, codes, codes.boxes, inside, points.shape[2], directions, colours)
+    # The background is the first component.
     logits = torch.cat([background.logits, objects.logits], dim=2)
     if background.colours is None or objects.colours is None:
         return Decoded(logits=logits, colours=None)
@@ -105,6 +108,7 @@ def _in_world(fields: Fields, codes: Codes, points: Tensor, directions: Tensor, 
     """Objects whose fields fill the world."""
     conditioning = fields.objects.condition(codes.what).of_all_points()
     logits, hidden = fields.objects.density(fields.in_cube(points)[:, :, None], conditioning)
+    # Inactive slots have no density, and no object has any below the floor.
     there = codes.active[:, None, :, None] & fields.above_floor(points)[:, :, None]
     logits = logits.masked_fill(~there, OUTSIDE)
     if colours == "without":
@@ -116,10 +120,12 @@ def _in_boxes(
     fields: Fields, codes: Codes, boxes: Boxes, inside: InBox, rays: int, directions: Tensor, colours: Colours
 ) -> Decoded:
     """Objects in boxes, which are evaluated at the points inside only."""
+    # One code per slot, selected for each point inside.
     of_slots = fields.objects.condition(rearrange(codes.what, "b f s d -> (b f s) d")).corrected(codes.detail)
     conditioning = of_slots.at(inside.owner)
     logits, hidden = fields.objects.density(inside.points, conditioning)
     shape = (*codes.what.shape[:3], rays)
+    # Outside of its box an object has no density.
     all_logits = scatter(logits, inside.index, shape, OUTSIDE)
     if colours == "without":
         return Decoded(logits=all_logits, colours=None)
@@ -144,6 +150,7 @@ def decode_background(
     if fields.background is None or z_background is None:
         nowhere = points.new_full(shape, OUTSIDE)
         return Decoded(logits=nowhere, colours=None if colours == "without" else points.new_zeros(*shape, 3))
+    # Points in the cube, and codes of their frames.
     at, along = fields.in_cube(points), F.normalize(directions, dim=-1)
     codes = fields.background.condition(z_background)
     if only is None:
@@ -151,6 +158,7 @@ def decode_background(
     else:
         at, along = at.flatten(0, 2)[only], along.flatten(0, 2)[only]
         codes = codes.flatten().at(only // points.shape[2])
+    # Density and colour there.
     logits, hidden = fields.background.density(at, codes)
     found = None if colours == "without" else fields.background.colour(hidden, along, codes)
     if only is None:

@@ -61,6 +61,7 @@ class Detail:
         found = found.view(*points.shape[:-1], 4)
         if alone is None:
             return found
+        # Beyond a grid that replaces the field there is no density.
         beyond = (alone > 0) & (points.abs() > 1).any(dim=-1, keepdim=True)
         return found.masked_fill(beyond & (torch.arange(4, device=found.device) == 0), OUTSIDE)
 

@@ -106,6 +106,7 @@ def make_component(
     steps = (torch.arange(layers).to(codes.first) + 0.5) / layers - 0.5
     within = F.pad(steps[:, None] * (2 / resolution), (2, 0))
     points = (lattice_points(resolution, None, codes.first)[:, None] + within).flatten(0, 1)
+    # A cell is dense if one of its points is.
     logits = torch.cat([field.density(part, codes)[0] for part in points.split(_CHUNK)])
     dense = (log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)).unflatten(0, (-1, layers)).any(dim=-1)
     # A cell is occupied if it or a neighbour is dense.
@@ -187,6 +188,7 @@ def thickness_towards(
     # Rays between the components and the light.
     first, last = _between(components, origin, direction)
     alive = (last > first).nonzero()[:, 0]
+    # Sum of the optical thickness of the next samples, until it is opaque or past the last component.
     chunk = (torch.arange(_AT_ONCE, dtype=origin.dtype, device=origin.device) + 0.5) * step
     while len(alive):
         points = origin[alive, None] + (first[alive, None] + chunk)[..., None] * direction
@@ -240,12 +242,14 @@ def _colours(
     behind: float,
 ) -> Float[Tensor, "component ray 3"]:
     """Sum the colours of the samples `places` of each component, weighted by light; dark samples are left out."""
+    # Samples as a flat list, ray by ray.
     flat, count = points.flatten(0, 1), points.shape[1]
     colours = points.new_zeros(len(components), len(points), 3)
     unit = F.normalize(direction, dim=-1)
     for component, share, index, colour in zip(components, light.flatten(1), places, colours, strict=True):
         index = index[share[index] > _DARK / 10]
         owner = index // count
+        # Colours behind the surface, where they were trained, in the frame of the component.
         at = flat[index] + behind * direction[owner]
         _, hidden = component.field.density(in_box(component, at), component.codes)
         seen = component.field.colour(hidden, unit[owner] @ component.rotation, component.codes)
@@ -257,6 +261,7 @@ def _inside(
     component: Component, points: Samples, floor: float | None
 ) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
     """Find the points in occupied cells, ray by ray, and their coordinates in the component's cube."""
+    # Rays that pass the ball around the cube; unbounded components are met by all.
     count = points.shape[1]
     rays = _passing(component, points) if component.bounded else torch.arange(len(points), device=points.device)
     flat = points[rays].flatten(0, 1)
@@ -290,6 +295,7 @@ def _between(components: list[Component], origin: Vectors, direction: Point) -> 
     for component in components:
         to = component.center - origin
         along = to @ direction
+        # Half of the chord of the ray in the ball.
         half = ((component.size * _BALL) ** 2 - to.square().sum(dim=-1) + along.square()).clamp(min=0).sqrt()
         met = (half > 0) & (along + half > 0)
         first = torch.where(met, torch.minimum(first, (along - half).clamp(min=0)), first)

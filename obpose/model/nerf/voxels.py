@@ -95,6 +95,7 @@ def occupied_voxels(
     # Density at these voxels: tanh(softplus(f(p_v, z_k))).
     codes = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).at(owner)
     logits, _ = object_field.density(lattice[voxel], codes)
+    # Other voxels are empty.
     occupied = torch.zeros_like(possible).flatten()
     occupied[index] = occupancy(logits) > threshold
     return Voxels(points, occupied.view_as(possible))
@@ -134,6 +135,7 @@ def observed_free(
     place = torch.where(seen, row * width + column, 0).long()
     depth = rearrange(observation.depth, "b f v h w -> b f v (h w)").gather(-1, place)
     valid = rearrange(observation.valid, "b f v h w -> b f v (h w)").gather(-1, place)
+    # Free: some camera saw a surface behind the point.
     free = (seen & valid & (pixel[..., 2] < depth - margin)).any(dim=2)
     return free.view(points.shape[:-1])
 

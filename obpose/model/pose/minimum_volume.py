@@ -74,6 +74,7 @@ def orient(
         rearrange(valid, "b f s point -> (f b s) point"),
     )
     candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
+    # Frame by frame the nearest of the nearly smallest boxes (paper, same section).
     rotation = follow(
         Clouds(
             rearrange(clouds.points, "point (f box) xyz -> point f box xyz", f=frames),
@@ -159,6 +160,7 @@ def follow(
         volume = _volumes(Clouds(clouds.points[:, frame], clouds.thickness[frame]), rotation)
         # Candidates: volumes in [V_min, (1 + beta) V_min].
         small = volume <= (1 + tolerance) * volume.amin(dim=-1, keepdim=True)
+        # Objects out of sight keep their orientation.
         before = torch.where(seen[frame, :, None, None], _nearest(rotation, small, before), before)
         orientations.append(before)
     return torch.stack(orientations)
@@ -192,6 +194,7 @@ def _outermost(clouds: Clouds) -> Clouds:
     """Select the extreme points of each cloud in 24 directions and their opposites, which are near hull corners."""
     half = healpix_directions(1).chunk(2)[0].to(clouds.points)
     along = clouds.points @ half.mT
+    # Extreme points in each direction and its opposite.
     index = torch.cat([along.max(dim=0).indices, along.min(dim=0).indices], dim=-1)
     corners = clouds.points.gather(0, repeat(index, "box corner -> corner box xyz", xyz=3))
     return Clouds(corners, clouds.thickness)
