@@ -21,6 +21,8 @@ from obpose.scenes.appearance.light import beams, strength
 from obpose.scenes.appearance.table_texture import texture_at
 from obpose.scenes.scene import Camera, Scene
 
+RayVectors = Float[Tensor, "ray 3"]
+
 _OPAQUE = 5.0
 """Optical thickness of an opaque object over the spacing of neighbouring training pixels. Fields are no sharper."""
 _STEPS = 2.5
@@ -90,25 +92,18 @@ class Renderer:
             rgb = rgb.index_copy(0, at, seen.unflatten(0, several.shape[:2]).mean(dim=1))
         return Image(rgb=rgb.clamp(0, 1).unflatten(0, size), depth=picture.depth.unflatten(0, size), shares=shares)
 
-    def _march(self, components: list[Component], direction: Float[Tensor, "ray 3"], camera: Camera) -> Picture:
+    def _march(self, components: list[Component], direction: RayVectors, camera: Camera) -> Picture:
         origin = camera.world_from_camera[:3, 3].expand_as(direction)
         return march(components, origin, direction, floor=self.model.config.model.table, **self.quadrature(camera))
 
     def _finished(
-        self,
-        picture: Picture,
-        scene: Scene,
-        components: list[Component],
-        direction: Float[Tensor, "ray 3"],
-        camera: Camera,
-    ) -> Float[Tensor, "ray 3"]:
+        self, picture: Picture, scene: Scene, components: list[Component], direction: RayVectors, camera: Camera
+    ) -> RayVectors:
         """Add the table's texture and the shadows of objects on the background to colours."""
         share = picture.weights[0]
         shown = (share > _LEAST_LIGHT).nonzero()[:, 0]
-        has_texture, has_shadows = (
-            bool(scene.appearance.texture.any()),
-            strength(scene.appearance.light) > 0 and len(components) > 1,
-        )
+        has_texture = bool(scene.appearance.texture.any())
+        has_shadows = strength(scene.appearance.light) > 0 and len(components) > 1
         if not len(shown) or not (has_texture or has_shadows):
             return picture.colour
         share = share[shown, None]
@@ -187,14 +182,15 @@ class Renderer:
     def _object(self, scene: Scene, frame: int, place: int) -> Component:
         model = self.model
         center, rotation = scene.center[frame, place], scene.rotation[frame, place]
-        box = {"center": center, "rotation": rotation, "size": model.config.model.pose.box_size}
-        box |= {"threshold": THRESHOLD}
         known = self._keep(
             scene.look(frame, place),
             lambda: make_component(
                 model.object_field,
                 object_codes(model, scene, frame, place),
-                **box,
+                center=center,
+                rotation=rotation,
+                size=model.config.model.pose.box_size,
+                threshold=THRESHOLD,
                 bounded=True,
                 resolution=_FINE_CELLS if scene.appearance.alone[place] > 0 else _OBJECT_CELLS,
             ),

@@ -111,8 +111,8 @@ def load_scene(folder: Path) -> Scene:
         raise CorruptFile(f"{path} is damaged ({brief_reason(error)}); {_AGAIN}") from None
     if not (folder / TENSORS).is_file():
         raise CorruptFile(f"{folder / TENSORS} is missing, though there is a {FACTS}; {_AGAIN}")
-    check = partial(_check_file, len(facts.objects), len(facts.images))
-    tensors, _ = read_tensors(folder / TENSORS, _AGAIN, check, most_bytes=_MOST_TENSOR_BYTES)
+    expect = partial(_expected_file, len(facts.objects), len(facts.images))
+    tensors, _ = read_tensors(folder / TENSORS, _AGAIN, expect, most_bytes=_MOST_TENSOR_BYTES)
     if not _is_whole(facts.objects, tensors):
         raise CorruptFile(f"{folder / TENSORS} is damaged (its values are not those of a scene); {_AGAIN}")
     # Scenes of older versions have no appearance, or parts of it.
@@ -154,12 +154,8 @@ def _check_facts(facts: _Facts, plain: dict[str, Any]) -> None:
         raise ValueError("clip is no clip of a dataset")
 
 
-def _check_file(objects: int, cameras: int, found: Forms) -> None:
-    """Check names, types and shapes of a scene's tensors; older versions wrote fewer of them.
-
-    Raises:
-        ValueError: a tensor is missing, unknown, or of another type or shape.
-    """
+def _expected_file(objects: int, cameras: int, found: Forms) -> Forms:
+    """Give names, types and shapes of a scene's tensors; older versions wrote fewer of them."""
     frames, what, background = 0, 0, 0
     if "what" in found and len(found["what"].shape) == 3:
         frames, _, what = found["what"].shape
@@ -180,18 +176,13 @@ def _check_file(objects: int, cameras: int, found: Forms) -> None:
         "pattern": tuple(no_texture().shape),
     }
     shapes |= {name: shape for name, shape in later.items() if name in found}
-    expected = {name: Form(torch.float32, shape) for name, shape in shapes.items()}
-    if wrong := differences_of(found, expected):
-        raise ValueError(wrong)
-    if not frames:
-        raise ValueError("it has no frames")
+    return {name: Form(torch.float32, shape) for name, shape in shapes.items()}
 
 
 def _is_whole(ids: Sequence[int], tensors: State) -> bool:
     """Whether arrays fit each other and hold numbers of a scene; files may come from anywhere."""
-    try:
-        _check_file(len(ids), len(tensors["k"]), forms_of(tensors))
-    except ValueError:
+    found = forms_of(tensors)
+    if differences_of(found, _expected_file(len(ids), len(tensors["k"]), found)) or not len(tensors["what"]):
         return False
     k, pose, light = tensors["k"], tensors["world_from_camera"], tensors.get("light", no_light())
     return (

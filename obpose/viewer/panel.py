@@ -195,7 +195,8 @@ class Panel:
             self._boxes, self._cameras = (self._gui.add_checkbox(label, True) for label in ("Boxes", "Cameras"))
             self._depth = self._gui.add_checkbox("Depth", False, hint="Adds depth to the pictures above")
         for widget in (self._drawn_as, self._boxes, self._cameras):
-            widget.on_update(lambda _: self._commands.edit(_change_nothing))
+            # Redraws the page.
+            widget.on_update(lambda _: self._commands.edit(lambda _session: None))
         self._depth.on_update(lambda _: self._shown and self.show_picture(*self._shown))
 
 
@@ -238,10 +239,6 @@ def _tile(pixels: Picture) -> Pillow.Image:
     height, width = pixels.shape[:2]
     method = Pillow.Resampling.NEAREST if width < TILE else Pillow.Resampling.BOX
     return Pillow.fromarray(pixels).resize((TILE, max(1, round(height * TILE / width))), method)
-
-
-def _change_nothing(_session: Session) -> None:
-    """Change nothing; used to redraw the page."""
 
 
 def _view_name(view: int) -> str:

@@ -13,7 +13,7 @@ from obpose.model.layers.kpconv import influence, kernel_points
 from obpose.model.nerf.voxels import observed_free
 from obpose.model.pose.encoder import neighbourhoods
 from obpose.model.pose.location import observed_center
-from obpose.model.pose.rotations import random_rotations
+from tests.obpose.clouds import random_rotations
 from tests.worlds.observations import table_scene
 
 SCENE = table_scene(frames=1)

@@ -10,6 +10,8 @@ from torch.nn.functional import grid_sample
 
 from obpose.types import ComponentMasks, ComponentRays, GridValid
 
+Index = Int[Tensor, "batch frame ray"]
+
 _SMALLEST = -80.0
 """Log masks are not below this: e^-80 is about the smallest probability in single precision."""
 
@@ -18,12 +20,7 @@ _INVALID = 1e-20
 
 
 def masks_at(
-    log_masks: ComponentMasks,
-    valid: GridValid,
-    index: Int[Tensor, "batch frame ray"],
-    *,
-    grid: tuple[int, int, int],
-    size: tuple[int, int],
+    log_masks: ComponentMasks, valid: GridValid, index: Index, *, grid: tuple[int, int, int], size: tuple[int, int]
 ) -> ComponentRays:
     """Log of the masks at the pixels `index`, counted through all views, by bilinear interpolation of the masks.
 
@@ -40,7 +37,7 @@ def masks_at(
 
 def _interpolate(
     values: Float[Tensor, "batch frame channel point"],
-    index: Int[Tensor, "batch frame ray"],
+    index: Index,
     *,
     grid: tuple[int, int, int],
     size: tuple[int, int],

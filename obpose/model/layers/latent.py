@@ -17,6 +17,8 @@ from obpose.config import LatentConfig, Weights
 from obpose.model.layers.mlp import mlp, pass_on
 from obpose.types import Draw, Latent
 
+Values = Float[Tensor, "*shape latent"]
+
 Start = Literal["zero", "learned"]
 """Hidden states before the first frame. `zero`: zeros, and the first prior is N(0, 1); `learned`: parameters, from
 which the first prior is computed, too."""
@@ -120,9 +122,7 @@ SMALLEST_STD = 1e-4
 """Smallest standard deviation, which keeps divergences finite."""
 
 
-def mean_and_std(
-    parameters: Float[Tensor, "*shape twice"], *, typical_std: float
-) -> tuple[Float[Tensor, "*shape latent"], Float[Tensor, "*shape latent"]]:
+def mean_and_std(parameters: Float[Tensor, "*shape twice"], *, typical_std: float) -> tuple[Values, Values]:
     """Mean and standard deviation from the output of a network; they are 0 and `typical_std` for an output of 0.
 
     The first half of the output is the mean, the other half goes through a shifted softplus. The authors' is not
@@ -133,13 +133,7 @@ def mean_and_std(
     return mean, softplus(spread + shift) + SMALLEST_STD
 
 
-def draw_gaussian(
-    mean: Float[Tensor, "*shape latent"],
-    std: Float[Tensor, "*shape latent"],
-    *,
-    draw: Draw,
-    generator: torch.Generator | None,
-) -> Float[Tensor, "*shape latent"]:
+def draw_gaussian(mean: Values, std: Values, *, draw: Draw, generator: torch.Generator | None) -> Values:
     """Draw a reparametrised sample, mean + std * noise, or give the mean."""
     if draw == "mean":
         return mean

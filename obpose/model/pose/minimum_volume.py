@@ -22,6 +22,9 @@ from obpose.model.pose.rotations import (
     small_rotations,
 )
 
+Candidates = Float[Tensor, "box candidate 3 3"]
+Rotations = Float[Tensor, "box 3 3"]
+
 GRID_LEVEL = 1
 """HEALPix level of the rotation grid before refinement. Of its 576 (1) or 4608 (2) rotations, the 24 or 204 that are
 distinct under the symmetry of a box are used. [code: 3, all 36,864]"""
@@ -87,22 +90,6 @@ def orient(
     return rearrange(rotation, "f (b s) i j -> b f s i j", b=batch)
 
 
-@torch.no_grad()
-@full_precision
-def minimum_volume_rotation(
-    points: Float[Tensor, "box point 3"],
-    valid: Bool[Tensor, "box point"],
-    *,
-    grid_level: int = GRID_LEVEL,
-    refinements: int = REFINEMENTS,
-) -> Float[Tensor, "box 3 3"]:
-    """World from box, for the tightest box around each cloud, in any of its 24 equivalent orientations."""
-    clouds = gather_clouds(points.float(), valid)
-    candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
-    best = _volumes(clouds, candidates).argmin(dim=-1)
-    return candidates[torch.arange(len(candidates), device=best.device), best]
-
-
 def gather_clouds(points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box point"]) -> Clouds:
     """Centre points on the middle of their bounding box, and replace invalid ones by a valid one."""
     first = repeat(valid.int().argmax(dim=-1), "box -> box 1 xyz", xyz=3)
@@ -112,9 +99,7 @@ def gather_clouds(points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box
     return Clouds(centred, _THICKNESS * centred.norm(dim=-1).amax(dim=0))
 
 
-def find_candidates(
-    clouds: Clouds, *, grid_level: int = GRID_LEVEL, refinements: int = REFINEMENTS
-) -> Float[Tensor, "box candidate 3 3"]:
+def find_candidates(clouds: Clouds, *, grid_level: int = GRID_LEVEL, refinements: int = REFINEMENTS) -> Candidates:
     """Find orientations of small boxes around each cloud.
 
     The paper takes them from an equivolumetric grid: HEALPix directions times rotations about them. Deviations: one of
@@ -166,7 +151,7 @@ def follow(
     return torch.stack(orientations)
 
 
-def _volumes(clouds: Clouds, rotation: Float[Tensor, "box candidate 3 3"]) -> Float[Tensor, "box candidate"]:
+def _volumes(clouds: Clouds, rotation: Candidates) -> Float[Tensor, "box candidate"]:
     """Volumes of the boxes along the axes of these rotations."""
     return _aligned_volume(_into(rotation, clouds.points), clouds.thickness[:, None])
 
@@ -183,9 +168,7 @@ def _aligned_volume(points: Tensor, thickness: Tensor) -> Tensor:
     return (points.amax(dim=0) - points.amin(dim=0) + thickness[..., None]).prod(dim=-1)
 
 
-def _into(
-    rotation: Float[Tensor, "box candidate 3 3"], points: Float[Tensor, "point box 3"]
-) -> Float[Tensor, "point box candidate 3"]:
+def _into(rotation: Candidates, points: Float[Tensor, "point box 3"]) -> Float[Tensor, "point box candidate 3"]:
     """Coordinates in each rotated frame: R^-1 p."""
     return torch.einsum("pbi,bcij->pbcj", points, rotation)
 
@@ -200,9 +183,7 @@ def _outermost(clouds: Clouds) -> Clouds:
     return Clouds(corners, clouds.thickness)
 
 
-def _nearest(
-    rotation: Float[Tensor, "box candidate 3 3"], small: Bool[Tensor, "box candidate"], before: Float[Tensor, "box 3 3"]
-) -> Float[Tensor, "box 3 3"]:
+def _nearest(rotation: Candidates, small: Bool[Tensor, "box candidate"], before: Rotations) -> Rotations:
     """Choose among the 24 orientations of each `small` box the one with the largest trace of before^-1 R.
 
     The paper's geodesic distance falls as the trace grows, so its arccos is not needed.

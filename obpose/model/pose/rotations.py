@@ -90,11 +90,6 @@ def rotation_from_quaternion(wxyz: Float[Tensor, "*shape 4"]) -> Float[Tensor, "
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def random_rotations(count: int, generator: torch.Generator | None = None) -> Float[Tensor, "count 3 3"]:
-    """Rotations drawn uniformly from SO(3)."""
-    return rotation_from_quaternion(torch.randn((count, 4), generator=generator))
-
-
 @lru_cache(maxsize=64)
 def small_rotations(count: int, angle: float) -> Float[Tensor, "count 3 3"]:
     """Fixed, evenly spread rotations by at most `angle` radians."""

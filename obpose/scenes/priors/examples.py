@@ -23,7 +23,7 @@ from obpose.scenes.priors.grids import Grids, grids_of, together
 from obpose.scenes.priors.interface import Say
 from obpose.scenes.refine import STEPS
 from obpose.scenes.scene import Scene
-from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
+from obpose.storage.tensors import Form, Forms, read_tensors
 
 FRAMES = 6
 """Largest number of frames used of a clip; moving objects show several sides."""
@@ -83,19 +83,18 @@ def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, 
 
 def _read(path: Path) -> Examples:
     advice = "delete it, and run the same command again."
-    tensors, _ = read_tensors(path, advice, _check_file, most_bytes=_MOST_BYTES)
+    tensors, _ = read_tensors(path, advice, _expected_file, most_bytes=_MOST_BYTES)
     if not bool((tensors["half"] > 0).all()):
         raise CorruptFile(f"{path} is damaged (half has values below 0); {advice}")
     return Examples(Grids(tensors["values"], tensors["half"]), tensors["what"])
 
 
-def _check_file(found: Forms) -> None:
-    """Check names, types and shapes of the tensors of a cache file; grids and codes may differ in number."""
+def _expected_file(found: Forms) -> Forms:
+    """Give names, types and shapes of the tensors of a cache file; grids and codes may differ in number."""
     objects, codes = (found[name].shape[:1] if name in found else () for name in ("half", "what"))
     expected = {
         "values": Form(torch.float32, (*objects, EDGE, EDGE, EDGE, 4)),
         "half": Form(torch.float32, objects),
         "what": Form(torch.float32, (*codes, LATENT)),
     }
-    if wrong := differences_of(found, expected):
-        raise ValueError(wrong)
+    return expected

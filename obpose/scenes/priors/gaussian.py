@@ -27,7 +27,7 @@ from obpose.scenes.priors.interface import WEIGHTS, FitSettings, Say, ScenePrior
 from obpose.scenes.priors.mixture import Mixture, fit_mixture
 from obpose.scenes.priors.tables import MOST, Tables, are_tables, find_tables, no_tables
 from obpose.scenes.refine import STEPS
-from obpose.storage.tensors import Form, Forms, differences_of, pack
+from obpose.storage.tensors import Form, Forms, pack
 from obpose.types import Observation
 
 FILE = "prior.safetensors"
@@ -111,7 +111,7 @@ def load_gaussian(origin: Origin) -> ScenePrior:
     path = origin.folder / FILE
     if not path.is_file():
         raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit-prior --kind gaussian first.")
-    found = read_prior(origin, FILE, _AGAIN, _check_file)
+    found = read_prior(origin, FILE, _AGAIN, _expected_file)
     what, background = (Mixture(*(found[f"{name}.{part}"] for part in _PARTS)) for name in _MIXTURES)
     # Priors of older versions have no tables.
     none = no_tables(found["low"])
@@ -126,8 +126,8 @@ def load_gaussian(origin: Origin) -> ScenePrior:
     return ScenePrior(CodePrior(what), background, tables, found["low"], found["high"])
 
 
-def _check_file(found: Forms) -> None:
-    """Check names, types and shapes: two mixtures, a part of the table, and optionally tables."""
+def _expected_file(found: Forms) -> Forms:
+    """Give names, types and shapes: two mixtures, a part of the table, and optionally tables."""
     expected = {"low": Form(torch.float32, (2,)), "high": Form(torch.float32, (2,))}
     for name in _MIXTURES:
         parts = _length(found, f"{name}.weights")
@@ -137,8 +137,7 @@ def _check_file(found: Forms) -> None:
         tables = _length(found, "lights")
         expected["lights"] = Form(torch.float32, (tables, 4))
         expected["spots"] = Form(torch.float32, (tables, PATCH, PATCH, 3))
-    if wrong := differences_of(found, expected):
-        raise ValueError(wrong)
+    return expected
 
 
 def _length(found: Forms, name: str) -> int:

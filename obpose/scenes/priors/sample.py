@@ -103,11 +103,7 @@ def _place(
 
 
 def _free_place(
-    prior: ScenePrior,
-    taken: Float[Tensor, "object 2"],
-    reaches: list[float],
-    reach: float,
-    generator: torch.Generator,
+    prior: ScenePrior, taken: Float[Tensor, "object 2"], reaches: list[float], reach: float, generator: torch.Generator
 ) -> Float[Tensor, "2"] | None:
     """Draw a position whose circle overlaps no other; None after too many attempts."""
     for _ in range(_TRIES):

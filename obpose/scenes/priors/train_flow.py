@@ -185,11 +185,7 @@ def _follow(mean: Flow, flow: Flow, step: int) -> None:
 
 
 def _save(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, step: int) -> None:
-    parts = {
-        "flow": flow.state_dict(),
-        "mean": mean.state_dict(),
-        "optimiser": optimizer_state(flow, optimiser),
-    }
+    parts = {"flow": flow.state_dict(), "mean": mean.state_dict(), "optimiser": optimizer_state(flow, optimiser)}
     tensors = {f"{part}.{name}": value for part, values in parts.items() for name, value in values.items()}
     contents = {name: value.detach().contiguous() for name, value in tensors.items()}
     write_atomically(path, save(contents, metadata={"step": str(step)}))
