@@ -192,7 +192,7 @@ class Renderer:
                 size=model.config.model.pose.box_size,
                 threshold=THRESHOLD,
                 bounded=True,
-                resolution=_FINE_CELLS if scene.appearance.alone[place] > 0 else _OBJECT_CELLS,
+                resolution=_FINE_CELLS if scene.appearance.own_scale[place] > 0 else _OBJECT_CELLS,
             ),
         )
         return moved(known, center, rotation)
@@ -208,18 +208,25 @@ class Renderer:
 
 def object_codes(model: ObPose, scene: Scene, frame: int, place: int) -> Conditioning:
     """Give the conditioning of the object field for an object of a scene."""
-    return conditioning(model, scene.what[frame, place], scene.appearance.detail[place], scene.appearance.alone[place])
+    return conditioning(
+        model, scene.what[frame, place], scene.appearance.detail[place], scene.appearance.own_scale[place]
+    )
 
 
 def conditioning(
-    model: ObPose, what: Float[Tensor, "what"], detail: Float[Tensor, "edge edge edge 4"], alone: Float[Tensor, ""]
+    model: ObPose,
+    what: Float[Tensor, "what"],
+    detail: Float[Tensor, "edge edge edge 4"],
+    own_scale: Float[Tensor, ""],
 ) -> Conditioning:
-    """Give the conditioning of the object field for a code and a detail, or the detail alone (`Appearance.alone`)."""
-    is_alone = bool(alone > 0)
-    if not is_alone and not detail.any():
+    """Give the conditioning of the object field for a code and a detail, which may replace it (`Appearance`)."""
+    replaces = bool(own_scale > 0)
+    if not replaces and not detail.any():
         return model.object_field.condition(what)
     owner = torch.zeros((), dtype=torch.long)
-    return model.object_field.condition(what).corrected(Detail(detail[None], owner, alone[None] if is_alone else None))
+    return model.object_field.condition(what).corrected(
+        Detail(detail[None], owner, own_scale[None] if replaces else None)
+    )
 
 
 def outlines(shares: Float[Tensor, "component height width"]) -> Bool[Tensor, "height width"]:

@@ -65,7 +65,7 @@ def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> No
         "rotation": scene.rotation,
         "background": scene.background,
         "detail": scene.appearance.detail,
-        "alone": scene.appearance.alone,
+        "alone": scene.appearance.own_scale,
         "light": scene.appearance.light,
         "pattern": scene.appearance.texture,
         "k": torch.stack([camera.k for camera in scene.cameras]),
@@ -125,7 +125,7 @@ def load_scene(folder: Path) -> Scene:
         rotation=tensors["rotation"],
         appearance=Appearance(
             tensors.get("detail", nothing.detail),
-            tensors.get("alone", nothing.alone),
+            tensors.get("alone", nothing.own_scale),
             tensors.get("light", nothing.light),
             tensors.get("pattern", nothing.texture),
         ),

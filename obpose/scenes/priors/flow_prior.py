@@ -41,8 +41,8 @@ class FlowObjects:
         drawn = draw_dense(lambda missing: sample_grids(self.flow, missing, generator).apart(), voxels, count)
         grids = together(drawn, like=self.flow.code)
         # Boxes share the centres and axes of the grids; parts of a grid outside of its box are cut off.
-        alone = 2 * grids.half / model.config.model.pose.box_size
-        return Objects(self.flow.code.expand(count, -1), Appearance(grids.values, alone), face_camera=True)
+        scale = 2 * grids.half / model.config.model.pose.box_size
+        return Objects(self.flow.code.expand(count, -1), Appearance(grids.values, scale), face_camera=True)
 
 
 def save_flow(origin: Origin, flow: Flow) -> Path:

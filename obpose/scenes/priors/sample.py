@@ -89,7 +89,7 @@ def _place(
     reaches: list[float] = []
     for place in range(objects):
         turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, center)
-        details = drawn.appearance.detail[place], drawn.appearance.alone[place]
+        details = drawn.appearance.detail[place], drawn.appearance.own_scale[place]
         extent = shape_extent(model, conditioning(model, drawn.what[place], *details), turn)
         height = float(-extent[:, 2].min())
         reach = float(above_table(extent, height + _SKIN)[:, :2].norm(dim=-1).max())

@@ -190,7 +190,7 @@ def test_scenes_of_older_versions_have_less(tmp_path: Path, name: str):
     tensors = load_file(tmp_path / "scene.safetensors")
     nothing = torch.zeros_like(tensors.pop(name))
     save_file(tensors, tmp_path / "scene.safetensors")
-    field = {"pattern": "texture"}.get(name, name)
+    field = {"pattern": "texture", "alone": "own_scale"}.get(name, name)
     assert equal(load_scene(tmp_path), some_scene().with_appearance(**{field: nothing}))
 
 
