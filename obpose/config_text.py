@@ -9,7 +9,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from datagen.console.text import counted
 from datagen.storage.safe_io import parse_json
-from obpose.config import Config
+from obpose.config import Config, override
 from obpose.errors import UsageError
 
 Plain = dict[str, Any]
@@ -29,16 +29,24 @@ def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
     Raises:
         UsageError: a value is missing, a name is unknown, or a value is of the wrong kind.
     """
-    config = _build(kind, plain, "")
-    if missing := [name for name, _ in _kinds(kind, "") if not _has(plain, name)]:
+    kinds, values = dict(_kinds(kind, "")), dict(_flatten(plain, ""))
+    if unknown := sorted(values.keys() - kinds.keys()):
+        names = ", ".join(map(_brief, unknown[:_NAMED])) + ", ..." * (len(unknown) > _NAMED)
+        raise UsageError(f"The configuration has unknown values, {names}: it was written by another version.")
+    changes = {name: _conform(value, kinds[name], name) for name, value in values.items()}
+    if missing := [name for name in kinds if name not in values]:
         others = f" and {counted(len(missing) - 1, 'other value')}" if missing[1:] else ""
         raise UsageError(f"The configuration lacks {missing[0]}{others}: the file is damaged, or was written by hand.")
-    return config
+    return override(kind(), changes)
 
 
-def _has(plain: Mapping[str, Any], name: str) -> bool:
-    first, _, rest = name.partition(".")
-    return first in plain and (not rest or _has(plain[first], rest))
+def _flatten(plain: Mapping[str, Any], place: str) -> Iterator[tuple[str, Any]]:
+    """Iterate over the dotted names and values of nested dicts."""
+    for name, value in plain.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{place}{name}.")
+        else:
+            yield place + name, value
 
 
 def parse_changes(texts: Iterable[str], kind: type = Config) -> dict[str, Any]:
@@ -80,22 +88,12 @@ def dotted_values(config: Any, place: str = "") -> Iterator[tuple[str, Any]]:
             yield place + field.name, value
 
 
-def _build(kind: type, plain: Mapping[str, Any], place: str) -> Any:
-    kinds = get_type_hints(kind)
-    if unknown := sorted(set(plain) - set(kinds)):
-        names = ", ".join(_brief(place + name) for name in unknown[:_NAMED]) + ", ..." * (len(unknown) > _NAMED)
-        raise UsageError(f"The configuration has unknown values, {names}: it was written by another version.")
-    return kind(**{name: _conform(value, kinds[name], place + name) for name, value in plain.items()})
-
-
 def _conform(value: Any, kind: Any, name: str) -> Any:
     """Convert a value to the type `kind`.
 
     Raises:
         UsageError: the value is not of this type.
     """
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type) and isinstance(value, Mapping):
-        return _build(kind, value, f"{name}.")
     if isinstance(value, int) and abs(value) >= 2**63:
         raise UsageError(f"{name} is a whole number of {value.bit_length()} bits; expected one of at most 63.")
     for choice in get_args(kind) if get_origin(kind) in (UnionType, Union) else (kind,):
@@ -138,8 +136,6 @@ def _brief(value: Any) -> str:
 
 
 def _say(kind: Any) -> str:
-    if dataclasses.is_dataclass(kind):
-        return "a group of values"
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, get_args(kind)))}"
     if get_origin(kind) in (UnionType, Union):

@@ -1,30 +1,14 @@
 """Errors that users can fix, and the exit codes of all commands."""
 
-from datagen.errors import (
-    EXIT_INCOMPLETE,
-    EXIT_INTERRUPTED,
-    EXIT_OK,
-    Busy,
-    CorruptFile,
-    DatagenError,
-    UsageError,
-    is_out_of_memory,
-    unknown_name,
-)
-
-__all__ = [
-    "EXIT_INCOMPLETE",
-    "EXIT_INTERRUPTED",
-    "EXIT_OK",
-    "Busy",
-    "CorruptFile",
-    "DatagenError",
-    "Diverged",
-    "Interrupted",
-    "UsageError",
-    "is_out_of_memory",
-    "unknown_name",
-]
+from datagen.errors import EXIT_INCOMPLETE as EXIT_INCOMPLETE
+from datagen.errors import EXIT_INTERRUPTED as EXIT_INTERRUPTED
+from datagen.errors import EXIT_OK as EXIT_OK
+from datagen.errors import Busy as Busy
+from datagen.errors import CorruptFile as CorruptFile
+from datagen.errors import DatagenError as DatagenError
+from datagen.errors import UsageError as UsageError
+from datagen.errors import is_out_of_memory as is_out_of_memory
+from datagen.errors import unknown_name as unknown_name
 
 
 class Diverged(DatagenError):

@@ -8,7 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.layers.numerics import full_precision
-from obpose.types import Observation, Rays
+from obpose.types import Observation, RayPoints, Rays
+
+Places = Float[Tensor, "*#shape point 3"]
+Centers = Float[Tensor, "*#shape 3"]
+Rotations = Float[Tensor, "*#shape 3 3"]
 
 _DEPTH_OF_NOTHING = 1.0
 """Depth in metres of rays without one, which no loss counts."""
@@ -95,23 +99,13 @@ def sample_rays_where(
 
 
 @full_precision
-def to_box(
-    points: Float[Tensor, "*#shape point 3"],
-    center: Float[Tensor, "*#shape 3"],
-    rotation: Float[Tensor, "*#shape 3 3"],
-    size: float,
-) -> Float[Tensor, "*#shape point 3"]:
+def to_box(points: Places, center: Centers, rotation: Rotations, size: float) -> Places:
     """Object-frame coordinates, in -1..1 within the box (paper, eq. transform): 2/s R^-1 (p - T)."""
     return (points - center[..., None, :]) @ rotation * (2 / size)
 
 
 @full_precision
-def from_box(
-    points: Float[Tensor, "*#shape point 3"],
-    center: Float[Tensor, "*#shape 3"],
-    rotation: Float[Tensor, "*#shape 3 3"],
-    size: float,
-) -> Float[Tensor, "*#shape point 3"]:
+def from_box(points: Places, center: Centers, rotation: Rotations, size: float) -> Places:
     """World coordinates of points in a box: the inverse of `to_box`."""
     return points @ rotation.mT * (size / 2) + center[..., None, :]
 
@@ -143,7 +137,7 @@ def _rays(observation: Observation, index: Tensor) -> Rays:
     )
 
 
-def _pick(values: Float[Tensor, "batch frame place 3"], index: Tensor) -> Float[Tensor, "batch frame ray 3"]:
+def _pick(values: Float[Tensor, "batch frame place 3"], index: Tensor) -> RayPoints:
     return values.gather(-2, repeat(index, "b f ray -> b f ray 3"))
 
 

@@ -1,5 +1,6 @@
 """Pictures of a model's output: input, attention masks, segmentation, reconstruction and boxes side by side."""
 
+import colorsys
 import io
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
@@ -16,7 +17,7 @@ from obpose.data.clips import separate_views
 from obpose.geometry import all_rays, from_box
 from obpose.model.nerf.compose import mean_colour
 from obpose.trainable import Trainable
-from obpose.types import Boxes, Decoded, Inference, Observation, SceneSegmentation, Segmentation
+from obpose.types import Decoded, Inference, Observation, SceneSegmentation, Segmentation
 
 TILE = 192
 """Approximate height of tiles in pixels; images are enlarged by an integer factor."""
@@ -26,23 +27,11 @@ COLUMNS = ("input", "attention masks", "segmentation", "reconstruction", "boxes"
 """Headings of the columns."""
 HEADER, MARGIN, GAP = 26, 76, 4
 """Height of the headings, width of the captions of rows, and gaps between tiles, pixels."""
-PALETTE = np.array(
-    [
-        (0, 0, 0),
-        (230, 60, 60),
-        (60, 130, 230),
-        (70, 190, 80),
-        (245, 190, 40),
-        (170, 80, 200),
-        (40, 200, 200),
-        (245, 120, 30),
-        (220, 110, 180),
-        (140, 160, 40),
-        (130, 90, 60),
-    ],
-    np.uint8,
-)
-"""Colours of labels; the background has none, and colours repeat after the last."""
+_HUE_STEP = 0.618034
+"""Golden-ratio hue step, which keeps any number of labels distinct."""
+_HUES = [colorsys.hsv_to_rgb(_HUE_STEP * label % 1, 0.85, 1) for label in range(1, 256)]
+PALETTE = (255 * np.array([(0, 0, 0), *_HUES])).round().astype(np.uint8)
+"""Colours of labels: black for the background, then one colour for each label; they repeat after the last."""
 
 Picture = UInt8[np.ndarray, "height width 3"]
 """sRGB picture."""
@@ -67,9 +56,7 @@ def write_picture(path: Path, model: Trainable, clips: Observation, views: Views
         picture = draw(model, clips if views == "all" else separate_views(clips))
     finally:
         model.train(was_training)
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "png")
-    write_atomically(path, file.getvalue())
+    write_atomically(path, png(Image.fromarray(picture)))
 
 
 @torch.no_grad()
@@ -100,58 +87,87 @@ def reconstruct(
     return colours.reshape(clips.rgb.shape)
 
 
-def tint(image: Picture, labels: Int[np.ndarray, "height width"]) -> Picture:
+def colours_of(labels: Int[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
+    """Colours of labels from the palette."""
+    return PALETTE[np.where(labels > 0, 1 + (labels - 1) % (len(PALETTE) - 1), 0)]
+
+
+def tint(image: Picture, labels: Int[np.ndarray, "height width"], opacity: float = TINT) -> Picture:
     """Mix an image with the colours of its labels; the background stays unchanged."""
-    place = np.where(labels > 0, 1 + (labels - 1) % (len(PALETTE) - 1), 0)
-    mixed = (1 - TINT) * image + TINT * PALETTE[place]
+    mixed = (1 - opacity) * image + opacity * colours_of(labels)
     return np.where(labels[..., None] > 0, mixed, image).astype(np.uint8)
 
 
-def box_edges(boxes: Boxes, clip: int, frame: int) -> Float[Tensor, "slot edge 2 3"]:
-    """End points of the twelve edges of each box, world frame, metres."""
-    corners = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3).to(boxes.center)
-    slots = boxes.center.shape[2]
-    world = from_box(corners.expand(slots, 8, 3), boxes.center[clip, frame], boxes.rotation[clip, frame], boxes.size)
+def box_edges(
+    center: Float[Tensor, "*box 3"], rotation: Float[Tensor, "*box 3 3"], size: float
+) -> Float[Tensor, "*box edge 2 3"]:
+    """End points of the twelve edges of boxes, world frame, metres."""
+    corners = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3).to(center)
+    world = from_box(corners, center, rotation, size)
     # The corners of an edge differ in one coordinate, which is one bit of their indices.
     edges = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
-    return world[:, torch.tensor(edges)]
+    return world[..., torch.tensor(edges), :]
+
+
+def draw_box(
+    canvas: Image.Image,
+    edges: Float[Tensor, "edge 2 3"],
+    label: int,
+    *,
+    k: Float[Tensor, "3 3"],
+    pose: Float[Tensor, "4 4"],
+    width: int = 1,
+) -> None:
+    """Draw the edges of a box in the colour of its label, except edges behind the camera at `pose`, world_from_camera.
+
+    `k` is the camera matrix in pixels of the canvas, `width` that of the lines.
+    """
+    in_camera = (edges - pose[:3, 3]) @ pose[:3, :3]
+    pixels = (in_camera @ k.T)[..., :2] / in_camera[..., 2:].clamp(min=1e-6)
+    colour = tuple(colours_of(np.array(label)).tolist())
+    for (start, end), depths in zip(pixels.tolist(), in_camera[..., 2].tolist(), strict=True):
+        if min(depths) > 0:
+            ImageDraw.Draw(canvas).line([tuple(start), tuple(end)], fill=colour, width=width)
+
+
+def enlarged(picture: Picture, times: int) -> UInt8[np.ndarray, "rows columns 3"]:
+    """Enlarge a picture by repeating its pixels."""
+    return picture.repeat(times, axis=0).repeat(times, axis=1)
+
+
+def to_bytes(colours: Float[Tensor, "*shape 3"]) -> UInt8[np.ndarray, "*shape 3"]:
+    """Convert colours in 0..1 to 8 bits; others are clamped."""
+    return (colours.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy()
+
+
+def png(image: Image.Image) -> bytes:
+    """Encode an image as PNG."""
+    file = io.BytesIO()
+    image.save(file, "PNG")
+    return file.getvalue()
 
 
 def _tiles(
     clips: Observation, segmentation: Segmentation, reconstruction: Tensor | None, clip: int, frame: int
 ) -> dict[str, Picture]:
     """Enlarged pictures of one frame in the first view, by heading."""
-    image = _bytes(clips.rgb[clip, frame, 0])
+    image = to_bytes(clips.rgb[clip, frame, 0])
     labels, attention = (maps[clip, frame, 0].cpu().numpy() for maps in (segmentation.labels, segmentation.attention))
     pictures = [image, tint(image, attention), tint(image, labels)]
     if reconstruction is not None:
-        pictures.append(_bytes(reconstruction[clip, frame, 0]))
+        pictures.append(to_bytes(reconstruction[clip, frame, 0]))
     factor = max(1, round(TILE / image.shape[0]))
-    tiles = {name: _enlarge(picture, factor) for name, picture in zip(COLUMNS, pictures, strict=False)}
+    tiles = {name: enlarged(picture, factor) for name, picture in zip(COLUMNS, pictures, strict=False)}
     if isinstance(segmentation, SceneSegmentation):
-        used = segmentation.labels[clip].unique().tolist()
-        boxes = segmentation.inference.boxes
-        tiles[COLUMNS[-1]] = _draw_boxes(_enlarge(image, factor), factor, clips, boxes, clip, frame, used)
+        # Boxes of used labels.
+        canvas, boxes = Image.fromarray(enlarged(image, factor)), segmentation.inference.boxes
+        edges = box_edges(boxes.center[clip, frame], boxes.rotation[clip, frame], boxes.size)
+        camera = {"k": factor * clips.k[clip, 0], "pose": clips.world_from_camera[clip, 0]}
+        for label in segmentation.labels[clip].unique().tolist():
+            if 0 < label <= len(edges):
+                draw_box(canvas, edges[label - 1], label, **camera, width=2)
+        tiles[COLUMNS[-1]] = np.asarray(canvas)
     return tiles
-
-
-def _draw_boxes(
-    image: Picture, factor: int, clips: Observation, boxes: Boxes, clip: int, frame: int, used: list[int]
-) -> Picture:
-    """Draw the edges of the boxes of used labels, except edges behind the camera."""
-    canvas = Image.fromarray(image)
-    pen = ImageDraw.Draw(canvas)
-    pose, k = clips.world_from_camera[clip, 0], clips.k[clip, 0]
-    in_camera = (box_edges(boxes, clip, frame) - pose[:3, 3]) @ pose[:3, :3]
-    pixels = (in_camera @ k.T)[..., :2] / in_camera[..., 2:].clamp(min=1e-6) * factor
-    for slot in range(len(pixels)):
-        if slot + 1 not in used:
-            continue
-        colour = tuple(PALETTE[1 + slot % (len(PALETTE) - 1)].tolist())
-        for ends, depths in zip(pixels[slot].tolist(), in_camera[slot, :, :, 2].tolist(), strict=True):
-            if min(depths) > 0:
-                pen.line([tuple(end) for end in ends], fill=colour, width=2)
-    return np.asarray(canvas)
 
 
 def _grid(rows: list[tuple[str, dict[str, Picture]]]) -> UInt8[np.ndarray, "rows columns 3"]:
@@ -170,11 +186,3 @@ def _grid(rows: list[tuple[str, dict[str, Picture]]]) -> UInt8[np.ndarray, "rows
         for column, tile in enumerate(tiles.values()):
             canvas.paste(Image.fromarray(tile), (MARGIN + column * (width + GAP), top))
     return np.asarray(canvas)
-
-
-def _enlarge(image: Picture, factor: int) -> np.ndarray:
-    return image.repeat(factor, axis=0).repeat(factor, axis=1)
-
-
-def _bytes(colours: Float[Tensor, "height width 3"]) -> Picture:
-    return (colours.cpu().numpy().clip(0, 1) * 255 + 0.5).astype(np.uint8)

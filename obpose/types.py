@@ -15,6 +15,18 @@ from torch import Tensor
 Draw = Literal["sample", "mean"]
 """Source of latents: a sample of the posterior, or its mean."""
 
+# Arrays that many parts pass to each other, by their axes.
+GridPoints = Float[Tensor, "batch frame point 3"]
+GridValid = Bool[Tensor, "batch frame point"]
+Prescope = Float[Tensor, "batch frame point 2"]
+"""Log of s^p: the background's mask, then the scope s_0 that the objects share."""
+ComponentMasks = Float[Tensor, "batch frame component point"]
+SlotMasks = Float[Tensor, "batch frame slot point"]
+Active = Bool[Tensor, "batch slot"]
+RayPoints = Float[Tensor, "batch frame ray 3"]
+RayValues = Float[Tensor, "batch frame ray"]
+ComponentRays = Float[Tensor, "batch frame component ray"]
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:

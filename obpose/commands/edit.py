@@ -223,10 +223,6 @@ def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:
     return command
 
 
-def _remove(values: Remove, scene: Scene) -> Scene:
-    return edit.remove(scene, values.object)
-
-
 def _move(values: Move, scene: Scene) -> Scene:
     if (values.by is None) == (values.to is None):
         raise UsageError("Give either --by or --to.")
@@ -241,10 +237,6 @@ def _rotate(values: Rotate, scene: Scene) -> Scene:
     return edit.rotate(scene, values.object, axis_rotation(values.axis, math.radians(values.degrees), scene.center))
 
 
-def _swap(values: Swap, scene: Scene) -> Scene:
-    return edit.swap(scene, *values.objects)
-
-
 def _add(values: Add, scene: Scene) -> Scene:
     source = scene if values.source is None else load_scene(values.source)
     if values.by is not None and values.to is not None:
@@ -254,16 +246,12 @@ def _add(values: Add, scene: Scene) -> Scene:
         added = edit.move(added, added.ids[-1], _vector("--by", values.by))
     if values.to is not None:
         added = edit.move_to(added, added.ids[-1], _vector("--to", values.to))
-    _check_seen(added)
-    return added
-
-
-def _check_seen(scene: Scene) -> None:
-    """Check that the last object does not coincide with an equal one, like a copy that was not moved."""
-    parts = (scene.what, scene.center, scene.rotation)
-    for place, name in enumerate(scene.ids[:-1]):
+    # A copy that coincides with an equal object would be invisible.
+    parts = (added.what, added.center, added.rotation)
+    for place, name in enumerate(added.ids[:-1]):
         if all(torch.equal(part[:, place], part[:, -1]) for part in parts):
             raise UsageError(f"A copy in the same place as object {name} would not be seen; give --by or --to.")
+    return added
 
 
 def _show(scene: Scene, origin: Origin, out: Path, resolution: str | None) -> None:
@@ -312,10 +300,10 @@ COMMANDS = {
     "fit-prior": Command(FitPrior, _fit_prior),
     "render": Command(Render, _render),
     "mesh": Command(Mesh, _mesh),
-    "remove": Command(Remove, _edited(_remove)),
+    "remove": Command(Remove, _edited(lambda values, scene: edit.remove(scene, values.object))),
     "move": Command(Move, _edited(_move)),
     "rotate": Command(Rotate, _edited(_rotate)),
-    "swap": Command(Swap, _edited(_swap)),
+    "swap": Command(Swap, _edited(lambda values, scene: edit.swap(scene, *values.objects))),
     "add": Command(Add, _edited(_add)),
 }
 

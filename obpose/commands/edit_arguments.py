@@ -1,6 +1,6 @@
 """Flags of `obpose-edit`."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,45 +14,65 @@ Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 SceneFolder = Annotated[Path, tyro.conf.Positional]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Shown:
     """Options of commands that write a scene with a picture."""
 
     out: Path
-    """Folder for the new scene and its picture; it must be empty or not exist."""
+    """Folder for the scene and its picture; it must be empty or not exist."""
     resolution: str | None = None
     """Width x height of the picture, such as 128x128; default the camera's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _OfScene:
+    """Options of commands that read a scene."""
+
+    scene: SceneFolder
+    """Folder of a scene."""
     checkpoint: str | None = None
     """Folder of the model, or the name of weights that ship with this package; default the place in the scene."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Infer(Frames):
+class _OfObject:
+    """Option of commands about one object."""
+
+    object: int
+    """Name of the object, as printed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Placed:
+    """Options of commands that place an object."""
+
+    by: str | None = None
+    """Displacement x,y,z in metres, world frame, such as 0.1,0,0."""
+    to: str | None = None
+    """Position x,y,z of the centre of its box in the first frame, metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Infer(Frames, _Shown):
     """Infer a scene from a clip of a dataset, or from RGB-D frames of your own."""
 
     checkpoint: str
     """Folder of a trained model, or the name of weights that ship with this package."""
-    out: Path
-    """Folder for the scene and its picture; it must be empty or not exist."""
     data: Path | None = None
     """Folder of a dataset, instead of frames."""
     split: Literal["train", "val", "test"] = "test"
     scene: int = 0
     """Index of the scene in the split."""
-    resolution: str | None = None
-    """Width x height of the picture, such as 128x128; default that of the data."""
     refine: int = STEPS
     """Steps in which the scene is fitted to the frames, which takes seconds; 0: codes as inferred, without details."""
 
 
-@dataclass(frozen=True)
-class Sample:
+@dataclass(frozen=True, kw_only=True)
+class Sample(_Shown):
     """Sample a new scene."""
 
     checkpoint: str
     """Folder of a trained model, or the name of weights that ship with this package."""
-    out: Path
-    """Folder for the scene and its picture; it must be empty or not exist."""
     camera: Path | None = None
     """Folder of a scene whose cameras are used. Default: the camera of the recipe `moving`, about a metre from
     the origin, which it looks down at by 55 degrees, with 128x128 pixels."""
@@ -64,8 +84,6 @@ class Sample:
     """`flow`: whole objects with details; `gaussian`: mixtures of Gaussians of inferred codes; `learned`: the priors
     that the model learned. `obpose-edit fit-prior` makes the first two. Default: the first of these that the weights
     have."""
-    resolution: str | None = None
-    """Width x height of the picture, such as 128x128; default the camera's."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +109,10 @@ class FitPrior:
     """Number of processes that look for objects for a flow; default one per core."""
 
 
-@dataclass(frozen=True)
-class Render:
+@dataclass(frozen=True, kw_only=True)
+class Render(_OfScene):
     """Render a scene from one of its cameras, or all around it."""
 
-    scene: SceneFolder
-    """Folder of a scene."""
     out: Path
     """PNG, or GIF with --turntable or --clip; must not exist yet."""
     frame: int | None = None
@@ -109,83 +125,51 @@ class Render:
     """All frames, as a GIF."""
     resolution: str | None = None
     """Width x height, such as 128x128; default the camera's."""
-    checkpoint: str | None = None
-    """Folder of the scene's model, if it was moved."""
 
 
-@dataclass(frozen=True)
-class Mesh:
+@dataclass(frozen=True, kw_only=True)
+class Mesh(_OfScene, _OfObject):
     """Write an object's surface as a coloured triangle mesh, world frame, metres."""
 
-    scene: SceneFolder
-    """Folder of a scene."""
-    object: int
-    """Name of the object, as printed."""
     out: Path
     """PLY or GLB; must not exist yet."""
     frame: int = 0
     """Index of the frame."""
     cells: int = 48
     """Points along each edge of the object's box at which its field is evaluated."""
-    checkpoint: str | None = None
-    """Folder of the scene's model, if it was moved."""
 
 
-@dataclass(frozen=True)
-class _Edit(_Shown):
-    scene: SceneFolder = field(kw_only=True)
-    """Folder of a scene."""
-
-
-@dataclass(frozen=True)
-class Remove(_Edit):
+@dataclass(frozen=True, kw_only=True)
+class Remove(_OfScene, _OfObject, _Shown):
     """Remove an object."""
 
-    object: int = field(kw_only=True)
-    """Name of the object, as printed."""
 
-
-@dataclass(frozen=True)
-class Move(_Edit):
+@dataclass(frozen=True, kw_only=True)
+class Move(_OfScene, _OfObject, _Placed, _Shown):
     """Move an object by a displacement, or to a position."""
 
-    object: int = field(kw_only=True)
-    """Name of the object, as printed."""
-    by: str | None = None
-    """Displacement x,y,z in metres, world frame, such as 0.1,0,0."""
-    to: str | None = None
-    """Position x,y,z of the centre of its box in the first frame, metres."""
 
-
-@dataclass(frozen=True)
-class Rotate(_Edit):
+@dataclass(frozen=True, kw_only=True)
+class Rotate(_OfScene, _OfObject, _Shown):
     """Turn an object about the centre of its box."""
 
-    object: int = field(kw_only=True)
-    """Name of the object, as printed."""
-    degrees: float = field(kw_only=True)
+    degrees: float
     """Angle; counterclockwise, seen against the axis."""
     axis: Literal["x", "y", "z"] = "z"
     """Axis of the world."""
 
 
-@dataclass(frozen=True)
-class Swap(_Edit):
+@dataclass(frozen=True, kw_only=True)
+class Swap(_OfScene, _Shown):
     """Exchange the positions of two objects."""
 
-    objects: tuple[int, int] = field(kw_only=True)
+    objects: tuple[int, int]
     """Names of the two objects."""
 
 
-@dataclass(frozen=True)
-class Add(_Edit):
+@dataclass(frozen=True, kw_only=True)
+class Add(_OfScene, _OfObject, _Placed, _Shown):
     """Add a copy of an object, from the same scene or from another one of the same model."""
 
-    object: int = field(kw_only=True)
-    """Name of the object in the scene that it comes from."""
     source: Annotated[Path | None, tyro.conf.arg(name="from")] = None
     """Folder of the scene that it comes from; default the same scene."""
-    by: str | None = None
-    """Displacement x,y,z in metres."""
-    to: str | None = None
-    """Position x,y,z of the centre of its box in the first frame, metres."""

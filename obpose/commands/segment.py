@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from einops import rearrange
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
@@ -84,8 +83,10 @@ def _objects(
     """Objects of each frame: all active slots, visible or not."""
     inference = segmentation.inference
     has_boxes = inference.where is not None
-    center = _array(inference.boxes.center if has_boxes else inference.observed_center)
-    rotation = _array(inference.boxes.rotation)
+    center, rotation = (
+        values[0].detach().cpu().numpy().astype(np.float64)
+        for values in (inference.boxes.center if has_boxes else inference.observed_center, inference.boxes.rotation)
+    )
     slots = [slot for slot in range(center.shape[1]) if inference.masks.active[0, slot]]
     return [
         [
@@ -100,10 +101,6 @@ def _objects(
         ]
         for frame in range(len(labels))
     ]
-
-
-def _array(values: Float[torch.Tensor, "1 frame slot ..."]) -> Float[np.ndarray, "frame slot ..."]:
-    return values[0].detach().cpu().numpy().astype(np.float64)
 
 
 if __name__ == "__main__":

@@ -9,10 +9,12 @@ torchrun --nproc-per-node 2 -m benchmark.commands.train --track moving       two
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from rich.console import Console
 
 from datagen.console.command_line import Command, run_command
@@ -21,8 +23,6 @@ from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
 from datagen.storage.atomic import check_no_dataset
 from datagen.tracks import DataFolder, Track, find_track
-from obpose.commands.train_arguments import Train
-from obpose.config import TrainConfig
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_OK, UsageError, unknown_name
@@ -30,6 +30,42 @@ from obpose.systems import System, find_system, slots_for
 
 if TYPE_CHECKING:
     from obpose.training.validation import Score
+
+Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a model without labels; the same command resumes a stopped run."""
+
+    track: str | None = None
+    """Name of a track of obpose-bench; its dataset is made on first use."""
+    data: Path | None = None
+    """Folder of a dataset, instead of a track."""
+    variant: str = "obpose"
+    """Name of the system; obpose/systems.py lists them."""
+    profile: str = "cpu"
+    """Size of the model and of the track's images: cpu, gpu or paper."""
+    minutes: float | None = None
+    """Budget in minutes of CPU time (wall time on a GPU), by default the profile's. Validating, drawing and saving do
+    not count."""
+    steps: int | None = None
+    """Budget in steps, instead of minutes."""
+    seed: int = 0
+    """Seed of weights, order of clips, and noise."""
+    out: Path | None = None
+    """The run's folder; default runs/VARIANT-PROFILE-DATA-seedS."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Any other value of the model's configuration, such as model.pose.box_size=0.3; can be given many times."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """`auto`: a GPU if there is one."""
+    threads: int = 1
+    """CPU threads; two runs with one thread each are faster than one run with two."""
+    workers: int = 2
+    """Processes that make the track's dataset."""
+    tensorboard: Switch = False
+    """Also write curves for TensorBoard; pip install 'obpose[tensorboard]'."""
+
 
 PROGRAM = "obpose-train"
 RUNS = Path("runs")
@@ -54,7 +90,10 @@ def run(values: Train, score: "Score | None" = None) -> int:
     system = find_system(values.variant)
     _check(values, system)
     changes = parse_changes(values.set, system.architecture.config)
-    data = _data(values)
+    if (values.track is None) == (values.data is None):
+        raise UsageError("Say what to train on: either --track NAME or --data DIR.")
+    size = "cpu" if values.profile == "cpu" else "gpu"
+    data = DataFolder(values.data) if values.data is not None else find_track(str(values.track), size)
     if not data.size("train"):
         raise UsageError(
             f"{values.data} has no training scenes; expected at least one. Make a dataset with some, such as with "
@@ -78,9 +117,18 @@ def run(values: Train, score: "Score | None" = None) -> int:
     source = SceneDataset(folder, extra=["segmentation"] if system.uses_labels else ())
     val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
     measured = system.known(measure_scene(source).changes())
-    config = system.config(values.profile, _chosen(values, data, system) | measured | changes)
+    # Changes that follow from the track and the flags, from the scenes, and those that --set gives.
+    chosen = {
+        **system.on_tracks.get(values.track or "", {}),
+        **system.known(slots_for(data.slots)),
+        "train.seed": values.seed,
+    }
+    chosen |= {"train.steps": values.steps} | ({} if values.minutes is None else {"train.minutes": values.minutes})
+    config = system.config(values.profile, chosen | measured | changes)
     system.architecture.check(config)
-    console.print(f"Training {values.variant} on {data.name}, {_in_words(config.train)}, into {out}", markup=False)
+    minutes, steps = config.train.minutes, config.train.steps
+    budget = counted(minutes, "minute") if steps is None else counted(steps, "step")
+    console.print(f"Training {values.variant} on {data.name}, {budget}, into {out}", markup=False)
     with progress_bar(console) as report:
         trained = train(
             source,
@@ -110,13 +158,6 @@ def _check(values: Train, system: System) -> None:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
 
 
-def _data(values: Train) -> Track | DataFolder:
-    if (values.track is None) == (values.data is None):
-        raise UsageError("Say what to train on: either --track NAME or --data DIR.")
-    profile = "cpu" if values.profile == "cpu" else "gpu"
-    return DataFolder(values.data) if values.data is not None else find_track(str(values.track), profile)
-
-
 def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
     """Prepare the dataset and give its folder. The first process makes it, the others wait until it is complete."""
     splits = [split for split in ("train", "val") if data.size(split)]
@@ -125,23 +166,6 @@ def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
     return data.prepare(
         splits, workers=values.workers, progress=partial(track_progress, console, data.name, data.folder)
     )
-
-
-def _chosen(values: Train, data: Track | DataFolder, system: System) -> dict[str, Any]:
-    """Configuration changes that follow from the flags."""
-    own = system.on_tracks.get(values.track or "", {})
-    budget = {} if values.minutes is None else {"train.minutes": values.minutes}
-    return {
-        **own,
-        **system.known(slots_for(data.slots)),
-        "train.seed": values.seed,
-        "train.steps": values.steps,
-        **budget,
-    }
-
-
-def _in_words(settings: TrainConfig) -> str:
-    return counted(settings.minutes, "minute") if settings.steps is None else counted(settings.steps, "step")
 
 
 def _process() -> int:

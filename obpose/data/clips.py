@@ -1,6 +1,6 @@
 """Sources of clips for training, and batches of clips."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -173,28 +173,25 @@ def random_view(observation: Observed, generator: torch.Generator | None) -> Obs
     """Keep one random view of each clip."""
     clips, device = torch.arange(len(observation.depth)), observation.depth.device
     view = torch.randint(observation.depth.shape[2], clips.shape, generator=generator, device=device)
-    chosen = {}
-    for name in (field.name for field in fields(observation)):
-        values = getattr(observation, name)
-        chosen[name] = values[clips, view][:, None] if name in _CAMERAS else values[clips, :, view][:, :, None]
-    return replace(observation, **chosen)
+    return _each(observation, lambda each: each[clips, :, view][:, :, None], lambda each: each[clips, view][:, None])
 
 
 def separate_views(observation: Observed) -> Observed:
     """Turn every view into a separate clip of one view."""
-    images, cameras = "batch frame view ... -> (batch view) frame 1 ...", "batch view ... -> (batch view) 1 ..."
-    names = [field.name for field in fields(observation)]
-    return replace(
+    return _each(
         observation,
-        **{name: rearrange(getattr(observation, name), cameras if name in _CAMERAS else images) for name in names},
+        lambda images: rearrange(images, "batch frame view ... -> (batch view) frame 1 ..."),
+        lambda cameras: rearrange(cameras, "batch view ... -> (batch view) 1 ..."),
     )
 
 
 def select_part(observation: Observed, *, frames: slice | Int[Tensor, " some"] = _ALL, views: slice = _ALL) -> Observed:
     """Select frames and views of an observation."""
-    names = [field.name for field in fields(observation)]
-    values = {name: getattr(observation, name) for name in names}
-    return replace(
-        observation,
-        **{name: value[:, views] if name in _CAMERAS else value[:, frames, views] for name, value in values.items()},
-    )
+    return _each(observation, lambda images: images[:, frames, views], lambda cameras: cameras[:, views])
+
+
+def _each(observation: Observed, images: Callable[[Tensor], Tensor], cameras: Callable[[Tensor], Tensor]) -> Observed:
+    """Apply a function to the images of an observation, and another to its cameras."""
+    values = {field.name: getattr(observation, field.name) for field in fields(observation)}
+    changed = {name: (cameras if name in _CAMERAS else images)(value) for name, value in values.items()}
+    return replace(observation, **changed)

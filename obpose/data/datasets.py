@@ -75,7 +75,10 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._window = _one_of(window, ("first", "random", "all"), "window")
         self._views = _chosen_views(views, self._scenes.views, folder)
         self._exact = _one_of(depth, ("observed", "clean"), "depth") == "clean"
-        self._extra = _known_fields(extra, _numeric_fields(dataset.groups))
+        if isinstance(extra, str):
+            raise UsageError(f"extra={extra!r} is a text; expected a list of names, such as [{extra!r}].")
+        numeric = [each.name for each in schema.FIELDS.values() if each.dtype != "S" and each.group in dataset.groups]
+        self._extra = tuple(_one_of(name, numeric, "field") for name in extra)
         self._seed = _not_negative(seed, "seed")
         # In shared memory, so that persistent workers see the number of the next epoch.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
@@ -129,7 +132,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         record = {name: self._select_views(name, array) for name, array in record.items()}
         depth, valid = read_depth(self._scenes, index, chosen, exact=self._exact)
         return {
-            "rgb": _rgb(record["rgb"]),
+            "rgb": torch.from_numpy(record["rgb"]).to(torch.float32).mul_(1 / 255),
             "depth": torch.from_numpy(self._select_views("depth", depth)),
             "valid": torch.from_numpy(self._select_views("depth", valid)),
             "k": _tensor("camera/K", record["camera/K"]),
@@ -152,10 +155,6 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         if self._views is None or "view" not in axes:
             return array
         return np.take(array, self._views, axis=axes.index("view"))
-
-
-def _rgb(stored: np.ndarray) -> Tensor:
-    return torch.from_numpy(stored).to(torch.float32).mul_(1 / 255)
 
 
 def _tensor(name: str, array: np.ndarray) -> Tensor:
@@ -182,16 +181,6 @@ def _chosen_views(views: int | Sequence[int] | None, available: int, folder: str
     if not chosen or not all(_is_whole(view) and 0 <= view < available for view in chosen):
         raise UsageError(f"Views {views}: clips of {folder} have {available}, counted from 0; choose among them.")
     return chosen
-
-
-def _numeric_fields(groups: Sequence[str]) -> list[str]:
-    return [field.name for field in schema.FIELDS.values() if field.dtype != "S" and field.group in groups]
-
-
-def _known_fields(names: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
-    if isinstance(names, str):
-        raise UsageError(f"extra={names!r} is a text; expected a list of names, such as [{names!r}].")
-    return tuple(_one_of(name, known, "field") for name in names)
 
 
 def _is_whole(value: object) -> bool:

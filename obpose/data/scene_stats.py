@@ -1,6 +1,5 @@
 """Dataset statistics that a model needs before training: point spacing and the extent of the workspace."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,7 +47,8 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
     """
     if not len(source):
         raise UsageError("There are no training clips; expected a training split with at least one scene.")
-    images = list(_first_frames(source))
+    count = min(CLIPS, len(source))
+    images = [observation_of([source.window(i * len(source) // count, 0, 1)]) for i in range(count)]
     points = torch.cat([unproject(image)[image.valid] for image in images])
     steps = torch.cat([neighbour_distances(image) for image in images])
     if not len(points) or not len(steps):
@@ -69,12 +69,6 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
         workspace_size=MARGIN * float((high - low).max()),
         background_size=2 * float(reach),
     )
-
-
-def _first_frames(source: ClipSource) -> Iterator[Observation]:
-    count = min(CLIPS, len(source))
-    for i in range(count):
-        yield observation_of([source.window(i * len(source) // count, 0, 1)])
 
 
 def neighbour_distances(image: Observation) -> Float[Tensor, " pair"]:

@@ -18,8 +18,7 @@ from torch import Tensor, nn
 
 from obpose.config import BackboneConfig
 from obpose.model.layers.grid import Grid, Windows, all_places, on_grid, subsample, upsample, windows
-from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import KPConv, influence
+from obpose.model.layers.kpconv import KPConv, influence, kernel_points
 from obpose.model.layers.mlp import Linear
 
 WIDTHS = (16, 32, 64, 64)
@@ -79,12 +78,14 @@ class Backbone(nn.Module):
         super().__init__()
         self.config = config
         self.register_buffer("kernel", kernel_points(), persistent=False)
+        # Encoder: colour and position, then strided blocks between levels and blocks on each level.
         self.input = nn.Sequential(Linear(6, widths[0]), nn.LayerNorm(widths[0]), nn.ReLU())
         self.down = nn.ModuleList(Block(fine, coarse) for fine, coarse in pairwise(widths))
         self.blocks = nn.ModuleList(
             nn.ModuleList(Block(width, width) for _ in range(count))
             for width, count in zip(widths, config.blocks, strict=True)
         )
+        # Decoder back to the output level, and the embedding zeta.
         self.up = nn.ModuleList(Up(coarse, fine) for fine, coarse in pairwise(widths[config.output_level :]))
         last = widths[config.output_level]
         self.head = nn.Sequential(
@@ -104,13 +105,9 @@ class Backbone(nn.Module):
     ) -> BackboneOutput:
         """Compute embeddings of points with colours.
 
-        Args:
-            points: World frame, metres.
-            rgb: Colours in 0..1.
-            valid: Whether a pixel has a point.
-            spacing: Distance between neighbouring points of the full image, metres.
-            center: Middle of the workspace, metres.
-            workspace_radius: Radius of the scene's code, metres.
+        `points` are in the world frame, metres, `rgb` in 0..1, and `valid` says which pixels have a point. `spacing` is
+        the distance between neighbouring points of the full image, `center` the middle of the workspace, and
+        `workspace_radius` the radius of the scene's code, all in metres.
         """
         grid = Grid(points.masked_fill(~valid[..., None], 0).contiguous(), valid.contiguous())
         # Input: standardised colour and position in the workspace, 0 where there is no point.
@@ -146,9 +143,11 @@ class Backbone(nn.Module):
     def _levels(self, grid: Grid, spacing: float) -> list[Level]:
         levels = []
         for depth, blocks in enumerate(self.config.blocks):
+            # Radii double with the distance between points.
             radius = RADIUS * spacing * 2**depth
             geometry = partial(windows, grid, radius=radius, kernel=self.kernel)
             coarse, kept = subsample(grid)
+            # Windows around all points serve the level's blocks, those around kept points the next level.
             around = geometry(all_places(grid)) if blocks else None
             levels.append(Level(grid, around, kept, around.at(kept) if around else geometry(kept)))
             grid = coarse
@@ -158,6 +157,7 @@ class Backbone(nn.Module):
         features = self.input(features)
         skips = []
         for depth, level in enumerate(levels):
+            # Strided block from the finer level, then the blocks of this level.
             if depth:
                 finer = levels[depth - 1]
                 features = self.down[depth - 1](features, finer.around_kept, finer.kept)
@@ -169,6 +169,7 @@ class Backbone(nn.Module):
     def _decode(self, levels: list[Level], skips: list[Tensor]) -> Float[Tensor, "image height width channel"]:
         features = on_grid(skips[-1], levels[-1].grid)
         for depth in range(len(levels) - 2, self.config.output_level - 1, -1):
+            # Upsampled features plus those of the encoder at this level.
             fine = on_grid(skips[depth], levels[depth].grid)
             features = self.up[depth - self.config.output_level](
                 features, levels[depth + 1].grid, fine, levels[depth].grid

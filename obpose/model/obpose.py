@@ -6,6 +6,7 @@ The paper's ablations and the other systems of its tables, except ObSuRF, are co
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -43,14 +44,20 @@ from obpose.types import (
     Draw,
     Embeddings,
     Inference,
-    Latent,
     Masks,
     Observation,
+    RayPoints,
     Rays,
     SceneSegmentation,
 )
 
-RayPoints = Float[Tensor, "batch frame ray 3"]
+
+class EmbeddedViews(NamedTuple):
+    """Views that are encoded."""
+
+    observation: Observation
+    points: Points
+    embeddings: Embeddings
 
 
 class ObPose(Trainable):
@@ -110,27 +117,20 @@ class ObPose(Trainable):
         self, observation: Observation, *, draw: Draw = "mean", generator: torch.Generator | None = None
     ) -> Inference:
         """Masks, poses and latents of a clip. Attention follows the rules for training in training mode."""
+        views = self._embed(observation)
+        return self._encode(views, self.attention(views.embeddings, generator), draw=draw, generator=generator)
+
+    def _embed(self, observation: Observation) -> EmbeddedViews:
         points = unproject(observation)
-        embeddings = self.embed(observation, points)
-        attended = self.attention(embeddings, generator)
-        return self.encode(observation, points, embeddings, attended, draw=draw, generator=generator)
+        embeddings = embed(self.backbone, self.heads, observation, points, config=self.config.model, center=self.center)
+        return EmbeddedViews(observation, points, embeddings)
 
-    def embed(self, observation: Observation, points: Points) -> Embeddings:
-        """Embeddings of the surface points."""
-        return embed(self.backbone, self.heads, observation, points, config=self.config.model, center=self.center)
-
-    def encode(
-        self,
-        observation: Observation,
-        points: Points,
-        embeddings: Embeddings,
-        attended: Attended,
-        *,
-        draw: Draw = "mean",
-        generator: torch.Generator | None = None,
+    def _encode(
+        self, views: EmbeddedViews, attended: Attended, *, draw: Draw = "mean", generator: torch.Generator | None = None
     ) -> Inference:
         """Poses and latents under given masks."""
-        model, masks = self.config.model, attended.masks
+        model, masks, (observation, points, embeddings) = self.config.model, attended.masks, views
+        # T: the observed centre (paper, section Object Location and Orientation Conditioned Encoding).
         center = observed_center(
             masks.log_masks, embeddings.points, embeddings.valid, exponent=model.attention.mask_exponent
         )
@@ -141,10 +141,12 @@ class ObPose(Trainable):
         if self.where is not None and self.where_encoder is not None:
             at_observed = Boxes(center, upright, model.pose.box_size)
             where = self.where(self.where_encoder(self._crop(embeddings, masks, at_observed)), draw, generator)
+            # R: the minimum volume principle, on the pixels of each slot.
             rotation = upright
             if model.pose.conditioning == "full":
                 owners = self.pixel_owners(masks, embeddings, observation)
                 rotation = observed_rotation(points, owners, slots=center.shape[2])
+            # T_hat = T + T_max tanh(f_where(z_where)).
             boxes = Boxes(center + self.where.translation(where.z), rotation, model.pose.box_size)
         # What: shape and appearance in the frame of the box.
         codes = attended.slot_codes
@@ -198,36 +200,33 @@ class ObPose(Trainable):
     @torch.no_grad()
     def segment(self, observation: Observation) -> SceneSegmentation:
         """Label every pixel, from posterior means: argmax of the composed density, 0 for pixels without depth."""
-        points = unproject(observation)
-        embeddings = self.embed(observation, points)
-        attended = self.attention(embeddings, None)
-        inference = self.encode(observation, points, embeddings, attended)
+        views = self._embed(observation)
+        attended = self.attention(views.embeddings, None)
+        inference = self._encode(views, attended)
         # Masks become posteriors, given the decoded fields.
         for _ in range(self.config.model.attention.posterior_refinements):
             masks = self._posterior_masks(observation, inference)
-            inference = self.encode(observation, points, embeddings, replace(attended, masks=masks))
+            inference = self._encode(views, replace(attended, masks=masks))
         # Argmax of the density at the observed surface; outside of all boxes it is the background.
         rays = all_rays(observation)
         surface = rays.origin + rays.direction * rays.depth[..., None]
         logits = self.decode(inference, surface, rays.direction, where_background="in boxes").logits
         return SceneSegmentation(
             labels=(logits.argmax(dim=2) * rays.valid).reshape(observation.depth.shape),
-            attention=self.pixel_owners(attended.masks, embeddings, observation),
+            attention=self.pixel_owners(attended.masks, views.embeddings, observation),
             inference=inference,
         )
 
     def _posterior_masks(self, observation: Observation, inference: Inference) -> Masks:
         """Posterior over components at each point of the grid, by density and colour of the fields there."""
-        embeddings = inference.embeddings
+        embeddings, views = inference.embeddings, observation.depth.shape[2]
+        # Each point is seen along the ray from the camera of its view.
         frames, count = embeddings.points.shape[1:3]
-        cameras = repeat(
-            observation.world_from_camera[..., :3, 3],
-            "b v c -> b f (v point) c",
-            f=frames,
-            point=count // observation.depth.shape[2],
-        )
+        centers = observation.world_from_camera[..., :3, 3]
+        cameras = repeat(centers, "b v c -> b f (v point) c", f=frames, point=count // views)
         found = self.decode(inference, embeddings.points, embeddings.points - cameras, "with", "in boxes")
         assert found.colours is not None
+        # Likelihood of the observed colour, for all channels together.
         likelihood = colour_log_likelihood(found.colours, plain_colours(embeddings.rgb)).sum(dim=-1)
         return posterior_masks(inference.masks, found.logits, likelihood, embeddings.valid)
 
@@ -237,136 +236,113 @@ class ObPose(Trainable):
         self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
     ) -> dict[str, Tensor]:
         """Compute the loss terms and their weighted sum; without objects in the warm-up."""
-        encoded = select_input_views(observation, self.config.train.views, generator)
-        points = unproject(encoded)
-        embeddings = self.embed(encoded, points)
+        views = self._embed(select_input_views(observation, self.config.train.views, generator))
         terms_of = self._warmup_terms if step < self.config.train.warmup else self._terms
-        terms = terms_of(observation, encoded, points, embeddings, generator)
-        return weighted_terms(terms, self.config.loss, fraction=fraction)
+        return weighted_terms(terms_of(observation, views, generator), self.config.loss, fraction=fraction)
 
     def _terms(
-        self,
-        observation: Observation,
-        encoded: Observation,
-        points: Points,
-        embeddings: Embeddings,
-        generator: torch.Generator | None,
+        self, observation: Observation, views: EmbeddedViews, generator: torch.Generator | None
     ) -> dict[str, Tensor]:
-        """Terms of L_obs, L_att and L_others; `encoded` are the views of the observation that are encoded."""
+        """Terms of L_obs, L_att and L_others; `views` are those of the observation that are encoded."""
         # Rays where objects are expected: by the pre-scope, or without one outside of the largest component.
-        rays = None
+        rays, embeddings = None, views.embeddings
         if embeddings.log_prescope is not None:
-            rays = self._sample_rays(encoded, observation, embeddings.log_prescope[..., 1].exp(), generator)
-        attended = self.attention(embeddings, generator)
-        inference = self.encode(encoded, points, embeddings, attended, draw="sample", generator=generator)
+            rays = self._sample_rays(views, observation, embeddings.log_prescope[..., 1].exp(), generator)
+        # Inference, with latents drawn from their posteriors.
+        inference = self._encode(views, self.attention(embeddings, generator), draw="sample", generator=generator)
         masks, active = inference.masks, inference.masks.active
         if rays is None:
-            rays = self._sample_rays(encoded, observation, not_largest(masks.log_masks.detach()), generator)
+            rays = self._sample_rays(views, observation, not_largest(masks.log_masks.detach()), generator)
         # L_obs.
         decode = partial(self.decode, inference)
         fields = fields_along(rays, decode, generator)
-        terms = self._observation_terms(fields, encoded, observation, decode, generator)
+        terms = self._observation_terms(fields, views, observation, decode, generator)
         if inference.background is not None:
             terms["kl_background"] = kl(inference.background)
         # L_att.
-        log_masks = self._masks_at(masks.log_masks, rays, embeddings, encoded)
-        terms["attention"] = attention_loss(log_masks, fields, self.config.loss)
+        terms["attention"] = attention_loss(self._masks_at(masks.log_masks, rays, views), fields, self.config.loss)
         # L_others.
         terms["scope"] = remaining_scope(masks.log_scope, embeddings.valid)
         terms["kl_what"] = kl(inference.what, active[:, None])
         if inference.where is not None:
-            shape = estimate_shape(
-                self.object_field,
-                fixed(inference.boxes),
-                active,
-                inference.what.z,
-                observation,
-                resolution=self.config.model.voxels,
-                # The authors take all frames; for speed it is one per clip.
-                frame=_random_frame(observation, generator),
-                generator=generator,
-            )
+            # T_shape on one random frame per clip, for speed; the authors take all frames.
+            batch, frames = observation.depth.shape[:2]
+            frame = torch.randint(frames, (batch,), generator=generator, device=observation.depth.device)
+            box, z = fixed(inference.boxes), inference.what.z
+            options = {"resolution": self.config.model.voxels, "frame": frame, "generator": generator}
+            shape = estimate_shape(self.object_field, box, active, z, observation, **options)
             terms["translation"] = translation(inference.boxes.center, shape.center, shape.found, active)
             terms["kl_where"] = kl(inference.where, active[:, None])
         return terms
 
     def _warmup_terms(
-        self,
-        observation: Observation,
-        encoded: Observation,
-        points: Points,
-        embeddings: Embeddings,
-        generator: torch.Generator | None,
+        self, observation: Observation, views: EmbeddedViews, generator: torch.Generator | None
     ) -> dict[str, Tensor]:
         """Terms of the warm-up, in which the background has to explain everything."""
         assert self.background is not None
-        rays = sample_rays(encoded, self._rays_of(encoded, observation), generator)
-        background = self.background(self.attention.background_code(embeddings, generator), "sample", generator)
-        decode = partial(self._decode_background, background)
+        rays = sample_rays(views.observation, self._rays_of(views, observation), generator)
+        background = self.background(self.attention.background_code(views.embeddings, generator), "sample", generator)
+        # L_obs.
+
+        def decode(points: RayPoints, directions: RayPoints, colours: Colours) -> Decoded:
+            return decode_background(self.fields, background.z, points, directions, colours=colours)
+
         fields = fields_along(rays, decode, generator)
-        terms = self._observation_terms(fields, encoded, observation, decode, generator)
+        terms = self._observation_terms(fields, views, observation, decode, generator)
         terms["kl_background"] = kl(background)
-        if embeddings.log_prescope is not None:
-            log_prescope = self._masks_at(embeddings.log_prescope.mT, rays, embeddings, encoded)
+        # L_att without objects.
+        if views.embeddings.log_prescope is not None:
+            log_prescope = self._masks_at(views.embeddings.log_prescope.mT, rays, views)
             terms["attention"] = attention_warmup(log_prescope, fields)
         return terms
-
-    def _decode_background(
-        self, background: Latent, points: RayPoints, directions: RayPoints, colours: Colours
-    ) -> Decoded:
-        return decode_background(self.fields, background.z, points, directions, colours=colours)
 
     def _observation_terms(
         self,
         fields: FieldsAlongRays,
-        encoded: Observation,
+        views: EmbeddedViews,
         observation: Observation,
         decode: Decode,
         generator: torch.Generator | None,
     ) -> dict[str, Tensor]:
         """Terms of L_obs; if not all views are encoded, half of the rays and of the weight are of all views."""
         terms = observation_terms(fields, self.config.loss)
-        if encoded is observation:
+        if views.observation is observation:
             return terms
-        rays = sample_rays(observation, self.config.train.rays - self._rays_of(encoded, observation), generator)
+        rays = sample_rays(observation, self.config.train.rays - self._rays_of(views, observation), generator)
         others = observation_terms(fields_along(rays, decode, generator), self.config.loss)
         return {name: (term + others[name]) / 2 for name, term in terms.items()}
 
-    def _rays_of(self, encoded: Observation, observation: Observation) -> int:
+    def _rays_of(self, views: EmbeddedViews, observation: Observation) -> int:
         """Number of rays through encoded views."""
         rays = self.config.train.rays
-        return rays if encoded is observation else rays // 2
+        return rays if views.observation is observation else rays // 2
 
     @torch.no_grad()
     def _sample_rays(
         self,
-        encoded: Observation,
+        views: EmbeddedViews,
         observation: Observation,
         scope: Float[Tensor, "batch frame point"],
         generator: torch.Generator | None,
     ) -> Rays:
         """Draw rays, a share of them where the `scope` on the embedding grid expects objects."""
-        views, height, width = encoded.depth.shape[2:]
+        encoded = views.observation
+        count, height, width = encoded.depth.shape[2:]
         rows, columns = self.backbone.grid_size(height, width)
-        scope = rearrange(scope, "b f (v h w) -> (b f) v h w", v=views, h=rows, w=columns)
+        # The scope at pixels.
+        scope = rearrange(scope, "b f (v h w) -> (b f) v h w", v=count, h=rows, w=columns)
         interest = F.interpolate(scope, size=(height, width), mode="nearest")
         interest = rearrange(interest, "(b f) v h w -> b f v h w", b=len(encoded.depth))
-        count, share = self._rays_of(encoded, observation), self.config.train.object_rays
-        return sample_rays_where(encoded, count, interest, share=share, generator=generator)
+        share = self.config.train.object_rays
+        return sample_rays_where(encoded, self._rays_of(views, observation), interest, share=share, generator=generator)
 
-    def _masks_at(self, log_masks: Tensor, rays: Rays, embeddings: Embeddings, encoded: Observation) -> Tensor:
+    def _masks_at(self, log_masks: Tensor, rays: Rays, views: EmbeddedViews) -> Tensor:
         """Log masks of the grid at the pixels of rays."""
-        views, *size = encoded.depth.shape[2:]
-        height, width = size
-        grid = (views, *self.backbone.grid_size(height, width))
-        return masks_at(log_masks, embeddings.valid, rays.index, grid=grid, size=(height, width))
+        count, height, width = views.observation.depth.shape[2:]
+        grid = (count, *self.backbone.grid_size(height, width))
+        return masks_at(log_masks, views.embeddings.valid, rays.index, grid=grid, size=(height, width))
 
 
 def fixed(boxes: Boxes) -> Boxes:
     """Boxes without a gradient."""
     return Boxes(boxes.center.detach(), boxes.rotation, boxes.size)
-
-
-def _random_frame(observation: Observation, generator: torch.Generator | None) -> Tensor:
-    batch, frames = observation.depth.shape[:2]
-    return torch.randint(frames, (batch,), generator=generator, device=observation.depth.device)

@@ -2,7 +2,7 @@
 
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.config import ModelConfig, Views
@@ -10,7 +10,7 @@ from obpose.data.clips import Observed, random_view
 from obpose.model.attention.heads import Heads
 from obpose.model.attention.upsample import masks_at
 from obpose.model.backbone import Backbone
-from obpose.types import Embeddings, Masks, Observation
+from obpose.types import Embeddings, GridValid, Masks, Observation
 
 Points = Float[Tensor, "batch frame view height width 3"]
 
@@ -49,13 +49,14 @@ def embed(
     scene = rearrange(out.scene, "(b f v) c -> b f v c", **axes).mean(dim=2)
     # Heads: each point separately.
     colour, features, log_prescope = heads(grid, valid, rgb, embedding, center=center)
+    # Positions in the workspace, for slot attention.
     position = (grid - center) * valid[..., None] * (2 / config.workspace_size)
     return Embeddings(grid, valid, position, rgb, colour, features, scene, log_prescope)
 
 
 @torch.no_grad()
 def pixel_owners(
-    masks: Masks, valid: Bool[Tensor, "batch frame point"], observation: Observation, *, grid: tuple[int, int]
+    masks: Masks, valid: GridValid, observation: Observation, *, grid: tuple[int, int]
 ) -> Int[Tensor, "batch frame view height width"]:
     """Component with the largest attention mask at each pixel; 0 for pixels without depth.
 

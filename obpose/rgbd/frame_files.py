@@ -26,10 +26,7 @@ def list_frames(paths: Sequence[Path], endings: Sequence[str], flag: str) -> lis
 
     Ignores subfolders and hidden files, such as the `._0.png` that macOS writes.
 
-    Args:
-        paths: Files, or one folder.
-        endings: File endings of frames in a folder, in lower case.
-        flag: The flag with these paths, for messages.
+    `endings` are those of frames in a folder, in lower case; `flag` names the paths in messages.
 
     Raises:
         UsageError: there are no files, or one does not exist.
@@ -37,7 +34,9 @@ def list_frames(paths: Sequence[Path], endings: Sequence[str], flag: str) -> lis
     if not paths:
         raise UsageError(f"{flag} names no files; give images in time order, or one folder of them.")
     folder = paths[0] if len(paths) == 1 and paths[0].is_dir() else None
-    found = paths if folder is None else [path for path in folder.iterdir() if _is_frame(path, endings)]
+    found = paths if folder is None else [path for path in folder.iterdir() if path.suffix.lower() in endings]
+    if folder is not None:
+        found = [path for path in found if not path.name.startswith(".") and not path.is_dir()]
     if not found:
         raise UsageError(f"{flag} {folder}: the folder holds no {', '.join(endings)}.")
     for path in found:
@@ -63,7 +62,7 @@ def check_pairs(colours: Sequence[Path], depths: Sequence[Path]) -> None:
     Raises:
         UsageError: most numbers occur in both folders, but a pair has different ones, for example after a gap.
     """
-    numbers = [[_numbers(path, _splitter(paths)) for path in paths] for paths in (colours, depths)]
+    numbers = [[_key(path, _splitter(paths))[1::2] for path in paths] for paths in (colours, depths)]
     if 2 * len({*numbers[0]} & {*numbers[1]}) < len(colours):
         return
     for colour, depth, *pair in zip(colours, depths, *numbers, strict=True):
@@ -72,10 +71,6 @@ def check_pairs(colours: Sequence[Path], depths: Sequence[Path]) -> None:
                 f"{colour} and {depth} would be one frame, but their numbers differ; expected a depth image for each "
                 "colour image. Remove files without a partner, or name all files in order instead of the folders."
             )
-
-
-def _is_frame(path: Path, endings: Sequence[str]) -> bool:
-    return path.suffix.lower() in endings and not path.name.startswith(".") and not path.is_dir()
 
 
 def _splitter(paths: Sequence[Path]) -> re.Pattern[str]:
@@ -88,7 +83,3 @@ def _splitter(paths: Sequence[Path]) -> re.Pattern[str]:
 def _key(path: Path, split: re.Pattern[str]) -> _Key:
     parts = split.split(path.stem.casefold())
     return tuple(Decimal(part) if place % 2 else part for place, part in enumerate(parts))
-
-
-def _numbers(path: Path, split: re.Pattern[str]) -> _Key:
-    return _key(path, split)[1::2]

@@ -164,13 +164,7 @@ def _first_points(observation: Observation) -> Float64[np.ndarray, "point 3"]:
 
 
 def _resolution_note(model: ObPose, observation: Observation, every: int) -> str:
-    """Compare the pixel spacing to the training, and recommend a value of `--every`.
-
-    Args:
-        model: The model.
-        observation: Frames with one pixel of each square of `every` pixels.
-        every: Current value of the flag.
-    """
+    """Compare the pixel spacing to the training, and recommend a value of `--every`."""
     note, trained, spacing = spacing_note(model, observation), model.config.model.spacing, surface_spacing(observation)
     if spacing is None or fitting_model(model, observation) is model:
         return note

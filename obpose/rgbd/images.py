@@ -87,9 +87,7 @@ def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
     Values that are negative or not finite are missing. So is the largest value of the stored type (65535 in 16 bits),
     which sensors write for surfaces that are too far.
 
-    Args:
-        path: PNG, TIFF or NPY.
-        scale: Metres per unit of integers; floats are metres.
+    `scale` is in metres per unit of integers; floats are metres.
     """
     values, stored = _read_values(path)
     is_integer = values.dtype.kind in "ui"

@@ -64,12 +64,8 @@ def read_recording(
 ) -> Recording:
     """Read frames, after a check of all file headers.
 
-    Args:
-        rgb: Colour images in time order, or one folder of them, sorted by name.
-        depth: Depth images likewise: 16 bits or floats, PNG, TIFF or NPY.
-        k: Camera matrix in pixels, pixel centres at +0.5.
-        depth_scale: Metres per unit of integer depth images; floats are metres.
-        max_bytes: Largest size of the recording in memory.
+    Colour and depth images are files in time order, or a folder each, sorted by name. `k` is the camera matrix in
+    pixels, with pixel centres at +0.5. `depth_scale` is in metres per unit of integer depth images; floats are metres.
 
     Raises:
         UsageError: files are missing, do not belong together, hold no colours or no depth, or are too large; or the

@@ -24,9 +24,7 @@ def find_table(points: Float[np.ndarray, "point 3"], *, seed: int = 0) -> Plane 
     of its width up to `WIDTH`. So a table beats a wall at twice its distance, even if the wall fills more pixels, and
     it beats the side of a box.
 
-    Args:
-        points: Observed points, camera frame, metres.
-        seed: Random seed of the search.
+    Points are in the camera frame, metres.
     """
     if not len(points):
         return None
@@ -46,10 +44,7 @@ def pose_over_table(
 ) -> Pose:
     """Find world_from_camera of a world in which the table is z = 0 and x points horizontally towards the camera.
 
-    Args:
-        points: Observed points, camera frame, metres.
-        center: World position of the median of the table's points, metres; only x and y are used.
-        seed: Random seed of the search for the table.
+    Points are in the camera frame, metres. The median of the table's points gets x and y of `center`, world frame.
 
     Raises:
         UsageError: no plane is found.

@@ -5,7 +5,7 @@ from pathlib import Path
 from obpose.data.clips import observation_of
 from obpose.data.datasets import SceneDataset
 from obpose.errors import UsageError
-from obpose.scenes.scene import ClipName
+from obpose.scenes.scene import ClipName, Split
 from obpose.types import Observation
 
 
@@ -22,7 +22,7 @@ def read_clip(data: Path, split: str, index: int) -> Observation:
     return observation_of([scenes[one_of("--scene", index, len(scenes))]])
 
 
-def name_clip(data: Path, split: str, index: int) -> ClipName:
+def name_clip(data: Path, split: Split, index: int) -> ClipName:
     """Give the identity of a clip, which scenes store.
 
     Raises:

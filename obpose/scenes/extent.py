@@ -22,8 +22,8 @@ def occupied(model: ObPose, codes: Conditioning) -> Float[Tensor, "voxel 3"]:
     Voxels divide the box, or the residual grid if it replaces the field.
     """
     lattice = lattice_points(CELLS, None, codes.first)
-    if codes.detail is not None and codes.detail.alone is not None:
-        lattice = lattice * codes.detail.alone
+    if codes.detail is not None and codes.detail.own_scale is not None:
+        lattice = lattice * codes.detail.own_scale
         lattice = lattice[(lattice.abs() <= 1).all(dim=-1)]
     logits, _ = model.object_field.density(lattice, codes)
     return lattice[occupancy(logits) > THRESHOLD]

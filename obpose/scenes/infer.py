@@ -62,17 +62,12 @@ def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: 
     scene = refine(model, observation, scene, steps=refinements)
     # Light and table do not change over time, so some frames are enough.
     frames = torch.linspace(0, scene.frames - 1, min(APPEARANCE_FRAMES, scene.frames)).round().long()
-    observation, part = select_part(observation, frames=frames), _part(scene, frames)
+    values = {name: getattr(scene, name)[frames] for name in ("what", "center", "rotation", "background")}
+    observation, part = select_part(observation, frames=frames), replace(scene, **values)
     light = find_light(model, observation, part)
     return scene.with_appearance(
         light=light, texture=find_texture(model, observation, part.with_appearance(light=light))
     )
-
-
-def _part(scene: Scene, frames: Int[Tensor, " some"]) -> Scene:
-    """Keep some of the frames."""
-    values = {name: getattr(scene, name)[frames] for name in ("what", "center", "rotation", "background")}
-    return replace(scene, **values)
 
 
 def views_as_trained(model: ObPose, observation: Observation) -> Observation:

@@ -7,17 +7,15 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 import trimesh
-from jaxtyping import Float
 from skimage.measure import marching_cubes
-from torch import Tensor
 from trimesh.visual import ColorVisuals
 
 from datagen.storage.atomic import write_atomically
 from obpose.errors import UsageError
 from obpose.geometry import from_box
 from obpose.model.nerf.along import JITTER
-from obpose.model.nerf.field import Conditioning
 from obpose.model.obpose import ObPose
+from obpose.pictures import to_bytes
 from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene
 
@@ -44,14 +42,9 @@ def object_mesh(
     The mesh is in the world frame, in metres. The faces of the object's box close it where the field reaches beyond
     them. The colour of a vertex is the field's as far behind it as it was trained, seen from outside.
 
-    Args:
-        model: The model of the scene.
-        scene: The scene.
-        name: Name of the object.
-        frame: Frame whose pose and code are used.
-        resolution: Points along each edge of the box at which the field is evaluated.
-        floor: Height in the world, metres, at which the mesh is cut: no camera saw what is below a table.
-        surface: Density at the surface, as a share of the largest.
+    The field is evaluated at `resolution` points along each edge of the box. The mesh is cut at the height `floor` in
+    the world, metres, because no camera saw what is below a table. `surface` is the density there, as a share of the
+    largest.
 
     Raises:
         UsageError: there is no such object, or it is nowhere dense.
@@ -61,7 +54,8 @@ def object_mesh(
     steps = torch.linspace(-1, 1, resolution)
     lattice = torch.cartesian_prod(steps, steps, steps)
     center, rotation = scene.center[frame, place], scene.rotation[frame, place]
-    logits, level = model.object_field.density(lattice, codes)[0], _logit(surface)
+    # The level is the inverse of tanh(softplus(logit)) (paper, end of section Decoder).
+    logits, level = model.object_field.density(lattice, codes)[0], math.log(math.expm1(math.atanh(surface)))
     if floor is not None:
         # A field that crosses the level at the floor, one logit per step of the lattice.
         height = from_box(lattice, center, rotation, settings.pose.box_size)[:, 2] - floor
@@ -78,9 +72,11 @@ def object_mesh(
     vertices = from_box(in_box, center, rotation, settings.pose.box_size)
     mesh = trimesh.Trimesh(vertices.numpy(), faces, process=False)
     mesh.fix_normals()
-    outwards = torch.from_numpy(np.array(mesh.vertex_normals)).to(lattice.dtype) @ rotation
-    colours = _colours(model, codes, in_box, outwards, behind=2 * JITTER / settings.pose.box_size)
-    mesh.visual = ColorVisuals(mesh, vertex_colors=_bytes(colours))
+    # Colours as far behind the surface as they were trained, seen from outside.
+    inwards = -F.normalize(torch.from_numpy(np.array(mesh.vertex_normals)).to(lattice.dtype) @ rotation, dim=-1)
+    _, hidden = model.object_field.density(in_box + 2 * JITTER / settings.pose.box_size * inwards, codes)
+    colours = model.object_field.colour(hidden, inwards, codes)
+    mesh.visual = ColorVisuals(mesh, vertex_colors=to_bytes(colours))
     return mesh
 
 
@@ -111,25 +107,3 @@ def linear(colours: np.ndarray) -> np.ndarray:
     values = colours[:, :3] / 255
     decoded = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
     return np.concatenate([(255 * decoded).round().astype(np.uint8), colours[:, 3:]], axis=1)
-
-
-def _logit(density: float) -> float:
-    """Logit of a density: the inverse of tanh(softplus(logit)) (paper, end of section Decoder)."""
-    return math.log(math.expm1(math.atanh(density)))
-
-
-def _colours(
-    model: ObPose,
-    codes: Conditioning,
-    points: Float[Tensor, "vertex 3"],
-    outwards: Float[Tensor, "vertex 3"],
-    *,
-    behind: float,
-) -> Float[Tensor, "vertex 3"]:
-    inwards = -F.normalize(outwards, dim=-1)
-    _, hidden = model.object_field.density(points + behind * inwards, codes)
-    return model.object_field.colour(hidden, inwards, codes)
-
-
-def _bytes(colours: Float[Tensor, "vertex 3"]) -> np.ndarray:
-    return (colours.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

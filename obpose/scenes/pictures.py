@@ -6,13 +6,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
-from jaxtyping import UInt8
 from PIL import Image as Pillow
 from torch import Tensor
 
 from datagen.storage.atomic import write_atomically
-from obpose.pictures import PALETTE
+from obpose.pictures import Picture, colours_of, enlarged, png, to_bytes
 from obpose.scenes.rendering import Image
 from obpose.scenes.scene import Camera, upright
 
@@ -21,9 +19,6 @@ PICTURE = "picture.png"
 _TILE = 256
 """Height in pixels to which images are enlarged, by a whole factor."""
 
-Picture = UInt8[np.ndarray, "height width 3"]
-"""sRGB."""
-
 
 def strip(image: Image, names: Sequence[int]) -> Picture:
     """Draw colour, depth (near is bright) and segmentation side by side, enlarged."""
@@ -31,21 +26,13 @@ def strip(image: Image, names: Sequence[int]) -> Picture:
     low, high = float(depth.min()), float(depth.max())
     grey = ((high - depth) / max(high - low, 1e-6))[..., None].expand(-1, -1, 3)
     labels = np.array([0, *names])[image.nearest.numpy()]
-    colours = np.where(labels == 0, 0, (labels - 1) % (len(PALETTE) - 1) + 1)
-    parts = [_bytes(image.rgb), _bytes(grey), PALETTE[colours]]
+    parts = [to_bytes(image.rgb), to_bytes(grey), colours_of(labels)]
     return enlarged(np.concatenate(parts, axis=1), max(1, _TILE // image.rgb.shape[0]))
-
-
-def enlarged(picture: Picture, times: int) -> UInt8[np.ndarray, "rows columns 3"]:
-    """Enlarge a picture by repeating its pixels."""
-    return picture.repeat(times, axis=0).repeat(times, axis=1)
 
 
 def write_png(path: Path, picture: Picture) -> None:
     """Write a PNG atomically."""
-    data = io.BytesIO()
-    Pillow.fromarray(picture).save(data, "PNG")
-    write_atomically(path, data.getvalue())
+    write_atomically(path, png(Pillow.fromarray(picture)))
 
 
 def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
@@ -66,7 +53,3 @@ def turntable(camera: Camera, center: Tensor, count: int) -> list[Camera]:
         pose[:3, 3] = center + turn @ (pose[:3, 3] - center)
         cameras.append(Camera(camera.k, pose, camera.width, camera.height))
     return cameras
-
-
-def _bytes(values: Tensor) -> Picture:
-    return (values.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

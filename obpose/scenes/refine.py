@@ -4,7 +4,7 @@ Not in the paper: semi-amortised inference (Kim et al. 2018). The paper infers l
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -31,39 +31,21 @@ NEIGHBOURS, SIZE = 2.6, 4.0
 """Prior of details: standard deviations of differences between neighbouring points, and of the values, in logits."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Leaves:
-    """Fitted values, as in `Scene`."""
-
-    what: Float[Tensor, "frame object what"]
-    background: Float[Tensor, "frame background"]
-    center: Float[Tensor, "frame object 3"]
-    detail: Float[Tensor, "object edge edge edge 4"]
-
-    def all(self) -> list[Tensor]:
-        return [self.what, self.background, self.center, self.detail]
-
-
 def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int) -> Scene:
     """Fit latents, positions and details of a scene by gradient descent on the observation loss.
 
     The objective per pixel is the negative log-likelihood plus the negative log of the details' prior. Rotations and
     the model's weights are not changed. The result is deterministic, up to rounding.
 
-    Args:
-        model: The model of the scene.
-        observation: A batch of one clip, with as many frames as the scene.
-        scene: The initial scene.
-        steps: Number of steps; 0 changes nothing.
+    The observation is a batch of one clip, with as many frames as the scene. 0 steps change nothing.
     """
     loss, noise = model.config.loss, torch.Generator().manual_seed(0)
     start = (scene.what, scene.background, scene.center, scene.appearance.detail)
-    leaves = _Leaves(*(value.clone().requires_grad_() for value in start))
+    leaves = [value.clone().requires_grad_() for value in start]
     rates = (LATENT_STEP, LATENT_STEP, PLACE_STEP, DETAIL_STEP)
-    groups = [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves.all(), rates, strict=True)]
-    optimiser = torch.optim.Adam(groups)
+    optimiser = torch.optim.Adam([{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)])
     fall = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, max(1, steps))
-    decoding, pixels = _decoding(model, scene, leaves), max(1, int(observation.valid.sum()))
+    decoding, pixels = fields_of(model, _with(scene, leaves)), max(1, int(observation.valid.sum()))
     shown = _shows_objects(observation, decoding)
     count = max(LEAST_RAYS, min(RAYS, RAYS_OF_CLIP // scene.frames))
     with torch.enable_grad():
@@ -71,22 +53,21 @@ def refine(model: ObPose, observation: Observation, scene: Scene, *, steps: int)
             rays = sample_rays_where(observation, count, shown, share=0.5, generator=noise)
             terms = observation_terms(fields_along(rays, decoding, noise), loss)
             total = terms["colour"] + terms["surface"] + AIR * terms["air"]
-            total = total + roughness(leaves.detail, neighbours=NEIGHBOURS, size=SIZE) / pixels
-            for leaf, slope in zip(leaves.all(), torch.autograd.grad(total, leaves.all()), strict=True):
+            total = total + roughness(leaves[-1], neighbours=NEIGHBOURS, size=SIZE) / pixels
+            for leaf, slope in zip(leaves, torch.autograd.grad(total, leaves), strict=True):
                 leaf.grad = slope
             optimiser.step()
             fall.step()
-    what, background, center, detail = (leaf.detach() for leaf in leaves.all())
+    return _with(scene, [leaf.detach() for leaf in leaves])
+
+
+def _with(scene: Scene, values: list[Tensor]) -> Scene:
+    what, background, center, detail = values
     return replace(scene, what=what, background=background, center=center).with_appearance(detail=detail)
 
 
 def fields_of(model: ObPose, scene: Scene) -> Callable[..., Decoded]:
     """Give the function of densities and colours of a scene's components at points along rays (`decode`)."""
-    return _decoding(model, scene, _Leaves(scene.what, scene.background, scene.center, scene.appearance.detail))
-
-
-def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Decoded]:
-    """Give the function of densities and colours for the values that are being fitted."""
     frames, objects = scene.what.shape[:2]
     owner = torch.arange(objects).repeat(frames)
     active = torch.ones(1, objects, dtype=torch.bool)
@@ -97,9 +78,9 @@ def _decoding(model: ObPose, scene: Scene, leaves: _Leaves) -> Callable[..., Dec
         colours: Colours,
         where_background: Background = "everywhere",
     ) -> Decoded:
-        boxes = Boxes(leaves.center[None], scene.rotation[None], model.config.model.pose.box_size)
-        detail = Detail(leaves.detail, owner)
-        codes = Codes(active, leaves.what[None], leaves.background[None], boxes, detail)
+        boxes = Boxes(scene.center[None], scene.rotation[None], model.config.model.pose.box_size)
+        detail = Detail(scene.appearance.detail, owner)
+        codes = Codes(active, scene.what[None], scene.background[None], boxes, detail)
         return decode(model.fields, codes, points, directions, colours=colours, where_background=where_background)
 
     return at

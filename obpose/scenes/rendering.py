@@ -21,6 +21,8 @@ from obpose.scenes.appearance.light import beams, strength
 from obpose.scenes.appearance.table_texture import texture_at
 from obpose.scenes.scene import Camera, Scene
 
+RayVectors = Float[Tensor, "ray 3"]
+
 _OPAQUE = 5.0
 """Optical thickness of an opaque object over the spacing of neighbouring training pixels. Fields are no sharper."""
 _STEPS = 2.5
@@ -90,25 +92,18 @@ class Renderer:
             rgb = rgb.index_copy(0, at, seen.unflatten(0, several.shape[:2]).mean(dim=1))
         return Image(rgb=rgb.clamp(0, 1).unflatten(0, size), depth=picture.depth.unflatten(0, size), shares=shares)
 
-    def _march(self, components: list[Component], direction: Float[Tensor, "ray 3"], camera: Camera) -> Picture:
+    def _march(self, components: list[Component], direction: RayVectors, camera: Camera) -> Picture:
         origin = camera.world_from_camera[:3, 3].expand_as(direction)
         return march(components, origin, direction, floor=self.model.config.model.table, **self.quadrature(camera))
 
     def _finished(
-        self,
-        picture: Picture,
-        scene: Scene,
-        components: list[Component],
-        direction: Float[Tensor, "ray 3"],
-        camera: Camera,
-    ) -> Float[Tensor, "ray 3"]:
+        self, picture: Picture, scene: Scene, components: list[Component], direction: RayVectors, camera: Camera
+    ) -> RayVectors:
         """Add the table's texture and the shadows of objects on the background to colours."""
         share = picture.weights[0]
         shown = (share > _LEAST_LIGHT).nonzero()[:, 0]
-        has_texture, has_shadows = (
-            bool(scene.appearance.texture.any()),
-            strength(scene.appearance.light) > 0 and len(components) > 1,
-        )
+        has_texture = bool(scene.appearance.texture.any())
+        has_shadows = strength(scene.appearance.light) > 0 and len(components) > 1
         if not len(shown) or not (has_texture or has_shadows):
             return picture.colour
         share = share[shown, None]
@@ -187,16 +182,17 @@ class Renderer:
     def _object(self, scene: Scene, frame: int, place: int) -> Component:
         model = self.model
         center, rotation = scene.center[frame, place], scene.rotation[frame, place]
-        box = {"center": center, "rotation": rotation, "size": model.config.model.pose.box_size}
-        box |= {"threshold": THRESHOLD}
         known = self._keep(
             scene.look(frame, place),
             lambda: make_component(
                 model.object_field,
                 object_codes(model, scene, frame, place),
-                **box,
+                center=center,
+                rotation=rotation,
+                size=model.config.model.pose.box_size,
+                threshold=THRESHOLD,
                 bounded=True,
-                resolution=_FINE_CELLS if scene.appearance.alone[place] > 0 else _OBJECT_CELLS,
+                resolution=_FINE_CELLS if scene.appearance.own_scale[place] > 0 else _OBJECT_CELLS,
             ),
         )
         return moved(known, center, rotation)
@@ -212,18 +208,25 @@ class Renderer:
 
 def object_codes(model: ObPose, scene: Scene, frame: int, place: int) -> Conditioning:
     """Give the conditioning of the object field for an object of a scene."""
-    return conditioning(model, scene.what[frame, place], scene.appearance.detail[place], scene.appearance.alone[place])
+    return conditioning(
+        model, scene.what[frame, place], scene.appearance.detail[place], scene.appearance.own_scale[place]
+    )
 
 
 def conditioning(
-    model: ObPose, what: Float[Tensor, "what"], detail: Float[Tensor, "edge edge edge 4"], alone: Float[Tensor, ""]
+    model: ObPose,
+    what: Float[Tensor, "what"],
+    detail: Float[Tensor, "edge edge edge 4"],
+    own_scale: Float[Tensor, ""],
 ) -> Conditioning:
-    """Give the conditioning of the object field for a code and a detail, or the detail alone (`Appearance.alone`)."""
-    is_alone = bool(alone > 0)
-    if not is_alone and not detail.any():
+    """Give the conditioning of the object field for a code and a detail, which may replace it (`Appearance`)."""
+    replaces = bool(own_scale > 0)
+    if not replaces and not detail.any():
         return model.object_field.condition(what)
     owner = torch.zeros((), dtype=torch.long)
-    return model.object_field.condition(what).corrected(Detail(detail[None], owner, alone[None] if is_alone else None))
+    return model.object_field.condition(what).corrected(
+        Detail(detail[None], owner, own_scale[None] if replaces else None)
+    )
 
 
 def outlines(shares: Float[Tensor, "component height width"]) -> Bool[Tensor, "height width"]:

@@ -1,7 +1,6 @@
 """Scenes as values: codes and poses of objects, the background, the appearance and the cameras."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -13,6 +12,7 @@ from obpose.scenes.appearance import Appearance
 
 LARGEST_ID = 2**31 - 1
 """Largest name of an object."""
+Split = Literal["train", "val", "test"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class ClipName:
 
     dataset: str
     """SHA-256 of the settings of the dataset (`obpose.data.datasets.SceneDataset.settings_hash`)."""
-    split: str
+    split: Split
     index: int
 
     def __str__(self) -> str:
@@ -89,23 +89,19 @@ class Scene:
             UsageError: there is no such object; the message lists the existing ones.
         """
         if name not in self.ids:
-            there = f"Its objects are {_listed(self.ids)}." if self.ids else "It has no objects."
+            there = f"Its objects are {', '.join(map(str, self.ids))}." if self.ids else "It has no objects."
             raise UsageError(f"The scene has no object {name}. {there}")
         return self.ids.index(name)
 
     def look(self, frame: int, place: int) -> bytes:
         """Give a key of the look of an object, which does not depend on its pose."""
-        parts = (self.what[frame, place], self.appearance.detail[place], self.appearance.alone[place])
+        parts = (self.what[frame, place], self.appearance.detail[place], self.appearance.own_scale[place])
         return b"".join(part.numpy().tobytes() for part in parts)
 
     def new_id(self) -> int:
         """Give an unused name: the next one, or the least free one if there is no next one."""
         following = max(self.ids, default=0) + 1
         return following if following <= LARGEST_ID else min(set(range(1, len(self.ids) + 2)) - set(self.ids))
-
-
-def _listed(names: Sequence[int]) -> str:
-    return ", ".join(map(str, names))
 
 
 def upright(yaw: float, like: Tensor) -> Float[Tensor, "3 3"]:

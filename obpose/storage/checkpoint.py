@@ -14,11 +14,11 @@ import torch
 from safetensors.torch import save
 
 from datagen.storage.atomic import write_atomically
-from datagen.storage.safe_io import brief_reason, check_file, parse_json, read_json
+from datagen.storage.safe_io import brief_reason, parse_json, read_bytes, read_json
 from obpose.config_text import differences, from_plain, to_plain
 from obpose.errors import CorruptFile, UsageError
 from obpose.model.obpose import ObPose
-from obpose.storage.tensors import Check, Forms, State, differences_of, forms_of, read_tensors
+from obpose.storage.tensors import Expect, Forms, State, differences_of, forms_of, read_tensors
 from obpose.systems import ARCHITECTURES, OBPOSE, architecture_of, build_model
 from obpose.trainable import Configuration, Trainable
 
@@ -120,12 +120,13 @@ def put_weights(model: Trainable, weights: State, place: str) -> None:
     model.load_state_dict(weights)
 
 
-def _check_fit(found: Forms, expected: Forms, place: str) -> None:
+def _check_fit(found: Forms, expected: Forms, place: str) -> Forms:
     if wrong := differences_of(found, expected):
         raise UsageError(
             f"The weights in {place} do not fit the model of its configuration: {wrong}. Expected {CONFIG} and "
             f"{MODEL} of one run, made by this version."
         )
+    return expected
 
 
 def save_training(folder: Path, state: TrainingState) -> None:
@@ -196,7 +197,7 @@ def _check_free(folder: Path) -> None:
                 f"{folder} has a {name} but no {CONFIG}; it would be overwritten. Give another --out, or move it away."
             )
     for name in TABLES:
-        if (folder / name).exists() and _has_rows(folder / name):
+        if (folder / name).exists() and len(read_bytes(folder / name, _MOST_TABLE_BYTES).splitlines()) > 1:
             raise UsageError(
                 f"{folder / name} has rows, but there is no {CONFIG} beside it; it would be overwritten. Give another "
                 "--out, or move it away."
@@ -211,16 +212,10 @@ def _write_tensors(path: Path, tensors: State, info: Info) -> None:
     write_atomically(path, save(copies, metadata={"info": json.dumps(info)}))
 
 
-def _has_rows(path: Path) -> bool:
-    check_file(path, _MOST_TABLE_BYTES)
-    with path.open("rb") as file:
-        return sum(1 for _ in file) > 1
-
-
-def _read_tensors(path: Path, check: Check | None = None) -> tuple[State, Info]:
+def _read_tensors(path: Path, expect: Expect | None = None) -> tuple[State, Info]:
     if not path.exists():
         raise CorruptFile(f"{path} is missing, though there is a {CONFIG}; {_MEND[path.name]}")
-    tensors, metadata = read_tensors(path, _MEND[path.name], check)
+    tensors, metadata = read_tensors(path, _MEND[path.name], expect)
     try:
         info = parse_json(metadata["info"])
         if not isinstance(info, dict):

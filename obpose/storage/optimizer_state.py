@@ -22,10 +22,8 @@ def optimizer_state(module: nn.Module, optimizer: Any) -> State:
 def put_optimizer_state(module: nn.Module, optimizer: Any, state: State) -> None:
     """Load what `optimizer_state` gave into Adam.
 
-    Args:
-        module: Its parameters are those of the optimiser, in this order.
-        optimizer: Adam or AdamW, perhaps wrapped by Lightning Fabric.
-        state: The tensors by name.
+    The optimiser is Adam or AdamW, perhaps wrapped by Lightning Fabric, for the parameters of the module in their
+    order.
 
     Raises:
         ValueError: names, types or shapes are not those of Adam for these parameters, or values are impossible.

@@ -57,8 +57,8 @@ class Form:
 
 
 Forms = dict[str, Form]
-Check = Callable[[Forms], None]
-"""Check of the types and shapes in a file, as `read_tensors` gives them; raises ValueError if they are wrong."""
+Expect = Callable[[Forms], Forms]
+"""Give the types and shapes that a file should have, from those that it has; raise an error if there are none."""
 
 
 def pack(tensors: Mapping[str, Tensor], precision: Precision) -> State:
@@ -104,15 +104,12 @@ def differences_of(found: Forms, expected: Forms) -> str | None:
 
 
 def read_tensors(
-    path: Path, advice: str, check: Check | None = None, *, most_bytes: int = MOST_BYTES
+    path: Path, advice: str, expect: Expect | None = None, *, most_bytes: int = MOST_BYTES
 ) -> tuple[State, dict[str, str]]:
     """Read the tensors and the metadata of a safetensors file; values that `pack` made smaller come back as float32.
 
-    Args:
-        path: The file.
-        advice: Advice for the user if the file is damaged: the end of a sentence.
-        check: Check of types and shapes, which runs before values are read.
-        most_bytes: Largest size of the file.
+    `advice` for the user, if the file is damaged, is the end of a sentence. Types and shapes are
+    compared with those of `expect` before values are read.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -124,8 +121,9 @@ def read_tensors(
         _check_header(path)
         with safe_open(path, framework="pt") as file:
             forms = {name: _form(file, name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-            if check:
-                check(_unpacked_forms(forms))
+            found = _unpacked_forms(forms)
+            if expect and (wrong := differences_of(found, expect(found))):
+                raise ValueError(wrong)
             # Copies, because the library maps the file: reading after it was cut short would end the process.
             tensors = {name: file.get_tensor(name).clone() for name in forms}
             metadata = dict(file.metadata() or {})

@@ -47,13 +47,8 @@ class Page:
     ):
         """Build the page.
 
-        Args:
-            server: A server without a page.
-            opened: The first scene.
-            out: Folder for saved scenes; each gets a new folder inside.
-            preview: Longer side of the first picture after a change, pixels.
-            final: Longer side of the picture once nothing changes, pixels.
-            fit_steps: Optimisation steps of the fit to the frames.
+        `preview` and `final` are the longer sides of the first picture after a change and of the last, pixels. Fits to
+        the frames take `fit_steps` steps. Saved scenes get a new folder each in `out`.
         """
         self.title = opened.title
         self.server, self._opened, self._out, self._fit_steps = server, opened, out, fit_steps

@@ -8,11 +8,12 @@ from html import escape
 import numpy as np
 import torch
 import viser
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from PIL import Image as Pillow
 from PIL import ImageDraw, ImageFont
 from torch import Tensor
 
+from obpose.pictures import Picture, to_bytes
 from obpose.scenes.rendering import Image
 from obpose.viewer.point_clouds import slot_colour
 from obpose.viewer.scene3d import DRAWN_AS, Layers
@@ -25,8 +26,6 @@ _MOVE, _HIDE, _SHOW, _COPY, _REMOVE = "move", "hide", "show", "copy", "remove"
 TILE, TITLE, _GAP = 256, 26, 6
 """Width of a picture, height of its title, and width of the gap between pictures, pixels."""
 
-Pixels = UInt8[np.ndarray, "height width 3"]
-"""sRGB picture."""
 Observed = tuple[Float[Tensor, "h w 3"], Float[Tensor, "h w"]]
 """Colours and depth of one view of the input; metres, 0 = missing."""
 
@@ -196,17 +195,15 @@ class Panel:
             self._boxes, self._cameras = (self._gui.add_checkbox(label, True) for label in ("Boxes", "Cameras"))
             self._depth = self._gui.add_checkbox("Depth", False, hint="Adds depth to the pictures above")
         for widget in (self._drawn_as, self._boxes, self._cameras):
-            widget.on_update(lambda _: self._commands.edit(_change_nothing))
+            # Redraws the page.
+            widget.on_update(lambda _: self._commands.edit(lambda _session: None))
         self._depth.on_update(lambda _: self._shown and self.show_picture(*self._shown))
 
 
-def compose(image: Image, observed: Observed | None, *, with_depth: bool) -> Pixels:
+def compose(image: Image, observed: Observed | None, *, with_depth: bool) -> Picture:
     """Place the rendered picture beside the input, or beside its own depth if there is no input.
 
-    Args:
-        image: The rendered scene.
-        observed: Colours and depth of the input.
-        with_depth: Whether to add a row with the depths of input and scene, in the same greys.
+    `with_depth` adds a row with the depths of input and scene, in the same greys.
     """
     seen = image.depth if observed is None else observed[1]
     known = seen[seen > 0]
@@ -227,9 +224,9 @@ def greys(depth: Float[Tensor, "h w"], reach: tuple[float, float]) -> Float[Tens
     return torch.where(depth > 0, grey, 0.0)[..., None].expand(*depth.shape, 3)
 
 
-def _row(pictures: dict[str, Float[Tensor, "..."]]) -> Pixels:
+def _row(pictures: dict[str, Float[Tensor, "..."]]) -> Picture:
     """Two pictures of equal size on white, enlarged or reduced to the width of tiles, below their titles."""
-    tiles = [_tile((colours.clamp(0, 1) * 255).round().to(torch.uint8).numpy()) for colours in pictures.values()]
+    tiles = [_tile(to_bytes(colours)) for colours in pictures.values()]
     canvas = Pillow.new("RGB", (2 * TILE + _GAP, TITLE + max(tile.height for tile in tiles)), (255, 255, 255))
     for left, title, tile in zip((0, TILE + _GAP), pictures, tiles, strict=True):
         ImageDraw.Draw(canvas).text((left + 2, 0), title, fill=(60, 60, 60), font=ImageFont.load_default(19))
@@ -237,15 +234,11 @@ def _row(pictures: dict[str, Float[Tensor, "..."]]) -> Pixels:
     return np.asarray(canvas)
 
 
-def _tile(pixels: Pixels) -> Pillow.Image:
+def _tile(pixels: Picture) -> Pillow.Image:
     """Resize to the width of tiles; small images keep their pixels visible."""
     height, width = pixels.shape[:2]
     method = Pillow.Resampling.NEAREST if width < TILE else Pillow.Resampling.BOX
     return Pillow.fromarray(pixels).resize((TILE, max(1, round(height * TILE / width))), method)
-
-
-def _change_nothing(_session: Session) -> None:
-    """Change nothing; used to redraw the page."""
 
 
 def _view_name(view: int) -> str:

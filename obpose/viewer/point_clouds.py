@@ -10,7 +10,7 @@ from torch import Tensor
 from obpose.geometry import unproject
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.marching import Component, in_box
-from obpose.pictures import PALETTE, TINT
+from obpose.pictures import TINT, colours_of, to_bytes
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import Scene
 from obpose.types import Observation
@@ -57,7 +57,7 @@ def owners(components: list[Component], points: Float[Tensor, "point 3"], floor:
 
 def slot_colour(name: int) -> tuple[int, int, int]:
     """Colour of an object's name, as in pictures of segmentations."""
-    r, g, b = PALETTE[1 + (name - 1) % (len(PALETTE) - 1)].tolist()
+    r, g, b = colours_of(np.array(name)).tolist()
     return r, g, b
 
 
@@ -68,4 +68,4 @@ def tinted(cloud: Cloud, name: int) -> UInt8[np.ndarray, "point 3"]:
 
 
 def _cloud(points: Float[Tensor, "point 3"], colours: Float[Tensor, "point 3"]) -> Cloud:
-    return Cloud(points.numpy(), (colours * 255).round().to(torch.uint8).numpy())
+    return Cloud(points.numpy(), to_bytes(colours))

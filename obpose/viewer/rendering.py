@@ -73,12 +73,8 @@ class ProgressiveRenderer:
     ):
         """Render scenes of one model.
 
-        Args:
-            renderer: Renderer of the model.
-            inferred: Scene of the clip before any edit; assigns observed points to objects.
-            clip: The input, if any.
-            preview: Longer side of the first picture, pixels.
-            final: Longer side of the last picture, pixels.
+        `inferred` is the scene of the clip before any edit, which assigns observed points to objects. `preview` and
+        `final` are the longer sides of the first and the last picture, pixels.
         """
         self._renderer, self._inferred, self._clip = renderer, inferred, clip
         self._preview, self._final = preview, final
@@ -90,7 +86,10 @@ class ProgressiveRenderer:
         camera = request.scene.cameras[request.view]
         yield Picture(self._render(request, with_longer_side(camera, self._preview)), is_preview=True)
         if self._clip is not None and request.frame < self._inferred.frames:
-            yield Clouds(self._clouds_of(request.frame, self._clip))
+            if request.frame not in self._clouds:
+                clouds = observed_clouds(self._renderer, self._inferred, request.frame, self._clip)
+                self._clouds[request.frame] = clouds
+            yield Clouds(self._clouds[request.frame])
         for name in request.scene.ids:
             yield Shape(name, self._shape(request.scene, request.frame, name))
         images, parts = [], bands(with_longer_side(camera, self._final))
@@ -102,11 +101,6 @@ class ProgressiveRenderer:
     def _render(self, request: RenderRequest, camera: Camera) -> Image:
         # Antialiasing takes longer and would not reach across the borders of bands.
         return self._renderer.render(request.scene, request.frame, camera, antialiased=False)
-
-    def _clouds_of(self, frame: int, clip: Observation) -> dict[int, Cloud]:
-        if frame not in self._clouds:
-            self._clouds[frame] = observed_clouds(self._renderer, self._inferred, frame, clip)
-        return self._clouds[frame]
 
     def _shape(self, scene: Scene, frame: int, name: int) -> bytes | None:
         appearance = scene.look(frame, scene.place(name))

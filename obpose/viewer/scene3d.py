@@ -15,9 +15,8 @@ from torch import Tensor
 from viser import transforms
 
 from obpose.model.obpose import ObPose
-from obpose.pictures import box_edges
+from obpose.pictures import box_edges, to_bytes
 from obpose.scenes.scene import Camera, Scene, upright
-from obpose.types import Boxes
 from obpose.viewer.point_clouds import Cloud, slot_colour, tinted
 from obpose.viewer.session import Session
 
@@ -111,7 +110,7 @@ class Scene3D:
     def put_inputs(self, images: Float[Tensor, "view h w 3"]) -> None:
         """Show the images of a frame in the input cameras."""
         for frustum, image in zip(self._frusta, images, strict=True):
-            frustum.image = (image * 255).round().to(torch.uint8).numpy()
+            frustum.image = to_bytes(image)
 
     def _remove(self, names: set[int]) -> None:
         for name in names:
@@ -148,8 +147,7 @@ class Scene3D:
     def _add_object(self, name: int) -> _ObjectNodes:
         root = f"/objects/{name}"
         frame = self._scene.add_frame(root, show_axes=False)
-        at_origin = Boxes(torch.zeros(1, 1, 1, 3), torch.eye(3).expand(1, 1, 1, 3, 3), self._box)
-        edges = box_edges(at_origin, 0, 0)[0].numpy()
+        edges = box_edges(torch.zeros(3), torch.eye(3), self._box).numpy()
         box = self._scene.add_line_segments(f"{root}/box", edges, slot_colour(name))
         self._scene.add_label(f"{root}/label", str(name), anchor="center-center", font_screen_scale=0.9)
         self._nodes[name] = _ObjectNodes(frame, box)

@@ -20,7 +20,7 @@ from obpose.scenes.priors import load_prior
 from obpose.scenes.priors.interface import ScenePrior
 from obpose.scenes.priors.sample import sample_scene
 from obpose.scenes.rendering import Renderer
-from obpose.scenes.scene import Camera, ClipName, Scene
+from obpose.scenes.scene import Camera, ClipName, Scene, Split
 from obpose.scenes.storage import FACTS, load_scene, save_scene
 from obpose.storage.checkpoint import CONFIG
 from obpose.storage.pretrained import list_shipped, shipped_names, shipped_to_create
@@ -45,7 +45,7 @@ class OpenedScene:
     """Whether the scene was just inferred from the clip and is unedited."""
 
 
-def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: str, index: int) -> OpenedScene:
+def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: Split, index: int) -> OpenedScene:
     """Load a saved scene, or infer one from a clip of a dataset, or of `data` if the path is a model.
 
     A dataset without `checkpoint` uses the shipped weights that render best for its recipe.
@@ -81,14 +81,14 @@ def _kind_of(path: Path) -> Literal["scene", "model", "dataset"]:
     return "dataset"
 
 
-def _infer(checkpoint: str, data: Path, split: str, index: int) -> OpenedScene:
+def _infer(checkpoint: str, data: Path, split: Split, index: int) -> OpenedScene:
     clip = read_clip(data, split, index)
     origin = load_origin(checkpoint)
     scene = replace(infer_scene(origin, clip), clip=name_clip(data, split, index))
     return OpenedScene(scene, origin, clip, f"{data.resolve().name}, {split} {index}", is_inferred=True)
 
 
-def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: str, index: int) -> OpenedScene:
+def _open_scene(path: Path, checkpoint: str | None, data: Path | None, split: Split, index: int) -> OpenedScene:
     scene, clip = load_scene(path), None
     if data is not None:
         clip = read_clip(data, split, index)

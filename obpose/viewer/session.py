@@ -132,9 +132,8 @@ class Session:
     def drag(self, to: Float[Tensor, "3"], turn: Float[Tensor, "3 3"]) -> None:
         """Move the dragged object, within the workspace, and rotate it.
 
-        Args:
-            to: New box centre in the current frame, world frame, metres.
-            turn: Rotation in the world frame, relative to the object's orientation when it was grabbed.
+        `to` is the new centre of its box in the current frame, metres. `turn` is relative to its orientation when it
+        was grabbed. Both are in the world frame.
         """
         if self._grabbed is None or self.selected is None:
             return

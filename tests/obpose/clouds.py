@@ -11,6 +11,8 @@ from torch import Tensor
 
 from datagen.catalog import CATEGORIES, sample_shape
 from datagen.shapes import build
+from obpose.model.pose.minimum_volume import find_candidates, gather_clouds
+from obpose.model.pose.rotations import rotation_from_quaternion
 
 EVERY_SIDE = np.zeros(3)
 
@@ -93,3 +95,17 @@ KINDS: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
     "random hull": _hull,
     "catalogue": _object,
 }
+
+
+def random_rotations(count: int, generator: torch.Generator | None = None) -> torch.Tensor:
+    """Drawn uniformly from SO(3)."""
+    return rotation_from_quaternion(torch.randn((count, 4), generator=generator))
+
+
+def minimum_volume_rotation(points: torch.Tensor, valid: torch.Tensor, **search: int) -> torch.Tensor:
+    """World from box, for the tightest box around each cloud, in any of its 24 equivalent orientations."""
+    clouds = gather_clouds(points.float(), valid)
+    candidates = find_candidates(clouds, **search)
+    edges = torch.einsum("pbi,bcij->pbcj", clouds.points, candidates)
+    thickened = edges.amax(dim=0) - edges.amin(dim=0) + clouds.thickness[:, None, None]
+    return candidates[torch.arange(len(candidates)), thickened.prod(dim=-1).argmin(dim=-1)]

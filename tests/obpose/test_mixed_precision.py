@@ -9,12 +9,11 @@ from torch import Tensor
 from obpose.baselines.obsurf.projection import project
 from obpose.config import LatentConfig
 from obpose.geometry import from_box, to_box, unproject, view_directions
-from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import influence
+from obpose.model.layers.kpconv import influence, kernel_points
 from obpose.model.nerf.voxels import observed_free
 from obpose.model.pose.encoder import neighbourhoods
 from obpose.model.pose.location import observed_center
-from obpose.model.pose.rotations import random_rotations
+from tests.obpose.clouds import random_rotations
 from tests.worlds.observations import table_scene
 
 SCENE = table_scene(frames=1)

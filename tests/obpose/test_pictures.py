@@ -9,7 +9,7 @@ from PIL import Image
 
 from obpose.data.clips import observation_of
 from obpose.pictures import COLUMNS, GAP, HEADER, MARGIN, PALETTE, box_edges, draw, reconstruct, tint, write_picture
-from obpose.types import Boxes, Decoded
+from obpose.types import Decoded
 from tests.obpose.toy import SIZE, SLOTS, ToyClips, ToyModel, toy_config
 
 FACTOR = 24
@@ -44,7 +44,7 @@ def size(rows: int, columns: int) -> tuple[int, int]:
 def test_rows_are_first_and_last_frames_and_columns_are_outputs():
     picture = draw(Painted(toy_config()), clips())
     assert picture.shape == (*size(4, len(COLUMNS)), 3)
-    expected = (clips().rgb[1, 2, 0].numpy() * 255 + 0.5).astype(np.uint8)
+    expected = (clips().rgb[1, 2, 0].numpy() * 255).round().astype(np.uint8)
     np.testing.assert_array_equal(tile(picture, 3, 0)[::FACTOR, ::FACTOR], expected)
     np.testing.assert_array_equal(tile(picture, 3, 1), tile(picture, 3, 0))  # its attention masks are empty
     assert (tile(picture, 0, 3) == (255, 0, 0)).all()
@@ -66,6 +66,11 @@ def test_pixels_without_depth_are_black_in_reconstructions():
     torch.testing.assert_close(colours[..., 4:, :, 0], torch.ones(2, 3, 1, 4, SIZE))
 
 
+def test_every_8_bit_label_has_a_colour_of_its_own():
+    assert len(np.unique(PALETTE, axis=0)) == 256
+    assert PALETTE[0].tolist() == [0, 0, 0]
+
+
 def test_labels_tint_objects_only():
     image = np.full((2, 3, 3), 100, np.uint8)
     labels = np.array([[0, 1, 2], [0, len(PALETTE), 0]])
@@ -79,11 +84,11 @@ def test_boxes_have_twelve_edges_of_their_size():
     angle = torch.tensor(0.3)
     turn = torch.eye(3)
     turn[:2, :2] = torch.tensor([[angle.cos(), -angle.sin()], [angle.sin(), angle.cos()]])
-    center = torch.tensor([0.1, 0.2, 0.3]).expand(1, 1, 2, 3)
-    edges = box_edges(Boxes(center, turn.expand(1, 1, 2, 3, 3), 0.4), 0, 0)
+    center = torch.tensor([0.1, 0.2, 0.3]).expand(2, 3)
+    edges = box_edges(center, turn.expand(2, 3, 3), 0.4)
     assert edges.shape == (2, 12, 2, 3)
     torch.testing.assert_close((edges[..., 0, :] - edges[..., 1, :]).norm(dim=-1), torch.full((2, 12), 0.4))
-    torch.testing.assert_close(edges.mean(dim=(1, 2)), center[0, 0])
+    torch.testing.assert_close(edges.mean(dim=(1, 2)), center)
 
 
 @pytest.mark.parametrize("views", ["all", "separate"])

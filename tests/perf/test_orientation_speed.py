@@ -11,10 +11,10 @@ import trimesh
 from pytest_benchmark.fixture import BenchmarkFixture
 from torch import Tensor
 
-from obpose.model.pose.minimum_volume import minimum_volume_rotation, orient
+from obpose.model.pose.minimum_volume import orient
 from obpose.model.pose.orientation import MIN_PIXELS
 from obpose.model.pose.rotations import equivalents, geodesic_distance
-from tests.obpose.clouds import random_boxes, random_shapes
+from tests.obpose.clouds import minimum_volume_rotation, random_boxes, random_shapes
 
 OBJECTS, POINTS = 80, 300
 GROUP = f"orientation: {OBJECTS} objects of {POINTS} points"

@@ -62,7 +62,10 @@ class ResidualBlock(nn.Module):
         self.first = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
         self.second = nn.Conv2d(width, width, 3, padding=1, bias=False)
         self.norms = nn.ModuleList(nn.GroupNorm(_GROUPS, width) for _ in range(2))
-        self.skip = nn.Identity() if stride == 1 else _narrowed(width, stride)
+        self.skip = nn.Identity()
+        if stride > 1:
+            narrow = nn.Conv2d(width, width, 1, stride=stride, bias=False)
+            self.skip = nn.Sequential(narrow, nn.GroupNorm(_GROUPS, width))
 
     def forward(
         self, features: Float[Tensor, "image channel height width"]
@@ -70,7 +73,3 @@ class ResidualBlock(nn.Module):
         """Apply the block, which may halve the resolution."""
         branch = F.relu(self.norms[0](self.first(features)))
         return F.relu(self.norms[1](self.second(branch)) + self.skip(features))
-
-
-def _narrowed(width: int, stride: int) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(width, width, 1, stride=stride, bias=False), nn.GroupNorm(_GROUPS, width))

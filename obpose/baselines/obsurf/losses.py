@@ -13,15 +13,16 @@ from torch import Tensor
 
 from obpose.baselines.obsurf.config import ObsurfLossConfig
 from obpose.model.losses.observation import mean_over
+from obpose.types import RayPoints, RayValues
 
 SIGMA_MAX = 10.0
 """Largest density of a slot, per unit. [code]"""
 
 Logits = Float[Tensor, "batch frame slot ray"]
-Weight = Float[Tensor, "batch frame ray"]
+Weight = RayValues
 
 
-def log_density(logits: Logits) -> Float[Tensor, "batch frame ray"]:
+def log_density(logits: Logits) -> RayValues:
     """Log of the joint density, log sum_k sigma_k."""
     return torch.logsumexp(F.logsigmoid(logits), dim=2) + math.log(SIGMA_MAX)
 
@@ -31,18 +32,12 @@ def log_share(logits: Logits) -> Logits:
     return torch.log_softmax(F.logsigmoid(logits), dim=2)
 
 
-def mean_colour(logits: Logits, colours: Float[Tensor, "batch frame slot ray 3"]) -> Float[Tensor, "batch frame ray 3"]:
+def mean_colour(logits: Logits, colours: Float[Tensor, "batch frame slot ray 3"]) -> RayPoints:
     """Colour of the composed scene, sum_k w_k c_k."""
     return (log_share(logits).exp()[..., None] * colours).sum(dim=2)
 
 
-def colour(
-    composed: Float[Tensor, "batch frame ray 3"],
-    target: Float[Tensor, "batch frame ray 3"],
-    weight: Weight,
-    *,
-    std: float,
-) -> Float[Tensor, ""]:
+def colour(composed: RayPoints, target: RayPoints, weight: Weight, *, std: float) -> Float[Tensor, ""]:
     """Colour term -log N(x | sum_k w_k c_k, std^2), summed over channels: a Gaussian instead of ObPose's mixture."""
     squares = 0.5 * ((target - composed) / std).square() + math.log(std * math.sqrt(2 * math.pi))
     return mean_over(squares.sum(dim=-1), weight)

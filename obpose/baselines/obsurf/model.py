@@ -21,10 +21,9 @@ from obpose.baselines.obsurf.slots import SlotAttention, Slots
 from obpose.data.clips import random_view, separate_views
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject, view_directions
 from obpose.model.attention.summary import not_largest
-from obpose.model.nerf.along import NEAR_SHARE
-from obpose.model.nerf.points import air_points, surface_points
+from obpose.model.nerf.along import NEAR_SHARE, air_points, surface_points
 from obpose.trainable import Trainable
-from obpose.types import Observation, Rays, Segmentation
+from obpose.types import Observation, RayPoints, Rays, Segmentation
 
 JITTER = 0.07
 """Distance behind the surface up to which fields are fitted, units of planar depth. [code: along the ray]"""
@@ -93,13 +92,16 @@ class Obsurf(Trainable):
         rays = all_rays(separate)
         logits, _ = self._densities(encoded, rays.origin + rays.direction * rays.depth[..., None])
         owners = rearrange(logits.argmax(dim=2), "b f (h w) -> (b f) h w", h=observation.depth.shape[3])
+        # Slot with most pixels of each image; its number is swapped with 0.
         valid = rearrange(separate.valid, "b f 1 h w -> (b f) h w")
-        largest = _largest(owners, valid, slots=self.config.model.segments)
+        pixels = F.one_hot(owners.flatten(1), self.config.model.segments) * valid.flatten(1)[..., None]
+        largest = pixels.sum(dim=1).argmax(dim=-1)[:, None, None].expand_as(owners)
         labels, attention = (
-            rearrange(_swapped(maps, largest) * valid, "(b v f) h w -> b f v h w", b=batch, v=views)
+            torch.where(maps == largest, 0, torch.where(maps == 0, largest, maps)) * valid
             for maps in (owners, _upsampled(encoded))
         )
-        return Segmentation(labels, attention)
+        whole = {"pattern": "(b v f) h w -> b f v h w", "b": batch, "v": views}
+        return Segmentation(rearrange(labels, **whole), rearrange(attention, **whole))
 
     def encode(self, observation: Observation, noise: Float[Tensor, "image slot width"]) -> Encoded:
         """Encode the images of one view, clip by clip and frame by frame."""
@@ -168,7 +170,7 @@ class Obsurf(Trainable):
         return {"total": total, **{name: term.detach() for name, term in terms.items()}}
 
     def _densities(
-        self, encoded: Encoded, points: Float[Tensor, "batch frame ray 3"]
+        self, encoded: Encoded, points: RayPoints
     ) -> tuple[Float[Tensor, "batch frame slot ray"], Float[Tensor, "image slot ray hidden"]]:
         """Compute density logits of all slots at world points, and hidden values for colours."""
         model = self.config.model
@@ -178,7 +180,7 @@ class Obsurf(Trainable):
         return rearrange(logits, "(b f) slot ray -> b f slot ray", b=len(points)), hidden
 
     def _colours(
-        self, encoded: Encoded, hidden: Tensor, points: Float[Tensor, "batch frame ray 3"], rays: Rays
+        self, encoded: Encoded, hidden: Tensor, points: RayPoints, rays: Rays
     ) -> Float[Tensor, "batch frame slot ray 3"]:
         """Compute colours of all slots, with the input image's features at the points' pixels; 0 behind the camera."""
         flat = rearrange(points, "b f ray xyz -> (b f) ray xyz")
@@ -199,17 +201,3 @@ def _upsampled(encoded: Encoded) -> Int[Tensor, "image height width"]:
         encoded.slots.attention, "i slot (rows columns) -> i slot rows columns", rows=rows, columns=columns
     )
     return F.interpolate(maps, size=encoded.size, mode="bilinear", align_corners=False).argmax(dim=1)
-
-
-def _largest(owners: Int[Tensor, "image height width"], valid: Tensor, *, slots: int) -> Int[Tensor, " image"]:
-    """Slot with most pixels of each image."""
-    pixels = F.one_hot(owners.flatten(1), slots) * valid.flatten(1)[..., None]
-    return pixels.sum(dim=1).argmax(dim=-1)
-
-
-def _swapped(
-    owners: Int[Tensor, "image height width"], first: Int[Tensor, " image"]
-) -> Int[Tensor, "image height width"]:
-    """Swap the numbers of one slot of each image and of slot 0."""
-    number = first[:, None, None].expand_as(owners)
-    return torch.where(owners == number, 0, torch.where(owners == 0, number, owners))

@@ -28,9 +28,7 @@ def code_size(*, last: int) -> int:
 
 @full_precision
 def project(
-    points: Float[Tensor, "image point 3"],
-    k: Float[Tensor, "image 3 3"],
-    world_from_camera: Float[Tensor, "image 4 4"],
+    points: Float[Tensor, "image point 3"], k: Float[Tensor, "image 3 3"], world_from_camera: Float[Tensor, "image 4 4"]
 ) -> tuple[Float[Tensor, "image point 2"], Bool[Tensor, "image point"]]:
     """Pixel coordinates (u, v) of world points in each image, centres at +0.5, and whether they are before the camera.
 

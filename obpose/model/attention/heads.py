@@ -3,13 +3,14 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import log_softmax, pad
 
 from obpose.config import ModelConfig
 from obpose.model.backbone import EMBEDDING
 from obpose.model.layers.mlp import Linear, mlp
+from obpose.types import GridPoints, GridValid, Prescope
 
 COLOUR = 8
 """D_c: channels of the colour embeddings, which the attention clusters. The position is added to three of them, the
@@ -27,7 +28,7 @@ class HeadOutputs(NamedTuple):
     """zeta_c, for the IC-SBP; without channels for slot attention."""
     features: Float[Tensor, "batch frame point feature"]
     """zeta_f for the other encoders, and the standardised colours if wanted; without channels if there is no head."""
-    log_prescope: Float[Tensor, "batch frame point 2"] | None
+    log_prescope: Prescope | None
     """Log of s^p: the background's mask, then the scope s_0 that the objects share. None without a background."""
 
 
@@ -52,11 +53,14 @@ class Heads(nn.Module):
         self.semi_convolution, self.semi_colour = attention.semi_convolution, attention.semi_colour
         self.appends_colours = features and config.latent.colours == "given"
         self.colour = self.features = self.prescope = None
+        # zeta_c, from the embedding and the position (paper, section Encoder).
         if icsbp:
             self.position = Linear(3, EMBEDDING, bias=False)
             self.colour = mlp(EMBEDDING, _HIDDEN, COLOUR, activation=nn.ReLU)
         if features:
+            # zeta_f.
             self.features = mlp(EMBEDDING, _HIDDEN, FEATURE, activation=nn.ReLU)
+        # rho: the logits of the pre-scope s^p (paper, section IC-SBP).
         if icsbp and config.has_background:
             self.prescope = mlp(COLOUR, _HIDDEN, 2, activation=nn.ReLU)
 
@@ -67,9 +71,9 @@ class Heads(nn.Module):
 
     def forward(
         self,
-        points: Float[Tensor, "batch frame point 3"],
-        valid: Bool[Tensor, "batch frame point"],
-        rgb: Float[Tensor, "batch frame point 3"],
+        points: GridPoints,
+        valid: GridValid,
+        rgb: GridPoints,
         embedding: Float[Tensor, "batch frame point embedding"],
         *,
         center: Float[Tensor, "3"],
@@ -78,11 +82,13 @@ class Heads(nn.Module):
 
         `points` are in the world frame, metres, `rgb` standardised, `center` is the middle of the workspace.
         """
+        # zeta_f, and the observed colours.
         features = embedding[..., :0] if self.features is None else self.features(embedding)
         if self.appends_colours:
             features = torch.cat([features, rgb], dim=-1)
         if self.colour is None:
             return HeadOutputs(embedding[..., :0], features, None)
+        # zeta_c, and the pre-scope s^p = softmax(rho(zeta_c)).
         position = (points - center) * valid[..., None]
         colour = self.colour(embedding + self.position(position))
         log_prescope = None if self.prescope is None else log_softmax(self.prescope(colour), dim=-1)

@@ -20,11 +20,18 @@ from torch.nn.functional import pad
 from obpose.config import AttentionConfig, ModelConfig
 from obpose.model.attention.interface import EXCLUDED, Attended, Attention
 from obpose.model.layers.numerics import log1mexp, sharpen
-from obpose.types import Embeddings, Masks
+from obpose.types import Active, Embeddings, GridValid, Masks, Prescope, SlotMasks
 
 Seeds = Literal["stochastic", "greedy", "densest"]
 Inactive = Literal["never", "bernoulli", "threshold"]
 Division = Literal["stick_breaking", "softmax"]
+
+Colours = Float[Tensor, "batch frame point colour"]
+FirstColours = Float[Tensor, "batch point colour"]
+"""Colour embeddings of the first frame, or of one frame."""
+SeedColours = Float[Tensor, "batch slot colour"]
+FirstScope = Float[Tensor, "batch point"]
+LogAlpha = SlotMasks
 
 INACTIVE_SCOPE = 0.7
 """Remaining scope that counts as large for the `threshold` rule of inactive slots. [ours]"""
@@ -74,7 +81,7 @@ def log_alpha(distance: Float[Tensor, "*shape"], log_sigma: Float[Tensor, ""]) -
     return -(distance.square() * torch.exp(-log_sigma) + MOST_ALPHA).clamp(max=LEAST_ALPHA)
 
 
-def whole_scope(valid: Bool[Tensor, "batch frame point"]) -> Float[Tensor, "batch frame point 2"]:
+def whole_scope(valid: GridValid) -> Prescope:
     """Log of a pre-scope without a background: s_0 = 1, as in the paper's equation and GENESIS-V2."""
     return torch.stack([torch.where(valid, EXCLUDED, 0.0), torch.where(valid, 0.0, EXCLUDED)], dim=-1)
 
@@ -106,9 +113,9 @@ class ICSBP(Attention):
 
     def masks(
         self,
-        colour: Float[Tensor, "batch frame point colour"],
-        valid: Bool[Tensor, "batch frame point"],
-        log_prescope: Float[Tensor, "batch frame point 2"],
+        colour: Colours,
+        valid: GridValid,
+        log_prescope: Prescope,
         *,
         slots: int,
         rules: Rules,
@@ -137,12 +144,7 @@ class ICSBP(Attention):
         return divide_by_softmax(alpha, log_prescope, valid, active, log_residual_scope, self.config.mask_exponent)
 
     def _follow(
-        self,
-        colour: Float[Tensor, "batch frame point colour"],
-        valid: Bool[Tensor, "batch frame point"],
-        log_prescope: Float[Tensor, "batch frame point 2"],
-        first: Float[Tensor, "batch slot colour"],
-        active: Bool[Tensor, "batch slot"],
+        self, colour: Colours, valid: GridValid, log_prescope: Prescope, first: SeedColours, active: Active
     ) -> Float[Tensor, "batch frame slot colour"]:
         """Seeds of all frames, by mean shift from their position in the frame before."""
         scope = log_prescope[..., 1].detach().exp() * valid
@@ -154,20 +156,21 @@ class ICSBP(Attention):
                     alpha = _exp(self._log_alpha_at(seed, colour[:, frame])) * active[..., None]
                     remaining = pad(1 - alpha[:, :-1], (0, 0, 1, 0), value=1).cumprod(dim=1)
                     masks = scope[:, frame, None] * alpha * remaining
+                # The seed moves to the mean embedding under its sharpened mask.
                 seed = mean_shift(seed.detach(), masks**self.config.mask_exponent, colour[:, frame])
             seeds.append(seed)
         return torch.stack(seeds, dim=1)
 
     def _choose_seeds(
         self,
-        colour: Float[Tensor, "batch point colour"],
+        colour: FirstColours,
         valid: Bool[Tensor, "batch point"],
-        log_scope: Float[Tensor, "batch point"],
+        log_scope: FirstScope,
         *,
         slots: int,
         rules: Rules,
         generator: torch.Generator | None,
-    ) -> tuple[Float[Tensor, "batch slot colour"], Bool[Tensor, "batch slot"], Float[Tensor, "batch slot"]]:
+    ) -> tuple[SeedColours, Active, Float[Tensor, "batch slot"]]:
         """Choose the slots' seeds among the points of the first frame, and which slots are active.
 
         The scope left to the next slot depends on the seed after its mean shift. The third value is the log of a
@@ -185,6 +188,7 @@ class ICSBP(Attention):
                 for _ in range(self.config.mean_shift_steps):
                     log_mask = log_scope[:, None] + self._log_alpha_at(seed, colour)
                     seed = mean_shift(seed, _exp(sharpen(log_mask, exponent)), colour)
+                # Residual scope: the share of the scope around the seed that earlier slots have left.
                 alpha = self._log_alpha_at(seed, colour)[:, 0]
                 near = sharpen(alpha, exponent)
                 log_residual_scope.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
@@ -194,13 +198,10 @@ class ICSBP(Attention):
 
     @torch.no_grad()
     def _choose_seed(
-        self,
-        colour: Float[Tensor, "batch point colour"],
-        log_scope: Float[Tensor, "batch point"],
-        rules: Rules,
-        generator: torch.Generator | None,
+        self, colour: FirstColours, log_scope: FirstScope, rules: Rules, generator: torch.Generator | None
     ) -> Int[Tensor, "batch 1"]:
         """Index of the next seed."""
+        # At the largest scope times uniform noise (GENESIS-V2), or at the largest scope.
         if rules.seeds == "stochastic":
             return (_uniform(log_scope, generator).log() + log_scope).argmax(dim=-1, keepdim=True)
         if rules.seeds == "greedy":
@@ -212,33 +213,28 @@ class ICSBP(Attention):
         return best.indices.gather(1, density.argmax(dim=-1, keepdim=True))
 
     def _is_active(
-        self, log_scope: Float[Tensor, "batch point"], rules: Rules, generator: torch.Generator | None
+        self, log_scope: FirstScope, rules: Rules, generator: torch.Generator | None
     ) -> Bool[Tensor, "batch"]:
         """Whether a slot with this remaining scope is active."""
         if rules.inactive == "never":
             return torch.ones_like(log_scope[:, 0], dtype=torch.bool)
+        # At least one point is drawn with the probability of its remaining scope.
         if rules.inactive == "bernoulli":
             return (_uniform(log_scope, generator).log() < log_scope).any(dim=-1)
         return (log_scope > math.log(INACTIVE_SCOPE)).sum(dim=-1) >= self.config.inactive_points
 
     def _log_alpha_at(
-        self, seeds: Float[Tensor, "batch seed colour"], colour: Float[Tensor, "batch point colour"]
+        self, seeds: Float[Tensor, "batch seed colour"], colour: FirstColours
     ) -> Float[Tensor, "batch seed point"]:
         return self._log_alpha(colour[:, None], seeds[:, None])[:, 0]
 
-    def _log_alpha(
-        self, colour: Float[Tensor, "batch frame point colour"], seeds: Float[Tensor, "batch frame slot colour"]
-    ) -> Float[Tensor, "batch frame slot point"]:
+    def _log_alpha(self, colour: Colours, seeds: Float[Tensor, "batch frame slot colour"]) -> LogAlpha:
         # By differences: the matrix product loses all digits if embeddings are large and close to each other.
         distance = torch.cdist(seeds, colour, compute_mode="donot_use_mm_for_euclid_dist")
         return log_alpha(distance, self.log_sigma.to(colour.dtype))
 
 
-def mean_shift(
-    seed: Float[Tensor, "batch slot colour"],
-    weights: Float[Tensor, "batch slot point"],
-    colour: Float[Tensor, "batch point colour"],
-) -> Float[Tensor, "batch slot colour"]:
+def mean_shift(seed: SeedColours, weights: Float[Tensor, "batch slot point"], colour: FirstColours) -> SeedColours:
     """Move seeds to the mean embedding under their sharpened masks; seeds of nearly empty masks stay.
 
     So seeds of objects out of sight wait where they were.
@@ -247,12 +243,7 @@ def mean_shift(
     return torch.where(total >= _LEAST_POINTS, weights @ colour / total.clamp(min=_LEAST_POINTS), seed)
 
 
-def break_sticks(
-    alpha: Float[Tensor, "batch frame slot point"],
-    log_prescope: Float[Tensor, "batch frame point 2"],
-    valid: Bool[Tensor, "batch frame point"],
-    active: Bool[Tensor, "batch slot"],
-) -> Masks:
+def break_sticks(alpha: LogAlpha, log_prescope: Prescope, valid: GridValid, active: Active) -> Masks:
     """Masks m_k = s_{k-1} alpha_k with s_k = s_{k-1} (1 - alpha_k) (paper, section IC-SBP), from log alpha.
 
     Deviations, as in the authors' code: s_0 is the pre-scope, so there is a background mask. The last slot does not
@@ -265,10 +256,10 @@ def break_sticks(
 
 
 def divide_by_softmax(
-    alpha: Float[Tensor, "batch frame slot point"],
-    log_prescope: Float[Tensor, "batch frame point 2"],
-    valid: Bool[Tensor, "batch frame point"],
-    active: Bool[Tensor, "batch slot"],
+    alpha: LogAlpha,
+    log_prescope: Prescope,
+    valid: GridValid,
+    active: Active,
     log_residual_scope: Float[Tensor, "batch slot"],
     exponent: float,
 ) -> Masks:
@@ -297,21 +288,20 @@ def add_remainder_slot(masks: Masks) -> Masks:
     )
 
 
-def _log_left(
-    alpha: Float[Tensor, "batch frame slot point"], active: Bool[Tensor, "batch slot"]
-) -> Float[Tensor, "batch frame slot point"]:
+def _log_left(alpha: LogAlpha, active: Active) -> LogAlpha:
     """Log of the share that each slot leaves: log(1 - alpha), 0 for inactive slots."""
     return log1mexp(alpha) * rearrange(active, "b slot -> b 1 slot 1")
 
 
 def _masks(
-    masks: Float[Tensor, "batch frame slot point"],
+    masks: LogAlpha,
     log_scope: Float[Tensor, "batch frame point"],
-    log_prescope: Float[Tensor, "batch frame point 2"],
-    valid: Bool[Tensor, "batch frame point"],
-    active: Bool[Tensor, "batch slot"],
+    log_prescope: Prescope,
+    valid: GridValid,
+    active: Active,
 ) -> Masks:
     there = valid[:, :, None] & rearrange(active, "b slot -> b 1 slot 1")
+    # Invalid points belong to the background: log 1 = 0.
     background = log_prescope[..., 0] * valid
     return Masks(
         log_masks=torch.cat([background[:, :, None], masks.masked_fill(~there, EXCLUDED)], dim=2),
@@ -330,7 +320,5 @@ def _uniform(like: Tensor, generator: torch.Generator | None) -> Tensor:
     return drawn.clamp(min=torch.finfo(like.dtype).tiny)
 
 
-def _pick(
-    colour: Float[Tensor, "batch point colour"], index: Int[Tensor, "batch place"]
-) -> Float[Tensor, "batch place colour"]:
+def _pick(colour: FirstColours, index: Int[Tensor, "batch place"]) -> Float[Tensor, "batch place colour"]:
     return colour.gather(1, repeat(index, "b place -> b place colour", colour=colour.shape[-1]))

@@ -7,20 +7,13 @@ masks share, are explained better by one of the fields, in density or in colour.
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
-from torch import Tensor
 
 from obpose.model.attention.interface import EXCLUDED
 from obpose.model.nerf.compose import log_share
-from obpose.types import Masks
+from obpose.types import ComponentMasks, GridValid, Masks
 
 
-def posterior_masks(
-    masks: Masks,
-    logits: Float[Tensor, "batch frame component point"],
-    log_likelihood: Float[Tensor, "batch frame component point"],
-    valid: Bool[Tensor, "batch frame point"],
-) -> Masks:
+def posterior_masks(masks: Masks, logits: ComponentMasks, log_likelihood: ComponentMasks, valid: GridValid) -> Masks:
     """Masks m_k in proportion to sigma_hat_k N(x | c_k), from density logits and log-likelihoods of the colours.
 
     This is the posterior of the mixture in the first term of L_obs (paper, section Training), with one likelihood for

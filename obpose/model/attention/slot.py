@@ -18,7 +18,7 @@ from obpose.model.attention.interface import EXCLUDED, Attended, Attention
 from obpose.model.attention.summary import mean_under
 from obpose.model.layers.mlp import mlp, pass_on
 from obpose.model.nerf.field import positional_encoding
-from obpose.types import Embeddings, Masks
+from obpose.types import ComponentMasks, Embeddings, GridValid, Masks
 
 ITERATIONS = 3
 """Iterations in each frame. [code]"""
@@ -48,6 +48,7 @@ class SlotKind(nn.Module):
         """Initialise the weights; `noise` is that of evaluation, a row for each slot."""
         super().__init__()
         width, self._learned = noise.shape[-1], learned
+        # Distribution of the first slots.
         mean, log_std = _glorot(width), _glorot(width)
         if learned:
             self.mean, self.log_std = nn.Parameter(mean), nn.Parameter(log_std)
@@ -57,6 +58,7 @@ class SlotKind(nn.Module):
             for name, part in (parts | {"other_log_std": _glorot(width, other)}).items():
                 self.register_buffer(name, part, persistent=False)
         self.register_buffer("noise", noise)
+        # Attention, recurrent update and residual MLP (Locatello et al. 2020, algorithm 1).
         self.query = nn.Sequential(nn.LayerNorm(width), _linear(width, weights, gain=_QUERY_GAIN))
         self.value = _linear(width, weights)
         self.update = nn.GRUCell(width, width)
@@ -89,10 +91,12 @@ class SlotAttention(Attention):
         self._iterations, self._width, self._appends_means = iterations, width, config.latent.means == "given"
         self.size = width + (features + 3 if self._appends_means else 0)
         kind = {"learned": config.attention.slot_distribution == "learned", "weights": config.weights}
+        # Tokens from features and positions of points, and their keys.
         self.position = nn.Linear(3 + 6 * POSITION_FREQUENCIES, width, bias=False)
         self.features = mlp(features, width, width)
         self.tokens = nn.Sequential(nn.LayerNorm(width), mlp(width, width, width), nn.LayerNorm(width))
         self.key = _linear(width, config.weights, gain=_QUERY_GAIN)
+        # Slots: the objects share one distribution, the background has its own.
         self.objects = SlotKind(noise=torch.randn(config.object_components, width), **kind)
         self.background = SlotKind(noise=torch.zeros(1, width), **kind) if config.has_background else None
 
@@ -142,6 +146,7 @@ class SlotAttention(Attention):
             attention = (logits.softmax(dim=1) + _EPSILON) * valid[:, None]
             attention = attention / attention.sum(dim=-1, keepdim=True).clamp(min=_EPSILON)
             parts = attention.split([own.shape[1] for own in slots], dim=1)
+            # Each kind of slots has its own values and weights.
             updates = [part @ value for part, value in zip(parts, values, strict=True)]
             slots = [kind.move(own, update) for kind, own, update in zip(self._kinds(), slots, updates, strict=True)]
             if left:
@@ -159,12 +164,11 @@ class SlotAttention(Attention):
         return queries @ keys.mT * self._width**-0.5
 
 
-def _masks(
-    logits: Float[Tensor, "batch frame component point"], valid: Bool[Tensor, "batch frame point"], *, background: bool
-) -> Masks:
+def _masks(logits: ComponentMasks, valid: GridValid, *, background: bool) -> Masks:
     """Masks like those of the IC-SBP: the background comes first in any case, and has the invalid points."""
     there = rearrange(valid, "b f point -> b f 1 point")
     log_masks = logits.log_softmax(dim=2).masked_fill(~there, EXCLUDED)
+    # Without a background slot, its mask holds the invalid points only.
     first = log_masks[:, :, :1] if background else torch.full_like(log_masks[:, :, :1], EXCLUDED)
     objects = log_masks[:, :, 1:] if background else log_masks
     return Masks(

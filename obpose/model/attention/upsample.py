@@ -4,9 +4,13 @@ import math
 
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import grid_sample
+
+from obpose.types import ComponentMasks, ComponentRays, GridValid
+
+Index = Int[Tensor, "batch frame ray"]
 
 _SMALLEST = -80.0
 """Log masks are not below this: e^-80 is about the smallest probability in single precision."""
@@ -16,19 +20,15 @@ _INVALID = 1e-20
 
 
 def masks_at(
-    log_masks: Float[Tensor, "batch frame component point"],
-    valid: Bool[Tensor, "batch frame point"],
-    index: Int[Tensor, "batch frame ray"],
-    *,
-    grid: tuple[int, int, int],
-    size: tuple[int, int],
-) -> Float[Tensor, "batch frame component ray"]:
+    log_masks: ComponentMasks, valid: GridValid, index: Index, *, grid: tuple[int, int, int], size: tuple[int, int]
+) -> ComponentRays:
     """Log of the masks at the pixels `index`, counted through all views, by bilinear interpolation of the masks.
 
     `grid` is (view, height, width) of the points, `size` (height, width) of the image. Invalid cells are left out, and
     the weights of the others sum to one, so that masks and scope still do. Deviation: the authors' code interpolates
     between the three nearest points in space, which needs a search.
     """
+    # Weighted mean of the valid cells around each pixel.
     masks, present = log_masks.exp(), valid[:, :, None].to(log_masks.dtype).clamp(min=_INVALID)
     summed = _interpolate(torch.cat([masks * present, present], dim=2), index, grid=grid, size=size)
     mixed = summed[:, :, :-1] / summed[:, :, -1:]
@@ -37,7 +37,7 @@ def masks_at(
 
 def _interpolate(
     values: Float[Tensor, "batch frame channel point"],
-    index: Int[Tensor, "batch frame ray"],
+    index: Index,
     *,
     grid: tuple[int, int, int],
     size: tuple[int, int],

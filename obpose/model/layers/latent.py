@@ -1,20 +1,23 @@
 """Latents of a clip: a recurrent posterior over codes, and a recurrent prior over earlier latents.
 
 Paper, section Object Location and Orientation Conditioned Encoding: q(z_t | x_<=t) and p(z_t | z_<t), each a GRU whose
-hidden state an MLP turns into a Gaussian.
+hidden state an MLP turns into a diagonal Gaussian.
 """
 
+import math
 from typing import Literal
 
 import torch
 from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.functional import softplus
 
 from obpose.config import LatentConfig, Weights
-from obpose.model.layers.gaussian import draw_gaussian, mean_and_std
 from obpose.model.layers.mlp import mlp, pass_on
 from obpose.types import Draw, Latent
+
+Values = Float[Tensor, "*shape latent"]
 
 Start = Literal["zero", "learned"]
 """Hidden states before the first frame. `zero`: zeros, and the first prior is N(0, 1); `learned`: parameters, from
@@ -53,6 +56,7 @@ class RecurrentLatent(nn.Module):
     ):
         """Initialise the weights, for codes with `code` channels."""
         super().__init__()
+        # Posterior: a GRU over codes, and an MLP to mean and spread.
         self._std = config.posterior_std
         self._posterior = nn.GRU(code, hidden)
         beside = config.posterior_input == "state and code"
@@ -62,6 +66,7 @@ class RecurrentLatent(nn.Module):
             pass_on(first)
             pass_on(last, gain=_MEAN_GAIN, outputs=latent)
         self._posterior_head = nn.Sequential(first, nn.ELU(), last)
+        # Prior: a GRU over latents, likewise.
         self._prior = nn.GRU(latent, hidden)
         self._prior_head = mlp(hidden, hidden, 2 * latent)
         self._starts = nn.Parameter(torch.zeros(2, hidden)) if start == "learned" else None
@@ -103,6 +108,7 @@ class RecurrentLatent(nn.Module):
 
     def _priors(self, z: Tensor, start: Tensor) -> tuple[Tensor, Tensor]:
         """Means and standard deviations of the priors of all frames."""
+        # The first prior is N(0, 1), or that of the learned state.
         first = self._prior_head(start) if self._starts is not None else None
         later = self._prior(z[:-1], start)[0] if len(z) > 1 else z.new_zeros(0, z.shape[1], start.shape[-1])
         mean, std = mean_and_std(self._prior_head(later), typical_std=PRIOR_STD)
@@ -110,3 +116,26 @@ class RecurrentLatent(nn.Module):
             return torch.cat([torch.zeros_like(z[:1]), mean]), torch.cat([torch.ones_like(z[:1]), std])
         first_mean, first_std = mean_and_std(first, typical_std=PRIOR_STD)
         return torch.cat([first_mean, mean]), torch.cat([first_std, std])
+
+
+SMALLEST_STD = 1e-4
+"""Smallest standard deviation, which keeps divergences finite."""
+
+
+def mean_and_std(parameters: Float[Tensor, "*shape twice"], *, typical_std: float) -> tuple[Values, Values]:
+    """Mean and standard deviation from the output of a network; they are 0 and `typical_std` for an output of 0.
+
+    The first half of the output is the mean, the other half goes through a shifted softplus. The authors' is not
+    shifted, so that 0.7 is typical.
+    """
+    mean, spread = parameters.chunk(2, dim=-1)
+    shift = math.log(math.expm1(typical_std))
+    return mean, softplus(spread + shift) + SMALLEST_STD
+
+
+def draw_gaussian(mean: Values, std: Values, *, draw: Draw, generator: torch.Generator | None) -> Values:
+    """Draw a reparametrised sample, mean + std * noise, or give the mean."""
+    if draw == "mean":
+        return mean
+    noise = torch.randn(mean.shape, generator=generator, device=mean.device, dtype=mean.dtype)
+    return mean + std * noise

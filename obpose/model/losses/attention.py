@@ -16,11 +16,10 @@ from obpose.model.layers.numerics import log_sum_exp
 from obpose.model.losses.observation import COLOUR_STD, mean_over, surface_likelihood
 from obpose.model.nerf.along import FieldsAlongRays
 from obpose.model.nerf.compose import log_share
+from obpose.types import ComponentRays, RayValues
 
 
-def attention_loss(
-    log_masks: Float[Tensor, "batch frame component ray"], fields: FieldsAlongRays, config: LossConfig
-) -> Float[Tensor, ""]:
+def attention_loss(log_masks: ComponentRays, fields: FieldsAlongRays, config: LossConfig) -> Float[Tensor, ""]:
     """L_att (paper) in the form of the configuration."""
     likelihood, share, weight = surface_likelihood(fields), log_share(fields.surface.logits), fields.rays.weight
     if config.attention == "l2":
@@ -29,10 +28,10 @@ def attention_loss(
 
 
 def attention_mixture(
-    log_masks: Float[Tensor, "batch frame component ray"],
+    log_masks: ComponentRays,
     log_likelihood: Float[Tensor, "batch frame component ray channel"],
-    log_share: Float[Tensor, "batch frame component ray"],
-    weight: Float[Tensor, "batch frame ray"],
+    log_share: ComponentRays,
+    weight: RayValues,
     *,
     floor: float,
 ) -> Float[Tensor, ""]:
@@ -60,10 +59,10 @@ def attention_warmup(log_prescope: Float[Tensor, "batch frame 2 ray"], fields: F
 
 
 def attention_l2(
-    log_masks: Float[Tensor, "batch frame component ray"],
+    log_masks: ComponentRays,
     log_likelihood: Float[Tensor, "batch frame component ray channel"],
-    log_share: Float[Tensor, "batch frame component ray"],
-    weight: Float[Tensor, "batch frame ray"],
+    log_share: ComponentRays,
+    weight: RayValues,
 ) -> Float[Tensor, ""]:
     """L2 loss (paper, below eq. attention_mask): sum_k (N_k / N(0|0) - m_k)^2 sigma_hat_k + (m_k - sigma_hat_k)^2.
 

@@ -17,6 +17,7 @@ KL_WHERE = 1e-3 * KL
 
 def weighted_terms(terms: dict[str, Tensor], config: LossConfig, *, fraction: float) -> dict[str, Tensor]:
     """Add `total`, the weighted sum at this fraction of the budget, to the terms, and detach these."""
+    # Weights of L_obs, L_att and L_others.
     weights = {
         "colour": 1.0,
         "surface": 1.0,

@@ -9,6 +9,7 @@ from torch import Tensor
 from obpose.model.layers.numerics import log_sum_exp
 from obpose.model.nerf.along import FieldsAlongRays
 from obpose.model.nerf.compose import SIGMA_MAX, air_density, log_density
+from obpose.types import ComponentRays, RayPoints, RayValues
 
 COLOUR_STD = 0.1
 """sigma_std: standard deviation of a component's colour. [code]"""
@@ -17,7 +18,7 @@ _LEAST = 1e-6
 
 
 def colour_log_likelihood(
-    colours: Float[Tensor, "batch frame component ray 3"], target: Float[Tensor, "batch frame ray 3"]
+    colours: Float[Tensor, "batch frame component ray 3"], target: RayPoints
 ) -> Float[Tensor, "batch frame component ray 3"]:
     """Log N(x | c_k, sigma_std^2) of each colour channel; the sum over channels is that of the whole colour."""
     distance = (target[:, :, None] - colours) / COLOUR_STD
@@ -31,9 +32,7 @@ def surface_likelihood(fields: FieldsAlongRays) -> Float[Tensor, "batch frame co
 
 
 def colour_mixture(
-    log_share: Float[Tensor, "batch frame component ray"],
-    log_likelihood: Float[Tensor, "batch frame component ray channel"],
-    weight: Float[Tensor, "batch frame ray"],
+    log_share: ComponentRays, log_likelihood: Float[Tensor, "batch frame component ray channel"], weight: RayValues
 ) -> Float[Tensor, ""]:
     """First term of L_obs (paper): -log sum_k N(x | c_k, std^2) sigma_hat_k / sigma_max, summed over channels.
 
@@ -44,19 +43,13 @@ def colour_mixture(
     return mean_over(-mixture.sum(dim=-1), weight)
 
 
-def surface(
-    logits: Float[Tensor, "batch frame component ray"], weight: Float[Tensor, "batch frame ray"]
-) -> Float[Tensor, ""]:
+def surface(logits: ComponentRays, weight: RayValues) -> Float[Tensor, ""]:
     """Second term of L_obs (paper): -log sigma(p_surface)."""
     return mean_over(-log_density(logits) - math.log(SIGMA_MAX), weight)
 
 
 def air(
-    logits: Float[Tensor, "batch frame component ray"],
-    inverse_rho: Float[Tensor, "batch frame ray"],
-    weight: Float[Tensor, "batch frame ray"],
-    *,
-    saturation: float | None,
+    logits: ComponentRays, inverse_rho: RayValues, weight: RayValues, *, saturation: float | None
 ) -> Float[Tensor, ""]:
     """Third term of L_obs (paper): sigma(p_air) / rho_air, with `air_density`'s continuation where it saturates."""
     return mean_over(SIGMA_MAX * air_density(logits, saturation=saturation) * inverse_rho, weight)

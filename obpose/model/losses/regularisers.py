@@ -5,12 +5,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from obpose.model.losses.observation import mean_over
-from obpose.types import Latent
+from obpose.types import Active, GridValid, Latent
 
 
-def remaining_scope(
-    log_scope: Float[Tensor, "batch frame point"], valid: Bool[Tensor, "batch frame point"]
-) -> Float[Tensor, ""]:
+def remaining_scope(log_scope: Float[Tensor, "batch frame point"], valid: GridValid) -> Float[Tensor, ""]:
     """Remaining scope s_K (paper, L_others). Deviation: the mean over valid points, not the sum."""
     return mean_over(log_scope.exp(), valid.to(log_scope.dtype))
 
@@ -19,7 +17,7 @@ def translation(
     predicted: Float[Tensor, "batch frame slot 3"],
     shape: Float[Tensor, "batch frame slot 3"],
     found: Bool[Tensor, "batch frame slot"],
-    active: Bool[Tensor, "batch slot"],
+    active: Active,
 ) -> Float[Tensor, ""]:
     """Squared distance in metres of T_hat and T^shape (paper, L_others), summed over slots, mean over frames.
 

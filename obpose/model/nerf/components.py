@@ -14,7 +14,7 @@ from obpose.geometry import to_box
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.detail import Detail
 from obpose.model.nerf.field import Field
-from obpose.types import Boxes, Decoded
+from obpose.types import Active, Boxes, Decoded, RayPoints
 
 Colours = Literal["with", "without"]
 Background = Literal["everywhere", "in boxes"]
@@ -53,7 +53,7 @@ class Fields:
 class Codes:
     """Latents of a scene, and boxes of its objects."""
 
-    active: Bool[Tensor, "batch slot"]
+    active: Active
     what: Float[Tensor, "batch frame slot latent"]
     background: Float[Tensor, "batch frame background"] | None
     boxes: Boxes | None
@@ -79,8 +79,8 @@ class InBox:
 def decode(
     fields: Fields,
     codes: Codes,
-    points: Float[Tensor, "batch frame ray 3"],
-    directions: Float[Tensor, "batch frame ray 3"],
+    points: RayPoints,
+    directions: RayPoints,
     *,
     colours: Colours,
     where_background: Background = "everywhere",
@@ -88,13 +88,16 @@ def decode(
     """Density logits and colours of all components at world points seen along directions of any length."""
     directions = F.normalize(directions, dim=-1)
     if codes.boxes is None:
+        # World-frame fields: everywhere, like the background's.
         background = decode_background(fields, codes.background, points, directions, colours=colours)
         objects = _in_world(fields, codes, points, directions, colours)
     else:
+        # Object-frame fields: only at points in boxes.
         inside = points_in_boxes(points, codes.boxes, codes.active, floor=fields.floor)
         only = None if where_background == "everywhere" else inside.ray.unique()
         background = decode_background(fields, codes.background, points, directions, colours=colours, only=only)
         objects = _in_boxes(fields, codes, codes.boxes, inside, points.shape[2], directions, colours)
+    # The background is the first component.
     logits = torch.cat([background.logits, objects.logits], dim=2)
     if background.colours is None or objects.colours is None:
         return Decoded(logits=logits, colours=None)
@@ -105,6 +108,7 @@ def _in_world(fields: Fields, codes: Codes, points: Tensor, directions: Tensor, 
     """Objects whose fields fill the world."""
     conditioning = fields.objects.condition(codes.what).of_all_points()
     logits, hidden = fields.objects.density(fields.in_cube(points)[:, :, None], conditioning)
+    # Inactive slots have no density, and no object has any below the floor.
     there = codes.active[:, None, :, None] & fields.above_floor(points)[:, :, None]
     logits = logits.masked_fill(~there, OUTSIDE)
     if colours == "without":
@@ -116,10 +120,12 @@ def _in_boxes(
     fields: Fields, codes: Codes, boxes: Boxes, inside: InBox, rays: int, directions: Tensor, colours: Colours
 ) -> Decoded:
     """Objects in boxes, which are evaluated at the points inside only."""
+    # One code per slot, selected for each point inside.
     of_slots = fields.objects.condition(rearrange(codes.what, "b f s d -> (b f s) d")).corrected(codes.detail)
     conditioning = of_slots.at(inside.owner)
     logits, hidden = fields.objects.density(inside.points, conditioning)
     shape = (*codes.what.shape[:3], rays)
+    # Outside of its box an object has no density.
     all_logits = scatter(logits, inside.index, shape, OUTSIDE)
     if colours == "without":
         return Decoded(logits=all_logits, colours=None)
@@ -130,8 +136,8 @@ def _in_boxes(
 def decode_background(
     fields: Fields,
     z_background: Float[Tensor, "batch frame background"] | None,
-    points: Float[Tensor, "batch frame ray 3"],
-    directions: Float[Tensor, "batch frame ray 3"],
+    points: RayPoints,
+    directions: RayPoints,
     *,
     colours: Colours,
     only: Int[Tensor, " n"] | None = None,
@@ -144,6 +150,7 @@ def decode_background(
     if fields.background is None or z_background is None:
         nowhere = points.new_full(shape, OUTSIDE)
         return Decoded(logits=nowhere, colours=None if colours == "without" else points.new_zeros(*shape, 3))
+    # Points in the cube, and codes of their frames.
     at, along = fields.in_cube(points), F.normalize(directions, dim=-1)
     codes = fields.background.condition(z_background)
     if only is None:
@@ -151,6 +158,7 @@ def decode_background(
     else:
         at, along = at.flatten(0, 2)[only], along.flatten(0, 2)[only]
         codes = codes.flatten().at(only // points.shape[2])
+    # Density and colour there.
     logits, hidden = fields.background.density(at, codes)
     found = None if colours == "without" else fields.background.colour(hidden, along, codes)
     if only is None:
@@ -159,13 +167,7 @@ def decode_background(
     return Decoded(everywhere(logits), None if found is None else everywhere(found))
 
 
-def points_in_boxes(
-    points: Float[Tensor, "batch frame ray 3"],
-    boxes: Boxes,
-    active: Bool[Tensor, "batch slot"],
-    *,
-    floor: float | None = None,
-) -> InBox:
+def points_in_boxes(points: RayPoints, boxes: Boxes, active: Active, *, floor: float | None = None) -> InBox:
     """Find the points above the floor that lie in boxes of active slots, box by box."""
     # Object-frame coordinates (paper, eq. transform).
     in_box = to_box(points[:, :, None], boxes.center, boxes.rotation, boxes.size)
@@ -179,9 +181,7 @@ def points_in_boxes(
     return InBox(in_box.flatten(0, 3)[index], index, owner, owner // slots * rays + index % rays)
 
 
-def in_box_directions(
-    directions: Float[Tensor, "batch frame ray 3"], boxes: Boxes, inside: InBox
-) -> Float[Tensor, "n 3"]:
+def in_box_directions(directions: RayPoints, boxes: Boxes, inside: InBox) -> Float[Tensor, "n 3"]:
     """View directions of points in boxes, in the frames of the boxes: R^-1 d."""
     rotation = rearrange(boxes.rotation, "b f s i j -> (b f s) i j")[inside.owner]
     return torch.einsum("ni,nij->nj", directions.flatten(0, 2)[inside.ray], rotation)

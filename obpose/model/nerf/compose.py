@@ -11,6 +11,9 @@ from torch import Tensor
 
 from obpose.model.layers.numerics import log_sum_exp
 
+Logits = Float[Tensor, "*shape component ray"]
+Joint = Float[Tensor, "*shape ray"]
+
 OUTSIDE = -30000.0
 """Logit outside a slot's box and of inactive slots: lower than any field's, finite also in half precision."""
 SIGMA_MAX = 10.0
@@ -21,9 +24,7 @@ _EXPONENTIAL = -20.0
 """Logit below which softplus equals the exponential in single precision."""
 
 
-def log_density(
-    logits: Float[Tensor, "*shape component ray"],
-) -> Float[Tensor, "*shape ray"]:
+def log_density(logits: Logits) -> Joint:
     """Log of the joint density over sigma_max (paper, eq. apex_norm): log tanh(sum_k softplus(sigma_k)).
 
     Finite, with a gradient that does not vanish where the density does, for all logits.
@@ -31,16 +32,12 @@ def log_density(
     return _log_tanh_exp(log_sum_exp(_log_softplus(logits), dim=-2))
 
 
-def log_share(
-    logits: Float[Tensor, "*shape component ray"],
-) -> Float[Tensor, "*shape component ray"]:
+def log_share(logits: Logits) -> Logits:
     """Log of each component's density over sigma_max (paper, eq. apex_norm): log(tanh(.) softmax_k(sigma_k))."""
     return log_density(logits)[..., None, :] + torch.log_softmax(logits, dim=-2)
 
 
-def solid_share(
-    logits: Float[Tensor, "*shape component ray"], threshold: float
-) -> Float[Tensor, "*shape component ray"]:
+def solid_share(logits: Logits, threshold: float) -> Logits:
     """Each component's density over sigma_max for pictures: 0 where the joint density is below the threshold.
 
     An addition: after minutes of training, objects are surrounded by thin fog. The paper's voxels count as empty below
@@ -50,9 +47,7 @@ def solid_share(
     return share * (share.sum(dim=-2, keepdim=True) >= threshold)
 
 
-def air_density(
-    logits: Float[Tensor, "*shape component ray"], *, saturation: float | None
-) -> Float[Tensor, "*shape ray"]:
+def air_density(logits: Logits, *, saturation: float | None) -> Joint:
     """Joint density over sigma_max for the air term (paper, L_obs): tanh(sum_k softplus(sigma_k)).
 
     An addition: beyond a summed softplus of `saturation`, tanh is continued by its tangent. Its own gradient is exactly
@@ -67,10 +62,7 @@ def air_density(
     return torch.tanh(total - beyond) + slope * beyond
 
 
-def mean_colour(
-    logits: Float[Tensor, "*shape component ray"],
-    colours: Float[Tensor, "*shape component ray 3"],
-) -> Float[Tensor, "*shape ray 3"]:
+def mean_colour(logits: Logits, colours: Float[Tensor, "*shape component ray 3"]) -> Float[Tensor, "*shape ray 3"]:
     """Colour of the composed scene (paper, after eq. apex_norm), sum_k sigma_hat_k c_k / sigma_max; black if empty."""
     return (log_share(logits).exp()[..., None] * colours).sum(dim=-3)
 

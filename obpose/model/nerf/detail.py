@@ -27,7 +27,7 @@ class Detail:
     lattices: Lattices
     owner: Int[Tensor, "*code"]
     """Index of the grid of each code."""
-    alone: Float[Tensor, "thing"] | None = None
+    own_scale: Float[Tensor, "thing"] | None = None
     """If positive, the grid replaces the field, in a cube around the box's middle whose edge is this multiple of the
     box's edge. Elsewhere, or if None, grids are as large as the box and correct the field."""
 
@@ -37,16 +37,16 @@ class Detail:
 
     def corrects(self) -> Float[Tensor, "*code 1"] | float:
         """Factor on the field's own logits: 0 if the grid replaces the field, else 1."""
-        return 1.0 if self.alone is None else (self.alone[self.owner, None] <= 0).to(self.alone.dtype)
+        return 1.0 if self.own_scale is None else (self.own_scale[self.owner, None] <= 0).to(self.own_scale.dtype)
 
     def of(self, points: Float[Tensor, "*points 3"]) -> Float[Tensor, "*points 4"]:
         """Trilinear values at points of the box, -1..1; codes broadcast to points, as in `obpose.model.nerf.field`.
 
         Beyond a face, corrections are those at the face, and grids that replace the field are empty.
         """
-        alone = None if self.alone is None else self.alone[self.owner][..., None]
-        if alone is not None:
-            points = points / torch.where(alone > 0, alone, 1.0)
+        scale = None if self.own_scale is None else self.own_scale[self.owner][..., None]
+        if scale is not None:
+            points = points / torch.where(scale > 0, scale, 1.0)
         # Cell of each point, and the weights of its corners.
         steps = ((points + 1) * ((EDGE - 1) / 2)).clamp(0, EDGE - 1)
         low = steps.detach().floor().clamp(max=EDGE - 2)
@@ -59,9 +59,10 @@ class Detail:
         table = self.lattices.flatten(0, 3)
         found = F.embedding_bag(index.flatten(0, -2), table, per_sample_weights=weights.reshape(-1, 8), mode="sum")
         found = found.view(*points.shape[:-1], 4)
-        if alone is None:
+        if scale is None:
             return found
-        beyond = (alone > 0) & (points.abs() > 1).any(dim=-1, keepdim=True)
+        # Beyond a grid that replaces the field there is no density.
+        beyond = (scale > 0) & (points.abs() > 1).any(dim=-1, keepdim=True)
         return found.masked_fill(beyond & (torch.arange(4, device=found.device) == 0), OUTSIDE)
 
 
@@ -73,10 +74,7 @@ def no_detail(things: int, like: Tensor) -> Lattices:
 def roughness(lattices: Lattices, *, neighbours: float, size: float) -> Float[Tensor, ""]:
     """Negative log of a Gaussian prior, up to a constant.
 
-    Args:
-        lattices: Residual grids.
-        neighbours: Standard deviation of differences of neighbouring points, logits.
-        size: Standard deviation of corrections themselves, logits.
+    Standard deviations are those of differences of `neighbours`, and of the corrections themselves (`size`), in logits.
     """
     differences = sum((lattices.diff(dim=axis).square().sum() for axis in (1, 2, 3)), start=lattices.new_zeros(()))
     return differences / (2 * neighbours**2) + lattices.square().sum() / (2 * size**2)

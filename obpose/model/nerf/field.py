@@ -68,13 +68,16 @@ class Field(nn.Module):
         super().__init__()
         width = config.width
         self.config = config
+        # Density: hidden layers with the point at the first and again after the middle one.
         self.first = nn.Linear(6 * config.position_frequencies, width)
         self.hidden = nn.ModuleList(nn.Linear(width, width) for _ in range(config.depth - 1))
         self.again = nn.Linear(6 * config.position_frequencies, width, bias=False)
         self.density_logit = nn.Linear(width, 1)
+        # Colour, which also depends on the view direction.
         self.colour_hidden = nn.Linear(width, width)
         self.colour_direction = nn.Linear(6 * config.direction_frequencies, width, bias=False)
         self.colour_out = nn.Linear(width, 3)
+        # Terms of the latent for three of the layers.
         self.codes = nn.Linear(latent, 3 * width, bias=False)
         if weights == "orthogonal":
             pass_on(self.codes)
@@ -104,10 +107,7 @@ class Field(nn.Module):
         return logit if self.config.density == "raw" else squash(logit), Hidden(hidden, correction)
 
     def colour(
-        self,
-        hidden: Hidden,
-        directions: Float[Tensor, "*points 3"],
-        codes: Conditioning,
+        self, hidden: Hidden, directions: Float[Tensor, "*points 3"], codes: Conditioning
     ) -> Float[Tensor, "*value 3"]:
         """Colours in 0..1 along unit directions."""
         encoded = positional_encoding(directions, self.config.direction_frequencies)

@@ -11,6 +11,7 @@ heights. Lumps of fog can be missed, and are then absent from the image.
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -34,6 +35,13 @@ _BALL = 0.8661
 _CHUNK = 1 << 17
 """Number of points of a grid that are evaluated at once, to bound memory."""
 
+Point = Float[Tensor, "3"]
+OfRays = Float[Tensor, "ray"]
+Vectors = Float[Tensor, "ray 3"]
+"""A point or a direction for each ray."""
+Samples = Float[Tensor, "ray sample 3"]
+"""Points along rays, world frame, metres."""
+
 
 @dataclass(frozen=True, eq=False)
 class Component:
@@ -42,7 +50,7 @@ class Component:
     field: Field
     codes: Conditioning
     """Conditioning on a single code."""
-    center: Float[Tensor, "3"]
+    center: Point
     rotation: Float[Tensor, "3 3"]
     """World from the box's frame."""
     size: float
@@ -67,12 +75,12 @@ class Picture:
     """Planar depth of the far end, metres."""
 
     @property
-    def colour(self) -> Float[Tensor, "ray 3"]:
+    def colour(self) -> Vectors:
         """Colour, 0..1."""
         return self.colours.sum(dim=0)
 
     @property
-    def depth(self) -> Float[Tensor, "ray"]:
+    def depth(self) -> OfRays:
         """Mean planar depth of the light's origin, metres."""
         return self.depths.sum(dim=0) + (1 - self.weights.sum(dim=0)) * self.far
 
@@ -82,7 +90,7 @@ def make_component(
     field: Field,
     codes: Conditioning,
     *,
-    center: Float[Tensor, "3"],
+    center: Point,
     rotation: Float[Tensor, "3 3"],
     size: float,
     bounded: bool,
@@ -98,6 +106,7 @@ def make_component(
     steps = (torch.arange(layers).to(codes.first) + 0.5) / layers - 0.5
     within = F.pad(steps[:, None] * (2 / resolution), (2, 0))
     points = (lattice_points(resolution, None, codes.first)[:, None] + within).flatten(0, 1)
+    # A cell is dense if one of its points is.
     logits = torch.cat([field.density(part, codes)[0] for part in points.split(_CHUNK)])
     dense = (log_density(logits[None]).exp() > max(_LEAST, _LESS * threshold)).unflatten(0, (-1, layers)).any(dim=-1)
     # A cell is occupied if it or a neighbour is dense.
@@ -106,7 +115,7 @@ def make_component(
     return Component(field, codes, center, rotation, size, bounded, cells)
 
 
-def moved(component: Component, center: Float[Tensor, "3"], rotation: Float[Tensor, "3 3"]) -> Component:
+def moved(component: Component, center: Point, rotation: Float[Tensor, "3 3"]) -> Component:
     """Move a component, with its occupancy grid."""
     return replace(component, center=center, rotation=rotation)
 
@@ -114,8 +123,8 @@ def moved(component: Component, center: Float[Tensor, "3"], rotation: Float[Tens
 @torch.no_grad()
 def march(
     components: list[Component],
-    origin: Float[Tensor, "ray 3"],
-    direction: Float[Tensor, "ray 3"],
+    origin: Vectors,
+    direction: Vectors,
     *,
     near: float,
     far: float,
@@ -127,40 +136,32 @@ def march(
 ) -> Picture:
     """Render the composed components, like `obpose.model.nerf.render.render` if no occupied cell is missed.
 
-    Args:
-        components: Components, the background first.
-        origin: Camera centres, world frame, metres.
-        direction: Per metre of planar depth.
-        near: First planar depth, metres.
-        far: Last planar depth, metres.
-        samples: Number of points along a ray, in the middles of equal intervals.
-        sigma_max: Density of an opaque point per metre of planar depth.
-        floor: Height in the world below which bounded components are empty, metres; None for no floor.
-        threshold: Density over sigma_max below which space is empty; at most that of the components.
-        behind: Planar depth, metres, that is added where colours are evaluated. Colours are trained up to
-            `obpose.model.nerf.along.JITTER` behind the surface, and light mostly comes from before it.
+    The background is the first component. Rays and samples are as in `render`. Bounded components are empty below the
+    height `floor` in the world, metres; None for no floor. The `threshold` is at most that of the components. Colours
+    are evaluated `behind` metres of planar depth farther along the ray: they are trained up to
+    `obpose.model.nerf.along.JITTER` behind the surface, and light mostly comes from before it.
     """
-    rays, length = len(origin), (far - near) / samples
-    colours = origin.new_zeros(len(components), rays, 3)
-    depth = origin.new_zeros(len(components), rays)
-    weights = origin.new_zeros(len(components), rays)
-    passed = origin.new_ones(rays)
-    alive = torch.arange(rays, device=origin.device)
+    length = (far - near) / samples
+    colours = origin.new_zeros(len(components), len(origin), 3)
+    depth, weights = torch.zeros_like(colours[..., 0]), torch.zeros_like(colours[..., 0])
+    passed = torch.ones_like(origin[:, 0])
+    alive = torch.arange(len(origin), device=origin.device)
     for first in range(0, samples, _AT_ONCE):
+        # The next samples of the rays that are not opaque yet.
         count = min(_AT_ONCE, samples - first)
         depths = near + (first + torch.arange(count, dtype=origin.dtype, device=origin.device) + 0.5) * length
-        # Light from the next samples of the rays that are not opaque yet.
         points = origin[alive, None] + direction[alive, None] * depths[:, None]
-        settings = _Settings(sigma_max * length, floor, threshold, behind)
-        lit = _evaluate(components, points, direction[alive], passed[alive], settings)
-        if lit is None:
+        met = _meet(components, points, sigma_max * length, floor=floor, threshold=threshold)
+        if met is None:
             continue
-        # Accumulate it, and stop opaque rays.
-        met = alive[lit.ray]
-        colours[:, met] += lit.colours
-        depth[:, met] += (lit.weights * depths).sum(dim=-1)
-        weights[:, met] += lit.weights.sum(dim=-1)
-        passed[met] = lit.passed
+        # Light of each sample and component: Mildenhall et al. 2020, eq. 3.
+        ray = alive[met.ray]
+        light = passed[ray, None] * light_from(met.thickness)
+        colours[:, ray] += _colours(components, points[met.ray], direction[ray], met.places, light, behind)
+        depth[:, ray] += (light * depths).sum(dim=-1)
+        weights[:, ray] += light.sum(dim=-1)
+        # Opaque rays stop.
+        passed[ray] *= torch.exp(-met.thickness.sum(dim=(0, 2)))
         alive = alive[passed[alive] > _DARK]
         if not len(alive):
             break
@@ -170,132 +171,97 @@ def march(
 @torch.no_grad()
 def thickness_towards(
     components: list[Component],
-    origin: Float[Tensor, "ray 3"],
-    direction: Float[Tensor, "3"],
+    origin: Vectors,
+    direction: Point,
     *,
     step: float,
     sigma_max: float,
     floor: float | None,
     threshold: float,
-) -> Float[Tensor, "ray"]:
+) -> OfRays:
     """Optical thickness of bounded components between points and a distant light; a lower bound where it is opaque.
 
-    Args:
-        components: Bounded components, composed as in `march`.
-        origin: Points, world frame, metres.
-        direction: Unit vector towards the light.
-        step: Distance between samples, metres.
-        sigma_max: Density of an opaque point per metre.
-        floor: As in `march`.
-        threshold: As in `march`.
+    Components are composed as in `march`. `direction` is the unit vector towards the light, `step` the distance between
+    samples in metres, and `sigma_max` the density of an opaque point per metre.
     """
     total = origin.new_zeros(len(origin))
     # Rays between the components and the light.
     first, last = _between(components, origin, direction)
     alive = (last > first).nonzero()[:, 0]
+    # Sum of the optical thickness of the next samples, until it is opaque or past the last component.
     chunk = (torch.arange(_AT_ONCE, dtype=origin.dtype, device=origin.device) + 0.5) * step
     while len(alive):
         points = origin[alive, None] + (first[alive, None] + chunk)[..., None] * direction
-        met = _meet(components, points, _Settings(sigma_max * step, floor, threshold, 0.0))
+        met = _meet(components, points, sigma_max * step, floor=floor, threshold=threshold)
         if met is not None:
-            total[alive[met.ray]] += met.optical.sum(dim=(0, 2))
+            total[alive[met.ray]] += met.thickness.sum(dim=(0, 2))
         first = first + _AT_ONCE * step
         alive = alive[(first[alive] < last[alive]) & (total[alive] < -math.log(_DARK))]
     return total
 
 
-@dataclass(frozen=True)
-class _Settings:
-    """Settings of `march`."""
-
-    thickness: float
-    """Optical thickness of a sample of density 1."""
-    floor: float | None
-    threshold: float
-    behind: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Met:
+class _Met(NamedTuple):
     """Densities along the rays that meet occupied cells."""
 
     ray: Int[Tensor, " ray"]
     """Indices of these rays among all."""
     places: list[Int[Tensor, " _"]]
-    """Indices of each component's samples among those of these rays."""
-    optical: Float[Tensor, "component ray sample"]
-    """Optical thickness."""
+    """Indices of each component's samples in occupied cells, among those of these rays."""
+    thickness: Float[Tensor, "component ray sample"]
+    """Optical thickness of each component at each sample."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Lit:
-    """Light along the rays that meet occupied cells."""
-
-    ray: Int[Tensor, " ray"]
-    """Indices of these rays among all."""
-    colours: Float[Tensor, "component ray 3"]
-    weights: Float[Tensor, "component ray sample"]
-    passed: Float[Tensor, "ray"]
-
-
-def _evaluate(
-    components: list[Component],
-    points: Float[Tensor, "ray sample 3"],
-    direction: Float[Tensor, "ray 3"],
-    passed: Float[Tensor, "ray"],
-    settings: _Settings,
-) -> _Lit | None:
-    """Compute the light from the next samples of each ray; None if they are empty."""
-    met = _meet(components, points, settings)
-    if met is None:
-        return None
-    points, direction, passed = points[met.ray], direction[met.ray], passed[met.ray]
-    flat, (rays, count, _) = points.flatten(0, 1), points.shape
-    # Light of each sample and component: Mildenhall et al. 2020, eq. 3.
-    weights = passed[:, None] * light_from(met.optical)
-    colours = points.new_zeros(len(components), rays, 3)
-    unit = F.normalize(direction, dim=-1)
-    for component, light, index, colour in zip(components, weights.flatten(1), met.places, colours, strict=True):
-        index = index[light[index] > _DARK / 10]
-        owner = index // count
-        at = flat[index] + settings.behind * direction[owner]
-        _, hidden = component.field.density(in_box(component, at), component.codes)
-        seen = component.field.colour(hidden, unit[owner] @ component.rotation, component.codes)
-        colour.index_add_(0, owner, light[index, None] * seen)
-    return _Lit(met.ray, colours, weights, passed * torch.exp(-met.optical.sum(dim=(0, 2))))
-
-
-def _meet(components: list[Component], points: Float[Tensor, "ray sample 3"], settings: _Settings) -> _Met | None:
-    """Compute the densities at the next samples of each ray; None if they are empty."""
+def _meet(
+    components: list[Component], points: Samples, opaque: float, *, floor: float | None, threshold: float
+) -> _Met | None:
+    """Compute optical thicknesses at samples of each ray, `opaque` at density 1; None if all are empty."""
     # Samples in occupied cells, and the rays they are on.
-    found = [_inside(component, points, settings.floor) for component in components]
-    ray, places = _met(points, [index for index, _ in found])
-    if not len(ray):
-        return None
-    size = (len(ray), points.shape[1])
-    # Densities there; elsewhere components are empty.
-    logits = points.new_full((len(components), size[0] * size[1]), OUTSIDE)
-    for place, (component, index, (_, at)) in enumerate(zip(components, places, found, strict=True)):
-        logits[place, index] = component.field.density(at, component.codes)[0]
-    return _Met(ray, places, settings.thickness * solid_share(logits, settings.threshold).unflatten(1, size))
-
-
-def _met(
-    points: Float[Tensor, "ray sample 3"], found: list[Int[Tensor, " _"]]
-) -> tuple[Int[Tensor, " n"], list[Int[Tensor, " _"]]]:
-    """Find the rays of these samples, and the samples' indices among those of such rays only."""
+    found = [_inside(component, points, floor) for component in components]
     rays, count, _ = points.shape
     met = torch.zeros(rays, dtype=torch.bool, device=points.device)
-    for index in found:
+    for index, _ in found:
         met[index // count] = True
+    if not met.any():
+        return None
     number = met.cumsum(dim=0) - 1
-    return met.nonzero()[:, 0], [number[index // count] * count + index % count for index in found]
+    places = [number[index // count] * count + index % count for index, _ in found]
+    # Logits there; elsewhere components are empty.
+    logits = points.new_full((len(components), int(met.sum()) * count), OUTSIDE)
+    for own, component, place, (_, at) in zip(logits, components, places, found, strict=True):
+        own[place] = component.field.density(at, component.codes)[0]
+    thickness = opaque * solid_share(logits, threshold)
+    return _Met(met.nonzero()[:, 0], places, thickness.unflatten(1, (-1, count)))
+
+
+def _colours(
+    components: list[Component],
+    points: Samples,
+    direction: Vectors,
+    places: list[Int[Tensor, " _"]],
+    light: Float[Tensor, "component ray sample"],
+    behind: float,
+) -> Float[Tensor, "component ray 3"]:
+    """Sum the colours of the samples `places` of each component, weighted by light; dark samples are left out."""
+    # Samples as a flat list, ray by ray.
+    flat, count = points.flatten(0, 1), points.shape[1]
+    colours = points.new_zeros(len(components), len(points), 3)
+    unit = F.normalize(direction, dim=-1)
+    for component, share, index, colour in zip(components, light.flatten(1), places, colours, strict=True):
+        index = index[share[index] > _DARK / 10]
+        owner = index // count
+        # Colours behind the surface, where they were trained, in the frame of the component.
+        at = flat[index] + behind * direction[owner]
+        _, hidden = component.field.density(in_box(component, at), component.codes)
+        seen = component.field.colour(hidden, unit[owner] @ component.rotation, component.codes)
+        colour.index_add_(0, owner, share[index, None] * seen)
+    return colours
 
 
 def _inside(
-    component: Component, points: Float[Tensor, "ray sample 3"], floor: float | None
+    component: Component, points: Samples, floor: float | None
 ) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
     """Find the points in occupied cells, ray by ray, and their coordinates in the component's cube."""
+    # Rays that pass the ball around the cube; unbounded components are met by all.
     count = points.shape[1]
     rays = _passing(component, points) if component.bounded else torch.arange(len(points), device=points.device)
     flat = points[rays].flatten(0, 1)
@@ -315,7 +281,7 @@ def _inside(
     return rays[index // count] * count + index % count, at[index]
 
 
-def _passing(component: Component, points: Float[Tensor, "ray sample 3"]) -> Int[Tensor, " n"]:
+def _passing(component: Component, points: Samples) -> Int[Tensor, " n"]:
     """Find the rays whose samples pass through the ball around the component's cube."""
     first, along = points[:, 0], points[:, -1] - points[:, 0]
     share = ((component.center - first) * along).sum(dim=-1) / along.square().sum(dim=-1).clamp(min=1e-12)
@@ -323,14 +289,13 @@ def _passing(component: Component, points: Float[Tensor, "ray sample 3"]) -> Int
     return ((nearest - component.center).norm(dim=-1) <= component.size * _BALL).nonzero()[:, 0]
 
 
-def _between(
-    components: list[Component], origin: Float[Tensor, "ray 3"], direction: Float[Tensor, "3"]
-) -> tuple[Float[Tensor, "ray"], Float[Tensor, "ray"]]:
+def _between(components: list[Component], origin: Vectors, direction: Point) -> tuple[OfRays, OfRays]:
     """Distances at which a ray enters the first ball around a component's cube and leaves the last, metres."""
     first, last = origin.new_full((len(origin),), math.inf), origin.new_zeros(len(origin))
     for component in components:
         to = component.center - origin
         along = to @ direction
+        # Half of the chord of the ray in the ball.
         half = ((component.size * _BALL) ** 2 - to.square().sum(dim=-1) + along.square()).clamp(min=0).sqrt()
         met = (half > 0) & (along + half > 0)
         first = torch.where(met, torch.minimum(first, (along - half).clamp(min=0)), first)

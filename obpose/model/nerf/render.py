@@ -9,25 +9,25 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.nerf.compose import solid_share
-from obpose.types import Decoded
+from obpose.types import ComponentRays, Decoded, RayPoints, RayValues
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
     """Rendered image, ray by ray."""
 
-    colour: Float[Tensor, "batch frame ray 3"]
+    colour: RayPoints
     """0..1, on a black background."""
-    depth: Float[Tensor, "batch frame ray"]
+    depth: RayValues
     """Mean planar depth of the light's origin; `far` for light from beyond."""
-    weights: Float[Tensor, "batch frame component ray"]
+    weights: ComponentRays
     """Share of the light that comes from each component; together the opacity."""
 
 
 def render(
-    decode: Callable[[Float[Tensor, "batch frame ray 3"], Float[Tensor, "batch frame ray 3"]], Decoded],
-    origin: Float[Tensor, "batch frame ray 3"],
-    direction: Float[Tensor, "batch frame ray 3"],
+    decode: Callable[[RayPoints, RayPoints], Decoded],
+    origin: RayPoints,
+    direction: RayPoints,
     *,
     near: float,
     far: float,
@@ -37,16 +37,10 @@ def render(
 ) -> Rendering:
     """Quadrature along rays (Mildenhall et al. 2020, eq. 3) of the composed density (paper, eq. apex_norm).
 
-    Args:
-        decode: Densities and colours at points seen along directions.
-        origin: Camera centres.
-        direction: Per metre of planar depth.
-        near: First planar depth, metres.
-        far: Last planar depth, metres.
-        samples: Number of points along a ray, in the middles of equal intervals.
-        sigma_max: Density of an opaque point per metre of planar depth. With the loss's 10, objects of a few
-            centimetres are half transparent; pictures are sharp with some hundreds.
-        threshold: Density over sigma_max below which space is empty (`obpose.model.nerf.compose.solid_share`).
+    `direction` is per metre of planar depth. There are `samples` points along a ray, in the middles of equal intervals
+    from planar depth `near` to `far`, metres. `sigma_max` is the density of an opaque point per metre of planar depth.
+    With the loss's 10, objects of a few centimetres are half transparent; pictures are sharp with some hundreds. Space
+    is empty below the density `threshold` over sigma_max (`obpose.model.nerf.compose.solid_share`).
     """
     # Points along the rays.
     edges = torch.linspace(near, far, samples + 1, dtype=origin.dtype, device=origin.device)

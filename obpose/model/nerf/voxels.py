@@ -4,6 +4,7 @@ Nothing has a gradient, because T_shape is a target.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from einops import rearrange, reduce
@@ -14,8 +15,7 @@ from obpose.geometry import from_box
 from obpose.model.layers.numerics import full_precision
 from obpose.model.nerf.compose import log_density
 from obpose.model.nerf.field import Field
-from obpose.model.pose.minimum_volume import orient
-from obpose.types import Boxes, Observation, Shape
+from obpose.types import Active, Boxes, Observation, Shape
 
 MIN_VOXELS = 4
 """Smallest number of occupied voxels for which a shape counts as found. A cube of 3 cm fills about 6 of 12^3 in a box
@@ -24,6 +24,8 @@ THRESHOLD = 0.5
 """sigma_T: occupancy above which a voxel belongs to the object. [code]"""
 FLOOR = -0.002
 """Height in metres above the world's z = 0 below which voxels do not belong to an object. [code]"""
+
+Codes = Float[Tensor, "batch frame slot latent"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,59 +37,37 @@ class Voxels:
     occupied: Bool[Tensor, "batch frame slot voxel"]
 
 
-@torch.no_grad()
 def estimate_shape(
     object_field: Field,
     boxes: Boxes,
-    active: Bool[Tensor, "batch slot"],
-    z_what: Float[Tensor, "batch frame slot latent"],
+    active: Active,
+    z_what: Codes,
     observation: Observation,
     *,
-    resolution: int,
-    threshold: float = THRESHOLD,
-    floor: float | None = FLOOR,
     frame: Int[Tensor, " batch"] | None = None,
-    generator: torch.Generator | None = None,
+    **options: Any,
 ) -> Shape:
-    """T_shape of every slot (paper, end of section Decoder).
+    """T_shape of every slot (paper, end of section Decoder), in one `frame` of each clip; nothing is found in others.
 
-    Args:
-        object_field: The field that all objects share.
-        boxes: Boxes of the objects.
-        active: Slots in use; others are never found.
-        z_what: Codes of the objects.
-        observation: Depth images; a voxel through which a camera saw is empty.
-        resolution: S, voxels along an edge of a box.
-        threshold: sigma_T.
-        floor: Height in the world, metres, below which there are no objects; None for no floor.
-        frame: Frame of each clip to use; nothing is found in the others. None for all.
-        generator: Draws a point in each voxel; without one it is the centre.
+    Without `frame` all frames are used. Other arguments are those of `occupied_voxels`.
     """
-    options = {"resolution": resolution, "threshold": threshold, "floor": floor, "generator": generator}
     if frame is None:
         return shape_of(occupied_voxels(object_field, boxes, active, z_what, observation, **options))
-    chosen = occupied_voxels(
-        object_field,
-        replace(boxes, center=_pick(boxes.center, frame), rotation=_pick(boxes.rotation, frame)),
-        active,
-        _pick(z_what, frame),
-        replace(
-            observation,
-            rgb=_pick(observation.rgb, frame),
-            depth=_pick(observation.depth, frame),
-            valid=_pick(observation.valid, frame),
-        ),
-        **options,
-    )
-    return _only_at(shape_of(chosen), frame, frames=z_what.shape[1])
+    # Shapes in the chosen frames, put in their place among all frames.
+    here = replace(boxes, center=_pick(boxes.center, frame), rotation=_pick(boxes.rotation, frame))
+    images = {name: _pick(getattr(observation, name), frame) for name in ("rgb", "depth", "valid")}
+    seen, codes = replace(observation, **images), _pick(z_what, frame)
+    shape = shape_of(occupied_voxels(object_field, here, active, codes, seen, **options))
+    at = torch.arange(z_what.shape[1], device=frame.device) == frame[:, None]
+    return Shape(center=shape.center * at[..., None, None], found=shape.found & at[..., None])
 
 
 @torch.no_grad()
 def occupied_voxels(
     object_field: Field,
     boxes: Boxes,
-    active: Bool[Tensor, "batch slot"],
-    z_what: Float[Tensor, "batch frame slot latent"],
+    active: Active,
+    z_what: Codes,
     observation: Observation,
     *,
     resolution: int,
@@ -99,6 +79,10 @@ def occupied_voxels(
 
     Deviations, as in the authors' code: voxels below the floor or in observed free space are empty and not evaluated.
     This removes the bias towards the visible side.
+
+    Slots that are not `active` have no occupied voxels. `resolution` is S, voxels along an edge of a box, and
+    `threshold` sigma_T. The `floor` is a height in the world, metres; None for no floor. The generator draws a point in
+    each voxel; without one it is the centre.
     """
     # Voxels that may be occupied: of active slots, above the floor, not seen through.
     lattice = lattice_points(resolution, generator, boxes.center)
@@ -111,6 +95,7 @@ def occupied_voxels(
     # Density at these voxels: tanh(softplus(f(p_v, z_k))).
     codes = object_field.condition(rearrange(z_what, "b f s d -> (b f s) d")).at(owner)
     logits, _ = object_field.density(lattice[voxel], codes)
+    # Other voxels are empty.
     occupied = torch.zeros_like(possible).flatten()
     occupied[index] = occupancy(logits) > threshold
     return Voxels(points, occupied.view_as(possible))
@@ -150,6 +135,7 @@ def observed_free(
     place = torch.where(seen, row * width + column, 0).long()
     depth = rearrange(observation.depth, "b f v h w -> b f v (h w)").gather(-1, place)
     valid = rearrange(observation.valid, "b f v h w -> b f v (h w)").gather(-1, place)
+    # Free: some camera saw a surface behind the point.
     free = (seen & valid & (pixel[..., 2] < depth - margin)).any(dim=2)
     return free.view(points.shape[:-1])
 
@@ -167,18 +153,5 @@ def shape_of(voxels: Voxels) -> Shape:
     return Shape(center=torch.where(found[..., None], (low + high) / 2, 0.0), found=found)
 
 
-def orientation_of(voxels: Voxels) -> Float[Tensor, "batch frame slot 3 3"]:
-    """R_shape, world from object (paper, end of section Decoder): the tightest boxes around the occupied voxels.
-
-    For analyses only. As in the authors' code, the rotation of boxes is that of the observed points, which are finer.
-    """
-    return orient(voxels.points, voxels.occupied, min_points=MIN_VOXELS)
-
-
 def _pick(values: Tensor, frame: Int[Tensor, " batch"]) -> Tensor:
     return values[torch.arange(len(values), device=values.device), frame][:, None]
-
-
-def _only_at(shape: Shape, frame: Int[Tensor, " batch"], *, frames: int) -> Shape:
-    here = torch.arange(frames, device=frame.device) == frame[:, None]
-    return Shape(center=shape.center * here[..., None, None], found=shape.found & here[..., None])

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from obpose.geometry import to_box
-from obpose.types import Boxes
+from obpose.types import Boxes, GridPoints, GridValid, SlotMasks
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,10 @@ class BoxSamples:
 
 
 def gather_box(
-    points: Float[Tensor, "batch frame point 3"],
-    valid: Bool[Tensor, "batch frame point"],
+    points: GridPoints,
+    valid: GridValid,
     features: Float[Tensor, "batch frame point feature"],
-    log_masks: Float[Tensor, "batch frame slot point"],
+    log_masks: SlotMasks,
     boxes: Boxes,
     *,
     samples: int,
@@ -45,29 +45,18 @@ def gather_box(
     """
     with torch.no_grad():
         # Own points in the box (paper, eq. transform).
-        in_box = _to_boxes(points, boxes)
+        each = points[:, :, None].expand(-1, -1, boxes.center.shape[2], -1, -1)
+        in_box = to_box(each, boxes.center, boxes.rotation, boxes.size)
         inside = (in_box.abs().amax(dim=-1) <= 1) & valid[:, :, None]
         if whose == "own":
             inside &= log_masks >= log_masks.amax(dim=2, keepdim=True)
         # Points with the largest masks.
-        index, chosen = _largest(log_masks, inside, samples)
+        count = min(samples, log_masks.shape[-1])
+        best = log_masks.masked_fill(~inside, -torch.inf).topk(count, dim=-1, sorted=False)
+        index, chosen = best.indices, best.values > -torch.inf
         mask = log_masks.gather(-1, index).exp().masked_fill(~chosen, 0)
         near = in_box.gather(-2, repeat(index, "b f s n -> b f s n 3")) * chosen[..., None]
     return BoxSamples(near, _pick(features, index) * mask[..., None], mask, chosen)
-
-
-def _to_boxes(points: Tensor, boxes: Boxes) -> Float[Tensor, "batch frame slot point 3"]:
-    slots = boxes.center.shape[2]
-    each = points[:, :, None].expand(-1, -1, slots, -1, -1)
-    return to_box(each, boxes.center, boxes.rotation, boxes.size)
-
-
-def _largest(
-    log_masks: Float[Tensor, "batch frame slot point"], inside: Bool[Tensor, "batch frame slot point"], samples: int
-) -> tuple[Int[Tensor, "batch frame slot sample"], Bool[Tensor, "batch frame slot sample"]]:
-    count = min(samples, log_masks.shape[-1])
-    best = log_masks.masked_fill(~inside, -torch.inf).topk(count, dim=-1, sorted=False)
-    return best.indices, best.values > -torch.inf
 
 
 def _pick(

@@ -18,8 +18,7 @@ from torch import Tensor, nn
 from torch.nn.functional import elu
 
 from obpose.config import LatentConfig
-from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import KPConv, influence
+from obpose.model.layers.kpconv import KPConv, influence, kernel_points
 from obpose.model.layers.mlp import mlp
 from obpose.model.layers.numerics import full_precision
 from obpose.model.nerf.field import positional_encoding
@@ -67,12 +66,15 @@ class ObjectEncoder(nn.Module):
         self.register_buffer("kernel", kernel_points(), persistent=False)
         self.register_buffer("places", SPREAD * kernel_points(), persistent=False)
         pooled = width + _ANCHOR_WIDTH + _POINT_WIDTH
+        # Point-wise network: position, its encoding, features and mask.
         self._points = mlp(3 + 6 * config.frequencies + features + 1, _POINT_WIDTH, _POINT_WIDTH)
+        # KPConv of points at anchors, then of anchors at the middle of the box.
         self._around = KPConv(_POINT_WIDTH, _ANCHOR_WIDTH)
         self._around_norm = nn.LayerNorm(_ANCHOR_WIDTH)
         self._anchors = mlp(_ANCHOR_WIDTH, _ANCHOR_WIDTH)
         self._middle = KPConv(_ANCHOR_WIDTH, width)
         self._middle_norm = nn.LayerNorm(width)
+        # Code from the pooled features.
         self._code = nn.Sequential(nn.LayerNorm(pooled), mlp(pooled, width, width))
         self.size = width + (features if config.means == "given" else 0)
 

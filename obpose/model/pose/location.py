@@ -5,10 +5,11 @@ Paper, section Object Location and Orientation Conditioned Encoding, the first e
 
 import torch
 from einops import rearrange, repeat
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.model.layers.numerics import full_precision, sharpen
+from obpose.types import ComponentMasks, GridPoints, GridValid
 
 MIN_POINTS = 1
 """A slot keeps its location from the previous frame if it has the largest mask at fewer points of the embedding grid.
@@ -18,12 +19,7 @@ MIN_POINTS = 1
 @torch.no_grad()
 @full_precision
 def observed_center(
-    log_masks: Float[Tensor, "batch frame component point"],
-    points: Float[Tensor, "batch frame point 3"],
-    valid: Bool[Tensor, "batch frame point"],
-    *,
-    exponent: float,
-    min_points: int = MIN_POINTS,
+    log_masks: ComponentMasks, points: GridPoints, valid: GridValid, *, exponent: float, min_points: int = MIN_POINTS
 ) -> Float[Tensor, "batch frame slot 3"]:
     """T, world frame, metres: mean of the observed points weighted by a power of the slot's soft mask.
 
@@ -34,36 +30,20 @@ def observed_center(
     With fewer than `min_points` points, T is that of the last frame with enough points (or of the first frame). The
     authors keep the corrected location T_hat, which `where` then corrects again.
     """
-    # Soft mean of each frame.
-    center = _soft_mean(log_masks[:, :, 1:], points, valid, exponent)
-    # Slots with few points keep the location of an earlier frame.
+    # Soft mean of each frame, by a softmax over the points, which is stable for small masks; 0 without points.
+    unobserved = rearrange(~valid, "b f point -> b f 1 point")
+    log_weights = sharpen(log_masks[:, :, 1:].to(points.dtype), exponent).masked_fill(unobserved, -torch.inf)
+    center = log_weights.softmax(dim=-1).nan_to_num(0) @ points
+    # Slots with few points keep the location of the last frame with enough points.
     seen = count_points(log_masks, valid) >= min_points
-    return center.gather(1, repeat(_last_seen(seen), "b f slot -> b f slot 3"))
+    frames = rearrange(torch.arange(seen.shape[1], device=seen.device), "frame -> frame 1")
+    last_seen = (seen * frames).cummax(dim=1).values
+    return center.gather(1, repeat(last_seen, "b f slot -> b f slot 3"))
 
 
-def count_points(
-    log_masks: Float[Tensor, "batch frame component point"], valid: Bool[Tensor, "batch frame point"]
-) -> Int[Tensor, "batch frame slot"]:
+def count_points(log_masks: ComponentMasks, valid: GridValid) -> Int[Tensor, "batch frame slot"]:
     """N_k: number of observed points at which the slot's mask is the largest."""
     # On a CPU the indices of max are eight times as fast as argmax.
     owner = log_masks.max(dim=2).indices.masked_fill(~valid, 0)
     slots = torch.arange(1, log_masks.shape[2], device=log_masks.device)
     return (rearrange(owner, "b f point -> b f 1 point") == rearrange(slots, "slot -> slot 1")).sum(dim=-1)
-
-
-def _soft_mean(
-    log_masks: Float[Tensor, "batch frame slot point"],
-    points: Float[Tensor, "batch frame point 3"],
-    valid: Bool[Tensor, "batch frame point"],
-    exponent: float,
-) -> Float[Tensor, "batch frame slot 3"]:
-    """Weighted mean by a softmax over the points, which is stable for small masks; 0 without observed points."""
-    unobserved = rearrange(~valid, "b f point -> b f 1 point")
-    weights = sharpen(log_masks.to(points.dtype), exponent).masked_fill(unobserved, -torch.inf).softmax(dim=-1)
-    return weights.nan_to_num(0) @ points
-
-
-def _last_seen(seen: Bool[Tensor, "batch frame slot"]) -> Int[Tensor, "batch frame slot"]:
-    """Last frame up to each frame in which the slot was seen; 0 if there is none."""
-    frames = torch.arange(seen.shape[1], device=seen.device)
-    return (seen * rearrange(frames, "frame -> frame 1")).cummax(dim=1).values

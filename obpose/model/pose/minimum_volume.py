@@ -22,6 +22,9 @@ from obpose.model.pose.rotations import (
     small_rotations,
 )
 
+Candidates = Float[Tensor, "box candidate 3 3"]
+Rotations = Float[Tensor, "box 3 3"]
+
 GRID_LEVEL = 1
 """HEALPix level of the rotation grid before refinement. Of its 576 (1) or 4608 (2) rotations, the 24 or 204 that are
 distinct under the symmetry of a box are used. [code: 3, all 36,864]"""
@@ -74,6 +77,7 @@ def orient(
         rearrange(valid, "b f s point -> (f b s) point"),
     )
     candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
+    # Frame by frame the nearest of the nearly smallest boxes (paper, same section).
     rotation = follow(
         Clouds(
             rearrange(clouds.points, "point (f box) xyz -> point f box xyz", f=frames),
@@ -86,22 +90,6 @@ def orient(
     return rearrange(rotation, "f (b s) i j -> b f s i j", b=batch)
 
 
-@torch.no_grad()
-@full_precision
-def minimum_volume_rotation(
-    points: Float[Tensor, "box point 3"],
-    valid: Bool[Tensor, "box point"],
-    *,
-    grid_level: int = GRID_LEVEL,
-    refinements: int = REFINEMENTS,
-) -> Float[Tensor, "box 3 3"]:
-    """World from box, for the tightest box around each cloud, in any of its 24 equivalent orientations."""
-    clouds = gather_clouds(points.float(), valid)
-    candidates = find_candidates(clouds, grid_level=grid_level, refinements=refinements)
-    best = _volumes(clouds, candidates).argmin(dim=-1)
-    return candidates[torch.arange(len(candidates), device=best.device), best]
-
-
 def gather_clouds(points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box point"]) -> Clouds:
     """Centre points on the middle of their bounding box, and replace invalid ones by a valid one."""
     first = repeat(valid.int().argmax(dim=-1), "box -> box 1 xyz", xyz=3)
@@ -111,9 +99,7 @@ def gather_clouds(points: Float[Tensor, "box point 3"], valid: Bool[Tensor, "box
     return Clouds(centred, _THICKNESS * centred.norm(dim=-1).amax(dim=0))
 
 
-def find_candidates(
-    clouds: Clouds, *, grid_level: int = GRID_LEVEL, refinements: int = REFINEMENTS
-) -> Float[Tensor, "box candidate 3 3"]:
+def find_candidates(clouds: Clouds, *, grid_level: int = GRID_LEVEL, refinements: int = REFINEMENTS) -> Candidates:
     """Find orientations of small boxes around each cloud.
 
     The paper takes them from an equivolumetric grid: HEALPix directions times rotations about them. Deviations: one of
@@ -126,9 +112,16 @@ def find_candidates(
     grid = box_grid(grid_level).to(corners.points)
     smallest = _shared_volumes(corners, grid).topk(min(_STARTS, len(grid)), dim=-1, largest=False)
     rotation = grid[smallest.indices]
-    # Local refinement with shrinking rotations.
+    # Local refinement: R becomes the R T with the smallest box, for rotations T by shrinking angles.
+    identity, starts = torch.eye(3), rotation.shape[1]
     for turn in range(refinements):
-        rotation = _improve(corners, rotation, _tried_around(_REACH / 2**grid_level * _SHRINK**turn).to(rotation))
+        # The identity, so that no box grows; about the box's own axes, to stay flush with a side; scattered ones.
+        reach = _REACH / 2**grid_level * _SHRINK**turn
+        own_axes = rotation_from_vector(reach * torch.cat([identity, -identity]))
+        tried = torch.cat([identity[None], own_axes, small_rotations(_SCATTERED, reach)]).to(rotation)
+        # In the frames R, the rotations T are the same for all clouds.
+        turned = Clouds(_into(rotation, corners.points), repeat(corners.thickness, "box -> box start", start=starts))
+        rotation = rotation @ tried[_shared_volumes(turned, tried).argmin(dim=-1)]
     return rotation
 
 
@@ -152,12 +145,13 @@ def follow(
         volume = _volumes(Clouds(clouds.points[:, frame], clouds.thickness[frame]), rotation)
         # Candidates: volumes in [V_min, (1 + beta) V_min].
         small = volume <= (1 + tolerance) * volume.amin(dim=-1, keepdim=True)
+        # Objects out of sight keep their orientation.
         before = torch.where(seen[frame, :, None, None], _nearest(rotation, small, before), before)
         orientations.append(before)
     return torch.stack(orientations)
 
 
-def _volumes(clouds: Clouds, rotation: Float[Tensor, "box candidate 3 3"]) -> Float[Tensor, "box candidate"]:
+def _volumes(clouds: Clouds, rotation: Candidates) -> Float[Tensor, "box candidate"]:
     """Volumes of the boxes along the axes of these rotations."""
     return _aligned_volume(_into(rotation, clouds.points), clouds.thickness[:, None])
 
@@ -174,9 +168,7 @@ def _aligned_volume(points: Tensor, thickness: Tensor) -> Tensor:
     return (points.amax(dim=0) - points.amin(dim=0) + thickness[..., None]).prod(dim=-1)
 
 
-def _into(
-    rotation: Float[Tensor, "box candidate 3 3"], points: Float[Tensor, "point box 3"]
-) -> Float[Tensor, "point box candidate 3"]:
+def _into(rotation: Candidates, points: Float[Tensor, "point box 3"]) -> Float[Tensor, "point box candidate 3"]:
     """Coordinates in each rotated frame: R^-1 p."""
     return torch.einsum("pbi,bcij->pbcj", points, rotation)
 
@@ -185,38 +177,13 @@ def _outermost(clouds: Clouds) -> Clouds:
     """Select the extreme points of each cloud in 24 directions and their opposites, which are near hull corners."""
     half = healpix_directions(1).chunk(2)[0].to(clouds.points)
     along = clouds.points @ half.mT
+    # Extreme points in each direction and its opposite.
     index = torch.cat([along.max(dim=0).indices, along.min(dim=0).indices], dim=-1)
     corners = clouds.points.gather(0, repeat(index, "box corner -> corner box xyz", xyz=3))
     return Clouds(corners, clouds.thickness)
 
 
-def _tried_around(reach: float) -> Float[Tensor, "tried 3 3"]:
-    """Rotations by at most `reach` radians.
-
-    The identity, so that no box grows; rotations about the box's own axes, which keep it flush with a side; scattered
-    ones.
-    """
-    own_axes = rotation_from_vector(reach * torch.cat([torch.eye(3), -torch.eye(3)]))
-    return torch.cat([torch.eye(3)[None], own_axes, small_rotations(_SCATTERED, reach)])
-
-
-def _improve(
-    corners: Clouds, rotation: Float[Tensor, "box start 3 3"], tried: Float[Tensor, "tried 3 3"]
-) -> Float[Tensor, "box start 3 3"]:
-    """Choose among the rotations R T, with T of `tried`, those with the smallest boxes.
-
-    In the frames R, the rotations T are the same for all clouds.
-    """
-    starts = rotation.shape[1]
-    turned = Clouds(_into(rotation, corners.points), repeat(corners.thickness, "box -> box start", start=starts))
-    return rotation @ tried[_shared_volumes(turned, tried).argmin(dim=-1)]
-
-
-def _nearest(
-    rotation: Float[Tensor, "box candidate 3 3"],
-    small: Bool[Tensor, "box candidate"],
-    before: Float[Tensor, "box 3 3"],
-) -> Float[Tensor, "box 3 3"]:
+def _nearest(rotation: Candidates, small: Bool[Tensor, "box candidate"], before: Rotations) -> Rotations:
     """Choose among the 24 orientations of each `small` box the one with the largest trace of before^-1 R.
 
     The paper's geodesic distance falls as the trace grows, so its arccos is not needed.

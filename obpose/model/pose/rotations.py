@@ -29,6 +29,7 @@ def rotation_grid(level: int) -> Float[Tensor, "rotation 3 3"]:
     The z axis is rotated to every HEALPix direction, with 6 * 2^level rotations about it. The neighbours of a rotation
     are 60, 30, 15 degrees away at levels 0, 1, 2.
     """
+    # Azimuth and polar angle of each direction, and rotations about it.
     z = healpix_directions(level).double()
     azimuth, polar = torch.atan2(z[:, 1], z[:, 0]), torch.acos(z[:, 2].clamp(-1, 1))
     turns = torch.arange(6 * 2**level, dtype=torch.float64) * (2 * math.pi / (6 * 2**level))
@@ -89,14 +90,10 @@ def rotation_from_quaternion(wxyz: Float[Tensor, "*shape 4"]) -> Float[Tensor, "
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-def random_rotations(count: int, generator: torch.Generator | None = None) -> Float[Tensor, "count 3 3"]:
-    """Rotations drawn uniformly from SO(3)."""
-    return rotation_from_quaternion(torch.randn((count, 4), generator=generator))
-
-
 @lru_cache(maxsize=64)
 def small_rotations(count: int, angle: float) -> Float[Tensor, "count 3 3"]:
     """Fixed, evenly spread rotations by at most `angle` radians."""
+    # Even in the ball: cube root of a radius, and a direction by height and azimuth.
     steps = torch.arange(1, count + 1, dtype=torch.float64)[:, None]
     radius, height, turn = (0.5 + steps / _PLASTIC ** torch.arange(1, 4)).frac().unbind(dim=1)
     z, azimuth = 2 * height - 1, 2 * math.pi * turn

@@ -20,7 +20,7 @@ class Appearance:
 
     detail: Float[Tensor, "object edge edge edge 4"]
     """Residual grids of density and colour (`obpose.model.nerf.detail`)."""
-    alone: Float[Tensor, "object"]
+    own_scale: Float[Tensor, "object"]
     """If positive, the residual grid replaces the object's field, in a cube of this many times the box's edge."""
     light: Light = field(default_factory=no_light)
     """Light that casts shadows on the background (`obpose.scenes.appearance.light`)."""
@@ -29,12 +29,12 @@ class Appearance:
 
     def only(self, places: list[int]) -> "Appearance":
         """Keep the objects in these places."""
-        return replace(self, detail=self.detail[places], alone=self.alone[places])
+        return replace(self, detail=self.detail[places], own_scale=self.own_scale[places])
 
     def with_object(self, other: "Appearance", place: int) -> "Appearance":
         """Append an object of another scene."""
         detail = torch.cat([self.detail, other.detail[place, None]])
-        return replace(self, detail=detail, alone=torch.cat([self.alone, other.alone[place, None]]))
+        return replace(self, detail=detail, own_scale=torch.cat([self.own_scale, other.own_scale[place, None]]))
 
 
 def no_appearance(objects: int, like: Tensor) -> Appearance:

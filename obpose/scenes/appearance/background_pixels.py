@@ -37,11 +37,8 @@ class Shown:
 def shown_background(model: ObPose, observation: Observation, scene: Scene, *, margin: int = 0) -> Shown:
     """Find pixels at whose surface no object is denser than the background, in and near the workspace.
 
-    Args:
-        model: The model of the scene.
-        observation: A batch of the clip that the scene is fitted to.
-        scene: The scene without light and texture.
-        margin: Least distance in pixels from other pixels, along both axes of the images.
+    The scene has no light and no texture; the observation is a batch of its clip. `margin` is the least distance from
+    other pixels, in pixels along both axes of the images.
     """
     rays = all_rays(observation)
     surface = rays.origin + rays.direction * rays.depth[..., None]

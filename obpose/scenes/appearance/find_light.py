@@ -6,7 +6,7 @@ fitted to their frames first (`obpose.scenes.refine`).
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -44,21 +44,49 @@ _PIXELS = 4096
 """Number of pixels from which the strength is estimated."""
 
 
-class _Judged(NamedTuple):
-    """Pixels that show the background."""
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """Pixels that show the background, and dense voxels of the objects above the table; world frame, metres."""
 
     point: Float[Tensor, "pixel 3"]
-    """World frame, metres."""
     frame: Int[Tensor, " pixel"]
     darkness: Float[Tensor, " pixel"]
     """Log of the ratio of brightness in the frames and in the scene, minus its median."""
+    voxel: Float[Tensor, "voxel 3"]
+    voxel_frame: Int[Tensor, " voxel"]
+    frames: int
+    cell: float
+    """Edge of a voxel, metres."""
 
+    def part(self) -> "_Evidence":
+        """Keep some of the pixels."""
+        pixels = {name: getattr(self, name)[::_PART] for name in ("point", "frame", "darkness")}
+        return replace(self, **pixels)
 
-class _Voxels(NamedTuple):
-    """Dense voxels of the objects above the table."""
+    def explained(self, toward: Float[Tensor, "3"]) -> float:
+        """Compute the share of the variance of darkness that shadows from a direction explain; 0 if they are bright."""
+        shadow, darkness = self.shadow(toward), self.darkness
+        shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
+        common = float(shadow @ darkness)
+        spread = float(shadow.square().sum() * darkness.square().sum())
+        return common**2 / spread if common < 0 and spread > 0 else 0.0
 
-    point: Float[Tensor, "voxel 3"]
-    frame: Int[Tensor, " voxel"]
+    def shadow(self, toward: Float[Tensor, "3"]) -> Float[Tensor, " pixel"]:
+        """Estimate the share of the light that voxels keep from the pixels, on a grid of the table."""
+        # Both projected onto z = 0 along the direction of the light.
+        receivers, blockers = (
+            points[:, :2] - points[:, 2:] * (toward[:2] / toward[2]) for points in (self.point, self.voxel)
+        )
+        low = receivers.amin(dim=0)
+        size = ((receivers.amax(dim=0) - low) / self.cell).long() + 1
+        across, along = size.tolist()
+        # Voxels above each cell, frame by frame.
+        inside, at = _cell(blockers, low, self.cell, size)
+        count = receivers.new_zeros(self.frames * across * along)
+        count.index_add_(0, (self.voxel_frame * across * along + at)[inside], count.new_ones(int(inside.sum())))
+        thickness = F.avg_pool2d(count.view(self.frames, 1, across, along), 3, stride=1, padding=1).flatten(1)
+        _, at = _cell(receivers, low, self.cell, size)
+        return -torch.expm1(-_OPACITY * thickness[self.frame, at])
 
 
 @torch.no_grad()
@@ -67,26 +95,28 @@ def find_light(model: ObPose, observation: Observation, scene: Scene) -> Light:
 
     The result is deterministic. The cost is about that of twenty steps of refinement.
 
-    Args:
-        model: The model of the scene.
-        observation: A batch of the clip that the scene is fitted to.
-        scene: The scene without a light.
+    The scene has no light yet; the observation is a batch of its clip.
     """
     shown = shown_background(model, observation, scene)
-    voxels = _voxels(model, scene)
-    if not len(voxels.point) or not len(shown.point):
+    voxel, voxel_frame = _voxels(model, scene)
+    if not len(voxel) or not len(shown.point):
         return no_light(scene.center)
-    grid = (scene.frames, model.config.model.pose.box_size / CELLS)
-    judged = _Judged(shown.point, shown.frame, _darkness(shown))
-    toward, explained = _search(judged, voxels, *grid)
-    overhead = _explained(judged, voxels, _toward(0.0, 90.0), *grid)
+    # Difference of log brightness between frames and scene.
+    ratio = _luminance(shown.seen).clamp(min=_DARK).log() - _luminance(shown.drawn).clamp(min=_DARK).log()
+    darkness = (ratio - ratio.median()).clamp(_DARKEST, _BRIGHTEST)
+    cell = model.config.model.pose.box_size / CELLS
+    evidence = _Evidence(shown.point, shown.frame, darkness, voxel, voxel_frame, scene.frames, cell)
+    # The best direction, and how much better it is than a light straight above.
+    toward, explained = _search(evidence)
+    overhead = evidence.explained(_toward(0.0, 90.0))
     if explained < LEAST_EXPLAINED or overhead > MOST_OVERHEAD * explained:
         return no_light(scene.center)
     strength = _strength(Renderer(model), shown, scene, toward)
     return torch.cat([toward, toward.new_tensor([strength])]) if strength >= LEAST_STRENGTH else no_light(scene.center)
 
 
-def _voxels(model: ObPose, scene: Scene) -> _Voxels:
+def _voxels(model: ObPose, scene: Scene) -> tuple[Float[Tensor, "voxel 3"], Int[Tensor, " voxel"]]:
+    """Find the dense voxels of the objects above the table, and their frames."""
     points, owners, size, table = [], [], model.config.model.pose.box_size, model.config.model.table or 0.0
     for frame in range(scene.frames):
         for place in range(len(scene.ids)):
@@ -97,22 +127,22 @@ def _voxels(model: ObPose, scene: Scene) -> _Voxels:
             points.append(found)
             owners.append(torch.full((len(found),), frame))
     if not points:
-        return _Voxels(scene.center.new_zeros(0, 3), torch.zeros(0, dtype=torch.long))
-    return _Voxels(torch.cat(points), torch.cat(owners))
+        return scene.center.new_zeros(0, 3), torch.zeros(0, dtype=torch.long)
+    return torch.cat(points), torch.cat(owners)
 
 
-def _search(judged: _Judged, voxels: _Voxels, frames: int, cell: float) -> tuple[Float[Tensor, "3"], float]:
+def _search(whole: _Evidence) -> tuple[Float[Tensor, "3"], float]:
     """The best direction, and the share of the variance that its shadows explain: coarse, then around the best."""
-    part, whole = _Judged(*(values[::_PART] for values in judged)), judged
+    part = whole.part()
     grid = [(float(azimuth), float(elevation)) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS]
-    best = max(grid, key=lambda angles: _explained(part, voxels, _toward(*angles), frames, cell))
-    explained = _explained(whole, voxels, _toward(*best), frames, cell)
+    best = max(grid, key=lambda angles: part.explained(_toward(*angles)))
+    explained = whole.explained(_toward(*best))
     across, up = _AZIMUTHS.step / 2, _ELEVATIONS.step / 2
     for _ in range(_ROUNDS):
         azimuth, elevation = best
         higher, lower = min(_HIGHEST, elevation + up), max(_LOWEST, elevation - up)
         around = [(azimuth - across, elevation), (azimuth + across, elevation), (azimuth, higher), (azimuth, lower)]
-        scores = [_explained(whole, voxels, _toward(*angles), frames, cell) for angles in around]
+        scores = [whole.explained(_toward(*angles)) for angles in around]
         if max(scores) > explained:
             explained = max(scores)
             best = around[scores.index(explained)]
@@ -127,43 +157,8 @@ def _toward(azimuth: float, elevation: float) -> Float[Tensor, "3"]:
     return torch.tensor([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
 
 
-def _darkness(shown: Shown) -> Float[Tensor, " pixel"]:
-    ratio = _luminance(shown.seen).clamp(min=_DARK).log() - _luminance(shown.drawn).clamp(min=_DARK).log()
-    return (ratio - ratio.median()).clamp(_DARKEST, _BRIGHTEST)
-
-
 def _luminance(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, " pixel"]:
     return colour @ colour.new_tensor(_WEIGHTS)
-
-
-def _explained(judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float) -> float:
-    """Compute the share of the variance of darkness that shadows from a direction explain; 0 if they are bright."""
-    shadow, darkness = _projected(judged, voxels, toward, frames, cell), judged.darkness
-    shadow, darkness = shadow - shadow.mean(), darkness - darkness.mean()
-    common = float(shadow @ darkness)
-    spread = float(shadow.square().sum() * darkness.square().sum())
-    return common**2 / spread if common < 0 and spread > 0 else 0.0
-
-
-def _projected(
-    judged: _Judged, voxels: _Voxels, toward: Float[Tensor, "3"], frames: int, cell: float
-) -> Float[Tensor, " pixel"]:
-    """Estimate the share of the light that voxels keep from the pixels, on a grid of the table with cells in metres."""
-    receivers, blockers = (_cast(points, toward) for points in (judged.point, voxels.point))
-    low = receivers.amin(dim=0)
-    size = ((receivers.amax(dim=0) - low) / cell).long() + 1
-    inside, at = _cell(blockers, low, cell, size)
-    across, along = size.tolist()
-    count = receivers.new_zeros(frames * across * along)
-    count.index_add_(0, (voxels.frame * across * along + at)[inside], count.new_ones(int(inside.sum())))
-    thickness = F.avg_pool2d(count.view(frames, 1, across, along), 3, stride=1, padding=1).flatten(1)
-    _, at = _cell(receivers, low, cell, size)
-    return -torch.expm1(-_OPACITY * thickness[judged.frame, at])
-
-
-def _cast(points: Float[Tensor, "point 3"], toward: Float[Tensor, "3"]) -> Float[Tensor, "point 2"]:
-    """Project points onto z = 0 along the direction of the light."""
-    return points[:, :2] - points[:, 2:] * (toward[:2] / toward[2])
 
 
 def _cell(

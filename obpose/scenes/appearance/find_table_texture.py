@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from obpose.model.obpose import ObPose
-from obpose.scenes.appearance.background_pixels import Shown, occlusion_where_shown, shown_background
+from obpose.scenes.appearance.background_pixels import occlusion_where_shown, shown_background
 from obpose.scenes.appearance.light import strength
 from obpose.scenes.appearance.table_texture import EDGE, Texture, no_texture, on_texture, texture_at
 from obpose.scenes.rendering import Renderer
@@ -39,10 +39,7 @@ _DARK = 0.02
 def find_texture(model: ObPose, observation: Observation, scene: Scene) -> Texture:
     """Estimate the texture that makes a scene's background look like the frames, except for shadows.
 
-    Args:
-        model: The model of the scene.
-        observation: A batch of the clip that the scene is fitted to.
-        scene: The scene without a texture, with its light.
+    The scene has its light and no texture yet; the observation is a batch of its clip.
     """
     # Pixels at outlines show a little of the object.
     shown = shown_background(model, observation, scene, margin=1)
@@ -55,36 +52,25 @@ def find_texture(model: ObPose, observation: Observation, scene: Scene) -> Textu
         )
         in_light = lit > _LIT
     else:
-        in_light = _from_objects(scene, shown) > _AROUND * model.config.model.pose.box_size
-    wanted = _logit(shown.seen / lit[:, None]) - _logit(shown.drawn)
+        # Horizontal distances to the nearest centre of an object; infinite without objects.
+        apart = (shown.point[:, None, :2] - scene.center[shown.frame, :, :2]).norm(dim=-1)
+        in_light = F.pad(apart, (0, 1), value=math.inf).amin(dim=-1) > _AROUND * model.config.model.pose.box_size
+    wanted = torch.logit(shown.seen / lit[:, None], eps=_DARK) - torch.logit(shown.drawn, eps=_DARK)
     if not bool(in_light.any()):
         return no_texture(scene.center)
     # Rendered shadows are not exact to the pixel; their residuals do not belong to the texture.
     low, middle, high = wanted[in_light].quantile(wanted.new_tensor([_ODD, 0.5, 1 - _ODD]), dim=0)
     wanted = torch.where(in_light[:, None], wanted, wanted.clamp(low, high))
     texture, weight = no_texture(scene.center) + middle, lit.square()
+    # Half the spacing of training pixels, in points of the texture.
+    blur = model.config.model.spacing / 2 * (EDGE - 1) / model.config.model.workspace_size
     for number in range(_ROUNDS):
         rest = wanted - texture_at(model, texture, shown.point)
         usual = 1.0 if number == 0 else 1 / (1 + (rest / _USUAL).square().mean(dim=-1))
         shares = (weight * usual)[:, None]
-        spread = _smooth(_splat(places, torch.cat([shares * rest, shares], dim=-1)), _blur(model))
+        spread = _smooth(_splat(places, torch.cat([shares * rest, shares], dim=-1)), blur)
         texture = texture + spread[..., :3] / (spread[..., 3:] + _PULL)
     return texture
-
-
-def _from_objects(scene: Scene, shown: Shown) -> Float[Tensor, " pixel"]:
-    """Compute horizontal distances to the nearest centre of an object, metres; infinite without objects."""
-    apart = (shown.point[:, None, :2] - scene.center[shown.frame, :, :2]).norm(dim=-1)
-    return F.pad(apart, (0, 1), value=math.inf).amin(dim=-1)
-
-
-def _logit(colour: Float[Tensor, "pixel 3"]) -> Float[Tensor, "pixel 3"]:
-    return torch.logit(colour, eps=_DARK)
-
-
-def _blur(model: ObPose) -> float:
-    """Give half the spacing of training pixels, in points of the texture."""
-    return model.config.model.spacing / 2 * (EDGE - 1) / model.config.model.workspace_size
 
 
 def _splat(places: Float[Tensor, "pixel 2"], values: Float[Tensor, "pixel value"]) -> Float[Tensor, "edge edge value"]:

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from obpose.model.obpose import ObPose
 
+Points = Float[Tensor, "point 3"]
+
 EDGE = 128
 """Points along each edge."""
 NEAR = 0.03
@@ -33,7 +35,7 @@ def no_texture(like: Tensor | None = None) -> Texture:
     return torch.zeros(EDGE, EDGE, 3) if like is None else like.new_zeros(EDGE, EDGE, 3)
 
 
-def texture_at(model: ObPose, texture: Texture, points: Float[Tensor, "point 3"]) -> Float[Tensor, "point 3"]:
+def texture_at(model: ObPose, texture: Texture, points: Points) -> Points:
     """Interpolate a texture at points of the world, metres (bilinear)."""
     places, _ = on_texture(model, points)
     # grid_sample has the last axis first.
@@ -42,15 +44,13 @@ def texture_at(model: ObPose, texture: Texture, points: Float[Tensor, "point 3"]
     return values[0, :, 0].T * _on_table(points)[:, None]
 
 
-def on_texture(
-    model: ObPose, points: Float[Tensor, "point 3"]
-) -> tuple[Float[Tensor, "point 2"], Bool[Tensor, "point"]]:
+def on_texture(model: ObPose, points: Points) -> tuple[Float[Tensor, "point 2"], Bool[Tensor, "point"]]:
     """Give positions on the square, -1..1, of points of the world, metres, and whether they are on it."""
     places = (points[:, :2] - model.center[:2]) * (2 / model.config.model.workspace_size)
     return places, (places.abs() <= 1).all(dim=-1) & _on_table(points)
 
 
-def _on_table(points: Float[Tensor, "point 3"]) -> Bool[Tensor, "point"]:
+def _on_table(points: Points) -> Bool[Tensor, "point"]:
     return points[:, 2].abs() <= NEAR
 
 

@@ -23,11 +23,12 @@ from obpose.scenes.priors.grids import Grids, grids_of, together
 from obpose.scenes.priors.interface import Say
 from obpose.scenes.refine import STEPS
 from obpose.scenes.scene import Scene
-from obpose.storage.tensors import Form, Forms, differences_of, read_tensors
+from obpose.storage.tensors import Form, Forms, read_tensors
 
 FRAMES = 6
 """Largest number of frames used of a clip; moving objects show several sides."""
 _MOST_BYTES = 2**28
+_load_once = cache(load_origin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +44,7 @@ class Examples:
 def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, workers: int, say: Say) -> list[Examples]:
     """Find the objects in the first `clips` training clips of a dataset; clips that have a file are read from it.
 
-    Args:
-        origin: The model that finds the objects.
-        data: Folder of the dataset.
-        folder: Folder of the cache files, one per clip.
-        clips: Number of clips.
-        workers: Number of processes that look for objects.
-        say: Callback for progress messages.
+    `workers` processes look for objects; `folder` gets the cache files.
 
     Raises:
         CorruptFile: a file is damaged.
@@ -63,8 +58,7 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
         write_atomically(paths[index], contents)
         if number % 10 == 0:
             say(f"{number} of {counted(len(missing), 'clip')}")
-    latent = LATENT
-    return [_read(path, latent) for path in paths]
+    return [_read(path) for path in paths]
 
 
 def joined(examples: list[Examples]) -> Grids:
@@ -80,33 +74,27 @@ def examples_of(model: ObPose, scene: Scene) -> bytes:
     return save({name: value.contiguous() for name, value in tensors.items()})
 
 
-@cache
-def _known(checkpoint: str) -> Origin:
-    return load_origin(checkpoint)
-
-
 def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, bytes]:
     """Infer a clip; give its index and the contents of its cache file."""
-    origin = _known(checkpoint)
+    origin = _load_once(checkpoint)
     scene = infer_scene(origin, read_clip(data, split, index), refinements=STEPS)
     return index, examples_of(origin.model, scene)
 
 
-def _read(path: Path, latent: int) -> Examples:
+def _read(path: Path) -> Examples:
     advice = "delete it, and run the same command again."
-    tensors, _ = read_tensors(path, advice, partial(_check_file, latent), most_bytes=_MOST_BYTES)
+    tensors, _ = read_tensors(path, advice, _expected_file, most_bytes=_MOST_BYTES)
     if not bool((tensors["half"] > 0).all()):
         raise CorruptFile(f"{path} is damaged (half has values below 0); {advice}")
     return Examples(Grids(tensors["values"], tensors["half"]), tensors["what"])
 
 
-def _check_file(latent: int, found: Forms) -> None:
-    """Check names, types and shapes of the tensors of a cache file; grids and codes may differ in number."""
+def _expected_file(found: Forms) -> Forms:
+    """Give names, types and shapes of the tensors of a cache file; grids and codes may differ in number."""
     objects, codes = (found[name].shape[:1] if name in found else () for name in ("half", "what"))
     expected = {
         "values": Form(torch.float32, (*objects, EDGE, EDGE, EDGE, 4)),
         "half": Form(torch.float32, objects),
-        "what": Form(torch.float32, (*codes, latent)),
+        "what": Form(torch.float32, (*codes, LATENT)),
     }
-    if wrong := differences_of(found, expected):
-        raise ValueError(wrong)
+    return expected

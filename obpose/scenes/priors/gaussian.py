@@ -7,13 +7,10 @@ are used.
 """
 
 from collections.abc import Iterable, Iterator
-from functools import partial
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
 from safetensors.torch import save
-from torch import Tensor
 
 from datagen.console.text import counted
 from datagen.storage.atomic import write_atomically
@@ -30,7 +27,7 @@ from obpose.scenes.priors.interface import WEIGHTS, FitSettings, Say, ScenePrior
 from obpose.scenes.priors.mixture import Mixture, fit_mixture
 from obpose.scenes.priors.tables import MOST, Tables, are_tables, find_tables, no_tables
 from obpose.scenes.refine import STEPS
-from obpose.storage.tensors import Form, Forms, differences_of, pack
+from obpose.storage.tensors import Form, Forms, pack
 from obpose.types import Observation
 
 FILE = "prior.safetensors"
@@ -51,20 +48,19 @@ def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) ->
     """
     tables = min(settings.clips, MOST)
     say(f"Looking for lights and textures in {counted(tables, 'clip')}; each takes some seconds.")
-    whole = (read_clip(data, "train", i) for i in _with_progress(tables, say))
-    found = find_tables(origin, whole, refinements=STEPS)
+
+    def whole_clips() -> Iterator[Observation]:
+        for place in range(tables):
+            if place and place % 8 == 0:
+                say(f"{place} of {counted(tables, 'clip')}")
+            yield read_clip(data, "train", place)
+
+    found = find_tables(origin, whole_clips(), refinements=STEPS)
     say(f"Looking at the first frames of {counted(settings.clips, 'clip')}.")
     clips = (select_part(read_clip(data, "train", i), frames=slice(1)) for i in range(settings.clips))
     return save_gaussian(
         origin, fit_codes(origin.model, (views_as_trained(origin.model, each) for each in clips), found)
     )
-
-
-def _with_progress(clips: int, say: Say) -> Iterator[int]:
-    for place in range(clips):
-        if place and place % 8 == 0:
-            say(f"{place} of {counted(clips, 'clip')}")
-        yield place
 
 
 @torch.no_grad()
@@ -89,13 +85,9 @@ def fit_codes(model: ObPose, clips: Iterable[Observation], tables: Tables) -> Sc
             "--clips."
         )
     codes, backgrounds = CodePrior(fit_mixture(objects)), fit_mixture(torch.stack(background))
-    return ScenePrior(codes, backgrounds, tables, *_occupied_part(torch.cat(center)))
-
-
-def _occupied_part(places: Float[Tensor, "n 2"]) -> tuple[Float[Tensor, "2"], Float[Tensor, "2"]]:
-    """Estimate the part of the table where nearly all objects are; give its lowest and its highest x and y."""
-    low, high = (torch.quantile(places, share, dim=0) for share in (_MARGIN, 1 - _MARGIN))
-    return low, high
+    # Objects are placed in the part of the table where nearly all of these are.
+    low, high = (torch.quantile(torch.cat(center), share, dim=0) for share in (_MARGIN, 1 - _MARGIN))
+    return ScenePrior(codes, backgrounds, tables, low, high)
 
 
 def save_gaussian(origin: Origin, prior: ScenePrior) -> Path:
@@ -119,7 +111,7 @@ def load_gaussian(origin: Origin) -> ScenePrior:
     path = origin.folder / FILE
     if not path.is_file():
         raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit-prior --kind gaussian first.")
-    found = read_prior(origin, FILE, _AGAIN, partial(_check_file, origin.model))
+    found = read_prior(origin, FILE, _AGAIN, _expected_file)
     what, background = (Mixture(*(found[f"{name}.{part}"] for part in _PARTS)) for name in _MIXTURES)
     # Priors of older versions have no tables.
     none = no_tables(found["low"])
@@ -134,20 +126,18 @@ def load_gaussian(origin: Origin) -> ScenePrior:
     return ScenePrior(CodePrior(what), background, tables, found["low"], found["high"])
 
 
-def _check_file(model: ObPose, found: Forms) -> None:
-    """Check names, types and shapes: two mixtures, a part of the table, and optionally tables."""
+def _expected_file(found: Forms) -> Forms:
+    """Give names, types and shapes: two mixtures, a part of the table, and optionally tables."""
     expected = {"low": Form(torch.float32, (2,)), "high": Form(torch.float32, (2,))}
-    size = LATENT
     for name in _MIXTURES:
         parts = _length(found, f"{name}.weights")
-        shapes = (parts,), (parts, size), (parts, size, size)
+        shapes = (parts,), (parts, LATENT), (parts, LATENT, LATENT)
         expected |= {f"{name}.{part}": Form(torch.float32, shape) for part, shape in zip(_PARTS, shapes, strict=True)}
     if _TABLES & found.keys():
         tables = _length(found, "lights")
         expected["lights"] = Form(torch.float32, (tables, 4))
         expected["spots"] = Form(torch.float32, (tables, PATCH, PATCH, 3))
-    if wrong := differences_of(found, expected):
-        raise ValueError(wrong)
+    return expected
 
 
 def _length(found: Forms, name: str) -> int:

@@ -15,7 +15,6 @@ from torch import Tensor
 
 from obpose.geometry import to_box
 from obpose.model.nerf.detail import EDGE
-from obpose.model.nerf.field import Conditioning
 from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
 from obpose.scenes.extent import LEAST_VOXELS, above_table, shape_extent
@@ -78,9 +77,11 @@ def _grid(model: ObPose, scene: Scene, frame: int, place: int) -> Grids | None:
     def around(dense: Float[Tensor, "n 3"], margin: float) -> tuple[Float[Tensor, "point 3"], Tensor, Tensor]:
         """Give points around dense ones, and the logits of density and colours there."""
         low, high = dense.amin(dim=0), dense.amax(dim=0)
-        points = _points() * ((high - low).max() / 2 + margin) + (low + high) / 2
+        steps = torch.linspace(-1, 1, EDGE)
+        points = torch.cartesian_prod(steps, steps, steps) * ((high - low).max() / 2 + margin) + (low + high) / 2
         inside = to_box(points, torch.zeros(3), grid_from_box, model.config.model.pose.box_size)
-        density, colour = _logits(model, codes, inside, sight)
+        density, hidden = model.object_field.density(inside, codes)
+        colour = torch.logit(model.object_field.colour(hidden, sight.expand_as(inside), codes), eps=1e-3)
         nowhere = (inside.abs() > 1 + _ROUNDING).any(dim=-1) | (points[:, 2] + center[2] < 0)
         return points, density.where(~nowhere, -DENSITY_LIMIT).clamp(-DENSITY_LIMIT, DENSITY_LIMIT), colour
 
@@ -106,18 +107,3 @@ def mean_colour(
     """Average the logits of colours, weighted by density."""
     weight = torch.sigmoid(2 * density).flatten(1, -2)
     return (colour.flatten(1, -2) * weight).sum(dim=1) / weight.sum(dim=1)
-
-
-def _logits(
-    model: ObPose, codes: Conditioning, points: Float[Tensor, "point 3"], sight: Float[Tensor, "3"]
-) -> tuple[Float[Tensor, "point"], Float[Tensor, "point 3"]]:
-    """Compute logits of density and colours at points of the box -1..1; `sight` is in the box's axes."""
-    density, hidden = model.object_field.density(points, codes)
-    colour = model.object_field.colour(hidden, sight.expand_as(points), codes)
-    return density, torch.logit(colour, eps=1e-3)
-
-
-def _points() -> Float[Tensor, "point 3"]:
-    """Give the points of a grid in -1..1, the outermost on its faces."""
-    steps = torch.linspace(-1, 1, EDGE)
-    return torch.cartesian_prod(steps, steps, steps)

@@ -15,7 +15,7 @@ from obpose.scenes.appearance import Appearance
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.mixture import Mixture
 from obpose.scenes.priors.tables import Tables
-from obpose.storage.tensors import Check, State, read_tensors
+from obpose.storage.tensors import Expect, State, read_tensors
 
 WEIGHTS = "weights"
 """Metadata key of a prior's file: SHA-256 of the model's weights that it belongs to."""
@@ -85,14 +85,14 @@ class PriorKind:
     """Default number of clips to fit it to."""
 
 
-def read_prior(origin: Origin, file: str, advice: str, check: Check) -> State:
+def read_prior(origin: Origin, file: str, advice: str, expect: Expect) -> State:
     """Read the tensors of a prior's file.
 
     Raises:
         CorruptFile: the file is damaged, or belongs to other weights.
     """
     path = origin.folder / file
-    tensors, metadata = read_tensors(path, advice, check, most_bytes=_MOST_BYTES)
+    tensors, metadata = read_tensors(path, advice, expect, most_bytes=_MOST_BYTES)
     if metadata.get(WEIGHTS) != origin.hash:
         raise CorruptFile(f"{path} was fitted to other weights than those beside it; {advice}")
     return tensors

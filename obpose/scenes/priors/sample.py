@@ -89,7 +89,7 @@ def _place(
     reaches: list[float] = []
     for place in range(objects):
         turn = upright(float(torch.rand((), generator=generator)) * 2 * math.pi, center)
-        details = drawn.appearance.detail[place], drawn.appearance.alone[place]
+        details = drawn.appearance.detail[place], drawn.appearance.own_scale[place]
         extent = shape_extent(model, conditioning(model, drawn.what[place], *details), turn)
         height = float(-extent[:, 2].min())
         reach = float(above_table(extent, height + _SKIN)[:, :2].norm(dim=-1).max())
@@ -103,11 +103,7 @@ def _place(
 
 
 def _free_place(
-    prior: ScenePrior,
-    taken: Float[Tensor, "object 2"],
-    reaches: list[float],
-    reach: float,
-    generator: torch.Generator,
+    prior: ScenePrior, taken: Float[Tensor, "object 2"], reaches: list[float], reach: float, generator: torch.Generator
 ) -> Float[Tensor, "2"] | None:
     """Draw a position whose circle overlaps no other; None after too many attempts."""
     for _ in range(_TRIES):

@@ -22,7 +22,6 @@ from obpose.scenes.priors.examples import Examples, find_examples, joined
 from obpose.scenes.priors.flow import Flow, describe, flow_loss, mirrored, sample_grids
 from obpose.scenes.priors.flow_prior import save_flow
 from obpose.scenes.priors.gaussian import load_gaussian
-from obpose.scenes.priors.grids import Grids
 from obpose.scenes.priors.interface import FitSettings, Say
 from obpose.storage.optimizer_state import optimizer_state, put_optimizer_state
 from obpose.storage.tensors import State, differences_of, forms_of, read_tensors
@@ -47,11 +46,7 @@ _MOST_SETTINGS_BYTES = 2**16
 def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Path:
     """Train a flow and write it beside the model's weights; give the path of the file.
 
-    Args:
-        origin: The model that finds the objects.
-        data: Folder of the dataset.
-        settings: Settings of the training; all but the number of workers have to stay when it is resumed.
-        say: Callback for progress messages.
+    All settings but the number of workers have to stay when a training is resumed.
 
     Raises:
         UsageError: there is no fitted prior, too few objects are found, or the folder holds a run with other settings.
@@ -69,8 +64,10 @@ def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Pat
             _check_same(folder / _LEARNING, training)
         found = find_examples(origin, data, folder, settings.clips, workers=settings.workers, say=say)
         write_atomically(folder / _LEARNING, json.dumps(training, indent=1).encode())
-        flow = _train(_fresh(origin, settings.seed), found, folder, settings, say)
-        path = save_flow(origin, flow)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            flow = Flow(LATENT)
+        path = save_flow(origin, _train(flow, found, folder, settings, say))
     shutil.rmtree(folder)
     return path
 
@@ -95,12 +92,6 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
         )
 
 
-def _fresh(origin: Origin, seed: int) -> Flow:
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return Flow(LATENT)
-
-
 def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSettings, say: Say) -> Flow:
     """Train a flow; give the moving average of its weights."""
     held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
@@ -114,7 +105,7 @@ def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSetting
         f"{len(held.half)}."
     )
     describe(flow, learned, torch.cat([each.what for each in found]))
-    objects, others = _both_ways(flow, learned), flow.encode(held)
+    objects, others = torch.cat([flow.encode(learned), flow.encode(mirrored(learned))]), flow.encode(held)
     mean = _copy(flow).eval()
     optimiser = torch.optim.AdamW(flow.parameters(), lr=RATE, betas=(0.9, 0.99), weight_decay=0.01)
     done = _restore(folder / _STATE, flow, mean, optimiser, steps=settings.steps)
@@ -142,11 +133,6 @@ def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSetting
             losses.clear()
     say(_likeness(mean, objects, others))
     return mean
-
-
-def _both_ways(flow: Flow, grids: Grids) -> Float[Tensor, "object value"]:
-    """Encode grids and their mirror images."""
-    return torch.cat([flow.encode(grids), flow.encode(mirrored(grids))])
 
 
 @torch.no_grad()
@@ -199,11 +185,7 @@ def _follow(mean: Flow, flow: Flow, step: int) -> None:
 
 
 def _save(path: Path, flow: Flow, mean: Flow, optimiser: torch.optim.Optimizer, step: int) -> None:
-    parts = {
-        "flow": flow.state_dict(),
-        "mean": mean.state_dict(),
-        "optimiser": optimizer_state(flow, optimiser),
-    }
+    parts = {"flow": flow.state_dict(), "mean": mean.state_dict(), "optimiser": optimizer_state(flow, optimiser)}
     tensors = {f"{part}.{name}": value for part, values in parts.items() for name, value in values.items()}
     contents = {name: value.detach().contiguous() for name, value in tensors.items()}
     write_atomically(path, save(contents, metadata={"step": str(step)}))

@@ -5,8 +5,9 @@ import numpy as np
 from PIL import Image
 
 from datagen.geometry import intrinsics, look_at
+from obpose.pictures import PALETTE
 from obpose.rgbd.recording import Recording
-from obpose.rgbd.results import SegmentedObject, label_colours, label_image, overlay, write_results
+from obpose.rgbd.results import SegmentedObject, label_image, overlay, write_results
 
 WIDTH, HEIGHT = 64, 48
 K = intrinsics(1.0, WIDTH, HEIGHT)
@@ -32,16 +33,10 @@ def test_a_label_image_holds_labels():
     np.testing.assert_array_equal(np.asarray(image), labels())
 
 
-def test_label_colours_differ_and_do_not_depend_on_the_count():
-    assert len(np.unique(label_colours(20), axis=0)) == 20
-    np.testing.assert_array_equal(label_colours(20)[:5], label_colours(5))
-    assert label_colours(1).tolist() == [[0, 0, 0]]
-
-
 def test_an_overlay_changes_objects_and_leaves_the_background():
     image = np.asarray(overlay(RGB, labels(), [], K, POSE))
     np.testing.assert_array_equal(image[20:], RGB[20:])
-    assert (image[:10, :10] == (100 + label_colours(3)[2].astype(int)) // 2).all()
+    assert (image[:10, :10] == (100 + PALETTE[2].astype(int)) // 2).all()
 
 
 def drawn(**changes: object) -> np.ndarray:

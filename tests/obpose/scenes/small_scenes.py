@@ -53,7 +53,7 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
         background=draw(frames, 32),
         appearance=Appearance(
             detail=draw(*no_detail(objects, above).shape),
-            alone=torch.zeros(objects),
+            own_scale=torch.zeros(objects),
             light=torch.tensor([0.6, 0.0, 0.8, 0.3]),
             texture=0.3 * draw(EDGE, EDGE, 3),
         ),

@@ -120,9 +120,9 @@ def test_objects_of_other_models_mean_nothing():
 
 
 def test_objects_that_are_alone_stay_so_and_others_do_not_become_it():
-    scene = some_scene().with_appearance(alone=torch.tensor([0.0, 0.4, 0.6]))
-    assert edit.remove(scene, 1).appearance.alone.tolist() == pytest.approx([0.4, 0.6])
-    assert edit.remove(scene, 3).appearance.alone.tolist() == pytest.approx([0.0, 0.4])
-    assert edit.duplicate(scene, 2, torch.zeros(3)).appearance.alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.4])
-    assert edit.transfer(scene, 3, some_scene()).appearance.alone.tolist() == pytest.approx([0.0, 0.0, 0.0, 0.6])
-    assert edit.transfer(some_scene(), 3, scene).appearance.alone.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.0])
+    scene = some_scene().with_appearance(own_scale=torch.tensor([0.0, 0.4, 0.6]))
+    assert edit.remove(scene, 1).appearance.own_scale.tolist() == pytest.approx([0.4, 0.6])
+    assert edit.remove(scene, 3).appearance.own_scale.tolist() == pytest.approx([0.0, 0.4])
+    assert edit.duplicate(scene, 2, torch.zeros(3)).appearance.own_scale.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.4])
+    assert edit.transfer(scene, 3, some_scene()).appearance.own_scale.tolist() == pytest.approx([0.0, 0.0, 0.0, 0.6])
+    assert edit.transfer(some_scene(), 3, scene).appearance.own_scale.tolist() == pytest.approx([0.0, 0.4, 0.6, 0.0])

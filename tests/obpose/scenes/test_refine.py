@@ -38,9 +38,8 @@ def inferred(model: ObPose, observation: Observation) -> Scene:
 
 def explained(model: ObPose, observation: Observation, scene: Scene) -> float:
     """Loss of all pixels, with the weights that refinement gives it."""
-    leaves = refining._Leaves(scene.what, scene.background, scene.center, scene.appearance.detail)
     with torch.no_grad():
-        decoding = refining._decoding(model, scene, leaves)
+        decoding = refining.fields_of(model, scene)
         along = fields_along(all_rays(observation), decoding, torch.Generator().manual_seed(3))
         terms = observation_terms(along, model.config.loss)
     weights = {"colour": 1.0, "surface": 1.0, "air": refining.AIR}
@@ -69,9 +68,8 @@ def test_its_loss_at_the_start_is_that_of_what_was_inferred(model: ObPose):
     scene, inference = inferred(model, observation), model.segment(observation).inference
     rays, colours = all_rays(observation), "with"
     points = rays.origin + rays.direction * rays.depth[..., None]
-    leaves = refining._Leaves(scene.what, scene.background, scene.center, scene.appearance.detail)
     with torch.no_grad():
-        of_scene = refining._decoding(model, scene, leaves)(points, rays.direction, colours)
+        of_scene = refining.fields_of(model, scene)(points, rays.direction, colours)
         of_model = model.decode(inference, points, rays.direction, colours)
     torch.testing.assert_close(of_scene.logits, of_model.logits)
     torch.testing.assert_close(of_scene.colours, of_model.colours)
@@ -85,8 +83,8 @@ def test_details_are_added_to_the_fields_of_their_own_objects_in_all_frames(mode
     points = replace_height(points)[None]
     with torch.no_grad():
         plain, changed = (
-            refining._decoding(model, scene, leaves)(points, points, "without").logits
-            for leaves in (refining._Leaves(*parts(scene)), refining._Leaves(*parts(scene)[:3], detail))
+            refining.fields_of(model, each)(points, points, "without").logits
+            for each in (scene, scene.with_appearance(detail=detail))
         )
     for frame in range(scene.frames):
         for place in range(len(scene.ids)):
@@ -111,7 +109,7 @@ def test_objects_are_shown_where_their_boxes_hold_what_rises_above_the_table():
     highest = points.flatten(1, 2)[torch.arange(2), points[..., 2].flatten(1).argmax(dim=1)]
     scene = inferred(model, observation)
     scene = replace(scene, center=highest[:, None].expand_as(scene.center))
-    shown = refining._shows_objects(observation, refining._decoding(model, scene, refining._Leaves(*parts(scene))))
+    shown = refining._shows_objects(observation, refining.fields_of(model, scene))
     inside = [
         (to_box(points[frame].flatten(0, 1), scene.center[frame, 0], scene.rotation[frame, place], 0.2).abs() <= 1).all(
             -1

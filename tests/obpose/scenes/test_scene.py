@@ -41,7 +41,7 @@ def test_objects_look_alike_where_code_detail_and_what_the_detail_is_are_the_sam
     look = scene.look(0, 0)
     assert replace(scene, center=scene.center + 1).look(0, 0) == look
     assert replace(scene, what=scene.what + 0.1).look(0, 0) != look
-    for name in ("detail", "alone"):
+    for name in ("detail", "own_scale"):
         changed = scene.with_appearance(**{name: getattr(scene.appearance, name) + 0.1})
         assert changed.look(0, 0) != look
 

@@ -90,7 +90,7 @@ def test_facts_that_are_missing_are_damage(tmp_path: Path, name: str):
     facts = json.loads((tmp_path / "scene.json").read_text())
     del facts[name]
     (tmp_path / "scene.json").write_text(json.dumps(facts))
-    with pytest.raises(CorruptFile, match=r"scene\.json is damaged .expected checkpoint, images, model"):
+    with pytest.raises(CorruptFile, match=rf"scene\.json is damaged .required field missing @ \$\.{name}"):
         load_scene(tmp_path)
 
 
@@ -190,7 +190,7 @@ def test_scenes_of_older_versions_have_less(tmp_path: Path, name: str):
     tensors = load_file(tmp_path / "scene.safetensors")
     nothing = torch.zeros_like(tensors.pop(name))
     save_file(tensors, tmp_path / "scene.safetensors")
-    field = {"pattern": "texture"}.get(name, name)
+    field = {"pattern": "texture", "alone": "own_scale"}.get(name, name)
     assert equal(load_scene(tmp_path), some_scene().with_appearance(**{field: nothing}))
 
 

@@ -6,7 +6,7 @@ from torch.distributions import Normal
 
 from obpose.baselines.obsurf import losses
 from obpose.baselines.obsurf.config import ObsurfLossConfig
-from obpose.model.nerf.points import air_points
+from obpose.model.nerf.along import air_points
 from obpose.types import Rays
 
 SLOTS, RAYS = 3, 7

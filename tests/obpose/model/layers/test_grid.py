@@ -4,8 +4,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from obpose.model.layers.grid import Grid, all_places, on_grid, subsample, upsample, windows
-from obpose.model.layers.kernel_points import kernel_points
-from obpose.model.layers.kpconv import KPConv, influence
+from obpose.model.layers.kpconv import KPConv, influence, kernel_points
 
 RADIUS = 0.03
 

@@ -14,7 +14,6 @@ from obpose.model.nerf.voxels import (
     observed_free,
     occupancy,
     occupied_voxels,
-    orientation_of,
     shape_of,
 )
 from obpose.types import Boxes, Observation
@@ -222,16 +221,6 @@ def test_the_centre_does_not_depend_on_where_voxels_are_dense():
     crowded = torch.cat([corners, 0.1 * points], dim=-2)
     shape = shape_of(Voxels(crowded, torch.ones(crowded.shape[:-1], dtype=torch.bool)))
     torch.testing.assert_close(shape.center[0, 0, 0], torch.full((3,), 0.5))
-
-
-def test_voxels_tell_how_a_long_thing_lies():
-    turn = random_boxes(1, 1, 1, seed=2).rotation
-    lattice = lattice_points(12, None, torch.zeros(1))
-    rod = (lattice[:, 1:].abs() < 0.2).all(dim=-1)
-    points = from_box(lattice[rod], torch.zeros(1, 1, 1, 3), turn, 0.2)
-    voxels = Voxels(points, torch.ones(points.shape[:-1], dtype=torch.bool))
-    found = orientation_of(voxels)[0, 0, 0]
-    assert (turn[0, 0, 0, :, 0] @ found).abs().max() > 0.99
 
 
 def test_there_is_no_gradient():

@@ -10,11 +10,11 @@ from obpose.model.pose.rotations import (
     equivalents,
     geodesic_distance,
     healpix_directions,
-    random_rotations,
     rotation_from_vector,
     rotation_grid,
     small_rotations,
 )
+from tests.obpose.clouds import random_rotations
 
 LEVELS = (0, 1, 2)
 

@@ -146,7 +146,7 @@ def test_objects_of_a_flow_stand_on_the_table_and_face_the_camera():
     assert torch.equal(draw().center, scene.center)
     assert torch.equal(scene.what[0], known.code.expand(4, -1))
     torch.testing.assert_close(scene.appearance.detail, known.only.values.expand(4, -1, -1, -1, -1))
-    torch.testing.assert_close(scene.appearance.alone, torch.full((4,), edge / 0.2))
+    torch.testing.assert_close(scene.appearance.own_scale, torch.full((4,), edge / 0.2))
     assert (source.tables.lights == scene.appearance.light).all(dim=1).any()
     assert scene.appearance.texture.std() > 0.1
     # Points of the lattice are 8 mm apart; what is dense begins half a step below the first, in the middle.
@@ -154,7 +154,9 @@ def test_objects_of_a_flow_stand_on_the_table_and_face_the_camera():
     for place in range(4):
         camera = CAMERA.world_from_camera[:3, 3]
         torch.testing.assert_close(scene.rotation[0, place], facing(scene.center[0, place], camera))
-        codes = conditioning(model, scene.what[0, place], scene.appearance.detail[place], scene.appearance.alone[place])
+        codes = conditioning(
+            model, scene.what[0, place], scene.appearance.detail[place], scene.appearance.own_scale[place]
+        )
         extent = shape_extent(model, codes, torch.eye(3))
         low, high = extent.amin(dim=0), extent.amax(dim=0)
         # Middles of voxels of 7.5 mm within 48 mm.
