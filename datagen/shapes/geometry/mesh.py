@@ -106,10 +106,7 @@ def lofted(
 ) -> Mesh:
     """A closed surface of scaled copies of one ring: point (s, z) of the profile puts the ring times s at height z.
 
-    Args:
-        ring: counter-clockwise convex polygon around the origin.
-        profile: from one pole to the other, z rising; s is 0 at both.
-        normals: of the smooth surface at each level and step.
+    The ring is a counter-clockwise convex polygon around the origin. Along the profile z rises; s is 0 at both ends.
     """
     levels, steps = normals.shape[:2]
     rows = np.concatenate([profile[:, None, :1] * ring, np.repeat(profile[:, None, 1:], steps, axis=1)], axis=2)
