@@ -41,13 +41,9 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
 
 
 def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, progress: Progress = silent) -> int:
-    """Recompute the scene tables of all finished rows from their label maps, and return their number.
+    """Recompute the scene tables of all finished rows of a run folder from their label maps; return their number.
 
-    Args:
-        folder: The run folder.
-        rows: Its rows.
-        data: Folders of datasets, searched first.
-        progress: Shows how many rows are done.
+    The datasets are searched in the folders `data` first.
 
     Raises:
         DatagenError: the label maps or the dataset of a row are missing.

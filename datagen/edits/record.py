@@ -23,14 +23,9 @@ def edits_record(
     renderer: Renderer,
     rngs: Mapping[EditKind, np.random.Generator],
 ) -> SceneRecord:
-    """All fields of the edits named in `rngs`; images are exact, whatever the recipe's sensor.
+    """All fields of the edits of a scene, given its pixels from the same renderer; images are exact, without sensor.
 
-    Args:
-        stage: The scene.
-        pixels: What was rendered of it, with the same renderer.
-        recipe: Of the scene.
-        renderer: Makes the images.
-        rngs: Draw which object is edited, and where it goes.
+    `rngs` draw which object each kind edits, and where it goes.
 
     Raises:
         UsageError: an edited object comes too near to a camera, or a depth is farther than the format can hold.

@@ -2,12 +2,7 @@
 
 
 class Rejected(Exception):
-    """A sample that breaks a rule of its recipe.
-
-    Args:
-        reason: Short name of the rule.
-        fitting: Number of objects that had a place in view, where the rule is that all have one.
-    """
+    """A sample that breaks the rule called `reason`; `fitting` counts objects with a place in view if all need one."""
 
     def __init__(self, reason: str, *, fitting: int | None = None):
         super().__init__(reason)

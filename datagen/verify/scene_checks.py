@@ -37,14 +37,10 @@ def verify_record(
     sensor: Sensor = DEFAULT.sensor,
     renderer: str = "raster",
 ) -> list[Finding]:
-    """All contradictions within one scene's arrays.
+    """All contradictions within one scene's arrays, which must have the fields of `groups`, see `schema.Field.group`.
 
-    Args:
-        record: The arrays.
-        groups: Groups of fields that must be present, see `schema.Field.group`.
-        physics: Physics constants of the scene's recipe, which limit how deep contacts may be.
-        sensor: Sensor constants of the dataset's recipe, which determine the noise of sensor depth.
-        renderer: Name of the renderer, which determines how exact depth and ids can be.
+    The recipe's physics limits how deep contacts may be, its sensor determines the noise of sensor depth, and the
+    renderer determines how exact depth and ids can be.
     """
     if findings := list(check_schema(record, groups)):
         return findings
@@ -64,8 +60,5 @@ def _findings(check: Check, case: Case) -> list[Finding]:
     try:
         return list(check(case))
     except (ValueError, IndexError, ArithmeticError) as error:
-        return [Finding(_name(check), f"cannot be checked: {type(error).__name__} {error}")]
-
-
-def _name(check: Check) -> str:
-    return check.func.__name__ if isinstance(check, partial) else check.__name__
+        name = check.func.__name__ if isinstance(check, partial) else check.__name__
+        return [Finding(name, f"cannot be checked: {type(error).__name__} {error}")]
