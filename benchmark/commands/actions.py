@@ -7,8 +7,8 @@ from rich.table import Table
 
 from benchmark.commands import arguments, outputs
 from benchmark.commands import selftest as golden_cases
-from benchmark.commands.console import prepare
 from benchmark.commands.editing import score_edits
+from benchmark.commands.outputs import prepare
 from benchmark.commands.request import job_limits, request_of
 from benchmark.execution.jobs import repeat_rows, run_all
 from benchmark.execution.plan import Plan, check_places, estimate, make_plan, superseded

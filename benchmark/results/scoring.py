@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.clips import ClipSequence, read_truth
+from benchmark.clips import ClipSequence, read_true_poses, read_truth
 from benchmark.metrics import clip_scores
 from benchmark.metrics.poses import pose_scores
 from benchmark.ranking.standings import Progress, silent
 from benchmark.results.labels import check_labels_fit, labels_path, locate, read_labels, read_poses
 from benchmark.results.run_folder import RunRow, save_scenes, scene_line
-from benchmark.tasks.true_poses import read_true_poses
 from datagen.errors import DatagenError
 from datagen.storage.reader import Dataset, Split
 

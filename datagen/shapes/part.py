@@ -10,9 +10,8 @@ from datagen.shapes.geometry import mass as masses
 from datagen.shapes.geometry import mesh as meshes
 from datagen.shapes.geometry import round_mesh, sdf
 from datagen.shapes.geometry.bounding import Outline, minimum_box
-from datagen.shapes.geometry.convex import convex_hull
 from datagen.shapes.geometry.mass import Mass
-from datagen.shapes.geometry.mesh import Mesh
+from datagen.shapes.geometry.mesh import Mesh, convex_hull
 from datagen.shapes.shape import Corners, Numbers, Primitive, Shape, Solid
 
 HULL_ERROR = 5e-4

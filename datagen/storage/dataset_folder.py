@@ -4,7 +4,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -63,7 +63,7 @@ def filling(
     begun = _Begun(settings_hash(wanted))
     try:
         lock, spec = _occupy(folder, wanted, begun, overwrite, prove)
-        with lock:
+        with closing(lock):
             yield spec
     except BaseException:
         _remove_begun(folder, begun)
@@ -92,7 +92,7 @@ def _occupy(
         with ExitStack() as stack:
             lock = None
             with suppress(FileNotFoundError):  # another process has failed and removed it
-                lock = stack.enter_context(FolderLock(folder))
+                lock = stack.enter_context(closing(FolderLock(folder)))
             if lock and (spec := _enter(lock, wanted, begun, overwrite, prove)):
                 stack.pop_all()
                 return lock, spec
@@ -228,7 +228,7 @@ def _make(folder: Path, begun: _Begun) -> None:
 
 def _remove_begun(folder: Path, begun: _Begun) -> None:
     """Remove what a failed run created, unless there are scenes or another process works there."""
-    with suppress(OSError), FolderLock(folder) as lock:
+    with suppress(OSError), closing(FolderLock(folder)) as lock:
         if lock.take_alone() and lock.is_real and lock.is_current():
             if begun.spec and os.listdir(folder) == [SPEC_FILE] and _settings(folder) == begun.settings:
                 (folder / SPEC_FILE).unlink()

@@ -11,8 +11,7 @@ from datagen import schema
 from datagen.config import Sensor
 from datagen.scene import Body
 from datagen.shapes.shape import Shape
-from datagen.verify.finding import Finding
-from datagen.verify.scene_case import Case
+from datagen.verify.scene_case import Case, Finding
 
 RELATIVE = 1e-5
 """Largest relative difference attributed to rounding to float32."""

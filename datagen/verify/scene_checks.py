@@ -10,10 +10,8 @@ from datagen.errors import DatagenError
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
 from datagen.verify.edits import check_edit, check_effects
-from datagen.verify.finding import Finding
 from datagen.verify.pixels import check_order, check_surfaces, check_table
-from datagen.verify.precision import OPENGL, PRECISION
-from datagen.verify.scene_case import DEFAULT, Allowed, Case, make_case
+from datagen.verify.scene_case import DEFAULT, OPENGL, PRECISION, Allowed, Case, Finding, make_case
 from datagen.verify.views import check_views
 
 Check = Callable[[Case], Iterator[Finding]]

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial import ConvexHull, QhullError
 
+from benchmark.clips import visible_centers
 from benchmark.metrics.box_overlap import Box
 from benchmark.models.classical.oracles import truth_of
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
 from benchmark.models.classical.untrained import Untrained
 from benchmark.models.interface import Clip, Poses, Prediction
-from benchmark.tasks.true_poses import visible_centers
 from datagen.shapes.geometry.bounding import Outline, minimum_box
 
 LEAST_POINTS = 4

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.shapes import part as parts
-from datagen.shapes.geometry.convex import convex_hull
+from datagen.shapes.geometry.mesh import convex_hull
 from datagen.shapes.part import Part, assemble
 from datagen.shapes.sampling import Size, longest, rounded
 from datagen.shapes.shape import Corners, Shape
