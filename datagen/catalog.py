@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.errors import UsageError
 from datagen.scene import ShapeSpec
-from datagen.shapes.families import composite, extrusion, furniture, lathe, mug, primitives, seating, superquadric
+from datagen.shapes.families import composite, extrusion, furniture, lathe, mug, primitives, superquadric
 
 Sampler = Callable[[np.random.Generator, tuple[float, float]], dict[str, Any]]
 
@@ -59,17 +59,17 @@ CATEGORIES: dict[str, Category] = {
     "jack": Category("jack", composite.sample_jack),
     "tower": Category("tower", composite.sample_tower),
     "snowman": Category("snowman", composite.sample_snowman),
-    "chair": Category("chair", seating.sample_chair, "furniture"),
-    "stool": Category("stool", seating.sample_stool, "furniture"),
+    "chair": Category("chair", furniture.sample_chair, "furniture"),
+    "stool": Category("stool", furniture.sample_stool, "furniture"),
     "table": Category("table", furniture.sample_table, "furniture"),
     "round table": Category("stool", furniture.sample_round_table, "furniture"),
     "desk": Category("desk", furniture.sample_desk, "furniture"),
     "cabinet": Category("cabinet", furniture.sample_cabinet, "furniture"),
     "shelf": Category("shelf", furniture.sample_shelf, "furniture"),
-    "bench": Category("bench", seating.sample_bench, "furniture"),
+    "bench": Category("bench", furniture.sample_bench, "furniture"),
     "lamp": Category("lamp", furniture.sample_lamp, "furniture"),
-    "sofa": Category("sofa", seating.sample_sofa, "furniture"),
-    "bed": Category("bed", seating.sample_bed, "furniture"),
+    "sofa": Category("sofa", furniture.sample_sofa, "furniture"),
+    "bed": Category("bed", furniture.sample_bed, "furniture"),
 }
 """All categories by name."""
 

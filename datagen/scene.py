@@ -6,6 +6,7 @@ Together they are all that a renderer needs.
 
 import dataclasses
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -227,3 +228,18 @@ _CONVERTER = strict_converter(_MOST).copy()
 _FORCES, _PARAMETERS = strict_converter(_MOST_FORCE), strict_converter(_MOST_PARAMETER)
 _CONVERTER.register_structure_hook(Push, lambda values, _kind: structure(values, Push, _FORCES))
 _CONVERTER.register_structure_hook(ShapeSpec, _shape)
+
+
+DIGITS = 6
+"""Decimals that a scene's numbers keep, so that its text stays short."""
+
+
+def rounded(value: float) -> float:
+    """Round a number to the digits of a scene's description."""
+    return round(float(value), DIGITS)
+
+
+def vector(values: Iterable[float]) -> Vector:
+    """Round three numbers, see `rounded`."""
+    x, y, z = (rounded(value) for value in values)
+    return x, y, z

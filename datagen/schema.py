@@ -60,29 +60,14 @@ class Field:
     recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with this edit."""
 
 
-def _field(name: str, dtype: str, axes: str, unit: str, frame: str, description: str, group: str) -> Field:
-    return Field(name, dtype, tuple(axes.split()), unit, frame, description, group)
-
-
 _PIXELS = "frame view height width"
 
 
 def _edit(kind: EditKind, edited: str, transform: str | None, ids: str) -> list[tuple[str, ...]]:
-    rows = [
-        (
-            f"edits/{kind}/object",
-            "uint8",
-            "",
-            "id",
-            "-",
-            f"{edited}; 0 = none, and the images are the scene's own",
-            kind,
-        )
-    ]
-    if transform:
-        rows.append((f"edits/{kind}/transform", "float64", "4 4", "m", "world", transform, kind))
+    moved = [(f"edits/{kind}/transform", "float64", "4 4", "m", "world", transform, kind)] if transform else []
     return [
-        *rows,
+        (f"edits/{kind}/object", "uint8", "", "id", "-", f"{edited}; 0 = none, and the images are the scene's own", kind),
+        *moved,
         (f"edits/{kind}/rgb", "uint8", f"{_PIXELS} channel", "sRGB 0-255", "image", "colour of the edited scene", kind),
         (f"edits/{kind}/depth", "uint16", _PIXELS, "0.1 mm", "camera", "depth of the edited scene, exact", kind),
         (f"edits/{kind}/segmentation", "uint8", _PIXELS, "id", "image", ids, kind),
@@ -92,15 +77,7 @@ def _edit(kind: EditKind, edited: str, transform: str | None, ids: str) -> list[
 _FIELDS = [
     ("rgb", "uint8", f"{_PIXELS} channel", "sRGB 0-255", "image", "colour, anti-aliased", "pixels"),
     ("depth", "uint16", _PIXELS, "0.1 mm", "camera", "planar z at the pixel's centre, 0 = no return", "pixels"),
-    (
-        "segmentation",
-        "uint8",
-        _PIXELS,
-        "id",
-        "image",
-        "object id at the pixel's centre: row in objects/ plus 1, constant over frames and views; 0 = table and backdrop",
-        "pixels",
-    ),
+    ("segmentation", "uint8", _PIXELS, "id", "image", "object id at the pixel's centre: row in objects/ plus 1, constant over frames and views; 0 = table and backdrop", "pixels"),
     ("sensor_depth", "uint16", _PIXELS, "0.1 mm", "camera", "depth as a noisy sensor sees it, 0 = no return", "sensor"),
     ("sensor_valid", "uint8", _PIXELS, "bool", "image", "1 where the sensor returned a depth", "sensor"),
     ("camera/K", "float64", "view 3 3", "pixel", "image", "camera matrix, pixel centres at +0.5; every image holds the recipe's frame, see docs/dataset.md", "pixels"),
@@ -151,7 +128,9 @@ _LENGTHS = {"3": 3, "4": 4, "8": 8, "2": 2, "channel": 3}
 _MOST = {"object": 255, "light": 255, "byte": 32}
 """Greatest lengths of axes whose lengths a spec does not say."""
 
-FIELDS: dict[str, Field] = {row[0]: _field(*row) for row in _FIELDS}
+FIELDS: dict[str, Field] = {
+    name: Field(name, dtype, tuple(axes.split()), *facts) for name, dtype, axes, *facts in _FIELDS
+}
 
 
 class SchemaError(ValueError):
@@ -176,13 +155,7 @@ def validate(record: Mapping[str, np.ndarray], groups: tuple[str, ...]) -> None:
 
 
 def check_field(field: Field, dtype: np.dtype, shape: tuple[int, ...], lengths: dict[str, int]) -> None:
-    """Check type and axes of one scene's array.
-
-    Args:
-        field: What it should be.
-        dtype: Its type.
-        shape: Its shape.
-        lengths: Lengths of the axes that are known from elsewhere; those of other axes are added.
+    """Check type and axes of one scene's array; lengths of axes that are not known yet are added to `lengths`.
 
     Raises:
         SchemaError: names the field and what is wrong with it.

@@ -65,7 +65,9 @@ class Track:
     @cached_property
     def spec_hash(self) -> str:
         """Identity of the dataset, which need not exist."""
-        return self._spec()["spec_hash"]
+        from datagen.pipeline.generate import dataset_spec
+
+        return dataset_spec(load_recipe(self.name), **self._sizes())["spec_hash"]
 
     @property
     def folder(self) -> Path:
@@ -86,8 +88,7 @@ class Track:
         """Number of scenes of these splits still to be generated."""
         if not (self.folder / "dataset.json").exists():
             return sum(SIZES[name] for name in splits)
-        dataset = Dataset(self.folder)
-        return sum(len(dataset.split(name).missing()) for name in splits)
+        return DataFolder(self.folder).missing(splits)
 
     def prepare(self, splits: Iterable[str], *, workers: int = 1, progress: Progress = no_progress) -> Path:
         """Generate the missing scenes of these splits, and return the folder.
@@ -105,11 +106,6 @@ class Track:
 
     def _sizes(self) -> dict[str, Any]:
         return {"splits": SIZES, "seed": SEED, "resolution": self.resolution, "edits": self.edits}
-
-    def _spec(self) -> dict[str, Any]:
-        from datagen.pipeline.generate import dataset_spec
-
-        return dataset_spec(load_recipe(self.name), **self._sizes())
 
 
 @dataclass(frozen=True)

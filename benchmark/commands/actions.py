@@ -7,11 +7,11 @@ from rich.table import Table
 
 from benchmark.commands import arguments, outputs
 from benchmark.commands import selftest as golden_cases
-from benchmark.commands.console import prepare
 from benchmark.commands.editing import score_edits
+from benchmark.commands.outputs import prepare
 from benchmark.commands.request import job_limits, request_of
 from benchmark.execution.jobs import repeat_rows, run_all
-from benchmark.execution.plan import Plan, Request, check_places, estimate, make_plan, superseded
+from benchmark.execution.plan import Plan, check_places, estimate, make_plan, superseded
 from benchmark.models.registry import GROUPS, discover
 from benchmark.ranking import compare as paired
 from benchmark.ranking.text import terminal
@@ -37,7 +37,8 @@ def run(values: arguments.Run) -> int:
     request = request_of(values)
     if values.task == "editing":
         return score_edits(values, request)
-    _check_predictions(request)
+    for folder in request.predictions:
+        folder.check(request.sources[0].labels_shape(SPLIT))
     remove_abandoned(values.out, recursive=True)
     rows = load_runs(values.out)
     plan = make_plan(request, rows, values.out)
@@ -101,25 +102,20 @@ def selftest(_values: arguments.Selftest) -> int:
 
 def _make_room(values: arguments.Run, plan: Plan, rows: list[RunRow]) -> list[RunRow]:
     """Delete the rows to be replaced or tried again, and return the others."""
-    again = [row for row in rows if row.status == "failed" and _is_tried_again(row, values, plan)]
+    # Given label maps are always tried again, as corrected files give another row.
+    places = {key.place for key in plan.keys}
+    again = [
+        row
+        for row in rows
+        if row.status == "failed"
+        and (row.key.place in places if row.kind == "predictions" else values.retry and row.key in plan.keys)
+    ]
     kept = [row for row in rows if row not in again]
     if not values.overwrite:
         check_places(plan.keys, kept)
     other = superseded(plan.keys, rows) if values.overwrite else []
     delete_rows(values.out, [*other, *again])
     return [row for row in kept if row not in other]
-
-
-def _is_tried_again(row: RunRow, values: arguments.Run, plan: Plan) -> bool:
-    """Tell whether to try a failed row again; given label maps always are, as corrected files give another row."""
-    if row.kind == "predictions":
-        return row.key.place in {key.place for key in plan.keys}
-    return values.retry and row.key in plan.keys
-
-
-def _check_predictions(request: Request) -> None:
-    for folder in request.predictions:
-        folder.check(request.sources[0].labels_shape(SPLIT))
 
 
 def _run_jobs(plan: Plan, values: arguments.Run) -> None:
@@ -139,11 +135,10 @@ def _line(row: RunRow) -> str:
     place = f"{row.key.track}, {row.key.model}, seed {row.key.seed}"
     if row.status == "failed":
         return f"{place}: FAILED, {row.reason}"
-    seconds = row.measured.fit_seconds
-    fitted = (
-        "" if math.isnan(seconds) else f"fit {seconds:.1f} s, {1000 * row.measured.seconds_per_frame:.1f} ms a frame"
-    )
-    return f"{place}: {fitted or 'scored'}"
+    cost = row.measured
+    if math.isnan(cost.fit_seconds):
+        return f"{place}: scored"
+    return f"{place}: fit {cost.fit_seconds:.1f} s, {1000 * cost.seconds_per_frame:.1f} ms a frame"
 
 
 def _print_lists(profile: Profile) -> None:

@@ -6,8 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmark.commands import arguments
-from benchmark.commands.console import prepare
-from benchmark.commands.outputs import print_path, wide_console
+from benchmark.commands.outputs import prepare, print_path, wide_console
 from benchmark.commands.request import job_limits
 from benchmark.execution.executor import Outcome, run_jobs
 from benchmark.execution.jobs import GRACE_SECONDS

@@ -36,7 +36,6 @@ LIMITS = {
     "slots": Limit(1, LARGEST_LABEL),
     "background-slot": Limit(0, LARGEST_LABEL),
     "budget": Limit(0, 31 * 24 * 3600, "seconds (31 days)", above_low=True),
-    "minutes": Limit(0, 31 * 24 * 60, "(31 days)", above_low=True),
     "time-limit": Limit(0, 31 * 24 * 60, "minutes (31 days)", above_low=True),
     "memory-limit": Limit(0, 2**30, "MiB", above_low=True),
 }

@@ -3,7 +3,7 @@
 import math
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,8 @@ from benchmark.results.labels import locate
 from benchmark.results.manifest import write_manifest
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs
-from datagen.console.progress import busy, tracked
+from datagen.console.progress import busy, status_console, track_progress, tracked
+from datagen.tracks import Source
 
 FILE_WIDTH = 160
 """Characters per line if the output goes to a file or pipe."""
@@ -113,3 +114,14 @@ def _names(result: ModelResult) -> tuple[str, str]:
     track, fit_track, model = result.place
     fitted = f"{track} ({'trained' if result.row.pretrained else 'fitted'} on {fit_track})"
     return track if fit_track == track else fitted, model
+
+
+def prepare(splits: Mapping[Source, tuple[str, ...]], *, workers: int) -> None:
+    """Generate the missing scenes of these splits, and report it.
+
+    Raises:
+        DatagenError: scenes could not be made.
+    """
+    console = status_console()
+    for source, names in splits.items():
+        source.prepare(names, workers=workers, progress=partial(track_progress, console, source.name, source.folder))

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from benchmark.commands import arguments
-from benchmark.commands.flag_limits import check_flag
+from benchmark.commands.flag_limits import LIMITS, check_flag
 from benchmark.execution.executor import Limits, limits
 from benchmark.execution.plan import Request, Weights
 from benchmark.models.adapters.predictions import PredictionFolder
@@ -16,19 +16,6 @@ from obpose.systems import system_of
 
 _OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
 """Flags that do not apply to --predictions."""
-
-_NUMBERS = (
-    "seeds",
-    "workers",
-    "steps",
-    "scenes",
-    "refine",
-    "background_slot",
-    "time_limit",
-    "budget",
-    "memory_limit",
-)
-"""Flags that `benchmark.commands.flag_limits` bounds."""
 
 
 def request_of(values: arguments.Run) -> Request:
@@ -97,10 +84,10 @@ def _check(values: arguments.Run) -> None:
         raise UsageError("--refine is for --task editing; segmentations are scored as they are inferred.")
     if values.background_slot is not None and not values.predictions:
         raise UsageError("--background-slot is for --predictions; models declare their background themselves.")
-    for flag in _NUMBERS:
-        check_flag(flag.replace("_", "-"), getattr(values, flag))
-    for number in values.slots:
-        check_flag("slots", number)
+    for flag in LIMITS:
+        given = getattr(values, flag.replace("-", "_"))
+        for number in given if isinstance(given, tuple) else (given,):
+            check_flag(flag, number)
     if values.out.exists() and not values.out.is_dir():
         raise UsageError(f"{values.out} is a file; give a folder with --out.")
     if (values.out / "dataset.json").exists():

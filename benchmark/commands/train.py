@@ -16,13 +16,9 @@ def main() -> int:
 
 def ari_fg(truth: "np.ndarray", labels: "np.ndarray") -> float:
     """Mean ARI-FG over the frames of a clip; nan if it is undefined in all of them."""
-    import numpy as np  # late: `--version` needs no NumPy
+    from benchmark.metrics import clip_scores, mean_where_defined  # late: `--version` needs no NumPy
 
-    from benchmark.metrics import clip_scores
-
-    frames = clip_scores(truth, labels)["ari_fg"]
-    defined = frames[~np.isnan(frames)]
-    return float(defined.mean()) if len(defined) else float("nan")
+    return mean_where_defined(clip_scores(truth, labels)["ari_fg"])
 
 
 if __name__ == "__main__":

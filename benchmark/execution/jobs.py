@@ -325,12 +325,7 @@ def segment_split(
 ) -> float:
     """Segment every clip of the dataset `data` and store the label maps; returns the seconds that `predict` took.
 
-    Args:
-        predict: Segments a clip.
-        clips: Clips of the split.
-        path: File for the label maps.
-        data: Folder of the dataset.
-        extra: Files for the segmentations in `Prediction.extra`, by name.
+    `extra` holds files for the segmentations in `Prediction.extra`, by name.
 
     Raises:
         BadPrediction: `predict` did not return a label for every pixel.

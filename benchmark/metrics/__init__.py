@@ -7,6 +7,7 @@ from benchmark.metrics.score import (
     FrameScores,
     clip_scores,
     frame_scores,
+    mean_where_defined,
     score,
     summarise,
 )
@@ -18,6 +19,7 @@ __all__ = [
     "FrameScores",
     "clip_scores",
     "frame_scores",
+    "mean_where_defined",
     "score",
     "summarise",
 ]

@@ -3,7 +3,7 @@
 import itertools
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 _UNIT = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
@@ -45,7 +45,8 @@ def _inside(one: Box, other: Box) -> Float[np.ndarray, "point 3"]:
     corners = (box_corners(one) - center) @ rotation
     start, end = corners[_EDGES[:, 0]], corners[_EDGES[:, 1]]
     points = np.concatenate([corners, _piercings(start, end, size / 2)])
-    return points[_within(points, size / 2)] @ rotation.T + center
+    within = np.all(np.abs(points) <= size / 2 + _TOLERANCE, axis=1)
+    return points[within] @ rotation.T + center
 
 
 def _piercings(
@@ -60,10 +61,6 @@ def _piercings(
         meets = ~parallel & (share >= 0) & (share <= 1)
         found.append((start + share[:, None] * way)[meets])
     return np.concatenate(found)
-
-
-def _within(points: Float[np.ndarray, "point 3"], half: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "point"]:
-    return np.all(np.abs(points) <= half + _TOLERANCE, axis=1)
 
 
 def _hull_volume(points: Float[np.ndarray, "point 3"]) -> float:

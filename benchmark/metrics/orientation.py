@@ -33,14 +33,9 @@ def box_orientation_error(
 ) -> float:
     """Angle between orientations of a box whose axes have no names, in degrees.
 
-    Args:
-        found: World from box, its axes named anyhow.
-        truth: World from object.
-        symmetry: Of the body, in the object's frame.
-        box: Object from box: axes of the body's box of least volume.
-
-    The object's orientation would be `found @ naming @ box.T` with one of the 24 namings; the one that suits the truth
-    best counts.
+    `found` is world from box, its axes named anyhow; `box` holds the axes of the body's box of least volume in the
+    object's frame. The object's orientation would be `found @ naming @ box.T` with one of the 24 namings; the one that
+    suits the truth best counts.
     """
     return float(_least_angles(truth.T @ found @ BOX_GROUP @ box.T, symmetry).min())
 

@@ -5,7 +5,6 @@ one without any matching (Kirillov et al., Panoptic Segmentation, 2019), and wha
 so that a distance between the two would mean nothing.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,15 +20,9 @@ LEAST_IOU = 0.5
 """IoU of an object's pixels and a slot's above which the slot has found the object."""
 
 POSE_METRICS = (
-    "posed",
-    "translation_error",
-    "translation_median",
-    "translation_error_visible",
-    "orientation_error",
-    "orientation_median",
-    "orientation_error_named",
-    "box_iou",
-)
+    "posed", "translation_error", "translation_median", "translation_error_visible",
+    "orientation_error", "orientation_median", "orientation_error_named", "box_iou",
+)  # fmt: skip
 """Names of the scores in the order of tables; see `pose_scores`. Smaller errors are better."""
 
 _ERRORS = ("translation_error", "translation_error_visible", "orientation_error", "orientation_error_named")
@@ -107,7 +100,10 @@ def _image_errors(
     seen: Bool[np.ndarray, "truth"],
 ) -> dict[str, np.ndarray]:
     """Score one image: a value per found object, or for `posed` and `box_iou` per object in view."""
-    pairs = list(_pairs(overlap, found.center[frame, view]))
+    # Objects and the labels that have found them and have a pose.
+    centers = found.center[frame, view]
+    matches = np.argwhere(overlap[1:] > LEAST_IOU).tolist()
+    pairs = [(row, label) for row, label in matches if label < len(centers) and np.isfinite(centers[label]).all()]
     missed = [0.0] * (int(seen[1:].sum()) - len(pairs))
     errors: dict[str, list[float]] = {name: [] for name in _ERRORS}
     errors |= {"posed": [1.0] * len(pairs) + missed, "box_iou": [] if found.size is None else missed}
@@ -127,15 +123,6 @@ def _image_errors(
             box = center, rotation, found.size[frame, view, label]
             errors["box_iou"].append(box_overlap(box, true.box(frame, row)))
     return {name: np.array(values) for name, values in errors.items()}
-
-
-def _pairs(
-    overlap: Float[np.ndarray, "truth slot"], centers: Float[np.ndarray, "label 3"]
-) -> Iterator[tuple[int, int]]:
-    """Match objects (rows) with the labels that have found them and have a pose."""
-    for row, label in np.argwhere(overlap[1:] > LEAST_IOU).tolist():
-        if label < len(centers) and np.isfinite(centers[label]).all():
-            yield row, label
 
 
 def _mean(values: np.ndarray) -> float:

@@ -19,15 +19,8 @@ from benchmark.metrics.overlap import (
 )
 
 METRICS = (
-    "ari",
-    "ari_fg",
-    "msc_fg",
-    "msc_fg_allslots",
-    "miou_bg",
-    "miou_bg_oracle",
-    "msc_fg_oracle_bg",
-    "miou_fg_hungarian",
-)
+    "ari", "ari_fg", "msc_fg", "msc_fg_allslots", "miou_bg", "miou_bg_oracle", "msc_fg_oracle_bg", "miou_fg_hungarian",
+)  # fmt: skip
 """Metrics of single frames, in the order of the tables; larger is better, and 1 is best for all."""
 
 CLIP_METRICS = ("ari_video", "ari_fg_video", "msc_fg_video")
@@ -48,7 +41,7 @@ def frame_scores(
 ) -> FrameScores:
     """Every metric in every frame by itself; arguments and errors as in `score`."""
     tables, slot = contingency(truth, prediction, background_slot, ignore)
-    return _frame_scores(tables, slot) | {"ignored": truth[0].size - tables.sum(axis=(1, 2))}
+    return _frame_scores(tables, slot, truth[0].size)
 
 
 def clip_scores(
@@ -68,7 +61,7 @@ def clip_scores(
     frames, views, *image = truth.shape
     one, two = (labels.reshape(-1, *image) for labels in (truth, prediction))
     tables, slot = contingency(one, two, background_slot, None if ignore is None else ignore.reshape(-1, *image))
-    scores = _frame_scores(tables, slot) | {"ignored": truth[0, 0].size - tables.sum(axis=(1, 2))}
+    scores = _frame_scores(tables, slot, truth[0, 0].size)
     over_time = _clip_scores(tables.reshape(frames, views, *tables.shape[1:]))
     if frames == 1:
         over_time |= {name: np.full(views, np.nan) for name in CLIP_METRICS}
@@ -109,7 +102,7 @@ def score(
             the background slot is negative.
     """
     tables, slot = contingency(truth, prediction, background_slot, ignore)
-    frames = _frame_scores(tables, slot) | {"ignored": truth[0].size - tables.sum(axis=(1, 2))}
+    frames = _frame_scores(tables, slot, truth[0].size)
     over_time = _clip_scores(tables[:, None])
     summary = summarise(frames) | {name: float(over_time[name][0]) for name in CLIP_METRICS}
     return summary | {"identity_switches": int(over_time["identity_switches"][0])}
@@ -122,7 +115,7 @@ def summarise(frames: Mapping[str, np.ndarray]) -> dict[str, float]:
     or 1, `n_ignored` pixels.
     """
     undefined = np.any([np.isnan(frames[name]) for name in METRICS], axis=0)
-    means = {name: _mean_where_defined(frames[name]) for name in METRICS}
+    means = {name: mean_where_defined(frames[name]) for name in METRICS}
     return means | {
         "n_frames": len(undefined),
         "n_undefined": int(undefined.sum()),
@@ -131,7 +124,7 @@ def summarise(frames: Mapping[str, np.ndarray]) -> dict[str, float]:
     }
 
 
-def _frame_scores(tables: Int64[np.ndarray, "frame truth slot"], slot: int) -> FrameScores:
+def _frame_scores(tables: Int64[np.ndarray, "frame truth slot"], slot: int, pixels: int) -> FrameScores:
     iou = intersection_over_union(tables)
     return {
         "ari": adjusted_rand(tables),
@@ -143,6 +136,7 @@ def _frame_scores(tables: Int64[np.ndarray, "frame truth slot"], slot: int) -> F
         "msc_fg_oracle_bg": covering(without_slot(iou, best_background_slot(iou, tables)), tables),
         "miou_fg_hungarian": one_to_one_overlap(iou, tables),
         "objects": np.count_nonzero(tables[:, 1:].sum(axis=2), axis=1),
+        "ignored": pixels - tables.sum(axis=(1, 2)),
     }
 
 
@@ -158,6 +152,7 @@ def _clip_scores(tables: Int64[np.ndarray, "frame view truth slot"]) -> ClipScor
     }
 
 
-def _mean_where_defined(values: np.ndarray) -> float:
+def mean_where_defined(values: np.ndarray) -> float:
+    """Mean of the values that are not nan; nan if there are none."""
     defined = values[~np.isnan(values)]
     return float(defined.mean()) if len(defined) else float("nan")

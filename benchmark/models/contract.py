@@ -60,9 +60,7 @@ def _check_poses(poses: Poses, clip: Clip, where: str) -> None:
 def pose_fault(arrays: Mapping[str, np.ndarray | None], images: tuple[int, int]) -> str:
     """Describe what is wrong with the poses of a clip, and what was expected; empty if nothing is wrong.
 
-    Args:
-        arrays: Some of `ARRAYS` by name, each [frame, view, label, ...]; missing ones may be None.
-        images: Frames and views of the clip.
+    `arrays` are some of `ARRAYS` by name, each [frame, view, label, ...]; `images` are the numbers of frames and views.
     """
     given = {name: array for name in ARRAYS if (array := arrays.get(name)) is not None}
     if given and "center" not in given:

@@ -1,6 +1,8 @@
 """Facts that the benchmark needs about a model."""
 
+import dataclasses
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -118,3 +120,11 @@ class Builder:
     def __call__(self, options: Options) -> Segmenter:
         """Build the model."""
         return self.model(**{name: value for name, value in options.items() if self.takes(name)})
+
+
+def settings_of(config: Any) -> dict[str, Any]:
+    """Give all values of a configuration on which results depend, nested as in the configuration."""
+    settings = dataclasses.asdict(config)
+    if math.isinf(config.train.minutes):
+        settings["train"]["minutes"] = None  # steps count, and JSON has no inf
+    return settings

@@ -64,15 +64,15 @@ def subsample(
     With `whole_clips`, select all frames of as many clips as have at most `limit` frames, but of at least one clip.
     """
     length = len(clips[0].rgb) if whole_clips and len(clips) else 1
-    chosen = _spread(len(clips), max(1, limit // length))
+    chosen = evenly_spaced(len(clips), max(1, limit // length))
     sample = []
     for i in chosen:
-        frames = _spread(len(clips[i].rgb), length if whole_clips else limit // max(len(chosen), 1))
+        frames = evenly_spaced(len(clips[i].rgb), length if whole_clips else limit // max(len(chosen), 1))
         sample.append((clips[i].select(frames), truths[i][frames]))
     return sample
 
 
-def _spread(length: int, count: int) -> list[int]:
+def evenly_spaced(length: int, count: int) -> list[int]:
     """Choose at most `count` indices, each in the middle of an equal part of the range."""
     count = min(length, count)
     return [(2 * i + 1) * length // (2 * count) for i in range(count)]

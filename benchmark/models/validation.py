@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Integer
 
-from benchmark.metrics import clip_scores
+from benchmark.metrics import clip_scores, mean_where_defined
 from benchmark.models.interface import Clip, Prediction
 from benchmark.results.csv_files import Curve, load_curve, save_curve
 from datagen.errors import CorruptFile
@@ -37,7 +37,8 @@ class ValidationScorer:
     def __call__(self, segment: Segment, *, step: int, seconds: float) -> None:
         """Score the model as it is after `step` steps and `seconds` seconds of its budget."""
         scores = [self._scores(segment, index) for index in range(min(CLIPS, len(self.clips)))]
-        means = {name: _mean([score[name] for score in scores]) for name in SCORES}
+        frames = {name: [np.empty(0), *(score[name] for score in scores)] for name in SCORES}
+        means = {name: mean_where_defined(np.concatenate(values)) for name, values in frames.items()}
         # A resumed training repeats the steps after its last checkpoint.
         before = [point for point in self._points() if point["step"] < step]
         save_curve(self.path, [*before, {"step": float(step), "seconds": seconds, **means}])
@@ -57,10 +58,3 @@ class ValidationScorer:
         clip, truth = self.clips[index].select(slice(FRAMES)), self.truths[index][:FRAMES]
         found = segment(clip)
         return clip_scores(truth, found.labels, found.background, ~clip.valid)
-
-
-def _mean(values: Sequence[np.ndarray]) -> float:
-    """Mean over all frames in which a score is defined; nan if there are none."""
-    frames = np.concatenate([*values, np.empty(0)])
-    defined = frames[~np.isnan(frames)]
-    return float(defined.mean()) if len(defined) else float("nan")

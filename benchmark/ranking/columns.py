@@ -226,11 +226,15 @@ def mean_and_std(mean: float, std: float, digits: int = 2) -> str:
     return f"{mean:z.{digits}f}" if math.isnan(std) else f"{mean:z.{digits}f}±{std:.{digits}f}"
 
 
+def place_title(track: str, fit_track: str, fitted: str = "fitted") -> str:
+    """Name a track, and the track fitted on if it is another one."""
+    return track if fit_track == track else f"{track}, {fitted} on {fit_track}"
+
+
 def track_title(group: Sequence[ModelResult]) -> str:
     """Name the track, and the track fitted on if it is another one."""
-    track, fit_track, _ = group[0].place
     fitted = "weights trained" if all(result.row.pretrained for result in group) else "models fitted"
-    return track if fit_track == track else f"{track}, {fitted} on {fit_track}"
+    return place_title(*group[0].place[:2], fitted)
 
 
 def scenes_title(group: Sequence[ModelResult]) -> str:

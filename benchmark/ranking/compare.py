@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from benchmark.ranking import statistics
-from benchmark.ranking.columns import without_floor
+from benchmark.ranking.columns import place_title, without_floor
 from benchmark.ranking.standings import (
     ALL_METRICS,
     ModelResult,
@@ -76,7 +76,8 @@ def compare(
     first, second = (_of_model(results, name, folder) for name in (one, two))
     shared = [(first[place], second[place]) for place in first if place in second]
     if not shared:
-        raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {_tracks(first)}.")
+        tracks = ", ".join(sorted({track for track, *_ in first}))
+        raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {tracks}.")
     wanted = [(a, b, name) for a, b in shared for name in metrics]
     found = [(*line, compare_results(*line)) for line in progress(wanted, "resampling scenes")]
     found = [line for line in found if line[3].n_scenes > 0]
@@ -112,7 +113,7 @@ def comparison_table(comparisons: Iterable[Comparison], one: str, two: str) -> G
 
 def _track_table(track: str, fit_track: str, lines: Sequence[Comparison]) -> Table:
     scenes = max(line.difference.n_scenes for line in lines)
-    title = Text(f"{one_line(_where(track, fit_track))}, {counted(scenes, 'scene')}", "bold")
+    title = Text(f"{one_line(place_title(track, fit_track))}, {counted(scenes, 'scene')}", "bold")
     table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
     for name, width in COLUMNS.items():
         table.add_column(name, justify="left" if name == "metric" else "right", no_wrap=True, min_width=width)
@@ -151,23 +152,18 @@ def _p_value(value: float) -> str:
 
 def _warnings(one: ModelResult, two: ModelResult) -> tuple[str, ...]:
     failed = ", ".join(filter(None, map(_failed_seeds, (one, two))))
-    seeds = f"{_where(*one.place[:2])}: {failed}; their scores, where they have some, count." if failed else ""
+    seeds = f"{place_title(*one.place[:2])}: {failed}; their scores, where they have some, count." if failed else ""
     return tuple(filter(None, (seeds, without_floor((one, two)))))
 
 
 def _left_out(result: ModelResult) -> str:
     track, fit_track, model = result.place
-    return f"{_where(track, fit_track)} is left out, as {model} has no scores there: {_failed_seeds(result)}."
+    return f"{place_title(track, fit_track)} is left out, as {model} has no scores there: {_failed_seeds(result)}."
 
 
 def _failed_seeds(result: ModelResult) -> str:
     """List the failed runs with their causes; empty if none failed."""
-    causes = list(zip(result.rows, result.causes, strict=True))[: result.n_runs]
-    return ", ".join(f"seed {row.key.seed} of {row.key.model} failed ({cause})" for row, cause in causes if cause)
-
-
-def _where(track: str, fit_track: str) -> str:
-    return track if fit_track == track else f"{track}, fitted on {fit_track}"
+    return ", ".join(f"seed {row.key.seed} of {row.key.model} failed ({cause})" for row, cause in result.failures)
 
 
 def _of_model(results: Iterable[ModelResult], model: str, folder: Path) -> dict[tuple[str, ...], ModelResult]:
@@ -178,7 +174,3 @@ def _of_model(results: Iterable[ModelResult], model: str, folder: Path) -> dict[
         there = ", ".join(sorted({result.place[2] for result in results}))
         raise UsageError(f"{folder} has no scores of {model!r}; it has those of: {one_line(there)}.")
     return found
-
-
-def _tracks(results: Iterable[tuple[str, ...]]) -> str:
-    return ", ".join(sorted({track for track, *_ in results}))

@@ -17,20 +17,15 @@ from benchmark.results.run_folder import RunRow
 LEAST_MIOU_BG = 0.5
 LEAST_ABOVE_FLOOR = 0.05
 
-CAUSES = ("nan", "swap", "collapse")
-
 HEADLINE = ("ari_fg", "msc_fg", "miou_bg", "ari")
 """Metrics that a seed must define."""
 
 
 def cause_of_failure(miou_bg: float, msc_fg: float, best_floor: float, *, finite: bool = True) -> str:
-    """Determine the cause of failure, one of `CAUSES`; empty if the seed did not fail.
+    """Determine the cause of failure, `nan`, `swap` or `collapse`; empty if the seed did not fail.
 
-    Args:
-        miou_bg: score of this seed, with the background slot that the model declared.
-        msc_fg: score of this seed.
-        best_floor: largest MSC-FG of a floor on the same track; nan if no floor was run.
-        finite: whether the loss stayed finite in training, and the headline metrics are defined.
+    `best_floor` is the largest MSC-FG of a floor on the same track, nan if no floor was run. `finite` tells whether the
+    loss stayed finite in training, and the headline metrics are defined.
     """
     if not finite:
         return "nan"

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmark.metrics import mean_where_defined
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking import text
 from benchmark.ranking.columns import (
@@ -55,7 +56,7 @@ from benchmark.ranking.standings import (
     silent,
 )
 from benchmark.results.packed_runs import is_packed
-from benchmark.results.run_folder import COUNTS, RunRow, SceneTable
+from benchmark.results.run_folder import COUNTS, RunRow
 from datagen.storage.atomic import write_atomically
 
 Cell = str | int | float
@@ -152,10 +153,14 @@ def seed_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
 def scene_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
     """Yield the lines of per_scene.csv."""
     runs = (run for result in results for run in zip(result.rows, result.tables, strict=True))
+    counts = ("scene", "n_frames", *(name for name in COUNTS if name != "objects"))
     for row, table in runs:
-        columns = {
-            name: _whole(values) if _is_count(name) else values.tolist() for name, values in (table or {}).items()
-        }
+        columns: dict[str, list[float]] = {}
+        for name, values in (table or {}).items():
+            is_count = name in counts or name.endswith("_n")
+            columns[name] = (
+                np.where(np.isfinite(values), values, 0).astype(int).tolist() if is_count else values.tolist()
+            )
         for values in zip(*columns.values(), strict=True):
             yield {**_place(row), **dict(zip(columns, values, strict=True))}
 
@@ -173,7 +178,9 @@ def to_csv(lines: Iterable[Line]) -> str:
 
 def markdown(results: Sequence[ModelResult]) -> str:
     """Format all tables as one Markdown page."""
-    parts = ["# Leaderboard", "\n".join(f"- {_markdown_note(note)}" for note in table_notes(results))]
+    # Escape the names in notes, but keep their emphasis.
+    notes = [text.markdown(note).replace(r"\*", "*") for note in table_notes(results)]
+    parts = ["# Leaderboard", "\n".join(f"- {note}" for note in notes)]
     for group in comparable_groups(results):
         parts.append(f"## {text.markdown(_title(group))}")
         parts += [
@@ -273,11 +280,6 @@ def _markdown_cell(cell: _Cell, column: Column | Score) -> str:
     return f"{content} <sup>{cell.letters}</sup>" if cell.letters else content
 
 
-def _markdown_note(note: str) -> str:
-    """Escape the names in a note, but keep its emphasis."""
-    return text.markdown(note).replace(r"\*", "*")
-
-
 def _latex_table(table: _Table) -> str:
     aligned = ["l" if column in (MODEL, VIEWS) else "r" if column in (RANK, SEEDS) else "c" for column in table.columns]
     headings = [_latex_heading(column) for column in table.columns]
@@ -343,26 +345,16 @@ def _place(row: RunRow) -> dict[str, Cell]:
 def _counts(result: ModelResult) -> dict[str, np.ndarray]:
     """Sums over scenes, one for each seed: frames with one object, with undefined metrics, ignored pixels, frames."""
     names = {f"n_{name}": name for name in ("one_object", "undefined", "ignored")} | {"n_frames": "n_frames"}
-    return {column: np.array([_sum(table, name) for table in result.tables]) for column, name in names.items()}
-
-
-def _sum(table: SceneTable | None, name: str) -> float:
-    return float(table[name].sum()) if table is not None and name in table else math.nan
+    return {
+        column: np.array([table[name].sum() if table and name in table else math.nan for table in result.tables])
+        for column, name in names.items()
+    }
 
 
 def _mean(values: np.ndarray) -> float | int:
     """Mean of the defined values; an int if it is whole."""
-    defined = values[~np.isnan(values)]
-    mean = float(defined.mean()) if len(defined) else math.nan
+    mean = mean_where_defined(values)
     return int(mean) if mean.is_integer() else mean
-
-
-def _is_count(name: str) -> bool:
-    return name in ("scene", "n_frames") or name.endswith("_n") or (name in COUNTS and name != "objects")
-
-
-def _whole(values: np.ndarray) -> list[int]:
-    return [int(value) if math.isfinite(value) else 0 for value in values.tolist()]
 
 
 def _distinct(values: Iterable[str]) -> str:

@@ -26,8 +26,6 @@ from datagen.errors import CorruptFile
 ALL_METRICS = (*METRICS, *CLIP_METRICS)
 RANKED_METRICS = ("ari_fg", "msc_fg")
 """Models are ordered by the mean of their ranks in these."""
-ORACLE_METRICS = ("miou_bg_oracle", "msc_fg_oracle_bg")
-"""Metrics that choose the background slot by ground truth: marked `USES_LABELS`, and not used for ranking."""
 SWITCHES = "identity_switches"
 """Identity switches per scene, summarised like a metric; fewer are better."""
 
@@ -101,6 +99,12 @@ class ModelResult:
         return bool(tables) and all(POSE_METRICS[0] in table for table in tables)
 
     @property
+    def failures(self) -> list[tuple[RunRow, str]]:
+        """Failed runs with their causes; seeds that make no difference count once."""
+        runs = list(zip(self.rows, self.causes, strict=True))[: self.n_runs]
+        return [(row, cause) for row, cause in runs if cause]
+
+    @property
     def is_ranked(self) -> bool:
         """Whether the model may be ranked: it uses no labels, is no floor or oracle, and not every seed failed."""
         knows = self.row.kind in ("floor", "oracle") or self.row.uses_labels
@@ -161,7 +165,7 @@ class ModelResult:
 
     def seed_means(self, metric: str) -> Float64[np.ndarray, "seed"]:
         """Pooled means of a metric, one for each of `rows`; nan where there are no scores."""
-        return np.array([_pooled(table, metric) for table in self.tables])
+        return np.array([pooled(table, metric) for table in self.tables])
 
     def score(self, metric: str, *, without_failed: bool = False) -> tuple[float, float]:
         """Mean and population standard deviation over the runs; the latter is nan where only one run has a score."""
@@ -226,7 +230,14 @@ def unranked(rows: Sequence[RunRow], tables: Sequence[SceneTable | None]) -> lis
     results = [
         ModelResult(tuple(r for r, _ in group), ("",) * len(group), tuple(t for _, t in group)) for group in groups
     ]
-    floors, defined = _best_floors(results), _defined(results)
+    floors = _best_floors(results)
+    # Datasets and the headline metrics that some run defines on them.
+    defined = {
+        (result.row.key.track_spec, name)
+        for result in results
+        for name in HEADLINE
+        if not np.isnan(result.seed_means(name)).all()
+    }
     return [_with_causes(result, floors.get(result.row.key.track_spec, np.nan), defined) for result in results]
 
 
@@ -268,7 +279,8 @@ def _seed_group(row: RunRow) -> tuple[str | int, ...]:
     return key.track, key.fit_track, key.model, key.track_spec, key.fit_spec, key.version, settings
 
 
-def _pooled(table: SceneTable | None, metric: str) -> float:
+def pooled(table: SceneTable | None, metric: str) -> float:
+    """Mean of a metric over all frames of a split that define it, as in the paper; nan if none does."""
     if table is None or metric not in table:
         return np.nan
     return float(statistics.pooled_means(table[metric][None], _weights(table, metric)[None])[0])
@@ -287,16 +299,6 @@ def _best_floors(results: Iterable[ModelResult]) -> dict[str, float]:
             dataset, score = result.row.key.track_spec, result.mean("msc_fg")
             best[dataset] = float(np.fmax(best.get(dataset, np.nan), score))
     return best
-
-
-def _defined(results: Iterable[ModelResult]) -> set[tuple[str, str]]:
-    """Datasets and the headline metrics that some run defines on them."""
-    return {
-        (result.row.key.track_spec, name)
-        for result in results
-        for name in HEADLINE
-        if not np.isnan(result.seed_means(name)).all()
-    }
 
 
 def _with_causes(result: ModelResult, best_floor: float, defined: Collection[tuple[str, str]]) -> ModelResult:

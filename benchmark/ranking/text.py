@@ -31,7 +31,9 @@ def printable(text: str) -> str:
     >>> printable("one\n  two\x1b[31m")
     'one   two?[31m'
     """
-    return "".join(" " if character.isspace() else "?" if _is_control(character) else character for character in text)
+    # Controls and formatting, such as bidirectional overrides and broken UTF-16.
+    hidden = ("Cc", "Cf", "Cs")
+    return "".join(" " if c.isspace() else "?" if unicodedata.category(c) in hidden else c for c in text)
 
 
 def one_line(text: str) -> str:
@@ -83,9 +85,7 @@ def plain_number(value: int | float, digits: int = 4) -> str:
 def decimals_that_show(values: Iterable[float], is_shown: Callable[[float, float], bool]) -> int:
     """Find the fewest decimals, from 3 to 6, with which rounding keeps a property of every value.
 
-    Args:
-        values: Numbers that are printed with the same number of decimals.
-        is_shown: Tells whether a rounded value, the first argument, still has the property of the exact one.
+    `is_shown` tells whether a rounded value, the first argument, still has the property of the exact one.
 
     >>> decimals_that_show([0.00031], lambda rounded, exact: bool(rounded) == bool(exact))
     4
@@ -95,8 +95,3 @@ def decimals_that_show(values: Iterable[float], is_shown: Callable[[float, float
         if all(is_shown(round(value, decimals), value) for value in known):
             return decimals
     return MOST_DECIMALS
-
-
-def _is_control(character: str) -> bool:
-    """Tell whether a character is a control or formatting one, such as bidirectional overrides and broken UTF-16."""
-    return unicodedata.category(character) in ("Cc", "Cf", "Cs")

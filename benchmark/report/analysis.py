@@ -67,7 +67,10 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
         first,
         {model: scene_scores(folder, row) for model, row in first.items()},
         {model: outcomes[0] for model, outcomes in found.items()},
-        {model: _mean(outcomes) for model, outcomes in found.items()},
+        {
+            model: Outcome(np.mean([o.overlap for o in seeds], axis=0), np.mean([o.errors for o in seeds], axis=0))
+            for model, seeds in found.items()
+        },
     )
 
 
@@ -99,10 +102,3 @@ def read_maps(folder: Path, row: RunRow, wanted: set[int]) -> dict[int, Maps]:
     }
     found = (item for item in enumerate(read_labels(path)) if item[0] in wanted)
     return {scene: Maps(labels, slot, boxes.get(scene)) for scene, (labels, slot) in islice(found, len(wanted))}
-
-
-def _mean(outcomes: Sequence[Outcome]) -> Outcome:
-    return Outcome(
-        np.mean([outcome.overlap for outcome in outcomes], axis=0),
-        np.mean([outcome.errors for outcome in outcomes], axis=0),
-    )

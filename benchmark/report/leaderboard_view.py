@@ -74,12 +74,8 @@ def details(group: Iterable[ModelResult], numbers: Mapping[str, int]) -> tuple[l
 def failures(group: Iterable[ModelResult]) -> list[dict[str, str]]:
     """List the failed runs with their causes."""
     rows = [row for block in blocks(group) for row in block.rows if not row.without_failed]
-    return [
-        {"name": f"{run.key.model}, seed {run.key.seed}", "reason": cause}
-        for row in rows
-        for run, cause in list(zip(row.result.rows, row.result.causes, strict=True))[: row.result.n_runs]
-        if cause
-    ]
+    failed = (failure for row in rows for failure in row.result.failures)
+    return [{"name": f"{run.key.model}, seed {run.key.seed}", "reason": cause} for run, cause in failed]
 
 
 def number(value: float) -> str:
@@ -123,7 +119,7 @@ def block_ranks(results: Sequence[ModelResult]) -> list[str]:
 
 def _row(row: Row, rank: str, numbers: Mapping[str, int]) -> dict[str, Any]:
     result = row.result
-    failed = Counter(cause if len(cause) < 12 else "error" for cause in result.causes[: result.n_runs] if cause)
+    failed = Counter(cause if len(cause) < 12 else "error" for _, cause in result.failures)
     return {
         "model": numbers[result.row.key.model],
         "order": float(rank or "inf"),

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from benchmark.models.validation import SCORES
-from benchmark.ranking.columns import HEADINGS
+from benchmark.ranking.columns import HEADINGS, place_title
 from benchmark.ranking.standings import ModelResult, comparable_groups
 from benchmark.ranking.text import one_line, plain_number
 from benchmark.report.page import environment
@@ -71,8 +71,7 @@ def write(folder: Path, results: Iterable[ModelResult]) -> Path | None:
 
 def panels(group: Sequence[ModelResult]) -> list[Panel]:
     """Build the panels of one track: one for each metric of which a model has a curve."""
-    track, fit_track, _ = group[0].place
-    title = one_line(track if fit_track == track else f"{track}, fitted on {fit_track}")
+    title = one_line(place_title(*group[0].place[:2]))
     found = [Panel(f"{title}: {HEADINGS[name]} on validation clips", _lines(group, name)) for name in SCORES]
     return [panel for panel in found if panel.lines]
 

@@ -34,14 +34,8 @@ def write(
 ) -> Path:
     """Write `report.html` into a run folder: self-contained, offline, and the same bytes for the same arguments.
 
-    Args:
-        folder: The run folder.
-        results: Results that its tables show.
-        find: Function that finds datasets. Without a dataset, or without label maps, the sections that need them say
-            so.
-        command: Command that made the page, shown at the top.
-        date: Date, shown at the top.
-        largest: Size in bytes above which the page gets fewer pictures.
+    Command and date are shown at the top. A page larger than `largest` bytes gets fewer pictures. Without a dataset, or
+    without label maps, the sections that need them say so.
 
     Raises:
         UsageError: the folder holds no runs.

@@ -5,12 +5,12 @@ import json
 import math
 import platform
 from collections.abc import Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from benchmark.ranking.leaderboard import FILES
 from benchmark.ranking.standings import ModelResult
 from datagen.storage.atomic import write_atomically
+from datagen.storage.manifest import package_version
 
 MANIFEST = "manifest.json"
 HASHED = tuple(name for name in FILES if name != "per_scene.csv")
@@ -24,24 +24,13 @@ def write_manifest(folder: Path, results: Sequence[ModelResult], hashed: Sequenc
     facts = {
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {name: package_version(name) or "" for name in PACKAGES},
         "commits": sorted({row.commit for row in rows}),
         "models": {row.key.model: row.key.version for row in rows},
         "tracks": {row.key.track: row.key.track_spec for row in rows} | {r.key.fit_track: r.key.fit_spec for r in rows},
         "rows": {"ok": sum(r.status == "ok" for r in rows), "failed": sum(r.status == "failed" for r in rows)},
-        "best_floor": {result.row.key.track: _number(result.best_floor) for result in results},
+        # Detects collapsed seeds; null if no floor was scored.
+        "best_floor": {r.row.key.track: None if math.isnan(r.best_floor) else round(r.best_floor, 6) for r in results},
         "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in hashed},
     }
     write_atomically(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())
-
-
-def _number(value: float) -> float | None:
-    """MSC-FG of the best floor, which detects collapsed seeds; null if no floor was scored."""
-    return None if math.isnan(value) else round(value, 6)
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""

@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from benchmark.metrics import CLIP_METRICS, METRICS
+from benchmark.metrics import CLIP_METRICS, METRICS, mean_where_defined
 from benchmark.models.model_spec import Kind
 from benchmark.results.csv_files import load_curve, read_csv, save_curve
 from benchmark.results.packed_runs import SCENES_FILE, is_packed, packed_rows, packed_scenes
@@ -182,17 +182,15 @@ def load_runs(folder: Path) -> list[RunRow]:
             f"{folder} holds packed results, and rows of its own in {RUNS}/. Move that folder elsewhere, and add its "
             "rows with: obpose-bench pack."
         )
-    return sorted((_packed_row(folder, values) for values in packed_rows(folder)), key=lambda row: row.key)
-
-
-def _packed_row(folder: Path, values: dict[str, Any]) -> RunRow:
-    try:
+    rows = []
+    for values in packed_rows(folder):
         own = {name: value for name, value in values.items() if name not in ("name", "scenes", "curve")}
-        return _row(values["name"], own)
-    except _DAMAGE as error:
-        raise CorruptFile(
-            f"{folder} has a damaged row, {values['name']:.200} ({brief_reason(error)}). Get it again."
-        ) from None
+        try:
+            rows.append(_row(values["name"], own))
+        except _DAMAGE as error:
+            reason = brief_reason(error)
+            raise CorruptFile(f"{folder} has a damaged row, {values['name']:.200} ({reason}). Get it again.") from None
+    return sorted(rows, key=lambda row: row.key)
 
 
 def check_runs(folder: Path) -> list[RunRow]:
@@ -260,8 +258,7 @@ def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float 
     metrics = {name: values for name, values in scores.items() if name not in COUNTS}
     line: dict[str, float | int] = {"scene": scene, "n_frames": len(scores["objects"])}
     for name, values in metrics.items():
-        defined = values[~np.isnan(values)]
-        line |= {name: float(np.mean(defined)) if len(defined) else np.nan, f"{name}_n": len(defined)}
+        line |= {name: mean_where_defined(values), f"{name}_n": int(np.sum(~np.isnan(values)))}
     return line | {
         "objects": float(np.mean(scores["objects"])),
         "one_object": int(np.sum(scores["objects"] == 1)),
@@ -284,7 +281,11 @@ def load_scenes(folder: Path, row: RunRow) -> SceneTable:
         CorruptFile: the table is missing or damaged.
     """
     if is_packed(folder):
-        return _packed_scenes(folder, row)
+        try:
+            return _checked(packed_scenes(folder, row.key.name), row)
+        except ValueError as error:
+            path = folder / SCENES_FILE
+            raise CorruptFile(f"{path} is damaged ({row.key.name}: {error}). Get the file again.") from None
     path = folder / SCENES / f"{row.key.name}.csv"
     try:
         header, lines = read_csv(path)
@@ -294,14 +295,6 @@ def load_scenes(folder: Path, row: RunRow) -> SceneTable:
         raise CorruptFile(f"{path} is missing or damaged ({error}); restore it with: obpose-bench rescore.") from None
 
 
-def _packed_scenes(folder: Path, row: RunRow) -> SceneTable:
-    try:
-        return _checked(packed_scenes(folder, row.key.name), row)
-    except ValueError as error:
-        path = folder / SCENES_FILE
-        raise CorruptFile(f"{path} is damaged ({row.key.name}: {error}). Get the file again.") from None
-
-
 def _checked(table: SceneTable, row: RunRow) -> SceneTable:
     """Check a scene table. Raises ValueError for a wrong number of scenes, a missing column or an invalid score."""
     scenes = max((len(values) for values in table.values()), default=0)
@@ -309,12 +302,7 @@ def _checked(table: SceneTable, row: RunRow) -> SceneTable:
         raise ValueError(f"{counted(scenes, 'scene')} where the row has {row.n_scenes}")
     if missing := [name for name in SCORES if not {name, f"{name}_n"} <= set(table)]:
         raise ValueError(f"no column {missing[0]}")
-    _check_values(table)
-    return table
-
-
-def _check_values(table: SceneTable) -> None:
-    """Check that scenes are numbered from 0, counts are counts, and means are finite where their count is not 0."""
+    # Scenes are numbered from 0, counts are counts, and means are finite where their count is not 0.
     if "scene" not in table or not np.array_equal(table["scene"], np.arange(len(table["scene"]))):
         raise ValueError("its scenes are not numbered 0, 1, ...")
     for name, values in table.items():
@@ -329,10 +317,4 @@ def _check_values(table: SceneTable) -> None:
             good, expected = (table[f"{name}_n"] == 0) | (np.isfinite(values) & within), "a score"
         if not good.all():
             raise ValueError(f"{name} holds {values[~good][0]}, expected {expected}")
-
-
-def pooled(table: SceneTable, metric: str) -> float:
-    """Mean of a metric over all frames of a split that define it, pooled as in the paper; nan if none does."""
-    values, weights = table[metric], table[f"{metric}_n"]
-    total = weights.sum()
-    return float(np.sum(np.where(weights > 0, values, 0.0) * weights) / total) if total else float("nan")
+    return table

@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.clips import ClipSequence, read_truth
+from benchmark.clips import ClipSequence, read_true_poses, read_truth
 from benchmark.metrics import clip_scores
 from benchmark.metrics.poses import pose_scores
 from benchmark.ranking.standings import Progress, silent
 from benchmark.results.labels import check_labels_fit, labels_path, locate, read_labels, read_poses
 from benchmark.results.run_folder import RunRow, save_scenes, scene_line
-from benchmark.tasks.true_poses import read_true_poses
 from datagen.errors import DatagenError
 from datagen.storage.reader import Dataset, Split
 
@@ -41,13 +40,9 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
 
 
 def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, progress: Progress = silent) -> int:
-    """Recompute the scene tables of all finished rows from their label maps, and return their number.
+    """Recompute the scene tables of all finished rows of a run folder from their label maps; return their number.
 
-    Args:
-        folder: The run folder.
-        rows: Its rows.
-        data: Folders of datasets, searched first.
-        progress: Shows how many rows are done.
+    The datasets are searched in the folders `data` first.
 
     Raises:
         DatagenError: the label maps or the dataset of a row are missing.

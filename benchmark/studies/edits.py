@@ -64,13 +64,13 @@ def run(flags: Flags) -> None:
             label = match(truth.labels, scene.labels, pair.object).label
             true.append(pair.after)
             edited.append(edited[0] if label is None else scene.edited(pair.kind, label, pair.transform, [0]))
-        rows += [_beside([_colours(picture) for picture in pictures]) for pictures in (true, edited)]
+        shown = [
+            [np.rint(255 * np.clip(p.rgb[0, 0], 0, 1)).astype(np.uint8) for p in pictures]
+            for pictures in (true, edited)
+        ]
+        rows += map(_beside, shown)
         rows.append(_beside([_objects(picture) for picture in edited]))
     write_png(flags.picture, np.concatenate(rows))
-
-
-def _colours(picture: Picture) -> np.ndarray:
-    return np.rint(255 * np.clip(picture.rgb[0, 0], 0, 1)).astype(np.uint8)
 
 
 def _objects(picture: Picture) -> np.ndarray:

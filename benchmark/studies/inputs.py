@@ -16,6 +16,7 @@ from benchmark.metrics.contingency import contingency
 from benchmark.metrics.overlap import intersection_over_union
 from benchmark.ranking.leaderboard import Cell, Line
 from datagen.errors import UsageError
+from datagen.schema import SceneRecord
 from datagen.storage.reader import Dataset
 from datagen.tracks import DataFolder, Source, find_track
 from datagen.verify.scene_case import Case, make_case
@@ -157,12 +158,17 @@ def infer_clips(model: ObPose, folder: Path, split: str, count: int) -> Iterator
     Raises:
         UsageError: the clips have several views.
     """
+    if (views := Dataset(folder).views) > 1:
+        raise UsageError(f"{folder} has {views} views; expected clips of one camera.")
+    for record, observation in first_clips(folder, split, count):
+        yield InferredClip(make_case(record), observation, model, model.segment(observation))
+
+
+def first_clips(folder: Path, split: str, count: int) -> Iterator[tuple[SceneRecord, Observation]]:
+    """Read the first clips of a split, with their ground truth."""
     records = Dataset(folder).split(split)
-    if records.views > 1:
-        raise UsageError(f"{folder} has {records.views} views; expected clips of one camera.")
     for index in range(min(count, len(records))):
-        observation = read_clip(folder, split, index)
-        yield InferredClip(make_case(records[index]), observation, model, model.segment(observation))
+        yield records[index], read_clip(folder, split, index)
 
 
 def matched_slots(

@@ -8,10 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmark.ranking.leaderboard import Line
-from benchmark.studies.inputs import ModelFlags, TableFlags, markdown
-from datagen.storage.reader import Dataset
+from benchmark.studies.inputs import ModelFlags, TableFlags, first_clips, markdown
 from obpose.scenes.appearance.light import strength
-from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.refine import STEPS
 
@@ -25,12 +23,11 @@ def run(flags: Flags) -> list[Line]:
     """Estimate the light of each scene, and print a summary."""
     flags.check(scenes=1)
     origin, folder = flags.origin(), flags.folder()
-    records = Dataset(folder).split(flags.split)
     lines: list[Line] = []
-    for index in range(min(flags.scenes, len(records))):
-        light = infer_scene(origin, read_clip(folder, flags.split, index), refinements=STEPS).appearance.light
+    for index, (record, observation) in enumerate(first_clips(folder, flags.split, flags.scenes)):
+        light = infer_scene(origin, observation, refinements=STEPS).appearance.light
         # The first light of a scene casts the shadows.
-        degrees = angle(light[:3].numpy(), records[index]["lights/direction"][0]) if strength(light) else nan
+        degrees = angle(light[:3].numpy(), record["lights/direction"][0]) if strength(light) else nan
         lines.append({"scene": index, "strength": strength(light), "degrees": degrees})
     print(markdown([summary(lines)]) + "\n")
     return lines

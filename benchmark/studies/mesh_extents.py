@@ -7,12 +7,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from benchmark.ranking.leaderboard import Line
-from benchmark.studies.inputs import ModelFlags, TableFlags, markdown
+from benchmark.studies.inputs import ModelFlags, TableFlags, first_clips, markdown
 from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
-from datagen.storage.reader import Dataset
 from obpose.model.obpose import ObPose
-from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import Inferred, infer_labelled
 from obpose.scenes.meshes import object_mesh
 from obpose.scenes.refine import STEPS
@@ -31,13 +29,12 @@ def run(flags: Flags) -> list[Line]:
     """Compare the meshes of three frames of each scene, and print a summary."""
     flags.check(scenes=1)
     origin, folder = flags.origin(), flags.folder()
-    records = Dataset(folder).split(flags.split)
     lines: list[Line] = []
-    for index in range(min(flags.scenes, len(records))):
-        inferred = infer_labelled(origin, read_clip(folder, flags.split, index), refinements=STEPS)
+    for index, (record, observation) in enumerate(first_clips(folder, flags.split, flags.scenes)):
+        inferred = infer_labelled(origin, observation, refinements=STEPS)
         frames = inferred.scene.frames
         for frame in sorted({frames // 3, 2 * frames // 3, frames - 1}):
-            lines += [{"scene": index, **line} for line in compare(origin.model, inferred, records[index], frame)]
+            lines += [{"scene": index, **line} for line in compare(origin.model, inferred, record, frame)]
     print(markdown(summary(lines)) + "\n")
     return lines
 

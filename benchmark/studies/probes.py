@@ -16,14 +16,12 @@ from sklearn.preprocessing import StandardScaler
 
 from benchmark.ranking.leaderboard import Line
 from benchmark.ranking.statistics import interval
-from benchmark.studies.inputs import ModelFlags, TableFlags, matched_slots
+from benchmark.studies.inputs import ModelFlags, TableFlags, first_clips, matched_slots
 from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
 from datagen.schema import SceneRecord
-from datagen.storage.reader import Dataset
 from obpose.data.clips import select_part
 from obpose.data.resolution import fitting_model
-from obpose.scenes.clip import read_clip
 from obpose.scenes.model_ref import Origin
 
 TRAINED_ON = "train"
@@ -113,15 +111,13 @@ def infer_objects(origin: Origin, folder: Path, split: str, scenes: int) -> Obje
     Raises:
         UsageError: there are too few objects.
     """
-    records = Dataset(folder).split(split)
     rows, missed = [], 0
-    for index in range(min(scenes, len(records))):
-        observation = select_part(read_clip(folder, split, index), views=slice(1))
+    for index, (record, every) in enumerate(first_clips(folder, split, scenes)):
+        observation = select_part(every, views=slice(1))
         found = fitting_model(origin.model, observation).segment(observation)
         what, place = (
             values[0].numpy().astype(np.float64) for values in (found.inference.what.z, found.inference.boxes.center)
         )
-        record = records[index]
         truth = record["segmentation"][:, 0]
         slots = matched_slots(truth, found.labels[0, :, 0].numpy())
         matched = [row for row in range(slots.shape[1]) if (slots[:, row] >= 0).any()]

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int
 
 from benchmark.clips import ClipSequence, TruthSequence
-from benchmark.metrics import score
+from benchmark.metrics import mean_where_defined, score
 from benchmark.metrics.kernel_distance import kernel_distance
 from benchmark.models.adapters.learned import LearnedSegmenter
 from benchmark.models.interface import Clip, Prediction, Segmenter
@@ -172,9 +172,7 @@ def compare(
 
 def mean_ari_fg(segmenter: Segmenter, images: Sequence[LabelledImage]) -> float:
     """Mean ARI-FG of a segmenter over the images that have objects; nan if none has."""
-    scores = np.array([ari_fg(segmenter.segment(image.clip), image) for image in images])
-    defined = scores[~np.isnan(scores)]
-    return float(defined.mean()) if len(defined) else np.nan
+    return mean_where_defined(np.array([ari_fg(segmenter.segment(image.clip), image) for image in images]))
 
 
 def ari_fg(found: Prediction, image: LabelledImage) -> float:

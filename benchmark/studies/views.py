@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from benchmark.metrics.images import depth_errors, psnr, ssim
+from benchmark.models.tuning import evenly_spaced
 from benchmark.ranking.leaderboard import Line
 from benchmark.ranking.statistics import draw, summarise
 from benchmark.studies.inputs import ModelFlags, TableFlags
@@ -188,12 +189,6 @@ def flatten_masks(seen: View) -> Picture:
         mask = seen.labels == label
         rgb[mask], depth[mask] = seen.picture.rgb[mask].mean(axis=0), seen.picture.depth[mask].mean()
     return Picture(rgb, depth)
-
-
-def evenly_spaced(length: int, count: int) -> list[int]:
-    """Choose at most `count` indices, each in the middle of an equal part of the range."""
-    count = min(length, count)
-    return [(2 * i + 1) * length // (2 * count) for i in range(count)]
 
 
 def summarise_pictures(found: Sequence[Similarity], refinements: int) -> list[Line]:

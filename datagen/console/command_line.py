@@ -101,11 +101,7 @@ def run_program(
 ) -> int:
     """Run a function and return its exit code; failures that a user can fix end in one line on stderr.
 
-    Args:
-        program: Name that the user called.
-        run: Function that returns the exit code.
-        interrupted: Message after Ctrl-C.
-        out_of_memory: Message if memory runs out; None passes that error on.
+    `interrupted` and `out_of_memory` are messages as in `run_command`.
     """
     try:
         return run()

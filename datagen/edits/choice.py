@@ -36,12 +36,6 @@ def choose_edit(kind: EditKind, recipe: Recipe, stage: Stage, rng: np.random.Gen
     the vertical. Both are placed in the region where the recipe's objects start. In all frames, they keep the recipe's
     gap to all other objects and to the old place. The new scene obeys the recipe's rules about visible pixels and the
     workspace.
-
-    Args:
-        kind: `remove`, `move` or `add`.
-        recipe: Recipe of the scene.
-        stage: The scene to edit.
-        rng: Draws objects and places.
     """
     seen = _least_visible(recipe, stage) >= recipe.least_visible_pixels if stage.ids else np.zeros(0, bool)
     for row in rng.permutation(np.flatnonzero(seen)):
@@ -62,15 +56,13 @@ def _placed(kind: EditKind, recipe: Recipe, stage: Stage, row: int, rng: np.rand
         if not around.is_free(transform):
             continue
         edited = change(stage, row, transform)
-        if np.min(_least_visible(recipe, edited)) >= recipe.least_visible_pixels and not _comes_near(recipe, edited):
+        poses, size = edited.world_from_object, recipe.visibility_resolution
+        if np.min(_least_visible(recipe, edited)) < recipe.least_visible_pixels:
+            continue
+        # No object may come nearer to a camera than renderers can show.
+        if not any(near_object(camera, edited.shapes, poses, *size) for camera in edited.scene.cameras):
             return Edit(row, transform, edited)
     return None
-
-
-def _comes_near(recipe: Recipe, stage: Stage) -> bool:
-    """Whether an object in some camera's frame comes nearer to the camera than renderers can show."""
-    poses, size = stage.world_from_object, recipe.visibility_resolution
-    return any(near_object(camera, stage.shapes, poses, *size) for camera in stage.scene.cameras)
 
 
 class _Surroundings:

@@ -1,17 +1,17 @@
 """Edits of a scene as arrays of the format."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Bool, UInt8
 
 from datagen.config import Recipe
 from datagen.edits.choice import Edit, choose_edit
 from datagen.edits.edit_context import Stage, without
-from datagen.edits.effects import changed, packed, touched
 from datagen.pipeline.records import render_clip, stack_images, stored_depth
 from datagen.pipeline.visible_range import check_range
 from datagen.render.renderer import Renderer
-from datagen.schema import EditKind, SceneRecord
+from datagen.schema import LEAST_EFFECT, EditKind, SceneRecord
 
 _IMAGES = ("rgb", "depth", "segmentation")
 
@@ -23,14 +23,9 @@ def edits_record(
     renderer: Renderer,
     rngs: Mapping[EditKind, np.random.Generator],
 ) -> SceneRecord:
-    """All fields of the edits named in `rngs`; images are exact, whatever the recipe's sensor.
+    """All fields of the edits of a scene, given its pixels from the same renderer; images are exact, without sensor.
 
-    Args:
-        stage: The scene.
-        pixels: What was rendered of it, with the same renderer.
-        recipe: Of the scene.
-        renderer: Makes the images.
-        rngs: Draw which object is edited, and where it goes.
+    `rngs` draw which object each kind edits, and where it goes.
 
     Raises:
         UsageError: an edited object comes too near to a camera, or a depth is farther than the format can hold.
@@ -72,3 +67,32 @@ def _images(stage: Stage, own: SceneRecord, renderer: Renderer) -> SceneRecord:
         "depth": stored_depth(stack_images(images, "depth")),
         "segmentation": stage.named(stack_images(images, "segmentation")),
     }
+
+
+_FINER = 3
+"""Number of sample points per pixel along each axis, as in the rasteriser; an object shows if any point hits it."""
+
+Clip = UInt8[np.ndarray, "frame view height width"]
+Mask = Bool[np.ndarray, "frame view height width"]
+
+
+def touched(stage: Stage, own: SceneRecord, renderer: Renderer) -> dict[int, Mask]:
+    """Pixels that show each object, even at a corner, by id; anti-aliasing changes their colour."""
+    frames, views, height, width = own["segmentation"].shape
+    finer = render_clip(stage.scene, stage.shapes, stage.world_from_object, renderer, (_FINER * width, _FINER * height))
+    ids = stage.named(stack_images(finer, "segmentation"))
+    points = ids.reshape(frames, views, height, _FINER, width, _FINER)
+    return {name: np.any(points == name, axis=(3, 5)) for name in stage.ids}
+
+
+def changed(
+    rgb: UInt8[np.ndarray, "frame view height width 3"], other: UInt8[np.ndarray, "frame view height width 3"]
+) -> Mask:
+    """Mask of the pixels in which two clips differ visibly."""
+    return np.sum(np.abs(rgb.astype(np.int16) - other), axis=-1) >= LEAST_EFFECT
+
+
+def packed(masks: Sequence[Mask], shape: tuple[int, ...]) -> UInt8[np.ndarray, "frame view height width byte"]:
+    """Pack one mask per object into bits, eight per byte; one byte of zeros if there are no objects."""
+    bits = np.stack(masks, axis=-1) if masks else np.zeros((*shape, 1), bool)
+    return np.packbits(bits, axis=-1, bitorder="little")

@@ -26,23 +26,9 @@ def write_card(folder: str | Path) -> Path:
 
 def card(spec: Spec, figures: Summary) -> str:
     """The text of the card."""
-    parts = [
-        _header(figures),
-        _title(spec, figures),
-        _table(figures),
-        _loading(figures),
-        _conventions(),
-        _identity(spec),
-    ]
-    return "\n".join(parts)
-
-
-def size_category(images: int) -> str:
-    """Size category of the Hugging Face hub for a number of images."""
-    return next((name for limit, name in SIZES if images < limit), "n>10M")
-
-
-def _header(figures: Summary) -> str:
+    rendered = f"rendered with `{figures['renderer']}`" if figures["renderer"] else "simulated, without images"
+    fields = '["rgb", "depth", "segmentation"]' if figures["resolution"] else '["poses/position"]'
+    renderer = spec["renderer"] and f"{spec['renderer']['name']} {spec['renderer']['version']}"
     return f"""---
 license: mit
 task_categories:
@@ -56,16 +42,47 @@ tags:
 - rgb-d
 pretty_name: obpose {figures["recipe"]}
 ---
+
+# {figures["recipe"]}
+
+{spec["recipe"]["description"] or "An own recipe."} Made with `{spec["generator"]}`, {rendered}; every constant of the \
+recipe is in `dataset.json`.
+
+{_table(figures)}
+## Loading
+
+```python
+from datagen.storage.reader import Dataset
+
+scenes = Dataset("path/to/this/folder").split("train")
+record = scenes[0]  # every array of a scene, by name
+part = scenes.read(0, {fields}, frames=slice(0, 1))
+```
+
+The files are plain HDF5 (`h5py.File("train-00000.h5")["objects/size"][0]`); `obpose.data.datasets.SceneDataset` is a
+PyTorch dataset over the folder.
+
+## Conventions
+
+{CONVENTIONS}
+
+## Identity
+
+| | |
+|---|---|
+| spec hash | `{spec["spec_hash"]}` |
+| recipe, seed | {spec["recipe"]["name"]}, {spec["seed"]} |
+| data version, format version | {spec["data_version"]}, {spec["format_version"]} |
+| renderer and version | {renderer or "-"} |
+
+The hash of every scene's arrays is stored beside it; `obpose-datagen verify` proves arrays, hashes and geometry, and
+`obpose-datagen regenerate --split train --scene 0` makes a scene again and compares.
 """
 
 
-def _title(spec: Spec, figures: Summary) -> str:
-    description = spec["recipe"]["description"] or "An own recipe."
-    renderer = f"rendered with `{figures['renderer']}`" if figures["renderer"] else "simulated, without images"
-    return f"""# {figures["recipe"]}
-
-{description} Made with `{spec["generator"]}`, {renderer}; every constant of the recipe is in `dataset.json`.
-"""
+def size_category(images: int) -> str:
+    """Size category of the Hugging Face hub for a number of images."""
+    return next((name for limit, name in SIZES if images < limit), "n>10M")
 
 
 def _table(figures: Summary) -> str:
@@ -73,7 +90,7 @@ def _table(figures: Summary) -> str:
     rows = [
         ("scenes", scenes),
         ("frames x views a scene", f"{figures['frames_per_scene']} x {figures['views']}"),
-        ("resolution (width x height)", _resolution(figures)),
+        ("resolution (width x height)", "x".join(map(str, figures["resolution"] or ())) or "-"),
         ("objects a scene", _counts(figures["objects_per_scene"])),
         ("categories", _counts(figures["categories"])),
         ("motions", _counts(figures["motions"])),
@@ -102,10 +119,6 @@ def _pixel_rows(figures: Summary) -> list[tuple[str, str]]:
     ]
 
 
-def _resolution(figures: Summary) -> str:
-    return "x".join(str(side) for side in figures["resolution"]) if figures["resolution"] else "-"
-
-
 def _counts(histogram: dict[str, int]) -> str:
     return ", ".join(f"{name}: {number}" for name, number in histogram.items()) or "-"
 
@@ -116,46 +129,6 @@ def _shares(shares: dict[str, float]) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f} %"
-
-
-def _loading(figures: Summary) -> str:
-    fields = '["rgb", "depth", "segmentation"]' if figures["resolution"] else '["poses/position"]'
-    return f"""## Loading
-
-```python
-from datagen.storage.reader import Dataset
-
-scenes = Dataset("path/to/this/folder").split("train")
-record = scenes[0]  # every array of a scene, by name
-part = scenes.read(0, {fields}, frames=slice(0, 1))
-```
-
-The files are plain HDF5 (`h5py.File("train-00000.h5")["objects/size"][0]`); `obpose.data.datasets.SceneDataset` is a
-PyTorch dataset over the folder.
-"""
-
-
-def _conventions() -> str:
-    return f"""## Conventions
-
-{CONVENTIONS}
-"""
-
-
-def _identity(spec: Spec) -> str:
-    renderer = spec["renderer"] and f"{spec['renderer']['name']} {spec['renderer']['version']}"
-    return f"""## Identity
-
-| | |
-|---|---|
-| spec hash | `{spec["spec_hash"]}` |
-| recipe, seed | {spec["recipe"]["name"]}, {spec["seed"]} |
-| data version, format version | {spec["data_version"]}, {spec["format_version"]} |
-| renderer and version | {renderer or "-"} |
-
-The hash of every scene's arrays is stored beside it; `obpose-datagen verify` proves arrays, hashes and geometry, and
-`obpose-datagen regenerate --split train --scene 0` makes a scene again and compares.
-"""
 
 
 def field_table() -> str:

@@ -42,8 +42,6 @@ DEPTH_COLORS = np.array(
 
 DEPTH_STEPS = 100
 """Number of depth colours in a GIF's palette."""
-PALETTE_PIXELS = 500_000
-"""Number of pixels from which the other colours of the palette are chosen."""
 LABEL_COLORS = 24
 """Largest number of ids in the legend and in a GIF's palette."""
 
@@ -61,13 +59,9 @@ def run(
 ) -> list[Path]:
     """Draw scenes of a dataset and return the paths of the pictures.
 
-    Args:
-        folder: The dataset.
-        split: One of its splits; the first that has scenes if None.
-        scenes: Indices within the split; the first four, or as many as there are, if None.
-        out: Where the contact sheet goes (PNG or JPEG); `preview.png` in the dataset's folder by default.
-        video: Where an animation goes (`.gif`, or `.mp4` with a codec); by default none for datasets of stills and
-            `preview.gif` in the dataset's folder for clips.
+    By default, these are the first four scenes of the first split that has any. The contact sheet (PNG or JPEG) goes to
+    `out`, by default `preview.png` in the dataset's folder. An animation (GIF, or MP4 with a codec) goes to `video`, by
+    default `preview.gif` for clips; stills have none.
 
     Raises:
         UsageError: there are no images, no such scenes, no codec, or a file's name has another ending.

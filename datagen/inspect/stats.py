@@ -28,28 +28,9 @@ DEPTH_SCENES = 50
 
 Summary = dict[str, Any]
 
-_SMALL = (
-    "objects/count",
-    "objects/category",
-    "objects/motion",
-    "poses/position",
-    "contacts/gap",
-    "contacts/impulse",
-    "scene/attempts",
-)
-_TABLE = (
-    "objects/count",
-    "objects/category",
-    "objects/motion",
-    "objects/size",
-    "objects/color",
-    "objects/pattern",
-    "objects/material",
-    "objects/mass",
-    "poses/position",
-    "contacts/gap",
-    "scene/attempts",
-)
+_BOTH = ("objects/count", "objects/category", "objects/motion", "poses/position", "contacts/gap", "scene/attempts")
+_SMALL = (*_BOTH, "contacts/impulse")
+_TABLE = (*_BOTH, *(f"objects/{name}" for name in ("size", "color", "pattern", "material", "mass")))
 _VISIBILITY = "visibility/visible_fraction"
 
 

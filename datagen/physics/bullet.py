@@ -34,19 +34,12 @@ _TOUCH_CLEARANCE = 0.0002
 _TOUCH_STEPS = 40
 
 
-def simulate(scene: Scene, shapes: Sequence[Shape], physics: Physics) -> Trajectory:
-    """Simulate `scene.frames` frames, `1 / scene.fps` seconds apart; returns poses, velocities and contacts.
+class World:
+    """One scene inside PyBullet: `start` brings it to frame 0, `run` simulates the rest; a context manager.
 
     Raises:
         UsageError: PyBullet is not installed (it exists for Python up to 3.11).
     """
-    with World(scene, shapes, physics) as world:
-        world.start()
-        return world.run()
-
-
-class World:
-    """One scene inside PyBullet: `start` brings it to frame 0, `run` simulates the rest; a context manager."""
 
     def __init__(self, scene: Scene, shapes: Sequence[Shape], physics: Physics):
         self._scene, self._shapes, self._physics = scene, shapes, physics

@@ -1,6 +1,5 @@
 """Make datasets in parallel, shard by shard; interrupted runs resume."""
 
-import functools
 import itertools
 import json
 import time
@@ -8,10 +7,9 @@ from collections.abc import Collection, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from datagen.config import Recipe, recipe_to_dict
-from datagen.console.progress import Advance, Progress, no_progress
+from datagen.console.progress import Progress, no_progress
 from datagen.errors import UsageError
 from datagen.inspect.dataset_card import write_card
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
@@ -66,14 +64,14 @@ def generate(
     """Make a dataset, complete it, or extend it.
 
     Args:
-        folder: Where it is or will be.
-        recipe: What it holds.
+        folder: Folder of the dataset, new or not.
+        recipe: Content of the dataset.
         splits: Scenes of each split.
         seed: Any non-negative integer.
         resolution: Width and height of the images, the recipe's if None.
         renderer: Name of the renderer; None stores scenes and trajectories without images.
         edits: Counterfactual edits that are rendered beside each scene.
-        run: How to go about it.
+        run: Options that do not change the content.
 
     Raises:
         UsageError: the request contradicts itself or what is in the folder.
@@ -119,16 +117,10 @@ def render(
     edits: Collection[EditKind] = (),
     run: Run = Run(),
 ) -> Report:
-    """Make images of the scenes of another dataset; needs no physics engine.
+    """Make images of the scenes of another dataset, which may have images; needs no physics engine.
 
-    Args:
-        source: A complete dataset, with or without images.
-        folder: Where the new one is or will be.
-        resolution: Width and height of the images, the source's or its recipe's if None.
-        renderer: Name of the renderer.
-        rig: A recipe whose cameras (`rig`, `views`) replace the source's; None keeps these.
-        edits: Counterfactual edits that are rendered beside each scene.
-        run: How to go about it.
+    The source's or its recipe's resolution is used if None. The cameras (`rig`, `views`) of the recipe `rig` replace
+    the source's. The other arguments are those of `generate`.
 
     Raises:
         UsageError: the source is no dataset, of another data version or the folder itself, or the request contradicts
@@ -188,38 +180,38 @@ def regenerate(folder: Path, split: str, index: int) -> list[str]:
 def _fill(folder: Path, wanted: Spec, source: Source | None, run: Run) -> Report:
     started = time.monotonic()
     check_memory(wanted)
-    prove = functools.partial(_make_first, SceneMaker(wanted, source))
-    with filling(folder, wanted, overwrite=run.overwrite, prove=prove) as spec:
-        tasks = [task for task in _tasks(folder, spec) if _is_wanted(task, run)]
+
+    def make_first() -> None:
+        """Generate and discard one scene, so that an infeasible recipe fails before any file is touched."""
+        if split := next((name for name, scenes in wanted["splits"].items() if scenes), None):
+            SceneMaker(wanted, source)(split, 0)
+
+    with filling(folder, wanted, overwrite=run.overwrite, prove=make_first) as spec:
+        part, parts = run.share
+        tasks = [
+            task
+            for task in _tasks(folder, spec)
+            if task.todo and task.split in run.splits and task.order % parts == part
+        ]
         scenes = [(task.split, index) for task in tasks for index in task.todo]
         maker = SceneMaker(spec, source)
         progress = run.progress if scenes else no_progress
         with progress(len(scenes)) as advance, closing(make_all(maker, scenes, run.workers)) as made:
             for task in tasks:
-                new = [_counted(scene, advance) for scene in itertools.islice(made, len(task.todo))]
+                new = []
+                for scene in itertools.islice(made, len(task.todo)):
+                    new.append(scene)
+                    advance()
                 _write_shard(folder, spec, task, new)
         # Parallel runs may have requested other numbers of scenes.
         spec = settle(folder, spec)
         complete = not any(task.todo for task in _tasks(folder, spec))
         seconds = time.monotonic() - started
         if complete:
-            _finish(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
+            write_card(folder)
+            manifest = make_manifest(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
+            write_file(folder, MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode(), settings_hash(spec))
     return Report(spec, len(scenes), complete, seconds)
-
-
-def _make_first(maker: SceneMaker) -> None:
-    """Generate and discard one scene, so that an infeasible recipe fails before any file is touched."""
-    if split := next((name for name, scenes in maker.spec["splits"].items() if scenes), None):
-        maker(split, 0)
-
-
-def _is_wanted(task: "_Task", run: Run) -> bool:
-    return bool(task.todo) and task.split in run.splits and task.order % run.share[1] == run.share[0]
-
-
-def _counted(scene: PackedScene, advance: Advance) -> PackedScene:
-    advance()
-    return scene
 
 
 @dataclass(frozen=True)
@@ -237,35 +229,29 @@ class _Task:
 
 
 def _tasks(folder: Path, spec: Spec) -> list[_Task]:
-    places = [
-        (split, number, indices)
-        for split in SPLITS
-        for number, indices in enumerate(shard_ranges(spec["splits"][split], spec["scenes_per_shard"]))
-    ]
-    return [_task(folder, spec, order, *place) for order, place in enumerate(places)]
-
-
-def _task(folder: Path, spec: Spec, order: int, split: str, number: int, indices: range) -> _Task:
-    kept = _usable_scenes(folder, spec, split, number) if (folder / shard_name(split, number)).exists() else 0
-    return _Task(split, order, number, indices[:kept], indices[kept:])
+    tasks: list[_Task] = []
+    for split in SPLITS:
+        for number, indices in enumerate(shard_ranges(spec["splits"][split], spec["scenes_per_shard"])):
+            kept = _usable_scenes(folder, spec, split, number)
+            tasks.append(_Task(split, len(tasks), number, indices[:kept], indices[kept:]))
+    return tasks
 
 
 def _usable_scenes(folder: Path, spec: Spec, split: str, number: int) -> int:
-    """Scenes of a shard that hold all fields that a new one would hold."""
+    """Scenes of a shard that hold all fields that a new one would hold; 0 if there is no such shard."""
+    if not (folder / shard_name(split, number)).exists():
+        return 0
     with closing(Shard(folder, spec, split, number)) as shard:
         shard.check()
-        return len(shard) if set(shard.fields) == _fields(spec) else 0
-
-
-def _fields(spec: Spec) -> set[str]:
-    return {name for name, field in FIELDS.items() if field.group in groups_of(spec)}
+        fields = {name for name, field in FIELDS.items() if field.group in groups_of(spec)}
+        return len(shard) if set(shard.fields) == fields else 0
 
 
 def _write_shard(folder: Path, spec: Spec, task: _Task, new: list[PackedScene]) -> None:
-    scenes = new
+    kept: list[PackedScene] = []
     if task.kept:
         with closing(Shard(folder, spec, task.split, task.number)) as shard:
-            scenes = [*(shard.packed(row) for row in range(len(task.kept))), *new]
+            kept = [shard.packed(row) for row in range(len(task.kept))]
     settings = settings_hash(spec)
     attributes = {
         "data_version": spec["data_version"],
@@ -273,10 +259,4 @@ def _write_shard(folder: Path, spec: Spec, task: _Task, new: list[PackedScene]) 
         "split": task.split,
         "first_scene": (task.kept or task.todo).start,
     }
-    write_file(folder, shard_name(task.split, task.number), shard_image(scenes, attributes), settings)
-
-
-def _finish(folder: Path, spec: Spec, **run: Any) -> None:
-    write_card(folder)
-    manifest = make_manifest(folder, spec, **run)
-    write_file(folder, MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode(), settings_hash(spec))
+    write_file(folder, shard_name(task.split, task.number), shard_image([*kept, *new], attributes), settings)

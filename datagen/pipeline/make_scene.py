@@ -18,7 +18,6 @@ from datagen.random_streams import Stream, scene_rng
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
 from datagen.sampling.cameras import sample_cameras
-from datagen.scene import Scene
 from datagen.schema import FIELDS, SPLITS, SceneRecord
 from datagen.shapes import build
 from datagen.storage.reader import Dataset, Split
@@ -114,17 +113,14 @@ def scene_memory(spec: Spec) -> int:
 def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = None) -> SceneRecord:
     """All arrays of one scene, a pure function of the spec's settings, the split and the index.
 
-    Args:
-        spec: The dataset's spec.
-        split: One of `schema.SPLITS`.
-        index: Counts from 0 within the split.
-        source: The scene's simulation fields where they are known; else it is simulated.
+    The scene is simulated unless `source` holds its simulation fields.
     """
     recipe = recipe_of(spec)
     record = source or _simulate(recipe, spec["seed"], split, index)
     scene, trajectory = scene_and_trajectory(record)
     if spec["rig"]:
-        scene = _with_cameras(scene, spec, _rng(spec, split, index, "rig"))
+        cameras = sample_cameras(rendered_recipe_of(spec), _rng(spec, split, index, "rig"))
+        scene = dataclasses.replace(scene, cameras=cameras)
         record = with_scene(record, scene)
     if not spec["renderer"]:
         return record
@@ -170,10 +166,6 @@ def _simulate(recipe: Recipe, seed: int, split: str, index: int) -> SceneRecord:
         attempts=made.attempts,
         rejections=made.rejections,
     )
-
-
-def _with_cameras(scene: Scene, spec: Spec, rng: np.random.Generator) -> Scene:
-    return dataclasses.replace(scene, cameras=sample_cameras(rendered_recipe_of(spec), rng))
 
 
 def _rng(spec: Spec, split: str, index: int, stream: Stream) -> np.random.Generator:

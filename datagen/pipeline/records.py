@@ -30,15 +30,9 @@ def simulation_record(
     attempts: int,
     rejections: Mapping[str, int],
 ) -> SceneRecord:
-    """All fields that need no renderer.
+    """All fields that need no renderer; `rows` is the length of the object axis, padded where it is not in use.
 
-    Args:
-        scene: Objects, table, cameras and lights before time starts.
-        shapes: The built shape of each body.
-        trajectory: Poses of all objects in every frame.
-        rows: Length of the object axis; rows that are not in use are padding.
-        attempts: Samples that were drawn until one met the recipe's rules.
-        rejections: Number of rejected samples by reason.
+    `attempts` samples were drawn until one met the recipe's rules; `rejections` counts the others by reason.
     """
     return {
         **_surroundings(scene),
@@ -121,17 +115,9 @@ def pixel_record(
     sensor: Sensor,
     rng: np.random.Generator,
 ) -> SceneRecord:
-    """All fields that come with images; sensor fields only if the sensor is enabled.
+    """All fields that come with images of this width and height; `rows` is the length of the object axis.
 
-    Args:
-        scene: Objects, table, cameras and lights before time starts.
-        shapes: The built shape of each body.
-        trajectory: Poses of all objects in every frame.
-        renderer: Makes the images.
-        resolution: Their width and height.
-        rows: Length of the object axis.
-        sensor: The depth camera's defects.
-        rng: Draws its noise.
+    Sensor fields are included only if the sensor is enabled; `rng` draws its noise.
 
     Raises:
         UsageError: a depth is farther than the format can hold.
@@ -216,13 +202,8 @@ def _extent(used: np.ndarray) -> np.ndarray:
 
 def _boxes_3d(shapes: Sequence[Shape], trajectory: Trajectory) -> Float[np.ndarray, "frame object 8 3"]:
     corners = [shape.minimum_box.corners for shape in shapes]
-    return np.array(
-        [
-            [transform(pose, points) for pose, points in zip(frame, corners, strict=True)]
-            for frame in trajectory.world_from_object
-        ],
-        np.float32,
-    )
+    frames = [zip(poses, corners, strict=True) for poses in trajectory.world_from_object]
+    return np.array([[transform(pose, points) for pose, points in pairs] for pairs in frames], np.float32)
 
 
 def _padded(array: np.ndarray, rows: int, *, axes: tuple[int, ...] = (0,), fill: float = 0) -> np.ndarray:

@@ -98,12 +98,7 @@ def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulat
 
 
 def is_hopeless(fitting: Sequence[int], least: int) -> bool:
-    """Whether scenes with `least` objects that all have a place in view are out of reach.
-
-    Args:
-        fitting: Number of objects with a place in view, for each rejected scene.
-        least: Number of objects that a scene must have.
-    """
+    """Whether scenes with `least` objects in view are out of reach, given how many had a place in each rejected one."""
     if len(fitting) < _LEAST_TRIED or max(fitting) > least - 2:
         return False
     # Counts are whole numbers, so that a few equal ones do not prove that there is no variation.
@@ -116,19 +111,12 @@ def _trajectory(recipe: Recipe, scene: Scene, shapes: Sequence[Shape]) -> Trajec
         check_start(recipe, scene, shapes, world.start())
         trajectory = world.run()
     check_course(recipe, trajectory)
-    # Last, so that it changes neither the draws nor the rejections of scenes that keep it.
-    _check_range(recipe, scene, shapes, trajectory)
-    return trajectory
-
-
-def _check_range(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], trajectory: Trajectory) -> None:
-    """Reject a scene unless all that its cameras show lies in the range of depths of renderers and format."""
-    size = recipe.visibility_resolution
+    # Depths beyond the range of renderers and format; last, so that it changes neither draws nor other rejections.
+    size, poses = recipe.visibility_resolution, trajectory.world_from_object
     for camera in scene.cameras:
-        if table_fault(camera, scene.table.size, *size):
+        if table_fault(camera, scene.table.size, *size) or near_object(camera, shapes, poses, *size):
             raise Rejected("near")
-        if near_object(camera, shapes, trajectory.world_from_object, *size):
-            raise Rejected("near")
+    return trajectory
 
 
 def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Trajectory) -> None:

@@ -30,14 +30,7 @@ def check_range(
     *,
     name: str = "",
 ) -> None:
-    """Check all cameras of a scene before it is rendered.
-
-    Args:
-        scene: The scene.
-        shapes: The built shape of each object.
-        world_from_object: Poses in all frames.
-        resolution: Width and height of the images, pixels.
-        name: Of the scene, to begin a message with.
+    """Check all cameras of a scene before images of this width and height are rendered; `name` begins a message.
 
     Raises:
         UsageError: a camera stands below the table or in an object, or sees something from too near or too far.
@@ -79,15 +72,7 @@ def near_object(
     width: int,
     height: int,
 ) -> tuple[int, int] | None:
-    """Frame and row of the first object that a camera is inside of, or sees from `NEAREST` metres or less.
-
-    Args:
-        camera: The camera.
-        shapes: The built shape of each object.
-        world_from_object: Poses.
-        width: Of the image, pixels.
-        height: Of the image, pixels.
-    """
+    """Frame and row of the first object that a camera is inside of, or sees from `NEAREST` metres or less."""
     camera_from_world = invert_rigid(camera.world_from_camera)
     radii = np.array([shape.radius for shape in shapes])
     nearest = (camera_from_world @ world_from_object)[..., 2, 3] - radii

@@ -14,8 +14,7 @@ from jaxtyping import Float, UInt8
 
 from datagen.errors import UsageError
 from datagen.render import kernels
-from datagen.render.lighting import light_axes, linear
-from datagen.render.renderer import NEAREST, Image
+from datagen.render.renderer import NEAREST, Image, light_axes, linear
 from datagen.scene import Camera, Light, Material, Scene
 from datagen.shapes.shape import Shape
 

@@ -8,8 +8,7 @@ from jaxtyping import Float
 
 from datagen.geometry import invert_rigid
 from datagen.render import kernels
-from datagen.render.lighting import light_axes, linear
-from datagen.render.renderer import Image
+from datagen.render.renderer import Image, light_axes, linear
 from datagen.scene import Camera, Light, Material, Scene
 from datagen.shapes.shape import Shape
 

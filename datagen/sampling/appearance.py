@@ -6,8 +6,7 @@ import dataclasses
 import numpy as np
 
 from datagen.config import Appearance
-from datagen.sampling.values import rounded, vector
-from datagen.scene import Material, Pattern, Vector
+from datagen.scene import Material, Pattern, Vector, rounded, vector
 
 PATTERNS: tuple[Pattern, ...] = ("two-tone", "checker", "stripes", "noise", "wood", "dots")
 

@@ -4,8 +4,7 @@ import numpy as np
 
 from datagen.config import Lighting, Recipe, Rig
 from datagen.sampling.poses import about_vertical
-from datagen.sampling.values import rounded, vector
-from datagen.scene import Camera, Light
+from datagen.scene import Camera, Light, rounded, vector
 
 
 def sample_cameras(recipe: Recipe, rng: np.random.Generator) -> tuple[Camera, ...]:

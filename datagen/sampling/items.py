@@ -7,8 +7,7 @@ import numpy as np
 from datagen import catalog, shapes
 from datagen.config import Objects
 from datagen.random_streams import pool_rng
-from datagen.sampling.values import rounded
-from datagen.scene import ShapeSpec
+from datagen.scene import ShapeSpec, rounded
 from datagen.shapes.shape import Shape
 
 
@@ -60,3 +59,12 @@ def _sample_spec(category: str, objects: Objects, rng: np.random.Generator) -> S
         low, high = objects.size
         length = low + (high - low) * rng.uniform() ** objects.size_skew
     return catalog.sample_shape(category, rng, (length, length))
+
+
+class Rejected(Exception):
+    """A sample that breaks the rule called `reason`; `fitting` counts objects with a place in view if all need one."""
+
+    def __init__(self, reason: str, *, fitting: int | None = None):
+        super().__init__(reason)
+        self.reason = reason
+        self.fitting = fitting

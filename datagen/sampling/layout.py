@@ -9,9 +9,8 @@ from jaxtyping import Bool, Float
 
 from datagen.config import Layout, MotionConfig
 from datagen.sampling import poses
-from datagen.sampling.items import Item
+from datagen.sampling.items import Item, Rejected
 from datagen.sampling.poses import Stance
-from datagen.sampling.rejected import Rejected
 from datagen.scene import Motion
 
 AIRBORNE = ("drop", "throw")

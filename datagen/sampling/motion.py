@@ -11,8 +11,7 @@ from datagen.config import Layout, MotionConfig, Physics
 from datagen.sampling import poses
 from datagen.sampling.items import Item
 from datagen.sampling.layout import Spot
-from datagen.sampling.values import rounded, vector
-from datagen.scene import Motion, Push, Vector
+from datagen.scene import Motion, Push, Vector, rounded, vector
 
 KINDS: tuple[Motion, ...] = get_args(Motion)
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 from datagen.errors import UsageError
 from datagen.scene import ShapeSpec
-from datagen.shapes.families import composite, extrusion, furniture, lathe, mug, primitives, seating, superquadric
+from datagen.shapes.families import composite, extrusion, furniture, lathe, mug, primitives, superquadric
 from datagen.shapes.shape import Shape
 from datagen.storage.safe_io import parse_json
 
@@ -36,16 +36,16 @@ FAMILIES: dict[str, Callable[..., Shape]] = {
     "jack": composite.build_jack,
     "tower": composite.build_tower,
     "snowman": composite.build_snowman,
-    "chair": seating.build_chair,
-    "stool": seating.build_stool,
+    "chair": furniture.build_chair,
+    "stool": furniture.build_stool,
     "table": furniture.build_table,
     "desk": furniture.build_desk,
     "cabinet": furniture.build_cabinet,
     "shelf": furniture.build_shelf,
-    "bench": seating.build_bench,
+    "bench": furniture.build_bench,
     "lamp": furniture.build_lamp,
-    "sofa": seating.build_sofa,
-    "bed": seating.build_bed,
+    "sofa": furniture.build_sofa,
+    "bed": furniture.build_bed,
 }
 """Family names and the functions that turn a family's parameters into a shape."""
 

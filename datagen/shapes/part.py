@@ -10,9 +10,8 @@ from datagen.shapes.geometry import mass as masses
 from datagen.shapes.geometry import mesh as meshes
 from datagen.shapes.geometry import round_mesh, sdf
 from datagen.shapes.geometry.bounding import Outline, minimum_box
-from datagen.shapes.geometry.convex import convex_hull
 from datagen.shapes.geometry.mass import Mass
-from datagen.shapes.geometry.mesh import Mesh
+from datagen.shapes.geometry.mesh import Mesh, convex_hull
 from datagen.shapes.shape import Corners, Numbers, Primitive, Shape, Solid
 
 HULL_ERROR = 5e-4
@@ -46,13 +45,10 @@ class Part:
 
 
 def assemble(parts: Sequence[Part], symmetry: str, *, overlap: Sequence[Mass] = (), aligned: bool = False) -> Shape:
-    """The union of parts as a shape around its centre of mass.
+    """The union of parts in one frame as a shape around its centre of mass.
 
-    Args:
-        parts: in one frame; they touch at most, except for what `overlap` names.
-        symmetry: exact rotation group about the centre of mass.
-        overlap: what pairs of parts have in common.
-        aligned: whether the smallest box is known to have its sides along the axes.
+    Parts touch at most, except for the intersections in `overlap`. `symmetry` is the exact rotation group about the
+    centre of mass; `aligned` means that the smallest box is known to have its sides along the axes.
     """
     mass = masses.total([part.mass for part in parts] + [common.negative() for common in overlap])
     moved = parts if not np.any(mass.center) else [part.placed(-mass.center) for part in parts]
@@ -136,11 +132,9 @@ def torus(ring_radius: float, tube_radius: float) -> Part:
 
 
 def revolution(profile: Corners, pieces: Sequence[np.ndarray] | None = None) -> Part:
-    """Build the solid that a counter-clockwise polygon (r, z) sweeps about the z axis.
+    """Build the solid that a counter-clockwise polygon (r >= 0, z) sweeps about the z axis.
 
-    Args:
-        profile: corners in the half plane r >= 0.
-        pieces: convex polygons that cover it, for physics; without them the profile itself is convex.
+    `pieces` are convex polygons that cover it, for physics; without them the profile itself is convex.
     """
     corners = np.asarray(profile, float)
     rims = convex_hull(corners)

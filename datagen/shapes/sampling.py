@@ -19,6 +19,11 @@ def longest(rng: np.random.Generator, size: Size) -> float:
     return rng.uniform(size[0] + room, size[1] - room)
 
 
+def draw(rng: np.random.Generator, **values: float | tuple[float, float]) -> dict[str, float]:
+    """Draw a number from each range, in their order; single numbers are kept."""
+    return {name: rng.uniform(*value) if isinstance(value, tuple) else value for name, value in values.items()}
+
+
 def rounded(parameters: dict[str, Any], scale: float = 1.0) -> dict[str, Any]:
     """Parameters as plain values: floats and lists times `scale` (metres) and rounded, counts and names as they are."""
     return {name: value if isinstance(value, int | str) else _plain(value, scale) for name, value in parameters.items()}

@@ -11,7 +11,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from datagen.errors import Busy, DatagenError, UsageError
@@ -173,7 +173,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
         raise UsageError(f"{folder} is a file; expected a folder, or a place for a new one.")
     check_no_dataset(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    with FolderLock(folder) as lock:
+    with closing(FolderLock(folder)) as lock:
         if not lock.take_alone():
             raise Busy(f"Another process is writing to {folder}; wait for it, or give another --out.")
         remove_abandoned(folder)

@@ -4,7 +4,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -63,7 +63,7 @@ def filling(
     begun = _Begun(settings_hash(wanted))
     try:
         lock, spec = _occupy(folder, wanted, begun, overwrite, prove)
-        with lock:
+        with closing(lock):
             yield spec
     except BaseException:
         _remove_begun(folder, begun)
@@ -92,7 +92,7 @@ def _occupy(
         with ExitStack() as stack:
             lock = None
             with suppress(FileNotFoundError):  # another process has failed and removed it
-                lock = stack.enter_context(FolderLock(folder))
+                lock = stack.enter_context(closing(FolderLock(folder)))
             if lock and (spec := _enter(lock, wanted, begun, overwrite, prove)):
                 stack.pop_all()
                 return lock, spec
@@ -140,7 +140,8 @@ def _continued(folder: Path, wanted: Spec, overwrite: bool) -> Spec | None:
     if (folder / SPEC_FILE).exists():
         return settle(folder, wanted) if _goes_on(folder, wanted, overwrite) else None
     _check_free(folder)
-    if not _shards(folder) or (overwrite and _is_of_others(folder, wanted)):
+    settings = settings_hash(wanted)
+    if not _shards(folder) or (overwrite and any(shard_settings(path) != settings for path in _shards(folder))):
         return None
     return _rebuild(folder, wanted)
 
@@ -183,13 +184,7 @@ def _most(first: Mapping[str, int], second: Mapping[str, int]) -> dict[str, int]
 
 
 def write_file(folder: Path, name: str, data: bytes, settings: str) -> None:
-    """Write a file of a dataset as `write_atomically`, unless another dataset has taken its folder.
-
-    Args:
-        folder: The dataset's folder.
-        name: Name of the file.
-        data: Its content.
-        settings: Settings hash of the dataset that the file belongs to.
+    """Write a file of the dataset with this settings hash as `write_atomically`, unless another has taken its folder.
 
     Raises:
         DatagenError: `dataset.json` is gone, or is of other settings; nothing was written.
@@ -226,17 +221,14 @@ def _make(folder: Path, begun: _Begun) -> None:
                 raise
             break  # another process has failed and removed the parent
         begun.folders.append(path)
-    if any(path.exists() and not path.is_dir() for path in (folder, *folder.parents)) or _leads_nowhere(folder):
+    leads_nowhere = folder.is_symlink() and not folder.exists()
+    if leads_nowhere or any(path.exists() and not path.is_dir() for path in (folder, *folder.parents)):
         raise UsageError(f"{folder} cannot be a folder: there is a file in its place; give another --out.")
-
-
-def _leads_nowhere(path: Path) -> bool:
-    return path.is_symlink() and not path.exists()
 
 
 def _remove_begun(folder: Path, begun: _Begun) -> None:
     """Remove what a failed run created, unless there are scenes or another process works there."""
-    with suppress(OSError), FolderLock(folder) as lock:
+    with suppress(OSError), closing(FolderLock(folder)) as lock:
         if lock.take_alone() and lock.is_real and lock.is_current():
             if begun.spec and os.listdir(folder) == [SPEC_FILE] and _settings(folder) == begun.settings:
                 (folder / SPEC_FILE).unlink()
@@ -258,10 +250,6 @@ def _check_free(folder: Path) -> None:
         )
 
 
-def _is_of_others(folder: Path, wanted: Spec) -> bool:
-    return any(shard_settings(path) != settings_hash(wanted) for path in _shards(folder))
-
-
 def _goes_on(folder: Path, wanted: Spec, overwrite: bool) -> bool:
     """Whether the folder's dataset has the wanted settings or blocks them; otherwise a new one replaces it."""
     try:
@@ -269,33 +257,20 @@ def _goes_on(folder: Path, wanted: Spec, overwrite: bool) -> bool:
     except CorruptFile:
         if not overwrite:
             raise
-        _check_ours(folder)
+        if not any(shard_settings(path) for path in _shards(folder)):
+            raise UsageError(
+                f"{folder / SPEC_FILE} cannot be read, and no shard beside it proves that it is a dataset; "
+                "delete it yourself, or give an empty or new folder with --out."
+            ) from None
         changed = True
-    # A run that was killed before its first shard leaves a spec alone.
-    return not changed or not (overwrite or _is_bare(folder))
+    # A run that was killed before its first shard leaves a spec alone, without a temporary file of a running process.
+    is_bare = [path.name for path in _own_files(folder)] == [SPEC_FILE]
+    return not changed or not (overwrite or is_bare)
 
 
 def _changes(old: Spec, wanted: Spec) -> list[str]:
-    return differences(_normal(old), _normal(wanted))
-
-
-def _normal(spec: Spec) -> Spec:
-    """Copy of a spec in which constants that are newer than the spec have their defaults."""
-    return {**spec, "recipe": recipe_to_dict(recipe_of(spec))}
-
-
-def _is_bare(folder: Path) -> bool:
-    """Whether the folder holds only the spec, and no temporary file of a running process."""
-    return [path.name for path in _own_files(folder)] == [SPEC_FILE]
-
-
-def _check_ours(folder: Path) -> None:
-    """Refuse to delete files unless a shard proves that they are a dataset of this program."""
-    if not any(shard_settings(path) for path in _shards(folder)):
-        raise UsageError(
-            f"{folder / SPEC_FILE} cannot be read, and no shard beside it proves that it is a dataset; "
-            "delete it yourself, or give an empty or new folder with --out."
-        )
+    """List the settings that differ; constants that are newer than a spec have their defaults."""
+    return differences(*({**spec, "recipe": recipe_to_dict(recipe_of(spec))} for spec in (old, wanted)))
 
 
 def _give_up(folder: Path, settings: str) -> None:

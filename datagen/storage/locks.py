@@ -3,11 +3,10 @@
 import fcntl
 import os
 from pathlib import Path
-from types import TracebackType
 
 
 class FolderLock:
-    """An advisory lock (`flock`) on the folder's own descriptor; the context releases it.
+    """An advisory lock (`flock`) on the folder's own descriptor; `close` releases it.
 
     File systems without such locks grant every request; `is_real` says whether the last one was a real lock.
 
@@ -19,14 +18,6 @@ class FolderLock:
         self.folder = folder
         self.is_real = False
         self._descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-
-    def __enter__(self) -> "FolderLock":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Release the lock."""

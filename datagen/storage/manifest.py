@@ -18,21 +18,13 @@ _PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender")
 
 
 def make_manifest(folder: Path, spec: Spec, *, seconds: float, workers: int, scenes_made: int) -> dict[str, Any]:
-    """Gather the facts about a complete dataset.
-
-    Args:
-        folder: Where it is.
-        spec: Its spec.
-        seconds: How long this run took.
-        workers: Processes that it used.
-        scenes_made: Scenes that it made; the others were there before.
-    """
+    """Gather the facts about a complete dataset, and about the run that completed it."""
     splits = {name: _split_facts(folder, spec, name) for name in SPLITS}
     return {
         "spec_hash": spec["spec_hash"],
         "content_hash": _joint_hash(facts["content_hash"] for facts in splits.values()),
         "splits": splits,
-        "versions": {name: _version(name) for name in _PACKAGES},
+        "versions": {name: package_version(name) for name in _PACKAGES},
         "run": {"seconds": round(seconds, 3), "workers": workers, "scenes_made": scenes_made},
     }
 
@@ -87,7 +79,8 @@ def _joint_hash(hashes: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
 
 
-def _version(package: str) -> str | None:
+def package_version(package: str) -> str | None:
+    """Version of an installed package; None if it is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:

@@ -207,13 +207,7 @@ class Split(Sequence[SceneRecord]):
 def read_depth(
     scenes: Split, index: SupportsIndex, frames: slice | None = None, *, exact: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Read the depth of one scene as observed: the sensor's if the recipe has one, otherwise the exact depth.
-
-    Args:
-        scenes: The scenes of a split.
-        index: Number of the scene.
-        frames: Frames to read; all by default.
-        exact: Read the exact depth in any case.
+    """Read the depth of one scene as observed: the sensor's if the recipe has one, otherwise, or if `exact`, the exact.
 
     Returns:
         Planar z in metres, float32 [frame view height width], 0 without a return; and whether a pixel has a depth.

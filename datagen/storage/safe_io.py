@@ -108,12 +108,7 @@ def read_text(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
 
 
 def read_json(path: Path, *, most_bytes: int = MOST_JSON_BYTES, infinite: bool = False) -> Any:
-    """Read a JSON file whose numbers are finite and whose nesting is limited.
-
-    Args:
-        path: The file.
-        most_bytes: Its largest size.
-        infinite: Whether `Infinity` is a number, too.
+    """Read a JSON file whose numbers are finite, or `Infinity` if allowed, and whose nesting is limited.
 
     Raises:
         CorruptFile: the file is too large, not UTF-8, no JSON, too deeply nested, or holds NaN or infinity.
@@ -176,11 +171,8 @@ def _is_deeper(value: Any, most: int) -> bool:
 def open_hdf5(path: Path, advice: str = "") -> Iterator[h5py.File]:
     """Open an HDF5 file from outside for reading, as a context in which errors of h5py are reported as damage.
 
-    Files with external storage, external or soft links, virtual datasets or link loops are refused.
-
-    Args:
-        path: The file.
-        advice: A sentence that says what to do where it is damaged.
+    Files with external storage, external or soft links, virtual datasets or link loops are refused. `advice` says what
+    to do about a damaged file.
 
     Raises:
         FileNotFoundError, PermissionError: the file is not there, or may not be read.
@@ -276,13 +268,9 @@ def _check_dataset(dataset: h5py.Dataset) -> None:
 
 
 def hdf5_dataset(parent: h5py.Group, name: str, *, ndim: int | None = None, kinds: str = "biufS") -> h5py.Dataset:
-    """Give a dataset of an open file whose type and number of axes are as expected; nothing is read.
+    """Give a dataset of an open file or group whose type and number of axes are as expected; nothing is read.
 
-    Args:
-        parent: The open file or a group of it.
-        name: Name of the dataset in it.
-        ndim: Number of axes, any if None.
-        kinds: Allowed NumPy kinds of its values; strings of variable length and references are never allowed.
+    Its values may have these NumPy kinds; strings of variable length and references are never allowed.
 
     Raises:
         ValueError: there is no such dataset, it is of another type or number of axes, or its data is elsewhere.
@@ -311,12 +299,7 @@ def _check_links(parent: h5py.Group, name: str) -> None:
 
 
 def hdf5_attribute(item: h5py.HLObject, name: str, kind: type[Attribute]) -> Attribute:
-    """Read an attribute that is one text or one number.
-
-    Args:
-        item: The open file, or a group or dataset of it.
-        name: Name of the attribute.
-        kind: `str`, `int` or `float`.
+    """Read an attribute that is one text (`str`) or one number (`int` or `float`).
 
     Raises:
         ValueError: there is no such attribute, it is an array or of another type, or a number that is not finite.
@@ -340,11 +323,7 @@ def hdf5_attribute(item: h5py.HLObject, name: str, kind: type[Attribute]) -> Att
 
 
 def read_hdf5(dataset: h5py.Dataset, selection: Any = ()) -> np.ndarray:
-    """Read a part of a dataset whose size was checked first.
-
-    Args:
-        dataset: Of a file that was opened by this module.
-        selection: Integer, slice or tuple of them over the leading axes; the whole dataset if left out.
+    """Read a part of a dataset whose size was checked first: an integer, a slice or a tuple over the leading axes.
 
     Raises:
         ValueError: the selected part is larger than `MOST_ARRAY_BYTES`, or its chunks unpack to more than their size.

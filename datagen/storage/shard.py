@@ -104,11 +104,9 @@ def _deflate(frame: np.ndarray) -> bytes:
 
 
 def shard_image(scenes: Sequence[PackedScene], attributes: Mapping[str, Any]) -> bytes:
-    """Bytes of a shard file that holds the given scenes; equal input gives equal bytes.
+    """Bytes of a shard file of consecutive scenes with equal fields, described by attributes of the file's root group.
 
-    Args:
-        scenes: Consecutive scenes of a split with equal fields.
-        attributes: Attributes of the file's root group that describe the shard.
+    Equal input gives equal bytes.
     """
     with h5py.File("shard.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
         constant = {"format_version": FORMAT_VERSION, "generator": GENERATOR, "depth_scale": DEPTH_SCALE}
@@ -179,14 +177,6 @@ class Shard:
     """
 
     def __init__(self, folder: Path, spec: Spec, split: str, number: int):
-        """Open a shard.
-
-        Args:
-            folder: The dataset's folder.
-            spec: What the dataset is.
-            split: Split of the shard.
-            number: Its number within the split.
-        """
         self.path = folder / shard_name(split, number)
         self._file = _open(self.path)
         self._datasets: dict[str, h5py.Dataset] = {}

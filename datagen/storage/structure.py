@@ -28,8 +28,7 @@ class UnknownKeys(ValueError):
 def strict_converter(largest: float = math.inf) -> Converter:
     """Make a converter that neither converts values nor ignores keys; whole numbers may stand for other numbers.
 
-    Args:
-        largest: Largest absolute value of a number.
+    `largest` is the largest absolute value of a number.
     """
     converter = Converter()
     for kind in _NAMES:
@@ -41,13 +40,7 @@ def strict_converter(largest: float = math.inf) -> Converter:
 
 
 def structure(values: Any, kind: type[Built], converter: Converter, name: str = "$") -> Built:
-    """Build a dataclass from nested dicts and lists.
-
-    Args:
-        values: The values.
-        kind: The dataclass.
-        converter: A converter of `strict_converter`.
-        name: Name of the values in messages.
+    """Build a dataclass from nested dicts and lists with a `strict_converter`; `name` is used in messages.
 
     Raises:
         UnknownKeys: a key is not a field.

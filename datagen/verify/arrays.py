@@ -11,8 +11,7 @@ from datagen import schema
 from datagen.config import Sensor
 from datagen.scene import Body
 from datagen.shapes.shape import Shape
-from datagen.verify.finding import Finding
-from datagen.verify.scene_case import Case
+from datagen.verify.scene_case import Case, Finding
 
 RELATIVE = 1e-5
 """Largest relative difference attributed to rounding to float32."""
@@ -76,19 +75,15 @@ def check_description(case: Case) -> Iterator[Finding]:
     record, scene = case.record, case.scene
     yield from _equal(record, "objects/count", case.count)
     yield from _equal(record, "camera/world_from_camera", [camera.world_from_camera for camera in scene.cameras])
-    yield from _check_k(case)
+    if "camera/K" in record:
+        height, width = record["segmentation"].shape[2:]
+        yield from _equal(record, "camera/K", [camera.k(width, height) for camera in scene.cameras])
     yield from _equal(record, "lights/direction", [light.direction for light in scene.lights])
     yield from _equal(record, "lights/radiance", [light.radiance for light in scene.lights])
     yield from _equal(record, "lights/ambient", scene.ambient)
     for name, expected in DESCRIBED.items():
         rows = [expected(body, shape) for body, shape in zip(scene.bodies, case.shapes, strict=True)]
         yield from _equal({name: record[name][: case.count]}, name, rows)
-
-
-def _check_k(case: Case) -> Iterator[Finding]:
-    if "camera/K" in case.record:
-        height, width = case.record["segmentation"].shape[2:]
-        yield from _equal(case.record, "camera/K", [camera.k(width, height) for camera in case.scene.cameras])
 
 
 def _equal(record: Mapping[str, np.ndarray], name: str, expected: object) -> Iterator[Finding]:

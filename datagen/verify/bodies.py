@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from datagen.shapes.shape import MESH_TOLERANCE
-from datagen.verify.finding import Finding
 from datagen.verify.pixels import signed_distance
-from datagen.verify.scene_case import Case
+from datagen.verify.scene_case import Case, Finding
 
 DEEPEST = 1e-3
 """Metres that objects may overlap in frame 0, as physics measures it; for later frames the recipe says it."""

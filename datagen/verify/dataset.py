@@ -20,7 +20,7 @@ from datagen.storage.manifest import make_manifest, read_manifest
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import Shard
 from datagen.storage.spec import MANIFEST_FILE, groups_of, recipe_of, shard_name, shard_ranges
-from datagen.verify.finding import Finding
+from datagen.verify.scene_case import Finding
 from datagen.verify.scene_checks import verify_record
 
 SCENES_PER_JOB = 8

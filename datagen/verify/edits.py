@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float
 
 from datagen.schema import LEAST_EFFECT, EditKind, effect_mask
 from datagen.verify.bodies import check_exact_overlap
-from datagen.verify.finding import Finding
 from datagen.verify.pixels import check_order, check_surfaces, check_table
-from datagen.verify.scene_case import Case
+from datagen.verify.scene_case import Case, Finding
 from datagen.verify.views import check_views
 
 RIGID = 1e-9

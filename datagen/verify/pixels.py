@@ -13,9 +13,7 @@ from jaxtyping import Bool, Float, Integer
 
 from datagen.schema import DEPTH_SCALE
 from datagen.shapes.shape import MESH_TOLERANCE
-from datagen.verify.finding import Finding
-from datagen.verify.precision import rounding
-from datagen.verify.scene_case import Case
+from datagen.verify.scene_case import Case, Finding, rounding
 from datagen.verify.sphere_tracing import clip_to_box, trace
 
 SURFACE_STEPS, PLANE_STEPS = 0.7, 0.8

@@ -16,7 +16,57 @@ from datagen.scene import Scene, scene_from_json
 from datagen.schema import DEPTH_SCALE
 from datagen.shapes import build
 from datagen.shapes.shape import Shape
-from datagen.verify.precision import PRECISION, Precision
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One contradiction in a dataset; a place, such as `scene`, is None if the finding is not specific to one."""
+
+    check: str
+    """Name of the check that failed, see `docs/dataset.md`."""
+    message: str
+    """Description of the error, with the measured and the allowed value."""
+    split: str | None = None
+    shard: str | None = None
+    scene: int | None = None
+    frame: int | None = None
+    view: int | None = None
+
+    def __str__(self) -> str:
+        """Place, check and figure."""
+        places = ("split", "shard", "scene", "frame", "view")
+        where = " ".join(f"{name} {getattr(self, name)}" for name in places if getattr(self, name) is not None)
+        return f"{where or 'dataset'}: {self.check}: {self.message}"
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Errors of a renderer."""
+
+    snap: float = 0.0
+    """Distance by which a triangle's corners may move sideways, pixels."""
+    depth_steps: float = 0.0
+    """Step of the depth buffer at a depth of 1 m, metres; grows with the square of depth."""
+
+    def sideways(self, depth: np.ndarray, focal: np.ndarray | float) -> np.ndarray:
+        """Largest shift of a surface across the line of sight at a given depth, metres; focal length in pixels."""
+        return self.snap * depth / focal
+
+    def buffer(self, depth: np.ndarray) -> np.ndarray:
+        """Largest error of the depth buffer at a given depth, metres."""
+        return self.depth_steps * depth**2
+
+
+OPENGL = Precision(snap=1 / 256, depth_steps=2.0**-24 / 0.05)
+"""Precision of OpenGL: corners have 8 subpixel bits, and the depth buffer has 24 bits and a near plane at 5 cm."""
+
+PRECISION = {"raster": Precision(), "pyrender": OPENGL}
+"""Precision of each renderer by name."""
+
+
+def rounding(rays: Float[np.ndarray, "*shape 3"], steps: float) -> Float[np.ndarray, "*shape"]:
+    """Length along rays, in metres, of a number of steps of stored depth; rays are given per unit of depth."""
+    return steps * DEPTH_SCALE * np.sqrt(np.sum(rays**2, axis=-1))
 
 
 @dataclass(frozen=True)

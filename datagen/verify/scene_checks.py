@@ -10,10 +10,8 @@ from datagen.errors import DatagenError
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
 from datagen.verify.edits import check_edit, check_effects
-from datagen.verify.finding import Finding
 from datagen.verify.pixels import check_order, check_surfaces, check_table
-from datagen.verify.precision import OPENGL, PRECISION
-from datagen.verify.scene_case import DEFAULT, Allowed, Case, make_case
+from datagen.verify.scene_case import DEFAULT, OPENGL, PRECISION, Allowed, Case, Finding, make_case
 from datagen.verify.views import check_views
 
 Check = Callable[[Case], Iterator[Finding]]
@@ -37,14 +35,10 @@ def verify_record(
     sensor: Sensor = DEFAULT.sensor,
     renderer: str = "raster",
 ) -> list[Finding]:
-    """All contradictions within one scene's arrays.
+    """All contradictions within one scene's arrays, which must have the fields of `groups`, see `schema.Field.group`.
 
-    Args:
-        record: The arrays.
-        groups: Groups of fields that must be present, see `schema.Field.group`.
-        physics: Physics constants of the scene's recipe, which limit how deep contacts may be.
-        sensor: Sensor constants of the dataset's recipe, which determine the noise of sensor depth.
-        renderer: Name of the renderer, which determines how exact depth and ids can be.
+    The recipe's physics limits how deep contacts may be, its sensor determines the noise of sensor depth, and the
+    renderer determines how exact depth and ids can be.
     """
     if findings := list(check_schema(record, groups)):
         return findings
@@ -64,8 +58,5 @@ def _findings(check: Check, case: Case) -> list[Finding]:
     try:
         return list(check(case))
     except (ValueError, IndexError, ArithmeticError) as error:
-        return [Finding(_name(check), f"cannot be checked: {type(error).__name__} {error}")]
-
-
-def _name(check: Check) -> str:
-    return check.func.__name__ if isinstance(check, partial) else check.__name__
+        name = check.func.__name__ if isinstance(check, partial) else check.__name__
+        return [Finding(name, f"cannot be checked: {type(error).__name__} {error}")]

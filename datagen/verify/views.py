@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from datagen.schema import DEPTH_SCALE
-from datagen.verify.finding import Finding
-from datagen.verify.scene_case import Case
+from datagen.verify.scene_case import Case, Finding
 
 SHARE = 0.01
 """Share of an object's or the table's patches that may disagree, e.g. if nine pixels hit only the bars of a grid."""

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.results.run_folder import load_runs, load_scenes, pooled
+from benchmark.ranking.standings import pooled
+from benchmark.results.run_folder import load_runs, load_scenes
 from tests.paths import ROOT
 from tests.worlds.traced import write_dataset
 

@@ -143,7 +143,7 @@ class PyrenderPeer:
 
 
 def _toward_light(scene: Scene) -> np.ndarray:
-    from datagen.render.lighting import light_axes
+    from datagen.render.renderer import light_axes
 
     pose = np.eye(4)
     pose[:3, :3] = light_axes(scene.lights[0].direction).T

@@ -8,9 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmark.models.adapters.settings import settings_of
 from benchmark.models.interface import Segmenter
-from benchmark.models.model_spec import ModelSpec, Options, Views
+from benchmark.models.model_spec import ModelSpec, Options, Views, settings_of
 from obpose.systems import SYSTEMS, System, priors_of
 
 LABELLED_TRIALS: dict[str, int] = {"obpose": 70, "supervised": 12, "obsurf": 30, "contact": 12}

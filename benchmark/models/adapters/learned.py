@@ -9,8 +9,8 @@ import torch
 from einops import rearrange
 
 from benchmark.models.adapters.poses import poses_of
-from benchmark.models.adapters.settings import settings_of
 from benchmark.models.interface import Clip, Prediction
+from benchmark.models.model_spec import settings_of
 from benchmark.models.validation import ValidationScorer
 from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views

@@ -12,8 +12,7 @@ from benchmark.models.classical.floors import AllBackground, ConstantGrid, OneCl
 from benchmark.models.classical.kmeans import KMeansXyzRgb
 from benchmark.models.classical.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground
 from benchmark.models.classical.plane_components import PlaneComponents
-from benchmark.models.classical.plane_dbscan import PlaneDbscan
-from benchmark.models.classical.plane_dbscan_tracked import PlaneDbscanTracked
+from benchmark.models.classical.plane_dbscan import PlaneDbscan, PlaneDbscanTracked
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
 from benchmark.models.interface import Segmenter
 from benchmark.models.model_spec import Builder, ModelSpec, Options

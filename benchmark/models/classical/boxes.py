@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.spatial import ConvexHull, QhullError
 
+from benchmark.clips import visible_centers
 from benchmark.metrics.box_overlap import Box
 from benchmark.models.classical.oracles import truth_of
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
 from benchmark.models.classical.untrained import Untrained
 from benchmark.models.interface import Clip, Poses, Prediction
-from benchmark.tasks.true_poses import visible_centers
 from datagen.shapes.geometry.bounding import Outline, minimum_box
 
 LEAST_POINTS = 4
@@ -71,30 +71,22 @@ def visible_boxes(
         for label in range(1, shape[2]):
             mine = (labels[frame, group] == label) & clip.valid[frame, group]
             if mine.any():
-                _put(poses, (frame, group, label), smallest_box(points[frame, group][mine]))
+                arrays = (poses.center, poses.rotation, poses.size)
+                for array, values in zip(arrays, smallest_box(points[frame, group][mine]), strict=True):
+                    assert array is not None
+                    array[frame, group, label] = values
     return poses
 
 
 def smallest_box(points: Float[np.ndarray, "point 3"]) -> Box:
     """Centre, rotation and sides of the smallest box around points; axis-aligned if there are too few."""
-    outermost = _outermost(points)
+    try:
+        outermost = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):  # there is no hull, such as in a plane
+        outermost = points
     if len(outermost) < LEAST_POINTS:
         return (points.min(axis=0) + points.max(axis=0)) / 2, np.eye(3), np.ptp(points, axis=0)
     radius = _THICKNESS * float(np.ptp(outermost, axis=0).max())
     none, balls = np.zeros((0, 3)), np.full(len(outermost), radius)
     box = minimum_box(Outline(none, outermost, np.zeros((len(outermost), 3, 3)), balls))
     return box.center, box.rotation, np.maximum(box.size - 2 * radius, 0.0)
-
-
-def _outermost(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "corner 3"]:
-    """Corners of the convex hull; all points if there is no hull, such as in a plane."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):
-        return points
-
-
-def _put(poses: Poses, place: tuple[int, slice, int], box: Box) -> None:
-    for array, values in zip((poses.center, poses.rotation, poses.size), box, strict=True):
-        assert array is not None
-        array[place] = values

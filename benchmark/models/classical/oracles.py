@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int64, UInt8
+from jaxtyping import Int64
 
 from benchmark.models.classical.floors import grid_cells
 from benchmark.models.classical.untrained import Untrained, keep_largest
@@ -13,8 +13,6 @@ QUARTER = 4
 """Side of the blocks of pixels that become one pixel."""
 PIECES = 4
 """Number of parts of the background."""
-
-Truth = UInt8[np.ndarray, "frame view height width"]
 
 
 @dataclass

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
-from benchmark.metrics import clip_scores
+from benchmark.metrics import clip_scores, mean_where_defined
 from benchmark.metrics.images import psnr
 from benchmark.tasks.editing.interface import Picture
 from benchmark.tasks.editing.truth import Pair
@@ -23,20 +23,19 @@ Mask = Bool[np.ndarray, "frame view height width"]
 def score(pair: Pair, shown: Picture, truth: Picture | None = None) -> dict[str, float]:
     """Compute all metrics of one picture of a scene, over all frames and views; nan if a region is empty.
 
-    Args:
-        pair: The edit, which defines the regions (`Pair.inside`, `Pair.shadow`, `Pair.outside`).
-        shown: The picture to score.
-        truth: The ground truth; the edited scene by default.
+    The edit defines the regions (`Pair.inside`, `Pair.shadow`, `Pair.outside`). `truth` is the edited scene by default.
     """
     truth = truth or pair.after
     inside, shadow, outside = pair.inside, pair.shadow, pair.outside
+    segmentation = clip_scores(truth.labels, shown.labels, 0, truth.depth == 0)
     return {
         "psnr_inside": psnr(shown.rgb, truth.rgb, inside, largest=LARGEST_PSNR),
         "psnr_shadow": psnr(shown.rgb, truth.rgb, shadow, largest=LARGEST_PSNR),
         "psnr_outside": psnr(shown.rgb, truth.rgb, outside, largest=LARGEST_PSNR),
         "depth_inside": depth_error(truth.depth, shown.depth, inside),
         "depth_outside": depth_error(truth.depth, shown.depth, ~inside),
-        **_segmentation(truth, shown),
+        # Pixels without depth are ignored, as for segmentations.
+        **{name: mean_where_defined(segmentation[name]) for name in ("ari_fg", "ari")},
     }
 
 
@@ -49,9 +48,4 @@ def depth_error(truth: Depths, shown: Depths, where: Mask) -> float:
 def _segmentation(truth: Picture, shown: Picture) -> dict[str, float]:
     """Mean scores over frames and views; pixels without depth are ignored, as for segmentations."""
     scores = clip_scores(truth.labels, shown.labels, 0, truth.depth == 0)
-    return {name: _mean(scores[name]) for name in ("ari_fg", "ari")}
-
-
-def _mean(values: np.ndarray) -> float:
-    defined = values[~np.isnan(values)]
-    return float(defined.mean()) if len(defined) else math.nan
+    return {name: mean_where_defined(scores[name]) for name in ("ari_fg", "ari")}

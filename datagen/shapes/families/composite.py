@@ -28,15 +28,7 @@ def build_dumbbell(ball_radius: float, bar_radius: float, distance: float) -> Sh
 
 
 def build_weight(disc_radius: float, disc_height: float, bar_radius: float, bar_length: float, corners: int) -> Shape:
-    """Two discs, or prisms over regular polygons, on a bar along z.
-
-    Args:
-        disc_radius: of the discs or of their corners, metres.
-        disc_height: thickness of each disc, metres.
-        bar_radius: of the bar, metres.
-        bar_length: of the bar between the discs, metres.
-        corners: of each disc; 0 for round ones.
-    """
+    """Two discs, or prisms over regular polygons, on a bar along z; `corners` is 0 for round discs."""
     if corners:
         angles = 2 * np.pi * np.arange(corners) / corners
         polygon = disc_radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -56,14 +48,9 @@ def build_hammer(handle_radius: float, handle_length: float, head_size: list[flo
 
 
 def build_bracket(base: float, upright: float, width: float, thickness: float, gusset: float) -> Shape:
-    """A plate along x, another one along z, and a triangular web of leg length `gusset` between them in the middle.
+    """A plate of length `base` along x, another one of height `upright` along z, and a triangular web between them.
 
-    Args:
-        base: length of the lying plate, metres, as all lengths.
-        upright: height of the standing plate.
-        width: of both along y.
-        thickness: of both and of the web.
-        gusset: leg of the web.
+    `gusset` is the web's leg. Both plates are `width` along y; all lengths are metres.
     """
     web = parts.extrusion([[0, 0], [gusset, 0], [0, gusset]], [[0, 1, 2]], thickness)
     standing = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
@@ -80,11 +67,9 @@ def build_bracket(base: float, upright: float, width: float, thickness: float, g
 
 
 def build_jack(lengths: list[float], width: float) -> Shape:
-    """Three square bars of one width that cross at right angles.
+    """Three square bars that cross at right angles, of full lengths along x, y, z in metres.
 
-    Args:
-        lengths: full, along x, y, z in metres; where only two are equal, the third lies along z.
-        width: of the bars, metres.
+    Where only two lengths are equal, the third lies along z.
     """
     x, y, z = odd_last(lengths)
     arms = [parts.box((x, width, width))]

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from datagen.shapes import part as parts
 from datagen.shapes.part import assemble
-from datagen.shapes.sampling import Size, longest, rounded
+from datagen.shapes.sampling import Size, draw, longest, rounded
 from datagen.shapes.shape import Corners, Shape
 
 STANDING = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
@@ -31,14 +31,9 @@ def build_star(points: int, outer_radius: float, inner_radius: float, height: fl
 
 
 def build_gear(teeth: int, outer_radius: float, inner_radius: float, tooth_share: float, height: float) -> Shape:
-    """A prism along z over a gear wheel, the middle of a tooth on the x axis.
+    """A prism along z over a gear wheel, the middle of a tooth on the x axis; radii are those of corners.
 
-    Args:
-        teeth: how many.
-        outer_radius: to the corners of the teeth, metres.
-        inner_radius: to the corners of the gaps, metres.
-        tooth_share: angle that a tooth takes up at its tip as a share of the pitch; at its root a little more.
-        height: along z, metres.
+    `tooth_share` is the angle that a tooth takes up at its tip as a share of the pitch; at its root it is larger.
     """
     shares = np.array([-0.55 - 0.2 * tooth_share, -0.5, 0.5, 0.55 + 0.2 * tooth_share]) * tooth_share
     radii = np.array([inner_radius, outer_radius, outer_radius, inner_radius])
@@ -52,20 +47,8 @@ def build_gear(teeth: int, outer_radius: float, inner_radius: float, tooth_share
 def build_cross(length_x: float, length_y: float, width: float, height: float) -> Shape:
     """A prism along z over a plus sign with bars of equal width."""
     x, y, w = 0.5 * length_x, 0.5 * length_y, 0.5 * width
-    polygon = [
-        [x, -w],
-        [x, w],
-        [w, w],
-        [w, y],
-        [-w, y],
-        [-w, w],
-        [-x, w],
-        [-x, -w],
-        [-w, -w],
-        [-w, -y],
-        [w, -y],
-        [w, -w],
-    ]
+    right, top, left = [[x, -w], [x, w], [w, w]], [[w, y], [-w, y], [-w, w]], [[-x, w], [-x, -w], [-w, -w]]
+    polygon = [*right, *top, *left, [-w, -y], [w, -y], [w, -w]]
     pieces = [[2, 5, 8, 11], [0, 1, 2, 11], [2, 3, 4, 5], [5, 6, 7, 8], [8, 9, 10, 11]]
     return assemble([parts.extrusion(polygon, pieces, height)], "D4" if length_x == length_y else "D2")
 
@@ -73,16 +56,8 @@ def build_cross(length_x: float, length_y: float, width: float, height: float) -
 def build_tee(bar: float, stem: float, thickness: float, height: float) -> Shape:
     """A T that stands along z: a bar of the given length on a stem, both `thickness` wide, `height` deep along y."""
     b, t = 0.5 * bar, 0.5 * thickness
-    polygon = [
-        [-t, 0],
-        [t, 0],
-        [t, stem],
-        [b, stem],
-        [b, stem + thickness],
-        [-b, stem + thickness],
-        [-b, stem],
-        [-t, stem],
-    ]
+    top = stem + thickness
+    polygon = [[-t, 0], [t, 0], [t, stem], [b, stem], [b, top], [-b, top], [-b, stem], [-t, stem]]
     return _standing(polygon, [[0, 1, 2, 7], [4, 5, 6, 7, 2, 3]], height, "C2")
 
 
@@ -160,14 +135,8 @@ def sample_channel(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 def sample_arrow(rng: np.random.Generator, size: Size) -> dict[str, Any]:
     """An arrow with a broad head."""
-    parameters = {
-        "length": 1.0,
-        "head_length": rng.uniform(0.35, 0.5),
-        "head_width": rng.uniform(0.55, 0.85),
-        "shaft_width": rng.uniform(0.2, 0.35),
-        "height": rng.uniform(0.2, 0.5),
-    }
-    return rounded(parameters, longest(rng, size))
+    parameters = draw(rng, length=1.0, head_length=(0.35, 0.5), head_width=(0.55, 0.85), shaft_width=(0.2, 0.35))
+    return rounded(parameters | draw(rng, height=(0.2, 0.5)), longest(rng, size))
 
 
 def sample_angle(rng: np.random.Generator, size: Size) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.shapes import part as parts
-from datagen.shapes.geometry.convex import convex_hull
+from datagen.shapes.geometry.mesh import convex_hull
 from datagen.shapes.part import Part, assemble
 from datagen.shapes.sampling import Size, longest, rounded
 from datagen.shapes.shape import Corners, Shape
@@ -16,12 +16,9 @@ PIECE_ERROR = 4.5e-4
 
 
 def build(profile: list[list[float]], wall: float = 0.0, floor: float = 0.0) -> Shape:
-    """A solid of revolution about z.
+    """A solid of revolution about z, given its outer corners (r, z) from the bottom to the top, z never falling.
 
-    Args:
-        profile: outer corners (r, z) in metres from the bottom to the top, z never falling.
-        wall: horizontal thickness of the wall of the cavity, metres; 0 for none.
-        floor: z where the cavity starts, metres.
+    It has a cavity from z = `floor` on with a wall of horizontal thickness `wall`, unless that is 0. All in metres.
     """
     upside_down = [[r, profile[0][1] + profile[-1][1] - z] for r, z in reversed(profile)]
     same = not wall and np.allclose(upside_down, profile, rtol=0, atol=1e-12)

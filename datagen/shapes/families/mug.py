@@ -11,7 +11,7 @@ from datagen.shapes.families.lathe import turned
 from datagen.shapes.geometry import mass as masses
 from datagen.shapes.geometry.mass import Mass
 from datagen.shapes.part import Part, assemble
-from datagen.shapes.sampling import Size, longest, rounded
+from datagen.shapes.sampling import Size, draw, longest, rounded
 from datagen.shapes.shape import Shape
 
 ARC_STEPS = 10
@@ -31,17 +31,10 @@ def build(
     handle_thickness: float,
     handle_width: float,
 ) -> Shape:
-    """A mug that stands along z with its handle at +x, the handle half way up.
+    """A mug that stands along z with its handle at +x, the handle half way up; all lengths in metres.
 
-    Args:
-        radius: of the outside, metres, as all lengths.
-        height: of the cylinder.
-        wall: thickness of the wall.
-        floor: thickness of the floor.
-        handle_height: outer extent of the handle along z.
-        handle_reach: how far the handle stands out from the wall.
-        handle_thickness: of the handle's band.
-        handle_width: of the handle along y.
+    `radius` is that of the outside; the handle's band is `handle_height` along z, `handle_width` along y, and stands
+    out from the wall by `handle_reach`.
 
     Raises:
         UsageError: the handle is too wide to end inside the wall.
@@ -62,16 +55,9 @@ def build(
 def sample(rng: np.random.Generator, size: Size) -> dict[str, Any]:
     """Draw a mug, from espresso cups to tankards."""
     height = rng.uniform(1.6, 2.6)
-    parameters = {
-        "radius": 1.0,
-        "height": height,
-        "wall": rng.uniform(0.1, 0.15),
-        "floor": rng.uniform(0.12, 0.2),
-        "handle_height": height * rng.uniform(0.5, 0.75),
-        "handle_reach": rng.uniform(0.5, 0.75),
-        "handle_thickness": rng.uniform(0.13, 0.2),
-        "handle_width": rng.uniform(0.3, 0.5),
-    }
+    parameters = draw(rng, radius=1.0, height=height, wall=(0.1, 0.15), floor=(0.12, 0.2))
+    parameters["handle_height"] = height * rng.uniform(0.5, 0.75)
+    parameters |= draw(rng, handle_reach=(0.5, 0.75), handle_thickness=(0.13, 0.2), handle_width=(0.3, 0.5))
     return rounded(parameters, longest(rng, size) / max(height, 2 + parameters["handle_reach"]))
 
 

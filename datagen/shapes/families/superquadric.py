@@ -21,12 +21,8 @@ LEVELS = 13
 def build(half_axes: list[float], roundness: float, squareness: float) -> Shape:
     """The polyhedron with its corners on |(x/a)^(2/e2) + (y/b)^(2/e2)|^(e2/e1) + |z/c|^(2/e1) = 1.
 
-    All quadrilaterals of its mesh are planar, for every level is a scaled copy of the same ring.
-
-    Args:
-        half_axes: a, b, c in metres.
-        roundness: e1, along z: near 0 flat with sharp edges, 1 round, 2 pointed.
-        squareness: e2, around z: near 0 square, 1 round, 2 a diamond.
+    All quadrilaterals of its mesh are planar, for every level is a scaled copy of the same ring. Half axes a, b, c are
+    in metres. Roundness e1 (along z) and squareness e2 (around z) are near 0 for sharp edges, 1 if round, 2 if pointed.
     """
     a, b, c = half_axes
     turn = 2 * np.pi * np.arange(STEPS) / STEPS

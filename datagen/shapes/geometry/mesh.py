@@ -106,10 +106,7 @@ def lofted(
 ) -> Mesh:
     """A closed surface of scaled copies of one ring: point (s, z) of the profile puts the ring times s at height z.
 
-    Args:
-        ring: counter-clockwise convex polygon around the origin.
-        profile: from one pole to the other, z rising; s is 0 at both.
-        normals: of the smooth surface at each level and step.
+    The ring is a counter-clockwise convex polygon around the origin. Along the profile z rises; s is 0 at both ends.
     """
     levels, steps = normals.shape[:2]
     rows = np.concatenate([profile[:, None, :1] * ring, np.repeat(profile[:, None, 1:], steps, axis=1)], axis=2)
@@ -177,3 +174,20 @@ def _compact(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Me
     used = np.zeros(len(vertices), bool)
     used[faces] = True
     return Mesh(vertices[used], (np.cumsum(used) - 1)[faces], normals)
+
+
+def convex_hull(points: Float[np.ndarray, "point 2"]) -> Float[np.ndarray, "corner 2"]:
+    """Corners of the convex hull, counter-clockwise (Andrew's monotone chain)."""
+    ordered = sorted({(float(x), float(y)) for x, y in points})
+    return np.array(_half_hull(ordered)[:-1] + _half_hull(ordered[::-1])[:-1])
+
+
+def _half_hull(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    chain: list[tuple[float, float]] = []
+    for x, y in ordered:
+        while len(chain) > 1 and (chain[-1][0] - chain[-2][0]) * (y - chain[-2][1]) <= (chain[-1][1] - chain[-2][1]) * (
+            x - chain[-2][0]
+        ):
+            chain.pop()
+        chain.append((x, y))
+    return chain

@@ -28,7 +28,7 @@ def test_values_within_limits_are_accepted(flag: str, value: float | None):
         ("budget", -5.0, "--budget is -5; expected more than 0"),
         ("budget", 0.0, "--budget is 0; expected more than 0"),
         ("time-limit", 1e9, "--time-limit is 1000000000; expected more than 0 and at most 44640 minutes (31 days)."),
-        ("minutes", -math.inf, "--minutes is -inf; expected more than 0"),
+        ("time-limit", -math.inf, "--time-limit is -inf; expected more than 0"),
         ("memory-limit", 1e30, "and at most 1073741824 MiB."),
         ("steps", 10**100, "--steps is 1000"),
     ],

@@ -12,8 +12,9 @@ from benchmark.models.contract import BadPrediction
 from benchmark.models.interface import Clip, Prediction
 from benchmark.models.model_spec import ModelSpec, Options, Views
 from benchmark.models.registry import find_model
+from benchmark.ranking.standings import pooled
 from benchmark.results.labels import read_labels
-from benchmark.results.run_folder import LABELS, RunKey, load_runs, load_scenes, pooled
+from benchmark.results.run_folder import LABELS, RunKey, load_runs, load_scenes
 from datagen.errors import UsageError
 from datagen.storage import reader
 from tests.worlds.traced import write_dataset

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import clip_scores
+from benchmark.ranking.standings import pooled
 from benchmark.results.run_folder import (
     COUNTS,
     Measured,
@@ -16,7 +17,6 @@ from benchmark.results.run_folder import (
     delete_rows,
     load_runs,
     load_scenes,
-    pooled,
     row_path,
     save_row,
     save_scenes,

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from benchmark.clips import ClipSequence
+from benchmark.clips import ClipSequence, read_true_poses
 from benchmark.execution.jobs import segment_split
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.models.classical.boxes import OracleVisibleBoxes, OracleVisibleMeans
@@ -12,7 +12,6 @@ from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.results.labels import read_poses
 from benchmark.results.run_folder import load_runs
 from benchmark.results.scoring import rescore, score_labels
-from benchmark.tasks.true_poses import read_true_poses
 from datagen.errors import CorruptFile
 from datagen.storage.reader import Dataset, Split
 from tests.worlds import rendered

@@ -1,7 +1,7 @@
 import numpy as np
 
 from datagen.edits.edit_context import stage_of
-from datagen.edits.effects import changed, packed, touched
+from datagen.edits.record import changed, packed, touched
 from datagen.render import make_renderer
 from datagen.schema import LEAST_EFFECT
 from datagen.shapes import build

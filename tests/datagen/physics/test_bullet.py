@@ -9,7 +9,7 @@ import pytest
 
 from datagen.config import Physics
 from datagen.geometry import rotation_from_quaternion
-from datagen.physics.bullet import GAP_RANGE, simulate
+from datagen.physics.bullet import GAP_RANGE, World
 from datagen.scene import Body, Material, Push, Scene, ShapeSpec, Table, Trajectory
 from datagen.shapes import build
 from tests.paths import ROOT
@@ -35,7 +35,9 @@ def body(at: tuple[float, ...], spec: ShapeSpec = BOX, **changes) -> Body:
 
 def run(*bodies: Body, frames: int = 10, physics: Physics = PHYSICS) -> Trajectory:
     scene = Scene(bodies, Table(2.0, PAINT), (), (), (0.3, 0.3, 0.3), (0.5, 0.5, 0.5), frames, 12.0)
-    return simulate(scene, [build(one.shape) for one in bodies], physics)
+    with World(scene, [build(one.shape) for one in bodies], physics) as world:
+        world.start()
+        return world.run()
 
 
 def parameters(category: str, seed: int = 0) -> ShapeSpec:

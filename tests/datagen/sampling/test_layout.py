@@ -5,8 +5,7 @@ import pytest
 
 from datagen.config import Layout, MotionConfig, load_recipe
 from datagen.sampling import layout as layouts
-from datagen.sampling.items import Item, sample_item
-from datagen.sampling.rejected import Rejected
+from datagen.sampling.items import Item, Rejected, sample_item
 
 OBJECTS = load_recipe("moving").objects
 LAYOUT = Layout()

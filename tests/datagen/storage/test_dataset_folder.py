@@ -1,7 +1,7 @@
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 
 import h5py
 import pytest
@@ -301,7 +301,7 @@ def test_a_run_that_waited_in_vain_begins_the_dataset_itself(tmp_path):
 
 def test_a_process_that_never_gets_ready_is_not_waited_for_forever(tmp_path, monkeypatch):
     monkeypatch.setattr(folder_module, "_PATIENCE_SECONDS", 0.1)
-    with FolderLock(tmp_path) as lock:
+    with closing(FolderLock(tmp_path)) as lock:
         assert lock.take_alone()
         with pytest.raises(Busy, match="has been preparing"):
             begin(tmp_path, spec(train=3))

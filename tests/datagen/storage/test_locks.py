@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -36,7 +37,11 @@ def wait_for(path: Path) -> None:
 
 
 def test_one_has_a_folder_alone_or_many_share_it(tmp_path):
-    with FolderLock(tmp_path) as first, FolderLock(tmp_path) as second, FolderLock(tmp_path) as third:
+    with (
+        closing(FolderLock(tmp_path)) as first,
+        closing(FolderLock(tmp_path)) as second,
+        closing(FolderLock(tmp_path)) as third,
+    ):
         assert first.take_alone()
         assert not second.take_alone()
         assert not second.take_shared()
@@ -45,7 +50,7 @@ def test_one_has_a_folder_alone_or_many_share_it(tmp_path):
         assert not third.take_alone()
         assert first.is_real
         assert not third.is_real
-    with FolderLock(tmp_path) as lock:
+    with closing(FolderLock(tmp_path)) as lock:
         assert lock.take_alone()
     assert list(tmp_path.iterdir()) == []
 
@@ -53,13 +58,13 @@ def test_one_has_a_folder_alone_or_many_share_it(tmp_path):
 def test_a_folder_that_was_removed_or_replaced_is_known(tmp_path):
     folder = tmp_path / "folder"
     folder.mkdir()
-    with FolderLock(folder) as lock:
+    with closing(FolderLock(folder)) as lock:
         assert lock.is_current()
         folder.rename(tmp_path / "moved")
         assert not lock.is_current()
         folder.mkdir()
         assert not lock.is_current()
-    with pytest.raises(NotADirectoryError), FolderLock(Path(__file__)):
+    with pytest.raises(NotADirectoryError), closing(FolderLock(Path(__file__))):
         raise AssertionError
 
 
@@ -68,7 +73,7 @@ def test_file_systems_without_locks_grant_everything(tmp_path, monkeypatch):
         raise OSError(95, "Operation not supported")
 
     monkeypatch.setattr("fcntl.flock", unsupported)
-    with FolderLock(tmp_path) as first, FolderLock(tmp_path) as second:
+    with closing(FolderLock(tmp_path)) as first, closing(FolderLock(tmp_path)) as second:
         assert first.take_alone()
         assert second.take_alone()
         assert not second.is_real

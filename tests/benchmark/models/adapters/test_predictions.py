@@ -15,9 +15,9 @@ from benchmark.clips import ClipSequence
 from benchmark.commands.cli import main
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.interface import Clip, Poses, Prediction
-from benchmark.ranking.standings import load_standings
+from benchmark.ranking.standings import load_standings, pooled
 from benchmark.results.labels import write_labels
-from benchmark.results.run_folder import load_runs, load_scenes, pooled
+from benchmark.results.run_folder import load_runs, load_scenes
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.storage.reader import Dataset, Split
 from tests.worlds.traced import write_dataset

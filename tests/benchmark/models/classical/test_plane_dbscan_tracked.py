@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import clip_scores
-from benchmark.models.classical.plane_dbscan import PlaneDbscan
-from benchmark.models.classical.plane_dbscan_tracked import LARGEST_MOVE, PlaneDbscanTracked, follow
+from benchmark.models.classical.plane_dbscan import LARGEST_MOVE, PlaneDbscan, PlaneDbscanTracked, follow
 from tests.worlds.sphere_clips import balls
 
 STEPS = np.linspace(-0.3, 0.3, 9)

@@ -11,7 +11,7 @@ from benchmark.commands.arguments import Run
 from benchmark.commands.request import request_of
 from benchmark.execution.plan import make_plan
 from benchmark.machine import ROOT
-from benchmark.models.adapters.settings import settings_of
+from benchmark.models.model_spec import settings_of
 from benchmark.models.registry import find_model
 from benchmark.results.run_folder import load_runs
 from obpose.baselines.obsurf.config import ObsurfConfig

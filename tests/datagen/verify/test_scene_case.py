@@ -7,8 +7,7 @@ from datagen.pipeline.make_scene import make_scene, renderer_identity
 from datagen.schema import DEPTH_SCALE
 from datagen.storage.spec import make_spec
 from datagen.verify import pixels, verify_record
-from datagen.verify.precision import OPENGL, PRECISION, Precision, rounding
-from datagen.verify.scene_case import Allowed, make_case
+from datagen.verify.scene_case import OPENGL, PRECISION, Allowed, Precision, make_case, rounding
 from tests.worlds import rendered
 
 
