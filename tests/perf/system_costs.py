@@ -15,7 +15,7 @@ import torch
 from obpose.systems import SYSTEMS
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
-from obpose.types import LabelledObservation
+from obpose.types import LabelledObservation, PastedObservation
 from tests.worlds.observations import labels_by_colour, table_scene
 
 FRAMES, SIZE, OBJECTS = 5, 64, 4
@@ -50,8 +50,9 @@ def cost_of(name: str) -> Cost:
     clips = config.train.batch * (config.train.frames // frames)
     seen = table_scene(batch=clips, frames=frames, height=SIZE, width=SIZE, spheres=OBJECTS)
     batch = {field.name: getattr(seen, field.name) for field in fields(seen)}
-    if learner.model.observation_type is LabelledObservation:
-        batch["segmentation"] = torch.stack([labels_by_colour(rgb) for rgb in seen.rgb])
+    labels = {LabelledObservation: "segmentation", PastedObservation: "pseudo_labels"}
+    if name_of_labels := labels.get(learner.model.observation_type):
+        batch[name_of_labels] = torch.stack([labels_by_colour(rgb) for rgb in seen.rgb])
     times = []
     for step in range(STEPS + 1):
         start = time.process_time()

@@ -16,17 +16,19 @@ from itertools import count
 from statistics import median
 from typing import Any
 
-import obpose.model.encoder
 import torch
 from lightning_fabric import Fabric
-from obpose.model.pose.what import What
 from torch import Tensor
 from torch.autograd.graph import Node
 
 import obpose.model.obpose
 from obpose.config import Config
+from obpose.model.attention.icsbp import ICSBP
+from obpose.model.build import build_obpose
+from obpose.model.layers.latent import RecurrentLatent
 from obpose.model.obpose import ObPose
 from obpose.model.pose.encoder import ObjectEncoder
+from obpose.model.pose.where import Where
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import Observation
@@ -37,16 +39,17 @@ ENCODERS = "where and what"
 REST = "rest"
 """Of a step: rays, background latent, norm of the gradient, Adam."""
 PARTS = (
-    (ObPose, "embed", "backbone and heads"),
-    (ObPose, "attend", "attention"),
-    (ObPose, "_locate", ENCODERS),
+    (ObPose, "_embed", "backbone and heads"),
+    (ICSBP, "forward", "attention"),
+    (Where, "forward", ENCODERS),
     (ObPose, "_crop", ENCODERS),
     (ObjectEncoder, "forward", ENCODERS),
-    (What, "forward", ENCODERS),
-    (obpose.model.encoder, "observed_rotation", "orientation"),
+    (RecurrentLatent, "forward", ENCODERS),
+    (obpose.model.obpose, "observed_rotation", "orientation"),
     (ObPose, "decode", "fields"),
-    (ObPose, "_estimate_shape", "voxels"),
-    (obpose.model.obpose, "loss_terms", "losses"),
+    (obpose.model.obpose, "estimate_shape", "voxels"),
+    (obpose.model.obpose, "observation_terms", "losses"),
+    (obpose.model.obpose, "attention_loss", "losses"),
 )
 """Owner and name of what is timed; what one part calls of another does not count for the caller."""
 
@@ -158,7 +161,7 @@ def _timed(learn: Callable[[], None], steps: int) -> list[float]:
 
 def _learner(config: Config, clips: Observation) -> Callable[[], None]:
     """Makes the next step after the warm-up."""
-    learner = Learner(make_fabric("cpu", config.train), config, ObPose)
+    learner = Learner(make_fabric("cpu", config.train), config, build_obpose)
     batch = {field.name: getattr(clips, field.name) for field in fields(clips)}
     numbers = count(config.train.warmup)
 
