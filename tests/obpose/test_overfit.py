@@ -74,7 +74,7 @@ objects in one slot with some of them."""
 @pytest.mark.parametrize(
     ("system", "changes", "count", "steps", "least"),
     [
-        ("supervised", {}, 1, 100, 0.99),
+        ("supervised", {}, 1, 300, 0.99),
         ("obpose", {"train.warmup": 100}, 1, 300, 0.99),
         ("obpose-loc", {"train.warmup": 100}, 1, 300, 0.99),
         ("slot-attention", {}, 16, 900, 0.99),
