@@ -67,7 +67,7 @@ def test_a_scene_is_looked_at_edited_and_saved(page: Page, tmp_path: Path):
         user.press("Save")
         wait_until(lambda: (tmp_path / "saved" / "scene-1" / "picture.png").exists(), what="the scene to be saved")
         assert equal(load_scene(tmp_path / "saved" / "scene-1"), page.session.scene)
-        tab.wait("document.body.innerText.includes('scene-1: 10 frames')")
+        tab.wait(f"document.body.innerText.includes('scene-1: {page.session.scene.frames} frames')")
 
         user.press("Undo")
         wait_until(lambda: not page.session.can_undo, what="the drag to be undone")
