@@ -180,7 +180,7 @@ SYSTEMS: dict[str, System] = {
         {},
         DESCRIPTIONS["supervised"],
         ("background slot", "camera pose", "plane"),
-        version=2,
+        version=3,
         uses_labels=True,
     ),
     "obpose-contact": System(

@@ -37,13 +37,7 @@ class ContactConfig:
 
 @dataclass(frozen=True)
 class SupervisedConfig(ContactConfig):
-    """Configuration of `obpose.baselines.supervised`, which trains on whole images of a few clips."""
-
-    train: TrainConfig = field(
-        default_factory=lambda: TrainConfig(
-            batch=3, frames=5, learning_rate=3e-3, clip=5.0, warmup=0, minutes=12.0, views="separate"
-        )
-    )
+    """Configuration of `obpose.baselines.supervised`, with the same defaults."""
 
 
 _RULES: tuple[Rule, ...] = (
@@ -61,6 +55,5 @@ def check_contact_bounds(config: ContactConfig) -> None:
     """
     check_values(config, _RULES)
     frames, views = config.train.frames, config.train.views
-    pasted = not isinstance(config, SupervisedConfig)
-    expect(frames == 1 or not pasted, "train.frames", frames, "1, as training images are pasted one by one")
+    expect(frames == 1, "train.frames", frames, "1, as the network sees single images")
     expect(views == "separate", "train.views", views, "separate, as the network sees single images")
