@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import assets
 from datagen.errors import UsageError, unknown_name
-from datagen.recipe_rules import constants, problems
+from datagen.recipe_rules import OPTIONAL_RANGES, constants, problems
 
 OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
 """Fields of a recipe that its parts do not inherit."""
@@ -65,6 +65,8 @@ class Layout:
     """Half sides of the region around `center` that no object may leave, metres."""
     table_size: float = 2.0
     """Side of the square table, metres."""
+    table_sizes: tuple[float, ...] = ()
+    """Least and greatest side of the table, metres; each scene draws its own. If empty, all have `table_size`."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +156,14 @@ class Rig:
     """Angle of the first camera about the world's z axis, seen from its target, degrees; at 0 it looks along -x."""
     jitter: float = 0.0
     """Standard deviation of each camera's position along each axis, metres."""
+    distances: tuple[float, ...] = ()
+    """Least and greatest distance, metres; each scene draws its own. If empty, all have `distance`."""
+    elevations: tuple[float, ...] = ()
+    """Least and greatest elevation, degrees; each scene draws its own. If empty, all have `elevation`."""
+    azimuths: tuple[float, ...] = ()
+    """Least and greatest azimuth, degrees; each scene draws its own. If empty, all have `azimuth`."""
+    fields_of_view: tuple[float, ...] = ()
+    """Least and greatest field of view, degrees; each scene draws its own. If empty, all have `field_of_view`."""
 
 
 @dataclass(frozen=True)
@@ -284,7 +294,7 @@ def _difference(values: dict[str, Any], defaults: dict[str, Any], kept: set[str]
     for key, value in values.items():
         if isinstance(value, dict):
             changed[key] = _difference(value, defaults[key], kept, f"{prefix}{key}.")
-        elif value != defaults[key] or prefix + key in kept:
+        elif value != defaults.get(key) or prefix + key in kept:
             changed[key] = value
     return changed
 
@@ -296,7 +306,7 @@ def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def constant_names(recipe: Recipe) -> list[str]:
     """Dotted names of all constants that parts may inherit."""
-    return [name for name, _ in constants(recipe_to_dict(recipe)) if name not in OF_THE_WHOLE]
+    return [name for name, _ in constants(dataclasses.asdict(recipe)) if name not in OF_THE_WHOLE]
 
 
 def recipe_names() -> list[str]:
@@ -333,5 +343,13 @@ def recipe_from_dict(data: dict[str, Any]) -> Recipe:
 
 
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
-    """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe."""
-    return dataclasses.asdict(recipe)
+    """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe.
+
+    Constants that were added later are left out where they are empty, so that older datasets keep their identity.
+    """
+    values = dataclasses.asdict(recipe)
+    for name in OPTIONAL_RANGES:
+        group, constant = name.split(".")
+        if not values[group][constant]:
+            del values[group][constant]
+    return values

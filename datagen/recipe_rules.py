@@ -41,6 +41,7 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "layout.tries": (1, 10_000, ""),
     "layout.workspace_half_extent": (0.001, 100, "metres"),
     "layout.table_size": (0.01, 100, "metres"),
+    "layout.table_sizes": (0.01, 100, "metres"),
     **dict.fromkeys(
         (f"motion.weights.{kind}" for kind in ("rest", "drop", "slide", "roll", "push", "throw")), (0, 1e6, "")
     ),
@@ -64,6 +65,10 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "rig.target": (-100, 100, "metres"),
     "rig.azimuth": (-3600, 3600, "degrees"),
     "rig.jitter": (0, 10, "metres"),
+    "rig.distances": (0.05, 100, "metres"),
+    "rig.elevations": (-89.9, 89.9, "degrees"),
+    "rig.azimuths": (-3600, 3600, "degrees"),
+    "rig.fields_of_view": (1, 170, "degrees"),
     "lighting.softness": (0, 45, "degrees"),
     "lighting.elevation": (1, 90, "degrees"),
     "lighting.key": (0, 100, ""),
@@ -86,7 +91,17 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
 }
 """Least and greatest value of every number of a recipe, and their unit; pairs and lists hold such numbers."""
 
+OPTIONAL_RANGES = {
+    "rig.distances": "rig.distance",
+    "rig.elevations": "rig.elevation",
+    "rig.azimuths": "rig.azimuth",
+    "rig.fields_of_view": "rig.field_of_view",
+    "layout.table_sizes": "layout.table_size",
+}
+"""Pairs of a least and a greatest value that may be empty, and the constant that counts then."""
+
 RANGES = {
+    *OPTIONAL_RANGES,
     "objects.size", "objects.density", "objects.friction", "objects.restitution", "motion.speed", "motion.drop_height",
     "motion.push_start", "motion.push_duration", "lighting.elevation", "lighting.key", "lighting.fill",
     "lighting.ambient",
@@ -119,7 +134,9 @@ def _problems_of(name: str, value: Any) -> Iterator[str]:
             yield f"{name} is {value}, expected finite numbers"
         elif not all(low <= x <= high for x in values):
             yield f"{name} is {value}, expected {span(low, high)} {unit}".rstrip()
-        elif name in RANGES and values[0] > values[-1]:
+        elif name in OPTIONAL_RANGES and len(values) not in (0, 2):
+            yield f"{name} has {len(values)} numbers, expected a least and a greatest one, or none"
+        elif name in RANGES and values and values[0] > values[-1]:
             yield f"{name} is {value}, expected the least before the greatest"
     elif name == "appearance.finishes" and not values:
         yield f"{name} names none, expected at least one"
@@ -155,8 +172,9 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
     if layout["placement"] == "touching" and objects["minimum"] < 2:
         yield "objects.minimum is 1, expected at least 2 where layout.placement is touching"
     reach = max(abs(c) + h for c, h in zip(layout["center"], layout["workspace_half_extent"], strict=True))
-    if reach > layout["table_size"] / 2:
-        yield f"the workspace reaches {reach:.2f} m out, beyond a table of layout.table_size {layout['table_size']} m"
+    name, table_size = _least(layout, "table_sizes", "table_size")
+    if reach > table_size / 2:
+        yield f"the workspace reaches {reach:.2f} m out, beyond a table of layout.{name} {table_size} m"
     width, height = recipe["visibility_resolution"]
     if recipe["least_visible_pixels"] > width * height:
         yield (
@@ -189,9 +207,18 @@ def _endless(recipe: dict[str, Any]) -> Iterator[str]:
 
 def _below_the_table(rig: dict[str, Any]) -> Iterator[str]:
     """Check for cameras below the table's top, which would show its underside."""
-    height = rig["target"][2] + rig["distance"] * math.sin(math.radians(rig["elevation"]))
-    if height <= 0:
+    elevation = _least(rig, "elevations", "elevation")[1]
+    heights = [
+        rig["target"][2] + distance * math.sin(math.radians(elevation))
+        for distance in rig["distances"] or (rig["distance"],)
+    ]
+    if min(heights) <= 0:
         yield (
-            f"rig.target, rig.distance and rig.elevation put the cameras at a height of {100 * height:.1f} cm above "
-            "the table's top, expected more than 0; raise rig.elevation or the third number of rig.target"
+            f"rig.target, rig.distance and rig.elevation put the cameras at a height of {100 * min(heights):.1f} cm "
+            "above the table's top, expected more than 0; raise rig.elevation or the third number of rig.target"
         )
+
+
+def _least(values: dict[str, Any], optional: str, default: str) -> tuple[str, float]:
+    """Name and least value of a range, or of the constant that counts if the range is empty."""
+    return (optional, values[optional][0]) if values[optional] else (default, values[default])

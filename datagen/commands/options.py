@@ -147,12 +147,13 @@ def choose_recipe(name: str | None, *, video: bool) -> Recipe:
 
 
 def with_overrides(recipe: Recipe, arguments: Sequence[str]) -> Recipe:
-    """Set `overrides` of a recipe with parts to the constants on the command line, so that its parts inherit them."""
+    """Add the constants on the command line to the `overrides` of a recipe with parts, so that its parts inherit them."""
     if not recipe.parts:
         return recipe
     flags = {argument.partition("=")[0].lstrip("-").replace("-", "_") for argument in arguments}
     named = [name for name in constant_names(recipe) if {name, re.sub(r"(\w+)$", r"no_\1", name)} & flags]
-    return dataclasses.replace(recipe, overrides=tuple(named))
+    added = (name for name in named if name not in recipe.overrides)
+    return dataclasses.replace(recipe, overrides=(*recipe.overrides, *added))
 
 
 def default_folder(recipe: str, resolution: tuple[int, int] | None, seed: int) -> Path:

@@ -208,12 +208,13 @@ def check_room(recipe: Recipe) -> None:
 
 
 def check_rig(recipe: Recipe) -> None:
-    """Refuse cameras that cannot show the table; cameras with jitter are checked scene by scene.
+    """Refuse cameras that cannot show the table; cameras with jitter or ranges are checked scene by scene.
 
     Raises:
         UsageError: says what would have to change.
     """
-    if recipe.rig.jitter:
+    rig = recipe.rig
+    if rig.jitter or rig.distances or rig.elevations or rig.azimuths or rig.fields_of_view:
         return
     for view, camera in enumerate(sample_cameras(recipe, np.random.default_rng(0))):
         if fault := table_fault(camera, recipe.layout.table_size, *recipe.visibility_resolution):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from datagen.config import Recipe
+from datagen.config import Layout, Recipe
 from datagen.geometry import quaternion_from_rotation
 from datagen.sampling.appearance import sample_backdrop, sample_materials, sample_table
 from datagen.sampling.cameras import sample_ambient, sample_cameras, sample_lights
@@ -30,7 +30,7 @@ def sample_scene(recipe: Recipe, rng: np.random.Generator, split: str, index: in
     materials = sample_materials(recipe.appearance, sizes, rng)
     return Scene(
         bodies=tuple(_body(*row) for row in zip(spots, starts, materials, strict=True)),
-        table=Table(recipe.layout.table_size, sample_table(recipe.appearance, rng)),
+        table=Table(_table_size(recipe.layout, rng), sample_table(recipe.appearance, rng)),
         cameras=sample_cameras(recipe, rng),
         lights=sample_lights(recipe.lighting, rng),
         ambient=sample_ambient(recipe.lighting, rng),
@@ -38,6 +38,10 @@ def sample_scene(recipe: Recipe, rng: np.random.Generator, split: str, index: in
         frames=recipe.frames,
         fps=recipe.fps,
     )
+
+
+def _table_size(layout: Layout, rng: np.random.Generator) -> float:
+    return rounded(rng.uniform(*layout.table_sizes)) if layout.table_sizes else layout.table_size
 
 
 def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator) -> list[Spot]:

@@ -1,8 +1,11 @@
 """Cameras and lights of a scene."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from datagen.config import Lighting, Recipe, Rig
+from datagen.recipe_rules import OPTIONAL_RANGES
 from datagen.sampling.poses import about_vertical
 from datagen.scene import Camera, Light, rounded, vector
 
@@ -13,8 +16,20 @@ def sample_cameras(recipe: Recipe, rng: np.random.Generator) -> tuple[Camera, ..
     Their frame has the aspect in which the recipe judges visibility, whatever the images' aspect will be.
     """
     width, height = recipe.visibility_resolution
+    rig = sample_rig(recipe.rig, rng)
     angles = [2 * np.pi * view / recipe.views for view in range(recipe.views)]
-    return tuple(_camera(recipe.rig, angle, width / height, rng) for angle in angles)
+    return tuple(_camera(rig, angle, width / height, rng) for angle in angles)
+
+
+def sample_rig(rig: Rig, rng: np.random.Generator) -> Rig:
+    """Draw the constants of one scene's rig that have a range."""
+    ranges = {name.removeprefix("rig."): default.removeprefix("rig.") for name, default in OPTIONAL_RANGES.items()}
+    drawn = {
+        default: rounded(rng.uniform(*getattr(rig, name)))
+        for name, default in ranges.items()
+        if getattr(rig, name, ())
+    }
+    return replace(rig, **drawn)
 
 
 def _camera(rig: Rig, angle: float, aspect: float, rng: np.random.Generator) -> Camera:
