@@ -147,7 +147,7 @@ def choose_recipe(name: str | None, *, video: bool) -> Recipe:
 
 
 def with_overrides(recipe: Recipe, arguments: Sequence[str]) -> Recipe:
-    """Add the constants on the command line to the `overrides` of a recipe with parts, so that its parts inherit them."""
+    """Add the constants on the command line to `overrides` of a recipe with parts, so that its parts inherit them."""
     if not recipe.parts:
         return recipe
     flags = {argument.partition("=")[0].lstrip("-").replace("-", "_") for argument in arguments}

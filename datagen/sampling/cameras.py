@@ -25,9 +25,7 @@ def sample_rig(rig: Rig, rng: np.random.Generator) -> Rig:
     """Draw the constants of one scene's rig that have a range."""
     ranges = {name.removeprefix("rig."): default.removeprefix("rig.") for name, default in OPTIONAL_RANGES.items()}
     drawn = {
-        default: rounded(rng.uniform(*getattr(rig, name)))
-        for name, default in ranges.items()
-        if getattr(rig, name, ())
+        default: rounded(rng.uniform(*getattr(rig, name))) for name, default in ranges.items() if getattr(rig, name, ())
     }
     return replace(rig, **drawn)
 

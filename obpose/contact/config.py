@@ -5,6 +5,11 @@ from dataclasses import dataclass, field
 from obpose.config import TrainConfig
 from obpose.config_bounds import TRAINING, Rule, check_values, expect, not_negative, positive
 
+LEAST_FLOOR = 0.0015
+"""Height in metres above the table from which points belong to objects, for exact depth."""
+FLOOR_NOISE = 4.0
+"""The same height for noisy depth, in standard deviations of the noise."""
+
 
 @dataclass(frozen=True)
 class ContactModelConfig:
@@ -12,15 +17,22 @@ class ContactModelConfig:
 
     table: float = 0.0
     """Height of the table above the world's z = 0, metres."""
-    floor: float = 0.0015
-    """Height in metres above the table from which points belong to pseudo-objects."""
+    noise: float = 0.0
+    """Standard deviation of the table's points about a plane, metres; measured before training
+    (`obpose.data.scene_stats.measure_scene`)."""
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
     bias: float = 0.5
     """Added to the logits of affinities before pixels are grouped: larger values divide less."""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Middle of the observed points, world frame, metres; measured before training
-    (`obpose.data.scene_stats.measure_scene`)."""
+    """Middle of the observed points, world frame, metres; measured before training."""
+    spacing: float = 0.01
+    """Median distance in metres between the surface points of neighbouring pixels; measured before training."""
+
+    @property
+    def floor(self) -> float:
+        """Height in metres above the table from which points belong to objects."""
+        return max(LEAST_FLOOR, FLOOR_NOISE * self.noise)
 
 
 @dataclass(frozen=True)
@@ -43,7 +55,8 @@ class SupervisedConfig(ContactConfig):
 _RULES: tuple[Rule, ...] = (
     *TRAINING,
     positive("model.gap"),
-    not_negative("model.floor"),
+    positive("model.spacing"),
+    not_negative("model.noise"),
 )
 
 

@@ -1,8 +1,9 @@
-"""Dataset statistics that a model needs before training: point spacing and the extent of the workspace."""
+"""Dataset statistics that a model needs before training: point spacing, noise, and the extent of the workspace."""
 
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from einops import rearrange
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from torch import Tensor
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
+from obpose.rgbd.plane import fit_plane
 from obpose.types import Observation
 
 CLIPS = 32
@@ -33,6 +35,8 @@ class SceneMeasures:
     """Edge of that cube, metres."""
     background_size: float
     """Edge of the cube with the same centre that holds all points and the cameras, metres."""
+    noise: float
+    """Median over the images of the standard deviation of the largest plane's points, metres; 0 without planes."""
 
     def changes(self) -> dict[str, Any]:
         """Give the statistics as configuration changes for `obpose.variants.make_config`."""
@@ -49,7 +53,8 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
         raise UsageError("There are no training clips; expected a training split with at least one scene.")
     count = min(CLIPS, len(source))
     images = [observation_of([source.window(i * len(source) // count, 0, 1)]) for i in range(count)]
-    points = torch.cat([unproject(image)[image.valid] for image in images])
+    clouds = [unproject(image)[image.valid] for image in images]
+    points = torch.cat(clouds)
     steps = torch.cat([neighbour_distances(image) for image in images])
     if not len(points) or not len(steps):
         raise UsageError("The training clips show nothing: no neighbouring pixels with a depth in the first frames.")
@@ -68,7 +73,14 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
         workspace_center=(x, y, z),
         workspace_size=MARGIN * float((high - low).max()),
         background_size=2 * float(reach),
+        noise=_plane_noise(clouds),
     )
+
+
+def _plane_noise(clouds: list[Float[Tensor, "_ 3"]]) -> float:
+    planes = [fit_plane(cloud.double().numpy(), np.random.default_rng(0)) for cloud in clouds]
+    spreads = [plane.spread for plane in planes if plane is not None]
+    return float(np.median(spreads)) if spreads else 0.0
 
 
 def neighbour_distances(image: Observation) -> Float[Tensor, " pair"]:

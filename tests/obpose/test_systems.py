@@ -16,7 +16,7 @@ from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model,
 from obpose.types import LabelledObservation
 from obpose.variants import VARIANTS, make_config
 
-MEASURES = SceneMeasures(0.02, (0.1, 0.2, 0.3), 0.7, 1.9).changes()
+MEASURES = SceneMeasures(0.02, (0.1, 0.2, 0.3), 0.7, 1.9, 0.001).changes()
 
 
 @pytest.mark.parametrize(("name", "profile"), [(n, p) for n, s in SYSTEMS.items() for p in s.architecture.profiles])
@@ -46,8 +46,8 @@ def test_every_name_says_what_it_is():
 
 
 def test_the_measures_of_a_scene_reach_whoever_has_a_value_for_them():
-    obpose, obsurf = (SYSTEMS[name] for name in ("obpose", "obsurf"))
-    assert obpose.known(MEASURES) == MEASURES
+    obpose, obsurf, contact = (SYSTEMS[name] for name in ("obpose", "obsurf", "obpose-contact"))
+    assert {*obpose.known(MEASURES), *contact.known(MEASURES)} == {*MEASURES}
     config = obsurf.config("cpu", obsurf.known(MEASURES))
     assert config.model.workspace_center == (0.1, 0.2, 0.3)
     assert set(obsurf.known(MEASURES)) == {"model.workspace_center"}
@@ -72,7 +72,7 @@ def test_a_configuration_says_which_model_it_is_of():
         ContactConfig,
     }
     with pytest.raises(TypeError, match="configured by SceneMeasures"):
-        architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0))
+        architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0, 0.0))
 
 
 def test_a_system_that_uses_labels_is_one_whose_model_sees_them():

@@ -6,6 +6,7 @@ from torch import Tensor
 
 from obpose.data.scene_stats import measure_scene, neighbour_distances
 from obpose.errors import UsageError
+from obpose.systems import find_system
 from obpose.types import Observation
 from obpose.variants import make_config
 
@@ -17,8 +18,10 @@ class Wall:
 
     frames_of_clip = 3
 
-    def __init__(self, clips: int = 40, depth: float = 2.0, place: tuple[float, float, float] = (0, 0, 0), holes=0.0):
-        self._clips, self._depth, self._place, self._holes = clips, depth, place, holes
+    def __init__(
+        self, clips: int = 40, depth: float = 2.0, place: tuple[float, float, float] = (0, 0, 0), holes=0.0, noise=0.0
+    ):
+        self._clips, self._depth, self._place, self._holes, self._noise = clips, depth, place, holes, noise
         self.read: list[tuple[int, int, int]] = []
 
     def __len__(self) -> int:
@@ -27,11 +30,12 @@ class Wall:
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
         self.read.append((index, start, frames))
         shape = (frames, 1, HEIGHT, WIDTH)
-        valid = torch.rand(shape, generator=torch.Generator().manual_seed(index)) >= self._holes
+        generator = torch.Generator().manual_seed(index)
+        valid = torch.rand(shape, generator=generator) >= self._holes
         pose = torch.eye(4)
         pose[:3, 3] = torch.tensor(self._place)
         k = torch.tensor([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-        depth = torch.full(shape, self._depth) * valid
+        depth = (self._depth + self._noise * torch.randn(shape, generator=generator)) * valid
         return {
             "rgb": torch.zeros(*shape, 3),
             "depth": depth,
@@ -44,6 +48,11 @@ class Wall:
 def test_spacing_is_the_distance_between_neighbouring_pixels():
     assert measure_scene(Wall(depth=2.0)).spacing == pytest.approx(2.0 / FOCAL, rel=1e-5)
     assert measure_scene(Wall(depth=1.0, holes=0.5)).spacing == pytest.approx(1.0 / FOCAL, rel=1e-4)
+
+
+def test_the_noise_is_that_of_the_points_of_a_plane():
+    assert measure_scene(Wall()).noise == pytest.approx(0, abs=1e-6)
+    assert measure_scene(Wall(noise=0.002)).noise == pytest.approx(0.002, rel=0.1)
 
 
 def test_the_workspace_holds_almost_all_points_and_little_more():
@@ -64,7 +73,7 @@ def test_a_few_clips_spread_over_the_source_are_read():
 
 def test_measures_are_changes_of_a_configuration():
     measures = measure_scene(Wall())
-    config = make_config(**measures.changes())
+    config = make_config(**find_system("obpose").known(measures.changes()))
     assert config.model.spacing == measures.spacing
     assert config.model.workspace_center == measures.workspace_center
     assert config.model.workspace_size == measures.workspace_size

@@ -10,17 +10,18 @@ from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
 from obpose.model.obpose import ObPose
 from obpose.rgbd.frames import GIVEN, table_middle, world_note
+from obpose.systems import find_system
 from obpose.types import Observation
-from obpose.variants import make_config
 from tests.worlds.sphere_clips import clip_and_truth
 
 CLIP = clip_and_truth(frames=1, resolution=(32, 24))[0]
+MEASURES = find_system("obpose").known(measure_scene(ArrayClips([CLIP])).changes())
 
 
 @pytest.fixture(scope="module")
 def model() -> ObPose:
     """Untrained model with the statistics of the clip."""
-    return build_obpose(make_config("obpose", **measure_scene(ArrayClips([CLIP])).changes()))
+    return build_obpose(find_system("obpose").config("cpu", MEASURES))
 
 
 def observed(pose: np.ndarray) -> Observation:
