@@ -7,7 +7,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Integer, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
@@ -87,12 +87,12 @@ def reconstruct(
     return colours.reshape(clips.rgb.shape)
 
 
-def colours_of(labels: Int[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
+def colours_of(labels: Integer[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
     """Colours of labels from the palette."""
     return PALETTE[np.where(labels > 0, 1 + (labels - 1) % (len(PALETTE) - 1), 0)]
 
 
-def tint(image: Picture, labels: Int[np.ndarray, "height width"], opacity: float = TINT) -> Picture:
+def tint(image: Picture, labels: Integer[np.ndarray, "height width"], opacity: float = TINT) -> Picture:
     """Mix an image with the colours of its labels; the background stays unchanged."""
     mixed = (1 - opacity) * image + opacity * colours_of(labels)
     return np.where(labels[..., None] > 0, mixed, image).astype(np.uint8)

@@ -128,7 +128,7 @@ DESCRIPTIONS = {
 }
 
 
-_LARGER_BOXES: dict[str, Changes] = dict.fromkeys(("multishape", "desk"), {"model.pose.box_size": 0.35})
+_LARGER_BOXES: dict[str, Changes] = {track: {"model.pose.box_size": 0.35} for track in ("multishape", "desk")}
 """Changes for objects of up to 28 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
 
 

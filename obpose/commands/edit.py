@@ -28,7 +28,7 @@ from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Rem
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
 from obpose.errors import Interrupted, UsageError
-from obpose.rgbd.frames import prepare_frames
+from obpose.rgbd.frames import prepare_frames, trained_on
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
 from obpose.scenes.bounds import check_inside
@@ -83,7 +83,7 @@ def _infer(values: Infer) -> None:
         print(f"Resolution: {spacing_note(origin.model, clip)}.")
         scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
     else:
-        frames = prepare_frames(values, origin.model)
+        frames = prepare_frames(values, trained_on(origin.model.config))
         check_new_folder(values.out)
         print(f"World: {frames.world}.\nResolution: {frames.resolution}.")
         scene = infer_scene(origin, frames.observation, refinements=values.refine)

@@ -1,11 +1,6 @@
-"""Entry points of `obpose-segment`, `obpose-edit` and `obpose-view`."""
+"""Entry points of `obpose-edit` and `obpose-view`."""
 
 from datagen.console.command_line import start
-
-
-def segment() -> int:
-    """Run `obpose-segment` and return its exit code."""
-    return start("obpose-segment", "obpose.commands.segment")
 
 
 def edit() -> int:

@@ -1,107 +1,117 @@
-"""The command `obpose-segment`: segment RGB-D frames of one static camera with a trained model.
+"""The command `obpose-segment`: segment RGB-D frames of one static camera.
 
-obpose-segment --checkpoint RUN --rgb a.png --depth a_depth.png --intrinsics 525,525,320,240
-obpose-segment --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --every 8
+obpose-segment --rgb a.png --depth a_depth.png --intrinsics 525,525,320,240
+obpose-segment --method plane-hdbscan --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-
-import numpy as np
-from einops import rearrange
-from jaxtyping import Int
 
 from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
 from datagen.storage.atomic import check_new_folder
 from obpose.data.resolution import fitting_model
-from obpose.errors import EXIT_OK
-from obpose.rgbd.frames import Frames, prepare_frames
-from obpose.rgbd.results import SegmentedObject, write_results
-from obpose.storage.checkpoint import load_obpose
+from obpose.errors import EXIT_OK, UsageError
+from obpose.model.obpose import ObPose
+from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames, trained_on
+from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, write_results
+from obpose.rgbd.segment import Labels, Method, segment_frames
+from obpose.storage.checkpoint import load
 from obpose.storage.pretrained import find_checkpoint
-from obpose.types import SceneSegmentation, Segmentation
+from obpose.trainable import Trainable
+from obpose.types import Observation
 
 PROGRAM = "obpose-segment"
+DEFAULT = "obpose-contact--desk--128x96"
+"""Name of the shipped weights that are used if none are given."""
+UNTRAINED = Trained(spacing=0.006)
+"""Pixel spacing that methods without training get."""
+
+FindMethod = Callable[[str], Method]
+"""Function that finds a method without training by name; raises UsageError if there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments(Frames):
-    """Segment RGB-D frames, and infer positions and rotations of the objects."""
+    """Segment RGB-D frames, and find boxes of the objects."""
 
-    checkpoint: Path
-    """Folder of a trained model, or the name of shipped weights."""
+    checkpoint: Path | None = None
+    """Folder of a trained model, or the name of shipped weights; default obpose-contact--desk--128x96."""
+    method: str | None = None
+    """Name of a method without training, in place of weights: plane-components, plane-dbscan, plane-hdbscan, convexity
+    or clip-tracker."""
     out: Path = Path("segmented")
-    """Folder for label images, overlays, and objects.json."""
+    """Folder for label images, overlays, point clouds and objects.json."""
+    overwrite: bool = False
+    """Replace an earlier result in the folder."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Segment and return the exit code."""
+def main(arguments: Sequence[str] | None = None, *, find_method: FindMethod) -> int:
+    """Segment and return the exit code; `find_method` finds methods without training."""
     return run_command(
         PROGRAM,
-        Command(Arguments, run),
+        Command(Arguments, partial(run, find_method=find_method)),
         description=__doc__,
         arguments=arguments,
         out_of_memory="Out of memory; give fewer frames at a time, or a larger --every.",
     )
 
 
-def run(values: Arguments) -> int:
+def run(values: Arguments, *, find_method: FindMethod) -> int:
     """Segment the frames and write all files."""
-    model = load_obpose(find_checkpoint(values.checkpoint))
-    frames = prepare_frames(values, model)
-    check_new_folder(values.out)
-    segmentation = fitting_model(model, frames.observation).segment(frames.observation)
-    labels = _enlarged(segmentation, values.every, frames.recording.depth.shape)
+    name, method, trained = _method(values, find_method)
+    frames = prepare_frames(values, trained)
+    if not (values.overwrite and (values.out / OBJECTS_FILE).is_file()):
+        check_new_folder(values.out)
+    labels = segment_frames(frames, method)
     facts = {
-        "checkpoint": str(values.checkpoint),
+        "method": name,
         "world": frames.world,
-        "units": "metres; rotations are world_from_object; box_size is the edge of the object's cube",
+        "units": "metres; rotations are world_from_object; size holds the sides of the box",
         "resolution": frames.resolution,
     }
-    objects = _objects(segmentation, labels)
-    page = write_results(values.out, frames.recording, labels, objects, frames.pose, facts)
+    objects = write_results(values.out, frames, labels, facts, overwrite=values.overwrite)
+    print(f"Method: {name}.")
     print(f"World: {frames.world}.")
     print(f"Resolution: {frames.resolution}.")
-    print(f"Labels, overlays and poses of {counted(len(labels), 'frame')}: {page}")
+    _print_objects(frames, [each for each in objects if each][:1])
+    print(f"Labels, overlays, boxes and point clouds of {counted(len(labels), 'frame')}: {values.out / OBJECTS_FILE}")
+    print(f"Picture: {values.out / SUMMARY}")
     return EXIT_OK
 
 
-def _enlarged(segmentation: Segmentation, step: int, shape: tuple[int, ...]) -> Int[np.ndarray, "frame height width"]:
-    """Labels in full resolution: each square of pixels gets the label of the pixel that was used."""
-    labels = rearrange(segmentation.labels, "1 frame 1 h w -> frame h w").numpy()
-    rows = np.minimum(np.arange(shape[1]) // step, labels.shape[1] - 1)
-    columns = np.minimum(np.arange(shape[2]) // step, labels.shape[2] - 1)
-    return labels[:, rows[:, None], columns]
+def _method(values: Arguments, find_method: FindMethod) -> tuple[str, Method, Trained]:
+    """Name and function of the chosen method, and what it was trained on."""
+    if values.method is not None:
+        if values.checkpoint is not None:
+            raise UsageError("--method and --checkpoint exclude each other; give one of them.")
+        return f"{values.method}, without training", find_method(values.method), UNTRAINED
+    checkpoint = values.checkpoint or Path(DEFAULT)
+    model, config, _ = load(find_checkpoint(checkpoint))
+    return f"weights {checkpoint}", partial(_segment, model), trained_on(config)
 
 
-def _objects(
-    segmentation: SceneSegmentation, labels: Int[np.ndarray, "frame height width"]
-) -> list[list[SegmentedObject]]:
-    """Objects of each frame: all active slots, visible or not."""
-    inference = segmentation.inference
-    has_boxes = inference.where is not None
-    center, rotation = (
-        values[0].detach().cpu().numpy().astype(np.float64)
-        for values in (inference.boxes.center if has_boxes else inference.observed_center, inference.boxes.rotation)
-    )
-    slots = [slot for slot in range(center.shape[1]) if inference.masks.active[0, slot]]
-    return [
-        [
-            SegmentedObject(
-                label=slot + 1,
-                pixels=int(np.sum(labels[frame] == slot + 1)),
-                center=center[frame, slot],
-                rotation=rotation[frame, slot],
-                box_size=inference.boxes.size if has_boxes else None,
-            )
-            for slot in slots
-        ]
-        for frame in range(len(labels))
-    ]
+def _segment(model: Trainable, observation: Observation) -> Labels:
+    fitting = fitting_model(model, observation) if isinstance(model, ObPose) else model
+    return fitting.segment(observation).labels[0, :, 0].cpu().numpy()
+
+
+def _print_objects(frames: PreparedFrames, objects: list) -> None:
+    """Print the objects of the first frame that has any."""
+    if not objects:
+        print("No object was found.")
+        return
+    print("Object   pixels   sides (cm)          centre x, y, z (m)")
+    for each in objects[0]:
+        sides = " x ".join(f"{100 * side:.1f}" for side in each.box.size)
+        center = ", ".join(f"{value:.3f}" for value in each.box.center)
+        print(f"{each.label:6d} {each.pixels:8d}   {sides:18}  {center}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    from benchmark.commands.segment import main as start
+
+    sys.exit(start())

@@ -1,7 +1,7 @@
-"""RGB-D frames of a user as model input: command-line flags, world frame, and comparison to the training."""
+"""RGB-D frames of a user as model input: command-line flags, world frame, table, and resolution."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +9,17 @@ import torch
 from einops import rearrange
 from jaxtyping import Float64
 
-from obpose.data.resolution import fitting_model, spacing_note, surface_spacing
+from datagen.geometry import unproject
+from obpose.config import Config
+from obpose.contact.config import ContactConfig
+from obpose.data.resolution import surface_spacing
 from obpose.errors import UsageError
-from obpose.geometry import unproject
-from obpose.model.obpose import ObPose
 from obpose.rgbd.camera_pose import Pose, read_pose
 from obpose.rgbd.recording import Recording, parse_intrinsics, read_recording
 from obpose.rgbd.table import find_table, pose_over_table, table_points
+from obpose.rgbd.workspace import Workspace, find_workspace, rectangle
+from obpose.systems import architecture_of
+from obpose.trainable import Configuration
 from obpose.types import Observation
 
 GIVEN = "as given with --camera-pose"
@@ -25,11 +29,11 @@ FITTED = (
 )
 _COARSE = 5.0
 """Pixel spacing relative to the training above which the unit of depth is most likely wrong."""
-_MOST_OUTSIDE = 0.5
-"""Largest share of the table's points outside the workspace without a warning."""
+_LEAST_EDGE = 24
+"""Least height and width in pixels of the images that a model gets, unless the frames are smaller."""
 _MOST_TILT, _MOST_HEIGHT = 10.0, 0.02
-"""Largest tilt in degrees and height in metres of the table without a warning. The model expects objects to stand on
-z = 0 and ignores everything below."""
+"""Largest tilt in degrees and height in metres of the table without a warning. Models expect objects to stand on z = 0
+and ignore everything below."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +53,43 @@ class Frames:
     up from the table at z = 0. Default: a world on the largest plane near the camera."""
     depth_scale: float = 0.001
     """Metres per unit of integer depth images."""
-    every: int = 1
-    """Use one pixel of each square of N x N, such that a pixel shows about as much of the table as in training."""
+    euclidean: bool = False
+    """Depth is the distance from the camera's centre, not along its axis."""
+    depth_max: float | None = None
+    """Ignore points that are farther from the camera, metres along its axis."""
+    workspace: str | None = None
+    """x0,x1,y0,y1: ignore points outside of this rectangle on the table, world frame, metres. Default: the visible
+    part of the table."""
+    every: int | None = None
+    """Use one pixel of each square of N x N. Default: such that pixels are as far apart on the table as in training."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """Scenes that a model was trained on."""
+
+    spacing: float
+    """Median distance in metres between the surface points of neighbouring pixels."""
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Middle of the table, world frame, metres."""
+    cube: tuple[tuple[float, float, float], float] | None = None
+    """Centre and edge of the cube that holds all objects, metres; None if the model has no such bound."""
+
+
+def trained_on(config: Configuration) -> Trained:
+    """Describe the scenes that a model with this configuration was trained on."""
+    match config:
+        case Config(model=model):
+            # The point of the table nearest to the origin in the middle half of the workspace, usually the origin.
+            quarter = model.workspace_size / 4
+            x, y, z = (min(max(0.0, middle - quarter), middle + quarter) for middle in model.workspace_center)
+            return Trained(model.spacing, (x, y, z), (model.workspace_center, model.workspace_size))
+        case ContactConfig(model=model):
+            x, y, _ = model.workspace_center
+            return Trained(model.spacing, (x, y, 0.0))
+        case _:
+            name = architecture_of(config).name
+            raise UsageError(f"Frames of your own need weights of obpose or obpose-contact; those given are of {name}.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,116 +99,138 @@ class PreparedFrames:
     recording: Recording
     """The frames in full resolution."""
     observation: Observation
-    """A batch of one clip, with the pixels that `--every` selects."""
+    """A batch of one clip with one pixel of each square of `every` x `every`; pixels outside the workspace are not
+    valid."""
     pose: Pose
     """world_from_camera."""
+    workspace: Workspace
+    every: int
     world: str
     """Note on the origin of the world frame."""
     resolution: str
     """Note on the pixel spacing."""
 
+    def points(self, frame: int) -> Float64[np.ndarray, "height width 3"]:
+        """Unproject a frame in full resolution, world frame, metres."""
+        return unproject(self.recording.depth[frame], self.recording.k, self.pose)
 
-def prepare_frames(frames: Frames, model: ObPose) -> PreparedFrames:
-    """Read frames for a model.
+
+def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
+    """Read frames, find the table, and choose the resolution for a model.
 
     Raises:
-        UsageError: flags or files are missing or wrong, contradict each other, or hold no depth.
+        UsageError: flags or files are missing or wrong, contradict each other, hold no depth, or show no table.
         CorruptFile: a file cannot be read.
     """
-    if not 0 < frames.depth_scale < math.inf:
-        raise UsageError(f"--depth-scale is {frames.depth_scale:g}; expected more than 0, and finite.")
-    if frames.every < 1:
-        raise UsageError(f"--every {frames.every}: expected 1 or a little more.")
-    k = parse_intrinsics(frames.intrinsics)
+    recording = _read(frames)
     given = None if frames.camera_pose is None else read_pose(frames.camera_pose)
-    recording = read_recording(frames.rgb, frames.depth, k, depth_scale=frames.depth_scale)
-    reduced = recording.every(frames.every)
-    if (reduced.depth > 0).any() and not (reduced.depth[0] > 0).any():
+    first = recording.depth[0] > 0
+    if not first.any():
         raise UsageError(
             "The first frame has no depth, and objects are looked for there: leave out its image and its depth."
         )
-    if given is None:
-        points = _first_points(_observation(reduced, np.eye(4)))
-        pose, world = pose_over_table(points, center=table_middle(model)), FITTED
-    else:
-        pose, world = given, world_note(_observation(reduced, given), model)
-    observation = _observation(reduced, pose)
-    return PreparedFrames(recording, observation, pose, world, _resolution_note(model, observation, frames.every))
+    points = unproject(recording.depth[0], recording.k, np.eye(4))[first]
+    pose = pose_over_table(points, center=trained.center) if given is None else given
+    world = FITTED if given is None else world_note(points @ pose[:3, :3].T, pose[:3, 3])
+    points = points @ pose[:3, :3].T + pose[:3, 3]
+    workspace = find_workspace(points)
+    if frames.workspace is not None:
+        workspace = rectangle(_corners(frames.workspace), workspace.floor)
+    whole = observe(replace(recording, rgb=recording.rgb[:1], depth=recording.depth[:1]), pose, workspace, trained)
+    spacing = surface_spacing(whole)
+    if spacing is None:
+        raise UsageError(
+            "The workspace shows no points in the first frame; give another --workspace or --depth-max, or move the origin "
+            "of --camera-pose to the middle of the table."
+        )
+    every = frames.every or _step(spacing, trained.spacing, recording)
+    observation = observe(recording.every(every), pose, workspace, trained)
+    note = _resolution_note(observation, every, trained.spacing)
+    return PreparedFrames(recording, observation, pose, workspace, every, world, note)
 
 
-def _observation(recording: Recording, pose: Pose) -> Observation:
-    depth = rearrange(torch.from_numpy(recording.depth), "frame h w -> 1 frame 1 h w")
+def _read(frames: Frames) -> Recording:
+    if not 0 < frames.depth_scale < math.inf:
+        raise UsageError(f"--depth-scale is {frames.depth_scale:g}; expected more than 0, and finite.")
+    if frames.every is not None and frames.every < 1:
+        raise UsageError(f"--every {frames.every}: expected 1 or a little more.")
+    if frames.depth_max is not None and not frames.depth_max > 0:
+        raise UsageError(f"--depth-max is {frames.depth_max:g}; expected metres, more than 0.")
+    k = parse_intrinsics(frames.intrinsics)
+    recording = read_recording(frames.rgb, frames.depth, k, depth_scale=frames.depth_scale)
+    if frames.euclidean:
+        recording = recording.planar()
+    if frames.depth_max is not None:
+        recording = replace(recording, depth=np.where(recording.depth > frames.depth_max, 0, recording.depth))
+    if frames.every is not None:
+        recording.every(frames.every)  # raises an error if the images are too small
+    return recording
+
+
+def _corners(text: str) -> tuple[float, float, float, float]:
+    try:
+        x0, x1, y0, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        x0, x1, y0, y1 = (math.nan,) * 4
+    if not (x0 < x1 and y0 < y1 and np.isfinite([x0, x1, y0, y1]).all()):
+        raise UsageError(f"--workspace {text}: expected x0,x1,y0,y1 in metres with x0 < x1 and y0 < y1.")
+    return x0, x1, y0, y1
+
+
+def _step(spacing: float, trained: float, recording: Recording) -> int:
+    """Side of the squares of pixels whose spacing comes nearest to the training."""
+    most = max(1, min(recording.depth.shape[1:]) // _LEAST_EDGE)
+    return min(max(1, round(trained / spacing)), most)
+
+
+def observe(recording: Recording, pose: Pose, workspace: Workspace, trained: Trained) -> Observation:
+    """Give the frames as a batch of one clip; pixels outside of the workspace have no depth."""
+    depth = recording.depth.copy()
+    for frame in depth:
+        points = unproject(frame, recording.k, pose)
+        outside = ~workspace.holds(points)
+        if trained.cube is not None:
+            center, edge = trained.cube
+            outside |= (np.abs(points - np.array(center)) > edge / 2).any(axis=-1)
+        frame[outside] = 0
+    batch = rearrange(torch.from_numpy(depth), "frame h w -> 1 frame 1 h w")
     return Observation(
         rgb=rearrange(torch.from_numpy(recording.rgb), "frame h w c -> 1 frame 1 h w c").to(torch.float32) / 255,
-        depth=depth,
-        valid=depth > 0,
+        depth=batch,
+        valid=batch > 0,
         k=torch.from_numpy(recording.k).to(torch.float32)[None, None],
         world_from_camera=torch.from_numpy(pose).to(torch.float32)[None, None],
     )
 
 
-def table_middle(model: ObPose) -> tuple[float, float, float]:
-    """Middle of the table in training, world frame, metres.
+def world_note(points: Float64[np.ndarray, "point 3"], camera: Float64[np.ndarray, "3"]) -> str:
+    """Describe whether the table is level at z = 0 in a given world frame.
 
-    Usually the origin. For models trained in another world, it is the point nearest to the origin in the middle half
-    of the workspace.
+    Args:
+        points: Relative to the camera, with the axes of the world, metres.
+        camera: World frame, metres.
     """
-    trained = model.config.model
-    quarter = trained.workspace_size / 4
-    x, y, z = (min(max(0.0, middle - quarter), middle + quarter) for middle in trained.workspace_center)
-    return x, y, z
-
-
-def world_note(observation: Observation, model: ObPose) -> str:
-    """Describe whether a given world frame is like the one in training."""
-    points, camera = _first_points(observation), observation.world_from_camera[0, 0, :3, 3].numpy()
-    plane = find_table(points - camera)
+    plane = find_table(points)
     if plane is None:
         return GIVEN
-    table = table_points(points - camera, plane) + camera
-    faults = [*_outside_workspace(table, model), *_off_zero(table, plane.normal)]
-    return "; ".join([GIVEN, *faults, *(["results may be poor"] if faults else [])])
-
-
-def _outside_workspace(table: Float64[np.ndarray, "point 3"], model: ObPose) -> list[str]:
-    """Warn if most of the table lies outside the workspace of the training."""
-    trained = model.config.model
-    center = np.array(trained.workspace_center)
-    outside = (np.abs(table - center) > trained.workspace_size / 2).any(axis=1).mean()
-    if outside <= _MOST_OUTSIDE:
-        return []
-    middle, expected = (
-        f"({', '.join(f'{value:.2f}' for value in point)})" for point in (np.median(table, axis=0), center)
-    )
-    return [
-        f"the middle of the table in view lies at {middle}, and {100 * outside:.0f} % of it outside the "
-        f"{trained.workspace_size:.2f} m around {expected} that the model was trained on: move the world's origin"
-    ]
-
-
-def _off_zero(table: Float64[np.ndarray, "point 3"], normal: Float64[np.ndarray, "3"]) -> list[str]:
-    """Warn if the table is not level at z = 0."""
-    tilt = math.degrees(math.acos(min(1.0, abs(float(normal[2])))))
+    tilt = math.degrees(math.acos(min(1.0, abs(float(plane.normal[2])))))
+    height = float(np.median(table_points(points, plane)[:, 2]) + camera[2])
+    fault = ""
     if tilt > _MOST_TILT:
-        return [f"the table in view is tilted by {tilt:.0f} degrees: let the world's z axis point up from the table"]
-    height = float(np.median(table[:, 2]))
-    if abs(height) > _MOST_HEIGHT:
-        return [f"the table in view lies at z = {height:.2f} m: move the world's origin onto the table"]
-    return []
+        fault = f"the table in view is tilted by {tilt:.0f} degrees: let the world's z axis point up from the table"
+    elif abs(height) > _MOST_HEIGHT:
+        fault = f"the table in view lies at z = {height:.2f} m: move the world's origin onto the table"
+    return f"{GIVEN}; {fault}; results may be poor" if fault else GIVEN
 
 
-def _first_points(observation: Observation) -> Float64[np.ndarray, "point 3"]:
-    """Unproject the first frame, metres."""
-    return unproject(observation)[0, 0][observation.valid[0, 0]].numpy().astype(np.float64)
-
-
-def _resolution_note(model: ObPose, observation: Observation, every: int) -> str:
-    """Compare the pixel spacing to the training, and recommend a value of `--every`."""
-    note, trained, spacing = spacing_note(model, observation), model.config.model.spacing, surface_spacing(observation)
-    if spacing is None or fitting_model(model, observation) is model:
-        return note
-    if spacing > _COARSE * trained * every:
-        return f"{note}; is --depth-scale right?"
-    step = max(1, round(every * trained / spacing))
-    possible = step <= every * min(observation.depth.shape[-2:])
-    return f"{note}; --every {step} comes near to it" if step != every and possible else note
+def _resolution_note(observation: Observation, every: int, trained: float) -> str:
+    """Compare the pixel spacing to the training."""
+    height, width = observation.depth.shape[-2:]
+    spacing = surface_spacing(observation)
+    if spacing is None:
+        return f"{width}x{height} pixels (--every {every}); no neighbouring pixels have a depth"
+    note = (
+        f"{width}x{height} pixels (--every {every}); neighbouring pixels are {1000 * spacing:.1f} mm apart on the "
+        f"surfaces, in training {1000 * trained:.1f} mm"
+    )
+    return f"{note}; is --depth-scale right?" if spacing > _COARSE * trained * every else note

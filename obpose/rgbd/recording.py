@@ -1,12 +1,13 @@
 """Recordings of RGB-D frames, read from image files."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from datagen.geometry import pixel_rays
 from obpose.errors import UsageError
 from obpose.rgbd.frame_files import check_pairs, list_frames
 from obpose.rgbd.images import Size, colour_size, depth_size, read_colour, read_depth
@@ -35,6 +36,12 @@ class Recording:
     """Planar depth in metres, 0 = missing."""
     k: Float64[np.ndarray, "3 3"]
     """Camera matrix in pixels, pixel centres at +0.5."""
+
+    def planar(self) -> "Recording":
+        """Convert depth from distances from the camera's centre to distances along its axis."""
+        height, width = self.depth.shape[1:]
+        lengths = np.linalg.norm(pixel_rays(self.k, width, height), axis=-1)
+        return replace(self, depth=(self.depth / lengths).astype(np.float32))
 
     def every(self, step: int) -> "Recording":
         """Take the centre pixel of each square of `step` x `step` pixels, because averages of depth are invalid.

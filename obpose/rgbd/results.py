@@ -1,23 +1,35 @@
-"""Files of a segmented recording: label images, overlays, and object poses as JSON."""
+"""Files of a segmented recording: label images, overlays, point clouds, and boxes as JSON."""
 
 import json
+import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int, UInt8
-from PIL import Image
+import trimesh
+from jaxtyping import Float, Integer, UInt8
+from PIL import Image, ImageDraw, ImageFont
 
-from datagen.storage.atomic import write_atomically
-from obpose.pictures import PALETTE, box_edges, draw_box, png, tint
+from datagen.geometry import invert_rigid, transform
+from datagen.storage.atomic import new_folder
+from obpose.pictures import PALETTE, Picture, box_edges, draw_box, png, tint
+from obpose.rgbd.boxes import Box, upright_box
 from obpose.rgbd.camera_pose import Pose
-from obpose.rgbd.recording import Recording
+from obpose.rgbd.frames import PreparedFrames
+from obpose.scenes.pictures import write_gif, write_png
 
-OBJECTS_FILE = "objects.json"
+OBJECTS_FILE, SUMMARY, ANIMATION, CLOUDS = "objects.json", "summary.png", "overlay.gif", "clouds"
 OPACITY = 0.5
 """Opacity of labels in overlays."""
+LEAST_POINTS = 4
+"""Objects with fewer pixels in a frame have no box and no point cloud there."""
+FPS = 10.0
+"""Frames per second of the animation."""
+
+Labels = Integer[np.ndarray, "height width"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,43 +39,79 @@ class SegmentedObject:
     label: int
     pixels: int
     """Number of pixels with this label."""
-    center: Float64[np.ndarray, "3"]
-    """World frame, metres."""
-    rotation: Float64[np.ndarray, "3 3"]
-    """world_from_object."""
-    box_size: float | None
-    """Edge length of its cube, metres; None if the model has no boxes."""
+    box: Box
 
     def to_json(self) -> dict[str, Any]:
         """Convert to plain JSON values."""
-        return {**vars(self), "center": _rounded(self.center), "rotation": _rounded(self.rotation)}
+        values = {name: np.round(value, 6).tolist() for name, value in vars(self.box).items()}
+        return {"label": self.label, "pixels": self.pixels, **values}
+
+
+def objects_of(labels: Labels, points: Float[np.ndarray, "height width 3"]) -> list[SegmentedObject]:
+    """Find the boxes of all objects of a frame, by label; points in the world frame, metres."""
+    sizes = np.bincount(labels.ravel())
+    return [
+        SegmentedObject(int(label), int(sizes[label]), upright_box(points[labels == label]))
+        for label in np.flatnonzero(sizes)
+        if label > 0 and sizes[label] >= LEAST_POINTS
+    ]
 
 
 def write_results(
     out: Path,
-    recording: Recording,
-    labels: Int[np.ndarray, "frame height width"],
-    objects: list[list[SegmentedObject]],
-    pose: Pose,
+    frames: PreparedFrames,
+    labels: UInt8[np.ndarray, "frame height width"],
     facts: dict[str, Any],
-) -> Path:
-    """Write all files into a folder, numbered by frame, and give the path of the JSON file.
+    *,
+    overwrite: bool = False,
+) -> list[list[SegmentedObject]]:
+    """Write all files into a new folder, numbered by frame, and give the objects of each frame.
 
-    Labels are 0 for the background, `pose` is world_from_camera, and `facts` are additional entries of the JSON file.
+    `facts` are additional entries of the JSON file. With `overwrite`, an earlier result in the folder is replaced once
+    the new one is complete.
+
+    Raises:
+        UsageError: the folder is not empty, and holds no earlier result that may be replaced.
+        DatagenError: it cannot be written.
     """
-    frames = []
-    for i, (image, frame_labels, frame_objects) in enumerate(zip(recording.rgb, labels, objects, strict=True)):
+    earlier = overwrite and (out / OBJECTS_FILE).is_file()
+    target = out.with_name(f"{out.name}.new") if earlier else out
+    with new_folder(target) as folder:
+        objects = _write(folder, frames, labels, facts)
+    if earlier:
+        shutil.rmtree(out)
+        target.rename(out)
+    return objects
+
+
+def _write(
+    folder: Path, frames: PreparedFrames, labels: UInt8[np.ndarray, "frame height width"], facts: dict[str, Any]
+) -> list[list[SegmentedObject]]:
+    recording, entries, objects, overlays = frames.recording, [], [], []
+    (folder / CLOUDS).mkdir()
+    for i, (image, frame_labels) in enumerate(zip(recording.rgb, labels, strict=True)):
+        points = frames.points(i)
+        objects.append(objects_of(frame_labels, points))
+        overlays.append(overlay(image, frame_labels, objects[-1], frames))
         names = {"labels": f"{i:04d}_labels.png", "overlay": f"{i:04d}_overlay.png"}
-        write_atomically(out / names["labels"], png(label_image(frame_labels)))
-        write_atomically(out / names["overlay"], png(overlay(image, frame_labels, frame_objects, recording.k, pose)))
-        plain = [each.to_json() for each in frame_objects]
-        frames.append({"rgb": str(recording.files[i]), **names, "objects": plain})
-    page = {**facts, "world_from_camera": _rounded(pose), "frames": frames}
-    write_atomically(out / OBJECTS_FILE, (json.dumps(page, indent=1) + "\n").encode())
-    return out / OBJECTS_FILE
+        (folder / names["labels"]).write_bytes(png(label_image(frame_labels)))
+        write_png(folder / names["overlay"], overlays[-1])
+        plain = []
+        for each in objects[-1]:
+            mask, cloud = frame_labels == each.label, f"{CLOUDS}/{i:04d}_{each.label:02d}.ply"
+            trimesh.PointCloud(points[mask], colors=image[mask]).export(folder / cloud)
+            plain.append({**each.to_json(), "cloud": cloud})
+        entries.append({"rgb": str(recording.files[i]), **names, "objects": plain})
+    write_png(folder / SUMMARY, np.concatenate([recording.rgb[0], overlays[0]], axis=1))
+    if len(overlays) > 1:
+        write_gif(folder / ANIMATION, overlays, fps=FPS)
+    table = {"outline": frames.workspace.outline.round(4).tolist(), "least_height": round(frames.workspace.floor, 5)}
+    page = {**facts, "world_from_camera": frames.pose.round(6).tolist(), "table": table, "frames": entries}
+    (folder / OBJECTS_FILE).write_text(json.dumps(page, indent=1) + "\n")
+    return objects
 
 
-def label_image(labels: Int[np.ndarray, "height width"]) -> Image.Image:
+def label_image(labels: Labels) -> Image.Image:
     """Make an 8-bit image with a palette, whose pixel values are the labels."""
     image = Image.fromarray(labels.astype(np.uint8))
     image.putpalette(PALETTE.tobytes())
@@ -71,21 +119,34 @@ def label_image(labels: Int[np.ndarray, "height width"]) -> Image.Image:
 
 
 def overlay(
-    rgb: UInt8[np.ndarray, "height width 3"],
-    labels: Int[np.ndarray, "height width"],
-    objects: list[SegmentedObject],
-    k: Float64[np.ndarray, "3 3"],
-    pose: Pose,
-) -> Image.Image:
-    """Draw the labels over the image, and the edges of the objects' boxes."""
+    rgb: UInt8[np.ndarray, "height width 3"], labels: Labels, objects: Sequence[SegmentedObject], frames: PreparedFrames
+) -> Picture:
+    """Draw the labels over the image, the outline of the table in white, and the edges of the objects' boxes."""
     image = Image.fromarray(tint(rgb, labels, OPACITY))
-    intrinsics, camera = torch.from_numpy(k), torch.from_numpy(pose)
+    k, pose, width = frames.recording.k, frames.pose, max(1, rgb.shape[1] // 320)
+    outline = np.pad(frames.workspace.outline, ((0, 0), (0, 1)))
+    _draw_outline(image, outline, k, pose, width)
+    pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(10, rgb.shape[0] // 32))
     for each in objects:
-        if each.box_size is not None:
-            box = torch.from_numpy(each.center), torch.from_numpy(each.rotation)
-            draw_box(image, box_edges(*box, each.box_size), each.label, k=intrinsics, pose=camera)
-    return image
+        edges = box_edges(torch.zeros(3), torch.eye(3), 1.0).double() * torch.from_numpy(each.box.size)
+        edges = edges @ torch.from_numpy(each.box.rotation.T) + torch.from_numpy(each.box.center)
+        draw_box(image, edges, each.label, k=torch.from_numpy(k), pose=torch.from_numpy(pose), width=width)
+        row, column = (float(np.median(index)) for index in np.nonzero(labels == each.label))
+        pen.text(
+            (column, row), str(each.label), font=font, anchor="mm", fill="white", stroke_width=1, stroke_fill="black"
+        )
+    return np.asarray(image)
 
 
-def _rounded(values: np.ndarray) -> list[Any]:
-    return np.asarray(values, np.float64).round(6).tolist()
+def _draw_outline(
+    image: Image.Image, corners: Float[np.ndarray, "corner 3"], k: np.ndarray, pose: Pose, width: int
+) -> None:
+    """Draw a closed line in short pieces, so that pieces behind the camera can be left out."""
+    shares = np.linspace(0, 1, 33)[:, None]
+    after = np.roll(corners, -1, axis=0)
+    for start, end in zip(corners, after, strict=True):
+        line = transform(invert_rigid(pose), start + shares * (end - start))
+        pixels = (line @ k.T)[:, :2] / np.maximum(line[:, 2:], 1e-6)
+        for first, second in zip(range(32), range(1, 33), strict=True):
+            if min(line[first, 2], line[second, 2]) > 0.01:
+                ImageDraw.Draw(image).line([*map(tuple, pixels[[first, second]].tolist())], fill="white", width=width)

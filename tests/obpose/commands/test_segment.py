@@ -7,13 +7,15 @@ import pytest
 import torch
 from PIL import Image
 
-from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
-from obpose.commands.segment import main
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
+from datagen.geometry import pixel_rays
+from obpose.commands.segment import DEFAULT, main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
 from obpose.storage.checkpoint import save_model
-from obpose.variants import make_config
+from obpose.systems import find_system
+from obpose.types import Observation
 from tests.worlds.sphere_clips import clip_and_truth
 
 WIDTH, HEIGHT, FRAMES = 32, 24, 2
@@ -31,7 +33,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     np.savetxt(folder / "pose.txt", clip.world_from_camera[0])
     k = clip.k[0]
     (folder / "intrinsics").write_text(",".join(str(k[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))))
-    config = make_config("obpose", **{"model.slots": 2}, **measure_scene(ArrayClips([clip])).changes())
+    system = find_system("obpose")
+    measures = system.known(measure_scene(ArrayClips([clip])).changes())
+    config = system.config("cpu", {"model.slots": 2, **measures})
     torch.manual_seed(0)
     model = build_obpose(config)
     with torch.no_grad():
@@ -40,35 +44,42 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def one_object(observation: Observation) -> np.ndarray:
+    """Give every pixel the same label."""
+    return np.ones(observation.depth[0, :, 0].shape, np.int64)
+
+
+def find_method(name: str):
+    if name != "one-object":
+        raise UsageError(f"Unknown method {name!r}; expected one-object.")
+    return one_object
+
+
 def run(scene: Path, out: Path, *flags: object, **changes: object) -> int:
     given = {"checkpoint": scene / "model", "rgb": scene / "rgb", "depth": scene / "depth", **changes}
-    command = [part for name, value in given.items() for part in (f"--{name}", str(value))]
+    command = [part for name, value in given.items() if value for part in (f"--{name}", str(value))]
     camera = ["--intrinsics", (scene / "intrinsics").read_text()]
-    return main([*command, *camera, *map(str, flags), "--out", str(out)])
+    return main([*command, *camera, *map(str, flags), "--out", str(out)], find_method=find_method)
 
 
 def facts_of(out: Path) -> dict[str, object]:
     return json.loads((out / "objects.json").read_text())
 
 
-def test_frames_become_labels_overlays_and_poses(scene: Path, tmp_path: Path, capsys):
+def labels_of(out: Path) -> np.ndarray:
+    return np.stack([np.asarray(Image.open(out / frame["labels"])) for frame in facts_of(out)["frames"]])
+
+
+def test_frames_become_labels_overlays_and_boxes(scene: Path, tmp_path: Path, capsys):
     assert run(scene, tmp_path, "--camera-pose", scene / "pose.txt") == EXIT_OK
     facts = facts_of(tmp_path)
     assert facts["world"] == "as given with --camera-pose"
     np.testing.assert_allclose(facts["world_from_camera"], np.loadtxt(scene / "pose.txt"), atol=1e-6)
-    frames = facts["frames"]
-    assert len(frames) == FRAMES
-    assert any(frame["objects"] for frame in frames)
-    for frame in frames:
-        labels = np.asarray(Image.open(tmp_path / frame["labels"]))
+    assert len(facts["frames"]) == FRAMES
+    for frame, labels in zip(facts["frames"], labels_of(tmp_path), strict=True):
         assert labels.shape == (HEIGHT, WIDTH)
-        assert {each["label"]: each["pixels"] for each in frame["objects"]} == {
-            each["label"]: int(np.sum(labels == each["label"])) for each in frame["objects"]
-        }
-        assert set(np.unique(labels)) <= {0, *(each["label"] for each in frame["objects"])}
-        assert all(each["box_size"] == 0.2 for each in frame["objects"])
-    shown = capsys.readouterr().out
-    assert str(tmp_path / "objects.json") in shown
+        assert all(each["pixels"] == np.sum(labels == each["label"]) for each in frame["objects"])
+    assert str(tmp_path / "objects.json") in capsys.readouterr().out
 
 
 def test_without_a_pose_the_world_stands_on_the_table(scene: Path, tmp_path: Path, capsys):
@@ -79,50 +90,58 @@ def test_without_a_pose_the_world_stands_on_the_table(scene: Path, tmp_path: Pat
     assert height == pytest.approx(np.loadtxt(scene / "pose.txt")[2, 3], abs=0.01)
 
 
-def test_another_resolution_is_allowed_and_noted(scene: Path, tmp_path: Path):
-    assert run(scene, tmp_path, "--every", 2) == EXIT_OK
-    facts = facts_of(tmp_path)
-    assert "was not trained for this" in str(facts["resolution"])
-    labels = np.asarray(Image.open(tmp_path / facts["frames"][0]["labels"]))
-    assert labels.shape == (HEIGHT, WIDTH)
-    np.testing.assert_array_equal(labels[::2], labels[1::2])
-    np.testing.assert_array_equal(labels[:, ::2], labels[:, 1::2])
+def test_a_method_without_training_segments_what_stands_on_the_table(scene: Path, tmp_path: Path):
+    assert run(scene, tmp_path, checkpoint=None, method="one-object") == EXIT_OK
+    truth = clip_and_truth(frames=FRAMES, resolution=(WIDTH, HEIGHT))[1][:, 0]
+    found = labels_of(tmp_path)
+    assert facts_of(tmp_path)["method"] == "one-object, without training"
+    assert np.mean(found[truth > 0] == 1) > 0.85
+    assert np.mean(found[truth == 0] == 0) > 0.99
+    (entry,) = facts_of(tmp_path)["frames"][0]["objects"]
+    assert len(entry["size"]) == 3
 
 
-def test_a_finer_resolution_gets_a_recommendation(scene: Path, tmp_path: Path):
+def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
     clip = clip_and_truth(frames=1, resolution=(3 * WIDTH, 3 * HEIGHT))[0]
     Image.fromarray(clip.rgb[0, 0]).save(tmp_path / "a.png")
     np.save(tmp_path / "d.npy", clip.depth[0, 0])
     k = ",".join(str(3 * float(value)) for value in (scene / "intrinsics").read_text().split(","))
     command = ("--intrinsics", k, "--camera-pose", scene / "pose.txt")
     changes = {"rgb": tmp_path / "a.png", "depth": tmp_path / "d.npy"}
-    assert run(scene, tmp_path / "fine", *command, **changes) == EXIT_OK
-    assert "--every 3 comes near" in str(facts_of(tmp_path / "fine")["resolution"])
-    assert run(scene, tmp_path / "coarse", *command, "--every", 3, **changes) == EXIT_OK
-    assert "was not trained" not in str(facts_of(tmp_path / "coarse")["resolution"])
-    for every in (2, 6):
-        assert run(scene, tmp_path / f"{every}", *command, "--every", every, **changes) == EXIT_OK
-        assert "--every 3 comes near" in str(facts_of(tmp_path / f"{every}")["resolution"])
+    assert run(scene, tmp_path / "auto", *command, **changes) == EXIT_OK
+    assert f"{WIDTH}x{HEIGHT} pixels (--every 3)" in str(facts_of(tmp_path / "auto")["resolution"])
+    assert run(scene, tmp_path / "given", *command, "--every", 2, **changes) == EXIT_OK
+    assert "(--every 2)" in str(facts_of(tmp_path / "given")["resolution"])
+    assert labels_of(tmp_path / "given").shape == (1, 3 * HEIGHT, 3 * WIDTH)
 
 
-def test_a_wrong_unit_of_depth_is_suspected(scene: Path, tmp_path: Path):
-    assert run(scene, tmp_path / "out", "--depth-scale", 0.01) == EXIT_OK
-    assert "is --depth-scale right?" in str(facts_of(tmp_path / "out")["resolution"])
-    assert run(scene, tmp_path / "right", "--every", 2) == EXIT_OK
-    assert "--depth-scale" not in str(facts_of(tmp_path / "right")["resolution"])
+def test_distances_from_the_cameras_centre_are_converted(scene: Path, tmp_path: Path):
+    clip = clip_and_truth(frames=FRAMES, resolution=(WIDTH, HEIGHT))[0]
+    lengths = np.linalg.norm(pixel_rays(clip.k[0], WIDTH, HEIGHT), axis=-1)
+    for frame, depth in enumerate(clip.depth[:, 0]):
+        np.save(tmp_path / f"{frame}.npy", (depth * lengths).astype(np.float32))
+    flags = ("--camera-pose", scene / "pose.txt", "--euclidean")
+    changes = {"checkpoint": None, "method": "one-object"}
+    assert run(scene, tmp_path / "planar", *flags[:2], **changes) == EXIT_OK
+    files = [tmp_path / f"{frame}.npy" for frame in range(FRAMES)]
+    assert run(scene, tmp_path / "ray", *flags, "--depth", *files, depth=None, **changes) == EXIT_OK
+    assert np.mean(labels_of(tmp_path / "planar") != labels_of(tmp_path / "ray")) < 0.02
 
 
-def test_a_displaced_world_is_noted(scene: Path, tmp_path: Path):
-    pose = np.loadtxt(scene / "pose.txt")
-    pose[0, 3] += 5
-    np.savetxt(tmp_path / "pose.txt", pose)
-    assert run(scene, tmp_path / "out", "--camera-pose", tmp_path / "pose.txt") == EXIT_OK
-    assert "the middle of the table in view lies at (5.0" in str(facts_of(tmp_path / "out")["world"])
+def test_the_workspace_can_be_given(scene: Path, tmp_path: Path):
+    flags = {"checkpoint": None, "method": "one-object"}
+    pose = ("--camera-pose", scene / "pose.txt")
+    assert run(scene, tmp_path / "all", *pose, **flags) == EXIT_OK
+    found = labels_of(tmp_path / "all")[0]
+    y = facts_of(tmp_path / "all")["frames"][0]["objects"][0]["center"][1]
+    assert run(scene, tmp_path / "half", *pose, f"--workspace=-2,2,{y},2", **flags) == EXIT_OK
+    assert 0 < np.sum(labels_of(tmp_path / "half")[0] > 0) < np.sum(found > 0)
+    assert run(scene, tmp_path / "near", *pose, "--depth-max", 0.01, **flags) == EXIT_USAGE
 
 
-def test_shipped_weights_are_given_by_their_name(scene: Path, tmp_path: Path):
-    assert run(scene, tmp_path / "out", checkpoint="obpose--moving--64x64") == EXIT_OK
-    assert facts_of(tmp_path / "out")["checkpoint"] == "obpose--moving--64x64"
+def test_the_default_weights_are_shipped(scene: Path, tmp_path: Path):
+    assert run(scene, tmp_path / "out", checkpoint=None) == EXIT_OK
+    assert facts_of(tmp_path / "out")["method"] == f"weights {DEFAULT}"
 
 
 @pytest.mark.parametrize(
@@ -138,13 +157,19 @@ def test_shipped_weights_are_given_by_their_name(scene: Path, tmp_path: Path):
         ({}, ("--depth-scale", 0), EXIT_USAGE, "--depth-scale is 0"),
         ({}, ("--depth-scale", "inf"), EXIT_USAGE, "--depth-scale is inf"),
         ({}, ("--depth-scale", 1), EXIT_USAGE, "median depth is"),
+        ({}, ("--depth-scale", 0.01), EXIT_USAGE, "depth in the right unit (--depth-scale)"),
         ({}, ("--every", 100), EXIT_USAGE, "--every 100"),
         ({}, ("--every", 0), EXIT_USAGE, "--every 0"),
         ({}, ("--camera-pose", "nowhere.txt"), EXIT_USAGE, "nowhere.txt does not exist"),
+        ({}, ("--depth-max", 0), EXIT_USAGE, "--depth-max is 0"),
+        ({}, ("--workspace", "1,0,0,1"), EXIT_USAGE, "expected x0,x1,y0,y1"),
+        ({}, ("--workspace", "5,6,5,6"), EXIT_USAGE, "The workspace shows no points"),
+        ({}, ("--method", "one-object"), EXIT_USAGE, "--method and --checkpoint exclude each other"),
+        ({"checkpoint": None}, ("--method", "magic"), EXIT_USAGE, "Unknown method 'magic'"),
     ],
 )
 def test_bad_requests_end_with_one_line(scene: Path, tmp_path: Path, capsys, changes, flags, code: int, message: str):
-    places = {name: value.format(scene=scene) for name, value in changes.items()}
+    places = {name: value and value.format(scene=scene) for name, value in changes.items()}
     assert run(scene, tmp_path / "out", *flags, **places) == code
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1
@@ -181,6 +206,7 @@ def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path:
 
 def test_an_existing_folder_is_left_alone(scene: Path, tmp_path: Path, capsys):
     (tmp_path / "objects.json").write_text("mine")
+    assert run(scene, tmp_path) == EXIT_USAGE
     assert run(scene, tmp_path) == EXIT_USAGE
     assert "already exists and is not empty; give another --out" in capsys.readouterr().err
     for flags, message in (

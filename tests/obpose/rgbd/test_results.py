@@ -2,76 +2,94 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
+import trimesh
 from PIL import Image
 
 from datagen.geometry import intrinsics, look_at
+from obpose.errors import UsageError
 from obpose.pictures import PALETTE
+from obpose.rgbd.frames import PreparedFrames, Trained, observe
 from obpose.rgbd.recording import Recording
-from obpose.rgbd.results import SegmentedObject, label_image, overlay, write_results
+from obpose.rgbd.results import label_image, objects_of, overlay, write_results
+from obpose.rgbd.workspace import Workspace, rectangle
 
 WIDTH, HEIGHT = 64, 48
 K = intrinsics(1.0, WIDTH, HEIGHT)
 POSE = look_at(np.array([0.6, 0.0, 0.6]), np.zeros(3))
 RGB = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
+LABELS = np.zeros((2, HEIGHT, WIDTH), np.uint8)
+LABELS[:, 20:30, 20:30] = 2
+LABELS[1, 0, 0] = 1
 
 
-def some_object(**changes: object) -> SegmentedObject:
-    return SegmentedObject(
-        **{"label": 1, "pixels": 5, "center": np.zeros(3), "rotation": np.eye(3), "box_size": 0.2, **changes}
+SQUARE = rectangle((-0.2, 0.2, -0.2, 0.2), 0.004)
+
+
+def frames(workspace: Workspace = SQUARE) -> PreparedFrames:
+    recording = Recording(
+        (Path("a.png"), Path("b.png")), np.stack([RGB, RGB]), np.full((2, HEIGHT, WIDTH), 0.8, np.float32), K
     )
-
-
-def labels() -> np.ndarray:
-    maps = np.zeros((HEIGHT, WIDTH), np.int64)
-    maps[:10, :10] = 2
-    return maps
+    observation = observe(recording, POSE, workspace, Trained(0.01))
+    return PreparedFrames(recording, observation, POSE, workspace, 1, "", "")
 
 
 def test_a_label_image_holds_labels():
-    image = label_image(labels())
+    image = label_image(LABELS[0])
     assert image.mode == "P"
-    np.testing.assert_array_equal(np.asarray(image), labels())
+    np.testing.assert_array_equal(np.asarray(image), LABELS[0])
 
 
-def test_an_overlay_changes_objects_and_leaves_the_background():
-    image = np.asarray(overlay(RGB, labels(), [], K, POSE))
-    np.testing.assert_array_equal(image[20:], RGB[20:])
-    assert (image[:10, :10] == (100 + PALETTE[2].astype(int)) // 2).all()
+def test_objects_have_the_boxes_of_their_points():
+    points = frames().points(1)
+    (found,) = objects_of(LABELS[1], points)
+    assert (found.label, found.pixels) == (2, 100)
+    inside = (points[LABELS[1] == 2] - found.box.center) @ found.box.rotation
+    assert np.mean(np.abs(inside) <= found.box.size / 2 + 1e-6) > 0.9
 
 
-def drawn(**changes: object) -> np.ndarray:
-    """Pixels that an overlay of one box changes."""
-    image = np.asarray(overlay(RGB, np.zeros_like(labels()), [some_object(**changes)], K, POSE))
-    return np.argwhere((image != RGB).any(axis=-1))
-
-
-def test_a_box_is_drawn_around_its_object():
-    middle, size = drawn().mean(axis=0), np.ptp(drawn(), axis=0)
-    np.testing.assert_allclose(middle, [HEIGHT / 2, WIDTH / 2], atol=2)
-    assert np.all(size > np.ptp(drawn(box_size=0.1), axis=0))
-    assert drawn(center=np.array([0.0, 0.1, 0.0])).mean(axis=0)[1] > middle[1] + 5
-    turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
-    assert {tuple(place) for place in drawn(rotation=turn)} != {tuple(place) for place in drawn()}
-
-
-def test_no_box_is_drawn_without_a_size_or_behind_the_camera():
-    assert len(drawn(box_size=None)) == 0
-    assert len(drawn(center=np.array([2.0, 0.0, 2.0]))) == 0
+def test_an_overlay_shows_labels_boxes_and_the_table():
+    prepared = frames()
+    objects = objects_of(LABELS[0], prepared.points(0))
+    image = overlay(RGB, LABELS[0], objects, prepared)
+    assert (image == (100 + PALETTE[2].astype(int)) // 2).all(axis=-1).sum() > 10
+    assert (image == 255).all(axis=-1).sum() > 20
+    changed = np.argwhere((image != RGB).any(axis=-1) & ~(image == 255).all(axis=-1))
+    assert np.ptp(changed, axis=0).min() >= 10
+    np.testing.assert_array_equal(overlay(RGB, 0 * LABELS[0], [], frames(rectangle((2.0, 3.0, 2.0, 3.0), 0.004))), RGB)
 
 
 def test_every_frame_gets_all_its_files(tmp_path: Path):
-    recording = Recording(
-        (Path("a.png"), Path("b.png")), np.stack([RGB, RGB]), np.ones((2, HEIGHT, WIDTH), np.float32), K
-    )
-    maps = np.stack([labels(), labels()])
-    page = write_results(tmp_path / "out", recording, maps, [[some_object()], []], POSE, {"world": "here"})
-    facts = json.loads(page.read_text())
+    objects = write_results(tmp_path / "out", frames(), LABELS, {"world": "here"})
+    facts = json.loads((tmp_path / "out" / "objects.json").read_text())
     assert facts["world"] == "here"
     np.testing.assert_allclose(facts["world_from_camera"], POSE, atol=1e-6)
     assert [frame["rgb"] for frame in facts["frames"]] == ["a.png", "b.png"]
-    assert facts["frames"][0]["objects"] == [
-        {"label": 1, "pixels": 5, "center": [0, 0, 0], "rotation": np.eye(3).tolist(), "box_size": 0.2}
-    ]
-    for frame in facts["frames"]:
-        np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "out" / frame["labels"])), labels())
+    assert np.shape(facts["table"]["outline"]) == (4, 2)
+    for frame, labels, found in zip(facts["frames"], LABELS, objects, strict=True):
+        np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "out" / frame["labels"])), labels)
         assert np.asarray(Image.open(tmp_path / "out" / frame["overlay"])).shape == (HEIGHT, WIDTH, 3)
+        (entry,) = frame["objects"]
+        assert (entry["label"], entry["pixels"]) == (2, 100)
+        np.testing.assert_allclose(entry["size"], found[0].box.size, atol=1e-6)
+        cloud = trimesh.load(tmp_path / "out" / entry["cloud"])
+        assert len(cloud.vertices) == 100
+    assert (tmp_path / "out" / "summary.png").exists()
+    with Image.open(tmp_path / "out" / "overlay.gif") as animation:
+        assert animation.n_frames == 2
+
+
+def test_only_an_earlier_result_is_replaced(tmp_path: Path):
+    out = tmp_path / "out"
+    write_results(out, frames(), LABELS, {"run": 1})
+    with pytest.raises(UsageError, match="not empty"):
+        write_results(out, frames(), LABELS, {"run": 2})
+    (out / "mine").write_text("old")
+    write_results(out, frames(), LABELS, {"run": 2}, overwrite=True)
+    assert json.loads((out / "objects.json").read_text())["run"] == 2
+    assert not (out / "mine").exists()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine").write_text("kept")
+    with pytest.raises(UsageError, match="not empty"):
+        write_results(tmp_path / "other", frames(), LABELS, {}, overwrite=True)
+    assert (tmp_path / "other" / "mine").read_text() == "kept"

@@ -1,0 +1,57 @@
+"""Segmentation of a user's frames in full resolution."""
+
+from collections.abc import Callable
+
+import numpy as np
+from einops import rearrange
+from jaxtyping import Int, Integer, UInt8
+from scipy.spatial import KDTree
+
+from obpose.geometry import unproject
+from obpose.rgbd.frames import PreparedFrames
+from obpose.types import Observation
+
+Labels = Int[np.ndarray, "frame height width"]
+Method = Callable[[Observation], Labels]
+"""Function that labels the objects of a batch of one clip with one view; 0 is the background."""
+MOST_OBJECTS = 255
+"""Label images have 8 bits."""
+NEAR = 3.0
+"""Pixels farther from all labelled points than this many spacings of them are background."""
+
+
+def segment_frames(frames: PreparedFrames, method: Method) -> UInt8[np.ndarray, "frame height width"]:
+    """Label the objects of all frames in full resolution.
+
+    The method sees the reduced frames. Each pixel of the full frames that stands on the table then gets the label of
+    the nearest labelled point in space. So the outlines are those of the depth image, and nothing that belongs to the
+    table has a label.
+    """
+    labels = _largest(method(frames.observation))
+    points = rearrange(unproject(frames.observation).numpy(), "1 f 1 h w c -> f h w c")
+    refined = [_refined(frames, frame, *pair) for frame, pair in enumerate(zip(labels, points, strict=True))]
+    return _largest(np.stack(refined))
+
+
+def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.ndarray) -> np.ndarray:
+    full = frames.points(frame)
+    standing = frames.workspace.standing(full) & (frames.recording.depth[frame] > 0)
+    found = np.zeros(standing.shape, np.uint8)
+    labelled = (labels > 0) & frames.workspace.standing(points)
+    if not labelled.any() or not standing.any():
+        return found
+    # Spacing of the labelled points, which depends on their distance from the camera.
+    spacing = frames.every * np.median(frames.recording.depth[frame][standing]) / frames.recording.k[0, 0]
+    distance, nearest = KDTree(points[labelled]).query(full[standing], distance_upper_bound=NEAR * spacing)
+    near = np.isfinite(distance)
+    found[standing] = np.where(near, labels[labelled][np.where(near, nearest, 0)], 0)
+    return found
+
+
+def _largest(labels: Integer[np.ndarray, "frame height width"]) -> UInt8[np.ndarray, "frame height width"]:
+    """Number objects from 1 by decreasing size; only the largest ones keep a label."""
+    names, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    order = [place for place in np.argsort(-counts, kind="stable") if names[place] > 0][:MOST_OBJECTS]
+    new = np.zeros(len(names), np.uint8)
+    new[order] = np.arange(1, len(order) + 1)
+    return new[inverse].reshape(labels.shape)

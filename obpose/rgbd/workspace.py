@@ -1,0 +1,98 @@
+"""The part of a recording that is segmented: what stands on the visible table."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import binary_closing, label
+from scipy.spatial import ConvexHull, QhullError
+
+from obpose.errors import UsageError
+from obpose.rgbd.plane import TOLERANCE
+
+CELL = 0.02
+"""Side of the cells in which the table's points are counted, metres."""
+CLOSING = 5
+"""Gaps between cells up to this many cells belong to the table: objects and their shadows cover it."""
+LEAST_FLOOR, MOST_FLOOR = 0.004, 0.02
+"""Bounds of the height from which points belong to objects, metres."""
+FLOOR_NOISE = 4.0
+"""The same height in standard deviations of the table's points."""
+CEILING = 0.6
+"""Greatest height of objects, metres."""
+RIM = 0.03
+"""Distance in metres by which objects may overhang the table."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """Space above the visible part of a table at z = 0, world frame."""
+
+    outline: Float[np.ndarray, "corner 2"]
+    """Corners of its convex outline on the table, counter-clockwise, metres."""
+    floor: float
+    """Height in metres from which points belong to objects."""
+
+    def holds(self, points: Float[np.ndarray, "*shape 3"]) -> Bool[np.ndarray, "*shape"]:
+        """Whether points are on the table or above it, within the outline."""
+        inside = np.abs(points[..., 2]) < CEILING
+        for corner, after in zip(self.outline, np.roll(self.outline, -1, axis=0), strict=True):
+            along = (after - corner) / np.linalg.norm(after - corner)
+            distance = (points[..., 0] - corner[0]) * along[1] - (points[..., 1] - corner[1]) * along[0]
+            inside &= distance < RIM
+        return inside & (points[..., 2] > -MOST_FLOOR)
+
+    def standing(self, points: Float[np.ndarray, "*shape 3"]) -> Bool[np.ndarray, "*shape"]:
+        """Whether points are above the table, by more than its noise."""
+        return self.holds(points) & (points[..., 2] > self.floor)
+
+
+def find_workspace(points: Float[np.ndarray, "point 3"]) -> Workspace:
+    """Find the visible part of the table at z = 0, and the noise of its points.
+
+    The table's points are counted in cells. The largest region of occupied cells is the table, and its outline is the
+    convex hull. So a floor or a table behind, at the same height but apart, does not belong to it.
+
+    Args:
+        points: World frame, metres.
+
+    Raises:
+        UsageError: too few points are near z = 0.
+    """
+    on_table = points[np.abs(points[:, 2]) < TOLERANCE]
+    cells = np.floor(on_table[:, :2] / CELL).astype(np.int64)
+    outline = _outline(cells) if len(cells) else None
+    if outline is None:
+        raise UsageError(
+            "No table is visible at z = 0 in the first frame; expected a camera that looks down at a table, depth in the "
+            "right unit (--depth-scale), and a --camera-pose whose world has the table at z = 0, if one is given."
+        )
+    everything = Workspace(outline, 0.0)
+    heights = on_table[everything.holds(on_table), 2]
+    # The median is robust against the lower ends of objects; 1.4826 scales it to the deviation of a Gaussian.
+    spread = 1.4826 * float(np.median(np.abs(heights - np.median(heights))))
+    return Workspace(outline, float(np.clip(FLOOR_NOISE * spread, LEAST_FLOOR, MOST_FLOOR)))
+
+
+def rectangle(corners: tuple[float, float, float, float], floor: float) -> Workspace:
+    """Build a workspace from its least and greatest x, then y, metres."""
+    (x0, x1, y0, y1) = corners
+    return Workspace(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), floor)
+
+
+def _outline(cells: np.ndarray) -> np.ndarray | None:
+    """Convex hull of the largest region of occupied cells; None if it has no area."""
+    first = cells.min(axis=0) - CLOSING
+    grid = np.zeros(cells.max(axis=0) - first + 1 + CLOSING, bool)
+    grid[tuple((cells - first).T)] = True
+    regions = np.asarray(label(binary_closing(grid, np.ones((CLOSING, CLOSING))), np.ones((3, 3)))[0])
+    weight = np.bincount(regions[tuple((cells - first).T)])
+    weight[0] = 0
+    corners = np.argwhere(regions == weight.argmax()) + first
+    if weight.max() < 3:
+        return None
+    places = CELL * np.concatenate([corners + offset for offset in ((0, 0), (1, 0), (0, 1), (1, 1))])
+    try:
+        return places[ConvexHull(places).vertices]
+    except QhullError:
+        return None

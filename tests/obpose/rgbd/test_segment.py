@@ -1,0 +1,85 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from obpose.rgbd.frames import PreparedFrames, Trained, observe
+from obpose.rgbd.recording import Recording
+from obpose.rgbd.segment import segment_frames
+from obpose.rgbd.workspace import find_workspace
+from obpose.types import Observation
+from tests.worlds.sphere_clips import clip_and_truth
+
+EVERY = 4
+
+
+@pytest.fixture(scope="module")
+def world() -> tuple[PreparedFrames, np.ndarray]:
+    """Two frames of spheres on a table, and the labels of their pixels."""
+    clip, truth = clip_and_truth(frames=2, resolution=(160, 120))
+    recording = Recording((Path("a.png"), Path("b.png")), clip.rgb[:, 0], clip.depth[:, 0], clip.k[0])
+    pose = clip.world_from_camera[0]
+    workspace = find_workspace(clip.points()[0, 0][clip.valid[0, 0]])
+    observation = observe(recording.every(EVERY), pose, workspace, Trained(0.01))
+    return PreparedFrames(recording, observation, pose, workspace, EVERY, "", ""), truth[:, 0]
+
+
+def knows(truth: np.ndarray):
+    """Give a method that labels the reduced pixels correctly."""
+
+    def method(observation: Observation) -> np.ndarray:
+        labels = truth[:, EVERY // 2 :: EVERY, EVERY // 2 :: EVERY].astype(np.int64)
+        assert labels.shape == observation.depth.shape[1:2] + observation.depth.shape[3:]
+        return labels * 7
+
+    return method
+
+
+def test_outlines_are_those_of_the_full_frames(world: tuple[PreparedFrames, np.ndarray]):
+    frames, truth = world
+    labels = segment_frames(frames, knows(truth))
+    assert labels.shape == truth.shape
+    for name in range(1, int(truth.max()) + 1):
+        own = labels == np.bincount(labels[truth == name]).argmax()
+        assert np.sum(own & (truth == name)) / np.sum(own | (truth == name)) > 0.9
+
+
+def test_labels_are_numbered_by_size_and_constant_over_time(world: tuple[PreparedFrames, np.ndarray]):
+    frames, truth = world
+    labels = segment_frames(frames, knows(truth))
+    assert set(np.unique(labels)) == set(range(int(truth.max()) + 1))
+    assert (np.diff(np.bincount(labels.ravel())[1:]) <= 0).all()
+    first, second = (np.bincount(truth[frame][labels[frame] == 1]).argmax() for frame in (0, 1))
+    assert first == second
+
+
+def test_the_table_has_no_label_whatever_the_method_says(world: tuple[PreparedFrames, np.ndarray]):
+    frames, truth = world
+    labels = segment_frames(frames, lambda observation: np.ones(observation.depth[0, :, 0].shape, np.int64))
+    assert not labels[frames.recording.depth == 0].any()
+    assert np.mean(labels[truth == 0] > 0) < 0.01
+    assert np.mean(labels[truth > 0] > 0) > 0.9
+
+
+def test_pixels_far_from_what_is_labelled_are_background(world: tuple[PreparedFrames, np.ndarray]):
+    frames, truth = world
+    labels = segment_frames(frames, knows(np.where(truth == 1, truth, 0)))
+    assert labels[truth == 1].any()
+    assert np.mean(labels[truth > 1] > 0) < 0.1
+
+
+def test_nothing_is_found_where_nothing_is_labelled(world: tuple[PreparedFrames, np.ndarray]):
+    frames, truth = world
+    assert not segment_frames(frames, knows(0 * truth)).any()
+
+
+def test_pixels_outside_of_the_workspace_have_no_depth(world: tuple[PreparedFrames, np.ndarray]):
+    frames, _ = world
+    small = Trained(0.01, cube=((0.0, 0.0, 0.0), 0.2))
+    observation = observe(frames.recording, frames.pose, frames.workspace, small)
+    assert (
+        0
+        < observation.valid.sum()
+        < observe(frames.recording, frames.pose, frames.workspace, Trained(0.01)).valid.sum()
+    )
+    assert ((observation.depth > 0) == observation.valid).all()
