@@ -140,8 +140,8 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
     spacing = surface_spacing(whole)
     if spacing is None:
         raise UsageError(
-            "The workspace shows no points in the first frame; give another --workspace or --depth-max, or move the origin "
-            "of --camera-pose to the middle of the table."
+            "The workspace shows no points in the first frame; give another --workspace or --depth-max, or move the "
+            "origin of --camera-pose to the middle of the table."
         )
     every = frames.every or _step(spacing, trained.spacing, recording)
     observation = observe(recording.every(every), pose, workspace, trained)

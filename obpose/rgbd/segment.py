@@ -16,6 +16,8 @@ Method = Callable[[Observation], Labels]
 """Function that labels the objects of a batch of one clip with one view; 0 is the background."""
 MOST_OBJECTS = 255
 """Label images have 8 bits."""
+LEAST_SHARE = 2e-4
+"""Segments with a smaller share of the pixels of all frames are noise: 61 pixels of one frame of 640x480."""
 NEAR = 3.0
 """Pixels farther from all labelled points than this many spacings of them are background."""
 
@@ -49,9 +51,10 @@ def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.
 
 
 def _largest(labels: Integer[np.ndarray, "frame height width"]) -> UInt8[np.ndarray, "frame height width"]:
-    """Number objects from 1 by decreasing size; only the largest ones keep a label."""
+    """Number objects from 1 by decreasing size; specks lose their label, and so do all but the largest ones."""
     names, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    order = [place for place in np.argsort(-counts, kind="stable") if names[place] > 0][:MOST_OBJECTS]
+    large = (names > 0) & (counts >= LEAST_SHARE * labels.size)
+    order = [place for place in np.argsort(-counts, kind="stable") if large[place]][:MOST_OBJECTS]
     new = np.zeros(len(names), np.uint8)
     new[order] = np.arange(1, len(order) + 1)
     return new[inverse].reshape(labels.shape)

@@ -64,8 +64,8 @@ def find_workspace(points: Float[np.ndarray, "point 3"]) -> Workspace:
     outline = _outline(cells) if len(cells) else None
     if outline is None:
         raise UsageError(
-            "No table is visible at z = 0 in the first frame; expected a camera that looks down at a table, depth in the "
-            "right unit (--depth-scale), and a --camera-pose whose world has the table at z = 0, if one is given."
+            "No table is visible at z = 0 in the first frame; expected a camera that looks down at a table, depth in "
+            "the right unit (--depth-scale), and a --camera-pose whose world has the table at z = 0, if one is given."
         )
     everything = Workspace(outline, 0.0)
     heights = on_table[everything.holds(on_table), 2]
