@@ -29,11 +29,12 @@ from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
 from obpose.errors import Interrupted, UsageError
 from obpose.rgbd.frames import prepare_frames, trained_on
+from obpose.rgbd.weights import DEFAULT, segment_clip, segment_reduced
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
 from obpose.scenes.bounds import check_inside
 from obpose.scenes.clip import name_clip, one_of, read_clip
-from obpose.scenes.infer import infer_scene
+from obpose.scenes.infer import infer_scene, views_as_trained
 from obpose.scenes.meshes import FORMATS, object_mesh, write_mesh
 from obpose.scenes.model_ref import Origin, load_origin, origin_of
 from obpose.scenes.pictures import PICTURE, strip, turntable, write_gif, write_png
@@ -68,6 +69,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
 
 
+OWN = "own"
+"""Value of --masks with which the model finds the objects itself."""
+
+
 def _infer(values: Infer) -> None:
     framed = any((values.rgb, values.depth, values.intrinsics, values.camera_pose))
     if framed == (values.data is not None):
@@ -81,12 +86,17 @@ def _infer(values: Infer) -> None:
         clip = read_clip(*place)
         check_new_folder(values.out)
         print(f"Resolution: {spacing_note(origin.model, clip)}.")
-        scene = replace(infer_scene(origin, clip, refinements=values.refine), clip=name_clip(*place))
+        labels = (
+            None if values.masks in (None, OWN) else segment_clip(values.masks, views_as_trained(origin.model, clip))
+        )
+        scene = infer_scene(origin, clip, refinements=values.refine, labels=labels)
+        scene = replace(scene, clip=name_clip(*place))
     else:
         frames = prepare_frames(values, trained_on(origin.model.config))
         check_new_folder(values.out)
         print(f"World: {frames.world}.\nResolution: {frames.resolution}.")
-        scene = infer_scene(origin, frames.observation, refinements=values.refine)
+        labels = None if values.masks == OWN else segment_reduced(values.masks or DEFAULT, values, frames)
+        scene = infer_scene(origin, frames.observation, refinements=values.refine, labels=labels)
     _show(scene, origin, values.out, values.resolution)
     if not scene.ids:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")

@@ -13,20 +13,13 @@ from pathlib import Path
 from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
 from datagen.storage.atomic import check_new_folder
-from obpose.data.resolution import fitting_model
 from obpose.errors import EXIT_OK, UsageError
-from obpose.model.obpose import ObPose
-from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames, trained_on
+from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames
 from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, write_results
-from obpose.rgbd.segment import Labels, Method, segment_frames
-from obpose.storage.checkpoint import load
-from obpose.storage.pretrained import find_checkpoint
-from obpose.trainable import Trainable
-from obpose.types import Observation
+from obpose.rgbd.segment import Method, segment_frames
+from obpose.rgbd.weights import DEFAULT, method_of
 
 PROGRAM = "obpose-segment"
-DEFAULT = "obpose-contact--desk--128x96"
-"""Name of the shipped weights that are used if none are given."""
 UNTRAINED = Trained(spacing=0.006)
 """Pixel spacing that methods without training get."""
 
@@ -89,14 +82,8 @@ def _method(values: Arguments, find_method: FindMethod) -> tuple[str, Method, Tr
         if values.checkpoint is not None:
             raise UsageError("--method and --checkpoint exclude each other; give one of them.")
         return f"{values.method}, without training", find_method(values.method), UNTRAINED
-    checkpoint = values.checkpoint or Path(DEFAULT)
-    model, config, _ = load(find_checkpoint(checkpoint))
-    return f"weights {checkpoint}", partial(_segment, model), trained_on(config)
-
-
-def _segment(model: Trainable, observation: Observation) -> Labels:
-    fitting = fitting_model(model, observation) if isinstance(model, ObPose) else model
-    return fitting.segment(observation).labels[0, :, 0].cpu().numpy()
+    checkpoint = values.checkpoint or DEFAULT
+    return f"weights {checkpoint}", *method_of(checkpoint)
 
 
 def _print_objects(frames: PreparedFrames, objects: list) -> None:

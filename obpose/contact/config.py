@@ -1,5 +1,6 @@
 """Configuration of the contact model, with bounds. All defaults are ours."""
 
+import math
 from dataclasses import dataclass, field
 
 from obpose.config import TrainConfig
@@ -24,6 +25,9 @@ class ContactModelConfig:
     """Largest distance in metres between neighbouring points of a pseudo-object."""
     bias: float = 0.5
     """Added to the logits of affinities before pixels are grouped: larger values divide less."""
+    division_gap: float | None = None
+    """Neighbouring points farther apart than this, metres, are divided whatever the network says; None: never. It makes
+    frames of unfamiliar cameras safer, and divides what an object in front hides in the middle."""
     workspace_center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the observed points, world frame, metres; measured before training."""
     spacing: float = 0.01
@@ -55,6 +59,7 @@ class SupervisedConfig(ContactConfig):
 _RULES: tuple[Rule, ...] = (
     *TRAINING,
     positive("model.gap"),
+    ("model.division_gap", lambda value: value is None or 0 < value < math.inf, "none, or more than 0 and finite"),
     positive("model.spacing"),
     not_negative("model.noise"),
 )

@@ -1,7 +1,7 @@
 """Grouping of an image's foreground pixels into objects, from affinities and embeddings."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Int64, Integer
 from scipy.spatial import KDTree
 
 from obpose.contact.components import shifted
@@ -19,6 +19,7 @@ def group(
     *,
     bias: float,
     scale: int = 1,
+    components: Integer[np.ndarray, "height width"] | None = None,
 ) -> Int64[np.ndarray, "height width"]:
     """Label objects from 1 by average linkage of signed pixel pairs; 0 outside the mask.
 
@@ -28,6 +29,7 @@ def group(
         embedding: Embedding of each pixel.
         bias: Added to the logits; larger values divide less.
         scale: Width of the image in units of 64 pixels.
+        components: Parts of the foreground that share no object; None: one part.
     """
     labels = np.zeros(mask.shape, np.int64)
     count = int(np.count_nonzero(mask))
@@ -39,6 +41,8 @@ def group(
     for channel, offset in enumerate(offsets(scale)):
         here, there = shifted(mask.shape, offset)
         both = mask[here] & mask[there]
+        if components is not None:
+            both &= components[here] == components[there]
         one, other = index[here][both], index[there][both]
         pairs.append(np.stack([one, other]))
         attractions.append(affinities[channel][here][both] + bias)

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from obpose.contact.clip import Frame, segment_frames
+from obpose.contact.components import image_components
 from obpose.contact.config import ContactConfig
 from obpose.contact.grouping import group
 from obpose.contact.images import CHANNELS, Images, augmented, cropped, images_of
@@ -105,7 +106,13 @@ class ContactModel(Trainable):
         outputs = self.outputs(images)
         mask = ((outputs.foreground > 0) & images.valid).cpu().numpy()
         arrays = zip(mask, outputs.affinities.cpu().numpy(), outputs.embedding.cpu().numpy(), strict=True)
-        singles = np.stack([group(*each, bias=self.config.model.bias, scale=scale) for each in arrays])
+        settings = self.config.model
+        singles = np.stack(
+            [
+                group(*each, bias=settings.bias, scale=scale, components=parts)
+                for each, parts in zip(arrays, self._parts(images, mask), strict=True)
+            ]
+        )
         batch, frames, views = observation.depth.shape[:3]
         clips = [rearrange(value, "(b i) h w -> b i h w", b=batch) for value in (mask, singles)]
         points = rearrange(images.points.cpu().numpy(), "(b i) c h w -> b i h w c", b=batch)
@@ -120,6 +127,13 @@ class ContactModel(Trainable):
             for value in (labels, list(clips[1]))
         )
         return Segmentation(labels=over_time, attention=single)
+
+    def _parts(self, images: Images, masks: Bool[np.ndarray, "image height width"]) -> list[np.ndarray] | list[None]:
+        """Parts of the foreground of each image that are too far apart to share an object."""
+        if (gap := self.config.model.division_gap) is None:
+            return [None] * len(masks)
+        points = rearrange(images.points.cpu().numpy(), "i c h w -> i h w c")
+        return [image_components(*each, gap=gap, least=1) for each in zip(points, masks, strict=True)]
 
 
 def scale_of(observation: Observation) -> int:

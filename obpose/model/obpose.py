@@ -16,6 +16,7 @@ from torch import Tensor
 
 from obpose.config import Config
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
+from obpose.model.attention.given import Labels, attended_as_labelled
 from obpose.model.attention.heads import Heads
 from obpose.model.attention.interface import Attended, Attention
 from obpose.model.attention.posterior import posterior_masks
@@ -198,9 +199,17 @@ class ObPose(Trainable):
         return decode(self.fields, codes, points, directions, colours=colours, where_background=where_background)
 
     @torch.no_grad()
-    def segment(self, observation: Observation) -> SceneSegmentation:
-        """Label every pixel, from posterior means: argmax of the composed density, 0 for pixels without depth."""
+    def segment(self, observation: Observation, labels: Labels | None = None) -> SceneSegmentation:
+        """Label every pixel, from posterior means: argmax of the composed density, 0 for pixels without depth.
+
+        Args:
+            observation: Clips.
+            labels: Segmentation by another model, constant over time. Objects are then encoded under its masks, as
+                many as it has, and it becomes the result.
+        """
         views = self._embed(observation)
+        if labels is not None:
+            return self._segment_as_labelled(views, labels * observation.valid)
         attended = self.attention(views.embeddings, None)
         inference = self._encode(views, attended)
         # Masks become posteriors, given the decoded fields.
@@ -216,6 +225,11 @@ class ObPose(Trainable):
             attention=self.pixel_owners(attended.masks, views.embeddings, observation),
             inference=inference,
         )
+
+    def _segment_as_labelled(self, views: EmbeddedViews, labels: Labels) -> SceneSegmentation:
+        grid = self.backbone.grid_size(*labels.shape[3:])
+        attended = attended_as_labelled(labels, views.embeddings, self.attention, grid=grid)
+        return SceneSegmentation(labels=labels, attention=labels, inference=self._encode(views, attended))
 
     def _posterior_masks(self, observation: Observation, inference: Inference) -> Masks:
         """Posterior over components at each point of the grid, by density and colour of the fields there."""

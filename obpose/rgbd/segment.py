@@ -16,18 +16,21 @@ Method = Callable[[Observation], Labels]
 """Function that labels the objects of a batch of one clip with one view; 0 is the background."""
 MOST_OBJECTS = 255
 """Label images have 8 bits."""
-LEAST_SHARE = 2e-4
-"""Segments with a smaller share of the pixels of all frames are noise: 61 pixels of one frame of 640x480."""
+LEAST_SHARE = 4e-4
+"""Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
 NEAR = 3.0
-"""Pixels farther from all labelled points than this many spacings of them are background."""
+"""Pixels farther from all reduced points than this many spacings of them are background."""
+LEAST_HEIGHT = 0.5
+"""Height in terms of the workspace's floor below which pixels are background whatever the method says."""
+LEAST_STANDING = 0.25
+"""Segments with a smaller share of pixels above the floor are noise of the table."""
 
 
 def segment_frames(frames: PreparedFrames, method: Method) -> UInt8[np.ndarray, "frame height width"]:
     """Label the objects of all frames in full resolution.
 
-    The method sees the reduced frames. Each pixel of the full frames that stands on the table then gets the label of
-    the nearest labelled point in space. So the outlines are those of the depth image, and nothing that belongs to the
-    table has a label.
+    The method sees the reduced frames. Each pixel of the full frames above the table then gets the label of the nearest
+    reduced point in space. So the outlines are those of the depth image.
     """
     labels = _largest(method(frames.observation))
     points = rearrange(unproject(frames.observation).numpy(), "1 f 1 h w c -> f h w c")
@@ -37,17 +40,19 @@ def segment_frames(frames: PreparedFrames, method: Method) -> UInt8[np.ndarray, 
 
 def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.ndarray) -> np.ndarray:
     full = frames.points(frame)
-    standing = frames.workspace.standing(full) & (frames.recording.depth[frame] > 0)
+    standing = frames.workspace.standing(full, share=LEAST_HEIGHT) & (frames.recording.depth[frame] > 0)
     found = np.zeros(standing.shape, np.uint8)
-    labelled = (labels > 0) & frames.workspace.standing(points)
-    if not labelled.any() or not standing.any():
+    seen = frames.observation.valid[0, frame, 0].numpy()
+    if not (labels[seen] > 0).any() or not standing.any():
         return found
-    # Spacing of the labelled points, which depends on their distance from the camera.
+    # Spacing of the reduced points, which depends on their distance from the camera.
     spacing = frames.every * np.median(frames.recording.depth[frame][standing]) / frames.recording.k[0, 0]
-    distance, nearest = KDTree(points[labelled]).query(full[standing], distance_upper_bound=NEAR * spacing)
+    distance, nearest = KDTree(points[seen]).query(full[standing], distance_upper_bound=NEAR * spacing)
     near = np.isfinite(distance)
-    found[standing] = np.where(near, labels[labelled][np.where(near, nearest, 0)], 0)
-    return found
+    found[standing] = np.where(near, labels[seen][np.where(near, nearest, 0)], 0)
+    # Bumps of the table are low.
+    sizes, high = (np.bincount(found[mask], minlength=256) for mask in (standing, frames.workspace.standing(full)))
+    return np.where((high >= LEAST_STANDING * sizes)[found], found, 0).astype(np.uint8)
 
 
 def _largest(labels: Integer[np.ndarray, "frame height width"]) -> UInt8[np.ndarray, "frame height width"]:

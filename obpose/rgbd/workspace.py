@@ -42,9 +42,9 @@ class Workspace:
             inside &= distance < RIM
         return inside & (points[..., 2] > -MOST_FLOOR)
 
-    def standing(self, points: Float[np.ndarray, "*shape 3"]) -> Bool[np.ndarray, "*shape"]:
-        """Whether points are above the table, by more than its noise."""
-        return self.holds(points) & (points[..., 2] > self.floor)
+    def standing(self, points: Float[np.ndarray, "*shape 3"], *, share: float = 1.0) -> Bool[np.ndarray, "*shape"]:
+        """Whether points are above the table by more than its noise, or than a share of it."""
+        return self.holds(points) & (points[..., 2] > share * self.floor)
 
 
 def find_workspace(points: Float[np.ndarray, "point 3"]) -> Workspace:
@@ -85,7 +85,8 @@ def _outline(cells: np.ndarray) -> np.ndarray | None:
     first = cells.min(axis=0) - CLOSING
     grid = np.zeros(cells.max(axis=0) - first + 1 + CLOSING, bool)
     grid[tuple((cells - first).T)] = True
-    regions = np.asarray(label(binary_closing(grid, np.ones((CLOSING, CLOSING))), np.ones((3, 3)))[0])
+    regions = np.zeros(grid.shape, np.int32)
+    label(binary_closing(grid, np.ones((CLOSING, CLOSING))), np.ones((3, 3)), output=regions)
     weight = np.bincount(regions[tuple((cells - first).T)])
     weight[0] = 0
     corners = np.argwhere(regions == weight.argmax()) + first

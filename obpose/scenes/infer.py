@@ -8,6 +8,7 @@ from torch import Tensor
 
 from obpose.data.clips import select_part
 from obpose.data.resolution import fitting_model
+from obpose.model.attention.given import Labels
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance import no_appearance
 from obpose.scenes.appearance.find_light import find_light
@@ -30,22 +31,28 @@ class Inferred:
     """Name of the object of every pixel in the views that the model used, 0 = background."""
 
 
-def infer_scene(origin: Origin, observation: Observation, *, refinements: int = 0) -> Scene:
+def infer_scene(
+    origin: Origin, observation: Observation, *, refinements: int = 0, labels: Labels | None = None
+) -> Scene:
     """Infer the scene of a batch of one clip from the posterior means of its latents.
 
     The model uses all views or the first one, as in training; the scene has all cameras. With refinements, the scene is
     then fitted to these views in that many steps (`obpose.scenes.refine`), and light and texture are estimated
     (`find_light`, `find_texture`). Without refinements this is the paper's inference.
+
+    Objects are those of `labels`, if they are given, for the views that the model uses; otherwise the model finds them.
     """
-    return infer_labelled(origin, observation, refinements=refinements).scene
+    return infer_labelled(origin, observation, refinements=refinements, labels=labels).scene
 
 
-def infer_labelled(origin: Origin, observation: Observation, *, refinements: int = 0) -> Inferred:
+def infer_labelled(
+    origin: Origin, observation: Observation, *, refinements: int = 0, labels: Labels | None = None
+) -> Inferred:
     """Infer a scene like `infer_scene`, and give its segmentation too."""
     cameras = cameras_of(observation)
     observation = views_as_trained(origin.model, observation)
     model = fitting_model(origin.model, observation)
-    found = model.segment(observation)
+    found = model.segment(observation, labels)
     scene = _fitted(model, observation, scene_of(found.inference, cameras, origin), refinements)
     return Inferred(scene, found.labels[0])
 

@@ -43,6 +43,13 @@ def test_a_large_bias_joins_all_that_is_within_reach():
     assert group(truth > 0, affinities(truth), np.zeros((2, *truth.shape)), bias=9.0).max() == 1
 
 
+def test_parts_share_no_object_whatever_the_affinities():
+    truth = three()
+    parts = np.where(truth == 1, 1, 2)
+    found = group(truth > 0, affinities(0 * truth), np.zeros((2, *truth.shape)), bias=0.0, components=parts)
+    assert adjusted_rand_score(parts[truth > 0], found[truth > 0]) == 1
+
+
 def test_specks_join_the_object_with_the_nearest_embedding():
     truth = three()
     truth[5, 4 : 4 + LEAST - 1] = 4

@@ -12,7 +12,7 @@ from obpose.model.obpose import ObPose
 from obpose.model.perception import pixel_owners
 from obpose.types import Masks, Observation, SceneSegmentation
 from obpose.variants import VARIANTS, make_config
-from tests.worlds.observations import table_scene
+from tests.worlds.observations import labels_by_colour, table_scene
 
 CONDITIONED = ("obpose", "obpose-loc", "obpose-none", "ic-sbp", "slot-attention")
 
@@ -275,3 +275,21 @@ def _drawing_the_first_view() -> torch.Generator:
         if torch.randint(3, (1,), generator=generator).item() == 0:
             return generator.manual_seed(seed)
     raise AssertionError
+
+
+@pytest.mark.parametrize("variant", ["obpose", "obpose-loc"])
+@pytest.mark.parametrize("level", [0, 1])
+def test_given_masks_become_the_objects(variant: str, level: int):
+    model = _model(variant, **{"model.backbone.output_level": level}).eval()
+    scene = table_scene(spheres=3, height=64, width=64)
+    labels = torch.stack([labels_by_colour(rgb) for rgb in scene.rgb]) * 2
+    found = model.segment(scene, labels)
+    assert torch.equal(found.labels, labels * scene.valid)
+    count = int(labels.max())
+    assert found.inference.masks.active[0].tolist() == [name % 2 == 0 for name in range(1, count + 1)]
+    points = unproject(scene)[0, 0, 0]
+    for name in range(2, count + 1, 2):
+        mean = points[labels[0, 0, 0] == name].mean(dim=0)
+        torch.testing.assert_close(
+            found.inference.observed_center[0, 0, name - 1], mean, atol=0.01 + 0.02 * level, rtol=0
+        )

@@ -1,0 +1,69 @@
+"""Weights as a method to segment a user's frames, and to give masks to a model with fields."""
+
+from functools import partial
+from pathlib import Path
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from obpose.contact.model import ContactModel
+from obpose.data.resolution import fitting_model
+from obpose.errors import UsageError
+from obpose.model.obpose import ObPose
+from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames, trained_on
+from obpose.rgbd.segment import Labels, Method, segment_frames
+from obpose.storage.checkpoint import load
+from obpose.storage.pretrained import find_checkpoint
+from obpose.trainable import Trainable
+from obpose.types import Observation
+
+DEFAULT = "obpose-contact--desk--128x96"
+"""Name of the shipped weights for frames of a user's own."""
+
+
+def method_of(checkpoint: str | Path) -> tuple[Method, Trained]:
+    """Load weights as a method, and describe the scenes that they were trained on.
+
+    Raises:
+        UsageError: there are none, or their system cannot segment frames of a user.
+        CorruptFile: a file is damaged.
+    """
+    model, config, _ = load(find_checkpoint(Path(checkpoint)))
+    return partial(_segment, model), trained_on(config)
+
+
+def segment_reduced(checkpoint: str, flags: Frames, frames: PreparedFrames) -> Int[Tensor, "1 frame 1 height width"]:
+    """Label prepared frames by weights that need another resolution.
+
+    Args:
+        checkpoint: Folder or name of the weights.
+        flags: Flags of the frames.
+        frames: The same frames, prepared for another model.
+
+    Raises:
+        UsageError: as `method_of`.
+    """
+    method, trained = method_of(checkpoint)
+    labels = torch.from_numpy(segment_frames(prepare_frames(flags, trained), method)).long()
+    start = frames.every // 2
+    reduced = labels[:, start :: frames.every, start :: frames.every]
+    height, width = frames.observation.depth.shape[-2:]
+    return reduced[None, :, None, :height, :width]
+
+
+def segment_clip(checkpoint: str, clip: Observation) -> Int[Tensor, "1 frame view height width"]:
+    """Label a clip of a dataset by weights of the contact model.
+
+    Raises:
+        UsageError: as `method_of`, or the weights are of another system.
+    """
+    model = load(find_checkpoint(Path(checkpoint)))[0]
+    if not isinstance(model, ContactModel):
+        raise UsageError(f"--masks {checkpoint}: expected weights of obpose-contact or supervised.")
+    return model.segment(clip).labels
+
+
+def _segment(model: Trainable, observation: Observation) -> Labels:
+    fitting = fitting_model(model, observation) if isinstance(model, ObPose) else model
+    return fitting.segment(observation).labels[0, :, 0].cpu().numpy()
