@@ -4,7 +4,6 @@ obpose-segment --rgb a.png --depth a_depth.png --intrinsics 525,525,320,240
 obpose-segment --method plane-hdbscan --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240
 """
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -96,9 +95,3 @@ def _print_objects(frames: PreparedFrames, objects: list) -> None:
         sides = " x ".join(f"{100 * side:.1f}" for side in each.box.size)
         center = ", ".join(f"{value:.3f}" for value in each.box.center)
         print(f"{each.label:6d} {each.pixels:8d}   {sides:18}  {center}")
-
-
-if __name__ == "__main__":
-    from benchmark.commands.segment import main as start
-
-    sys.exit(start())

@@ -133,7 +133,10 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
     pose = pose_over_table(points, center=trained.center) if given is None else given
     world = FITTED if given is None else world_note(points @ pose[:3, :3].T, pose[:3, 3])
     points = points @ pose[:3, :3].T + pose[:3, 3]
-    workspace = find_workspace(points)
+    try:
+        workspace = find_workspace(points)
+    except UsageError as error:
+        raise error if given is None else UsageError(f"{error} World: {world}.") from None
     if frames.workspace is not None:
         workspace = rectangle(_corners(frames.workspace), workspace.floor)
     whole = observe(replace(recording, rgb=recording.rgb[:1], depth=recording.depth[:1]), pose, workspace, trained)

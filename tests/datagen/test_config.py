@@ -8,7 +8,7 @@ from datagen.config import Layout, Recipe, Rig, load_recipe, recipe_from_dict, r
 from datagen.errors import UsageError
 
 VIDEO = ("moving", "touching", "same-colour", "two-colour", "textured", "noisy", "mixed", "cluttered")
-STILL = ("static", "clevr3d", "multishape")
+STILL = ("desk", "static", "clevr3d", "multishape")
 
 
 def test_the_recipes_are_those_of_the_documentation():
@@ -25,7 +25,17 @@ def test_a_recipe_survives_the_way_through_json(name: str):
     assert recipe.description
 
 
-@pytest.mark.parametrize("name", recipe_names())
+def test_desk_draws_its_cameras_and_its_objects_from_ranges():
+    recipe = load_recipe("desk")
+    assert (recipe.frames, recipe.views, recipe.resolution) == (1, 1, (160, 120))
+    assert (recipe.objects.minimum, recipe.objects.maximum) == (3, 12)
+    assert recipe.sensor.enabled
+    parts = [recipe.for_scene(index) for index in range(3)]
+    assert [part.layout.placement for part in parts] == ["scattered", "scattered", "stacked"]
+    assert all(part.rig.distances and part.views == 1 and part.sensor.enabled for part in parts)
+
+
+@pytest.mark.parametrize("name", [name for name in recipe_names() if name != "desk"])
 def test_sizes_are_as_promised(name: str):
     recipe = load_recipe(name)
     assert (recipe.frames, recipe.views) == ((10, 1) if name in VIDEO else (1, 3))

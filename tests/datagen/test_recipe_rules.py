@@ -4,7 +4,7 @@ import math
 import pytest
 
 from datagen.config import load_recipe, recipe_names
-from datagen.recipe_rules import LIMITS, constants, problems, span
+from datagen.recipe_rules import LIMITS, OPTIONAL_RANGES, constants, problems, span
 from tests.paths import ROOT
 
 
@@ -78,10 +78,21 @@ def with_constant(name: str, value: object) -> dict:
 
 
 def test_every_number_has_limits_and_no_others_have():
-    assert set(LIMITS) == set(numbers(dataclasses.asdict(load_recipe("moving"))))
+    assert set(LIMITS) - set(OPTIONAL_RANGES) == set(numbers(dataclasses.asdict(load_recipe("moving"))))
+    assert set(OPTIONAL_RANGES) <= set(LIMITS)
 
 
-@pytest.mark.parametrize("name", sorted(LIMITS))
+@pytest.mark.parametrize("name", sorted(OPTIONAL_RANGES))
+def test_ranges_have_two_numbers_in_order_or_none(name: str):
+    low, high, _ = LIMITS[name]
+    least, most = max(low, 3.0), min(high, 5.0)
+    assert list(problems(with_constant(name, (least, most)))) == []
+    assert "expected the least before the greatest" in "; ".join(problems(with_constant(name, (most, least))))
+    assert "has 1 numbers, expected a least and a greatest one" in "; ".join(problems(with_constant(name, (least,))))
+    assert f"{name} is" in "; ".join(problems(with_constant(name, (low - 1, high))))
+
+
+@pytest.mark.parametrize("name", sorted(set(LIMITS) - set(OPTIONAL_RANGES)))
 def test_numbers_beyond_their_limits_are_refused_by_name(name: str):
     default = numbers(dataclasses.asdict(load_recipe("moving")))[name]
     length = len(default) or 1 if isinstance(default, tuple) else 0

@@ -43,6 +43,21 @@ def test_an_azimuth_turns_the_first_camera():
     np.testing.assert_allclose(camera.position[:2], [0, 1.03 * np.cos(np.radians(55))], atol=1e-6)
 
 
+def test_ranges_are_drawn_anew_for_each_scene_and_shared_by_its_views():
+    rig = Rig(distances=(0.5, 0.9), elevations=(30.0, 60.0), azimuths=(0.0, 360.0), fields_of_view=(40.0, 70.0))
+    recipe = dataclasses.replace(load_recipe("static"), rig=rig)
+    scenes = [sample_cameras(recipe, np.random.default_rng(seed)) for seed in range(50)]
+    assert all(len({camera.field_of_view for camera in cameras}) == 1 for cameras in scenes)
+    distances = [np.linalg.norm(cameras[0].position) for cameras in scenes]
+    heights = [
+        np.degrees(np.arcsin(cameras[0].position[2] / np.linalg.norm(cameras[0].position))) for cameras in scenes
+    ]
+    assert 0.5 <= min(distances) < 0.55
+    assert 0.85 < max(distances) <= 0.9
+    assert 30 <= min(heights) < 35
+    assert 55 < max(heights) <= 60.001
+
+
 def test_lights_come_from_above_and_only_the_key_casts_a_shadow():
     rng = np.random.default_rng(0)
     lighting = Lighting()

@@ -14,9 +14,13 @@ from datagen.schema import decode_depth
 from datagen.storage.reader import Dataset
 from obpose.commands import edit as edit_cli
 from obpose.commands.edit import main
+from obpose.data.clips import observation_of
 from obpose.data.datasets import SceneDataset
+from obpose.geometry import unproject
+from obpose.rgbd.weights import DEFAULT
 from obpose.scenes.appearance.light import no_light, strength
-from obpose.scenes.model_ref import origin_of
+from obpose.scenes.bounds import workspace_bounds
+from obpose.scenes.model_ref import load_origin, origin_of
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.scene import ClipName
 from obpose.scenes.storage import load_scene
@@ -65,7 +69,8 @@ def frames(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> list
 
 
 def test_frames_of_ones_own_give_the_scene_of_the_same_clip(inferred: Path, frames: list[str], tmp_path: Path, capsys):
-    assert run("infer", "--checkpoint", MODEL, *frames, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    flags = ("--masks", "own", "--refine", 0, "--out", tmp_path / "own")
+    assert run("infer", "--checkpoint", MODEL, *frames, *flags) == EXIT_OK
     assert "World: as given with --camera-pose." in capsys.readouterr().out
     own, scene = load_scene(tmp_path / "own"), load_scene(inferred)
     assert own.clip is None
@@ -84,23 +89,37 @@ def in_another_world(frames: list[str], folder: Path, *, axis: int, by: float) -
     return [*others, f"--camera-pose={folder}/pose.txt"]
 
 
-def test_objects_of_frames_outside_the_workspace_are_refused(frames: list[str], tmp_path: Path, capsys):
-    flags = in_another_world(frames, tmp_path, axis=0, by=-0.8)
-    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_USAGE
-    told = capsys.readouterr()
-    assert (
-        "of it outside the 1.01 m around (-0.12, 0.00, 0.07) that the model was trained on: move the world's origin"
-        in told.out
-    )
-    assert "would be outside the workspace" in told.err
-    assert told.err.count("\n") == 1
-    assert not (tmp_path / "own").exists()
+def test_the_contact_model_finds_the_objects_of_frames(frames: list[str], tmp_path: Path, tiny_dataset: Path):
+    assert run("infer", "--checkpoint", MODEL, *frames, "--refine", 0, "--out", tmp_path / "frames") == EXIT_OK
+    flags = ("--data", tiny_dataset, "--masks", DEFAULT, "--refine", 0)
+    assert run("infer", "--checkpoint", MODEL, *flags, "--out", tmp_path / "clip") == EXIT_OK
+    points = unproject(observation_of([tiny_dataset_clip(tiny_dataset)]))[0, 0, 0]
+    truth = tiny_dataset_clip(tiny_dataset)["segmentation"][0, 0]
+    means = torch.stack([points[truth == name].mean(dim=0) for name in truth.unique()[1:].tolist()])
+    for place in ("frames", "clip"):
+        centers = load_scene(tmp_path / place).center[0]
+        assert len(centers) >= len(means)
+        assert torch.cdist(means, centers).amin(dim=1).max() < 0.06
+
+
+def test_masks_come_from_weights_of_the_contact_model(tiny_dataset: Path, tmp_path: Path, capsys):
+    flags = ("--data", tiny_dataset, "--masks", MODEL, "--out", tmp_path / "out")
+    assert run("infer", "--checkpoint", MODEL, *flags) == EXIT_USAGE
+    assert "expected weights of obpose-contact or supervised" in capsys.readouterr().err
+
+
+def test_what_frames_show_outside_the_workspace_is_left_out(frames: list[str], tmp_path: Path):
+    flags = in_another_world(frames, tmp_path, axis=0, by=-0.5)
+    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    low, high = workspace_bounds(load_origin(MODEL).model)
+    centers = load_scene(tmp_path / "own").center
+    assert ((centers > low - 0.011) & (centers < high + 0.001)).all()
 
 
 def test_a_table_that_is_not_at_zero_is_pointed_out(frames: list[str], tmp_path: Path, capsys):
     flags = in_another_world(frames, tmp_path, axis=2, by=-0.4)
-    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
-    assert "the table in view lies at z = -0.40 m: move the world's origin onto" in capsys.readouterr().out
+    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_USAGE
+    assert "the table in view lies at z = -0.40 m: move the world's origin onto" in capsys.readouterr().err
 
 
 def test_a_scene_is_of_a_dataset_or_of_frames(tiny_dataset: Path, frames: list[str], tmp_path: Path, capsys):
