@@ -15,13 +15,10 @@ from datagen.storage.atomic import check_new_folder
 from obpose.errors import EXIT_OK, UsageError
 from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames
 from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, write_results
-from obpose.rgbd.segment import Method, segment_frames
+from obpose.rgbd.segment import UNTRAINED, Method, segment_frames
 from obpose.rgbd.weights import DEFAULT, method_of
 
 PROGRAM = "obpose-segment"
-UNTRAINED = Trained(spacing=0.006)
-"""Pixel spacing that methods without training get."""
-
 FindMethod = Callable[[str], Method]
 """Function that finds a method without training by name; raises UsageError if there is none."""
 
@@ -31,7 +28,8 @@ class Arguments(Frames):
     """Segment RGB-D frames, and find boxes of the objects."""
 
     checkpoint: Path | None = None
-    """Folder of a trained model, or the name of shipped weights; default obpose-contact--desk--128x96."""
+    """Folder of a trained model, or the name of shipped weights; default supervised--desk--128x96, which were
+    trained with labels of synthetic scenes."""
     method: str | None = None
     """Name of a method without training, in place of weights: plane-components, plane-dbscan, plane-hdbscan, convexity
     or clip-tracker."""

@@ -8,7 +8,7 @@ from jaxtyping import Int, Integer, UInt8
 from scipy.spatial import KDTree
 
 from obpose.geometry import unproject
-from obpose.rgbd.frames import PreparedFrames
+from obpose.rgbd.frames import PreparedFrames, Trained
 from obpose.types import Observation
 
 Labels = Int[np.ndarray, "frame height width"]
@@ -16,6 +16,8 @@ Method = Callable[[Observation], Labels]
 """Function that labels the objects of a batch of one clip with one view; 0 is the background."""
 MOST_OBJECTS = 255
 """Label images have 8 bits."""
+UNTRAINED = Trained(spacing=0.006)
+"""Pixel spacing that methods without training get."""
 LEAST_SHARE = 4e-4
 """Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
 NEAR = 3.0

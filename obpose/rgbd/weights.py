@@ -18,7 +18,7 @@ from obpose.storage.pretrained import find_checkpoint
 from obpose.trainable import Trainable
 from obpose.types import Observation
 
-DEFAULT = "obpose-contact--desk--128x96"
+DEFAULT = "supervised--desk--128x96"
 """Name of the shipped weights for frames of a user's own."""
 
 

@@ -141,7 +141,7 @@ def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, re
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", shipped_names())
+@pytest.mark.parametrize("name", [name for name in shipped_names() if "--desk--" not in name])
 @pytest.mark.parametrize("elevation", [45, 90])
 def test_so_it_is_for_all_weights_and_from_above(name: str, elevation: int):
     """With nothing on the table, whose field is thinner than cells, as are sheets of fog where no camera looked."""
