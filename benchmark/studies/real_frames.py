@@ -8,14 +8,13 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from PIL import Image
 
 from benchmark.commands.segment import find_method
 from benchmark.metrics import score
 from benchmark.ranking.leaderboard import Line
 from benchmark.studies.inputs import TableFlags
 from datagen.errors import DatagenError, UsageError
-from datagen.storage.safe_io import read_json
+from datagen.storage.safe_io import open_image, read_json
 from obpose.rgbd.frames import Frames, prepare_frames
 from obpose.rgbd.results import objects_of, overlay
 from obpose.rgbd.segment import UNTRAINED, segment_frames
@@ -76,7 +75,7 @@ def _scores(mask: Path, labels: np.ndarray) -> Line:
     """Scores against a mask; nan without one, or if it tells no objects apart."""
     if not mask.exists():
         return dict.fromkeys(METRICS, nan)
-    with Image.open(mask) as image:
+    with open_image(mask) as image:
         truth = np.asarray(image)[None].astype(np.int64)
     if truth.max() < 2:
         return dict.fromkeys(METRICS, nan)

@@ -32,7 +32,7 @@ from obpose.rgbd.frames import prepare_frames, trained_on
 from obpose.rgbd.weights import DEFAULT, segment_clip, segment_reduced
 from obpose.scenes import edit
 from obpose.scenes.appearance.light import strength
-from obpose.scenes.bounds import check_inside
+from obpose.scenes.bounds import check_inside, objects_outside
 from obpose.scenes.clip import name_clip, one_of, read_clip
 from obpose.scenes.infer import infer_scene, views_as_trained
 from obpose.scenes.meshes import FORMATS, object_mesh, write_mesh
@@ -97,6 +97,9 @@ def _infer(values: Infer) -> None:
         print(f"World: {frames.world}.\nResolution: {frames.resolution}.")
         labels = None if values.masks == OWN else segment_reduced(values.masks or DEFAULT, values, frames)
         scene = infer_scene(origin, frames.observation, refinements=values.refine, labels=labels)
+        for name in objects_outside(scene, origin.model):
+            print(f"Object {name} is left out: it is at the border of the workspace of the weights.")
+            scene = edit.remove(scene, name)
     _show(scene, origin, values.out, values.resolution)
     if not scene.ids:
         print("No object was found: there is none, or the weights were trained too little or on other scenes.")

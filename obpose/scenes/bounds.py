@@ -28,20 +28,25 @@ def workspace_bounds(model: ObPose) -> tuple[Float[Tensor, "3"], Float[Tensor, "
     return low, high
 
 
+def objects_outside(scene: Scene, model: ObPose) -> list[int]:
+    """Names of the objects that are outside the workspace in some frame."""
+    low, high = workspace_bounds(model)
+    lowest = low - torch.tensor([0.0, 0.0, _SUNK])
+    outside = ((scene.center < lowest) | (scene.center > high)).any(dim=2).any(dim=0).tolist()
+    return [name for name, out in zip(scene.ids, outside, strict=True) if out]
+
+
 def check_inside(scene: Scene, model: ObPose) -> None:
     """Check that all objects are inside the workspace in all frames.
 
     Raises:
         UsageError: some are outside; the message lists them and the bounds.
     """
-    low, high = workspace_bounds(model)
-    lowest = low - torch.tensor([0.0, 0.0, _SUNK])
-    outside = ((scene.center < lowest) | (scene.center > high)).any(dim=2).any(dim=0).tolist()
-    names = [str(name) for name, out in zip(scene.ids, outside, strict=True) if out]
-    if names:
+    if names := objects_outside(scene, model):
+        low, high = workspace_bounds(model)
         within = zip("xyz", (low * 100).ceil() / 100, (high * 100).floor() / 100, strict=True)
         ranges = [f"{axis} {a:.2f} to {b:.2f}" for axis, a, b in within]
         raise UsageError(
-            f"Object {', '.join(names)} would be outside the workspace of the model; expected the middle of "
+            f"Object {', '.join(map(str, names))} would be outside the workspace of the model; expected the middle of "
             f"its box at {', '.join(ranges)} m in all frames: put it there, or in frames of your own move the world."
         )

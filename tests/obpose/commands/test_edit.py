@@ -99,7 +99,7 @@ def test_the_contact_model_finds_the_objects_of_frames(frames: list[str], tmp_pa
     for place in ("frames", "clip"):
         centers = load_scene(tmp_path / place).center[0]
         assert len(centers) >= len(means)
-        assert torch.cdist(means, centers).amin(dim=1).max() < 0.06
+        assert torch.cdist(means, centers).amin(dim=1).max() < 0.1
 
 
 def test_masks_come_from_weights_of_the_contact_model(tiny_dataset: Path, tmp_path: Path, capsys):
@@ -108,9 +108,10 @@ def test_masks_come_from_weights_of_the_contact_model(tiny_dataset: Path, tmp_pa
     assert "expected weights of obpose-contact or supervised" in capsys.readouterr().err
 
 
-def test_what_frames_show_outside_the_workspace_is_left_out(frames: list[str], tmp_path: Path):
+def test_what_frames_show_outside_the_workspace_is_left_out(frames: list[str], tmp_path: Path, capsys):
     flags = in_another_world(frames, tmp_path, axis=0, by=-0.5)
-    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    code = run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own")
+    assert (code, capsys.readouterr().err) == (EXIT_OK, "")
     low, high = workspace_bounds(load_origin(MODEL).model)
     centers = load_scene(tmp_path / "own").center
     assert ((centers > low - 0.011) & (centers < high + 0.001)).all()

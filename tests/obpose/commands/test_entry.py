@@ -12,7 +12,7 @@ from tests.processes import wait_until
 
 COMMANDS = {
     "obpose-train": "from benchmark.commands.train import main",
-    "obpose-segment": "from obpose.commands.entry import segment as main",
+    "obpose-segment": "from benchmark.commands.segment import main",
     "obpose-edit": "from obpose.commands.entry import edit as main",
     "obpose-view": "from obpose.commands.entry import view as main",
     "obpose-bench": "from benchmark.commands.entry import main",
