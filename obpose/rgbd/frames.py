@@ -9,13 +9,13 @@ import torch
 from einops import rearrange
 from jaxtyping import Float64
 
+from datagen.rgbd.camera_pose import Pose, read_pose
+from datagen.rgbd.table import find_table, pose_over_table, table_points
 from obpose.data.resolution import fitting_model, spacing_note, surface_spacing
 from obpose.errors import UsageError
 from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
-from obpose.rgbd.camera_pose import Pose, read_pose
 from obpose.rgbd.recording import Recording, parse_intrinsics, read_recording
-from obpose.rgbd.table import find_table, pose_over_table, table_points
 from obpose.types import Observation
 
 GIVEN = "as given with --camera-pose"

@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float64, Int, UInt8
 from PIL import Image
 
+from datagen.rgbd.camera_pose import Pose
 from datagen.storage.atomic import write_atomically
 from obpose.pictures import PALETTE, box_edges, draw_box, png, tint
-from obpose.rgbd.camera_pose import Pose
 from obpose.rgbd.recording import Recording
 
 OBJECTS_FILE = "objects.json"
