@@ -12,6 +12,16 @@ from datagen.errors import EXIT_OK, UsageError
 if TYPE_CHECKING:
     from datagen.formats.importers.write import Report
 
+_MOST = {
+    "frames": 10_000,
+    "views": 360,
+    "scenes": 1_000_000,
+    "objects": 250,
+    "most_objects": 250,
+    "depth_scale": 1000,
+    "fps": 1000,
+}
+"""Largest values of flags, all of which are positive."""
 _Flag = tyro.conf.FlagCreatePairsOff[bool]
 
 
@@ -39,10 +49,12 @@ class Import:
     """Split of all scenes; default the published ones, or 80/10/10."""
     scenes: int | None = None
     """Most scenes of each split."""
+    objects: int | None = None
+    """Most objects of a scene, from which models take their number of slots; default that of the masks, or 6."""
     most_objects: int | None = None
     """For obsurf: leave out scenes with more objects; default 6."""
     depth_scale: float | None = None
-    """Metres per unit of integer depth, such as 0.001; for obsurf, metres per unit of the scene. Default the source's."""
+    """Metres per unit of integer depth, such as 0.001; for obsurf, of the scene's unit. Default the source's."""
     depth_type: Literal["planar", "euclidean"] | None = None
     """Depth along the optical axis or along the ray; default the source's."""
     world: Literal["auto", "given", "table"] = "auto"
@@ -58,10 +70,10 @@ class Import:
 
 def run(values: Import) -> int:
     """Import the dataset and print a summary."""
-    for name in ("frames", "views", "scenes", "depth_scale", "fps", "most_objects"):
+    for name, most in _MOST.items():
         value = getattr(values, name)
-        if value is not None and not 0 < value < 10**9:
-            raise UsageError(f"--{name.replace('_', '-')} {value}: expected a number above 0.")
+        if value is not None and not 0 < value <= most:
+            raise UsageError(f"--{name.replace('_', '-')} {value}: expected more than 0 and at most {most:,}.")
     if values.views is not None and values.group not in (None, "views"):
         raise UsageError(f"--views is for --group views, not {values.group}; leave one of them out.")
     if values.frames is not None and values.group not in (None, "clip"):
@@ -82,6 +94,7 @@ def run(values: Import) -> int:
         size=parse_resolution(values.resolution) if values.resolution else None,
         split=values.split,
         scenes=values.scenes,
+        objects=values.objects,
         world=values.world,
         fps=values.fps,
         reading=ReadOptions(

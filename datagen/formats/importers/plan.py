@@ -13,6 +13,8 @@ from datagen.storage.safe_io import MOST_ARRAY_BYTES
 
 _MOST_PIXELS = MOST_ARRAY_BYTES // 3
 """Largest number of pixels of a scene: its colours are read as one array."""
+ASSUMED_OBJECTS = 6
+"""Most objects of a scene if there are no masks; models take their number of slots from it."""
 _FEW = 3
 """Recordings from which on whole recordings are assigned to splits."""
 
@@ -50,6 +52,8 @@ class Choices:
     """Split of all scenes; None for the published ones, or 80/10/10."""
     scenes: int | None = None
     """Most scenes of each split."""
+    objects: int | None = None
+    """Most objects of a scene; None for the number in the masks, or `ASSUMED_OBJECTS`."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +106,9 @@ def plan_scenes(recordings: Iterable[Surveyed], choices: Choices) -> Plan:
     )
     for split, members in units.items():
         _check_masks(split, members)
-    most = max((unit.facts.objects or 0 for members in units.values() for unit in members), default=0)
-    return Plan(units, frames, views, size, max(1, most), notes)
+    known = [unit.facts.objects for members in units.values() for unit in members if unit.facts.objects is not None]
+    most = max(known, default=ASSUMED_OBJECTS)
+    return Plan(units, frames, views, size, max(1, most if choices.objects is None else choices.objects, *known), notes)
 
 
 def _common(surveyed: Sequence[Surveyed], value: Callable[[Facts], Value], error: Callable[..., UsageError]) -> Value:

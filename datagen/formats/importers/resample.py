@@ -20,13 +20,12 @@ def resampled(images: Images, size: Size) -> Images:
     left, top, right, bottom = box = _crop((width, height), size)
     columns, rows = _nearest(left, right, size[0]), _nearest(top, bottom, size[1])
     scaled = [_scaled(rgb, box, size) for rgb in images.rgb.reshape(-1, height, width, 3)]
-    pick = np.ix_(range(images.depth.shape[0]), range(images.depth.shape[1]), rows, columns)
     return Images(
         rgb=np.stack(scaled).reshape(*images.rgb.shape[:2], size[1], size[0], 3),
-        depth=images.depth[pick],
+        depth=images.depth[:, :, rows[:, None], columns],
         k=_scale_cameras(images.k, box, size),
         world_from_camera=images.world_from_camera,
-        ids=None if images.ids is None else images.ids[pick],
+        ids=None if images.ids is None else images.ids[:, :, rows[:, None], columns],
         categories=images.categories,
     )
 

@@ -49,6 +49,7 @@ class Request:
     size: Size | None = None
     split: str | None = None
     scenes: int | None = None
+    objects: int | None = None
     world: World = "auto"
     fps: float | None = None
     reading: ReadOptions = field(default_factory=ReadOptions)
@@ -82,7 +83,9 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
             for recording in found.recordings:
                 surveyed.append((recording, recording.survey()))
                 advance()
-        choices = Choices(grouping, request.frames, request.views, request.size, request.split, request.scenes)
+        choices = Choices(
+            grouping, request.frames, request.views, request.size, request.split, request.scenes, request.objects
+        )
         plan = plan_scenes(surveyed, choices)
         target = Target(grouping, plan.size, plan.objects, request.world)
         fields = {split: _fields(plan, split) for split in SPLITS}
