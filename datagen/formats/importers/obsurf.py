@@ -8,6 +8,7 @@
 Cameras look at the origin; their focal length is 35/32 of the image's width.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,12 +70,14 @@ def find_obsurf(source: Path, options: ReadOptions) -> Found:
     scenes, multishapenet = _read_metadata(source, options)
     most = MOST_OBJECTS if options.most_objects is None else options.most_objects
     splits = _MULTISHAPENET if multishapenet else _CLEVR
+    images = source / "images"
+    there = set(os.listdir(images)) if images.is_dir() else set()
     found, absent, full = [], 0, 0
     for split, numbers in splits.items():
         for scene in numbers[: max(0, len(scenes.objects) - numbers.start)]:
             if scenes.objects[scene] > most:
                 full += 1
-            elif not any(path.exists() for path in scenes.files(scene, "images")):
+            elif there.isdisjoint(path.name for path in scenes.files(scene, "images")):
                 absent += 1
             else:
                 reader = _Reader(scenes, scene)

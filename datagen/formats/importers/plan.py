@@ -1,5 +1,6 @@
 """From recordings to scenes: which images form a scene, and in which split it goes."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -15,6 +16,7 @@ _MOST_PIXELS = MOST_ARRAY_BYTES // 3
 """Largest number of pixels of a scene: its colours are read as one array."""
 ASSUMED_OBJECTS = 6
 """Most objects of a scene if there are no masks; models take their number of slots from it."""
+_SHARES = 10
 _FEW = 3
 """Recordings from which on whole recordings are assigned to splits."""
 
@@ -73,6 +75,20 @@ class Plan:
         """Whether all scenes of a split have masks."""
         units = self.units[split]
         return bool(units) and all(unit.facts.objects is not None for unit in units)
+
+
+def enough(recordings: Sequence[Recording], scenes: int | None) -> list[Recording]:
+    """As many recordings as a number of scenes in each split needs, so that large datasets are not read in vain."""
+    if scenes is None:
+        return list(recordings)
+    taken: Counter[str | None] = Counter()
+    chosen = []
+    for recording in recordings:
+        taken[recording.split] += 1
+        # Without published splits, one scene of ten goes to test.
+        if taken[recording.split] <= scenes * (1 if recording.split else _SHARES):
+            chosen.append(recording)
+    return chosen
 
 
 def plan_scenes(recordings: Iterable[Surveyed], choices: Choices) -> Plan:
@@ -172,7 +188,7 @@ def _assign(groups: list[list[Unit]], choices: Choices) -> tuple[dict[str, list[
 
 def _share(place: int) -> str:
     """Split of one of many scenes: of every ten, the second goes to test, the third to val, the others to train."""
-    return {1: "test", 2: "val"}.get(place % 10, "train")
+    return {1: "test", 2: "val"}.get(place % _SHARES, "train")
 
 
 def _check_masks(split: str, units: Sequence[Unit]) -> None:

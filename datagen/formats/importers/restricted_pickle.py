@@ -21,7 +21,7 @@ from datagen.storage.safe_io import brief_reason, read_bytes
 MOST_BYTES = 2**28
 """Largest file, and largest array in it."""
 _MOST_DEPTH = 32
-_MOST_VALUES = 2_000_000
+_MOST_VALUES = 200_000
 _DTYPE = re.compile(r"[<>|=]?([biufSU][0-9]{1,9}|O[0-9]{0,2}|\?)")
 _PLAIN = (bool, int, float, str, bytes, type(None))
 _ADVICE = "Only dicts, lists, strings, numbers and NumPy arrays are read; write it again with numpy.save."

@@ -14,7 +14,7 @@ from datagen.errors import UsageError
 from datagen.formats.importers import IMPORTERS, Format
 from datagen.formats.importers.convert import ALWAYS, WITH_MASKS, WITH_NAMES, Measured, Target, convert
 from datagen.formats.importers.interface import Grouping, ReadOptions, World
-from datagen.formats.importers.plan import Choices, Plan, Unit, plan_scenes
+from datagen.formats.importers.plan import Choices, Plan, Unit, enough, plan_scenes
 from datagen.inspect.dataset_card import write_card
 from datagen.rgbd.images import Size
 from datagen.schema import SPLITS
@@ -78,9 +78,10 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
     with new_folder(request.out) as folder:
         found = IMPORTERS[request.format](request.source, request.reading)
         grouping = request.grouping or found.grouping
-        with progress(len(found.recordings)) as advance:
+        recordings = enough(found.recordings, request.scenes)
+        with progress(len(recordings)) as advance:
             surveyed = []
-            for recording in found.recordings:
+            for recording in recordings:
                 surveyed.append((recording, recording.survey()))
                 advance()
         choices = Choices(
