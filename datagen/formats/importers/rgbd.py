@@ -6,6 +6,7 @@ SRC is a recording, or holds recordings, or train/, val/ and test/ with recordin
     depth/*.png or depth.png      PNG or TIFF of 16 bits, or TIFF or NPY of floats in metres
     camera.json                   intrinsics, unit of depth; here or in the folder above
     masks/*.png or mask.png       optional object ids, 0 = background
+    objects.json                  optional names, [{"id": 1, "category": "mug"}, ...]
     poses/*.txt                   optional world_from_camera of each image, 4x4; or one world_from_camera.txt
 
 or it holds folders view*, each such a recording, of cameras that took the same frames.
@@ -36,8 +37,9 @@ from datagen.rgbd.camera_pose import check_pose, pose_matrix, read_pose
 from datagen.rgbd.frame_files import check_pairs, list_frames
 from datagen.rgbd.images import read_colour, read_depth
 from datagen.schema import SPLITS
+from datagen.storage.safe_io import read_json
 
-CAMERA = "camera.json"
+CAMERA, OBJECTS = "camera.json", "objects.json"
 _COLOUR, _DEPTH, _MASK = ("rgb", "color", "colour", "image", "images"), ("depth",), ("mask", "masks", "segmentation")
 _COLOUR_ENDINGS, _DEPTH_ENDINGS, _MASK_ENDINGS = (".png", ".jpg", ".jpeg"), (".png", ".tif", ".tiff", ".npy"), (".png",)
 _POSE_ENDINGS = (".txt", ".json", ".npy")
@@ -227,7 +229,20 @@ class _Reader:
             ids=np.stack([[read_ids(view.masks[number]) for view, _ in views] for number in images])
             if self._views[0].masks
             else None,
+            categories=_categories(self._views[0].folder) if self._views[0].masks else None,
         )
+
+
+def _categories(folder: Path) -> dict[int, str] | None:
+    """Names of objects by their ids, from the recording's folder or, for views, the one above; None if unknown."""
+    path = next((place / OBJECTS for place in (folder, folder.parent) if (place / OBJECTS).exists()), None)
+    if path is None:
+        return None
+    values = read_json(path)
+    items = values if isinstance(values, list) else [None]
+    if not all(isinstance(each, dict) and isinstance(each.get("id"), int) for each in items):
+        raise CorruptFile(f"{path} is damaged: expected a list of objects with id and category.")
+    return {each["id"]: str(each.get("category", "")) for each in items}
 
 
 def _depth(path: Path, camera: _Camera) -> np.ndarray:

@@ -76,8 +76,11 @@ def test_points_lie_on_the_surfaces_that_their_pixels_show(case, tmp_path: Path)
 def test_names_of_objects_are_kept(tmp_path: Path):
     take(bop_test(tmp_path / "bop"), tmp_path / "a", format="bop")
     take(recordings.write_authors(tmp_path / "npy"), tmp_path / "b", format="obpose")
-    names = [Dataset(tmp_path / folder).split("test")[0]["objects/category"].tolist() for folder in "ab"]
-    assert names == [[b"obj_000002", b"obj_000007"], [b"mug", b"bowl"]]
+    rgbd = write_rgbd(tmp_path / "rgbd", [shoot()])
+    write_json(rgbd / "objects.json", [{"id": 2, "category": "Schüssel"}])
+    take(rgbd, tmp_path / "c", format="rgbd", split="test")
+    names = [Dataset(tmp_path / folder).split("test")[0]["objects/category"].tolist() for folder in "abc"]
+    assert names == [[b"obj_000002", b"obj_000007"], [b"mug", b"bowl"], [b"", b"Sch?ssel"]]
 
 
 def test_scenes_with_too_many_objects_are_left_out(tmp_path: Path):
@@ -152,6 +155,7 @@ def edit_camera(**changes: object) -> Callable[[Path], object]:
     return lambda folder: write_json(folder / "camera.json", {**values, **changes})
 
 
+EMPTY = np.zeros((36, 48), np.uint16)
 SMALL = shoot(size=(40, 30))
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing depth": (lambda folder: (folder / "depth/1.png").unlink(), "2 colour images but 1 depth images"),
@@ -176,7 +180,8 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "mirrored pose": (edit_camera(world_from_camera=np.diag([1, 1, -1, 1.0]).tolist()), "no rigid pose"),
     "too few poses": (edit_camera(world_from_camera=[np.eye(4).tolist()]), "no pose for image 1"),
     "moving camera": (clip_of_moving_camera, "the camera moves by"),
-    "empty depth": (lambda folder: recordings.save(folder / "depth/0.png", np.zeros((36, 48), np.uint16)), "has no depth"),
+    "empty depth": (lambda folder: recordings.save(folder / "depth/0.png", EMPTY), "has no depth"),
+    "names": (lambda folder: write_json(folder / "objects.json", {"1": "mug"}), "expected a list of objects"),
 }  # fmt: skip
 
 
@@ -214,5 +219,5 @@ def test_authors_files_with_another_camera_are_refused(tmp_path: Path):
     source = recordings.write_authors(tmp_path / "source")
     other = np.array(recordings.authors_camera(shoot(CAMERAS[1])), object)
     np.save(tmp_path / "other.npy", other, allow_pickle=True)
-    with pytest.raises(UsageError, match="points .pcd. are"):
+    with pytest.raises(UsageError, match=r"points \(pcd\) are"):
         take(source, tmp_path / "out", format="obpose", camera=tmp_path / "other.npy")
