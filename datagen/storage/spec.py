@@ -220,7 +220,7 @@ def lengths_of(spec: Spec) -> dict[str, int]:
 
 def is_imported(spec: Spec) -> bool:
     """Whether the scenes come from another project, so that there is no recipe and only some fields are known."""
-    return spec["generator"] == IMPORTER
+    return spec.get("generator") == IMPORTER
 
 
 def fields_of(spec: Spec, split: str) -> tuple[str, ...]:

@@ -239,10 +239,9 @@ def _categories(folder: Path) -> dict[int, str] | None:
     if path is None:
         return None
     values = read_json(path)
-    items = values if isinstance(values, list) else [None]
-    if not all(isinstance(each, dict) and isinstance(each.get("id"), int) for each in items):
+    if not isinstance(values, list) or not all(type(each) is dict and type(each.get("id")) is int for each in values):
         raise CorruptFile(f"{path} is damaged: expected a list of objects with id and category.")
-    return {each["id"]: str(each.get("category", "")) for each in items}
+    return {each["id"]: str(each.get("category", "")) for each in values}
 
 
 def _depth(path: Path, camera: _Camera) -> np.ndarray:
