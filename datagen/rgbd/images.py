@@ -100,6 +100,14 @@ def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
     return np.where(known, metres, np.float32(0))
 
 
+def holds_floats(path: Path) -> bool:
+    """Whether a depth image or array holds floats; raises as `depth_size`."""
+    if _is_array(path):
+        return npy_shape(path)[1].kind == "f"
+    with open_image(path) as image:
+        return image.mode.startswith("F")
+
+
 def _is_array(path: Path) -> bool:
     return path.suffix.lower() == ".npy"
 

@@ -7,6 +7,7 @@ from jaxtyping import Float64
 
 from datagen.errors import UsageError
 from datagen.formats.importers.interface import Grouping, Images, World
+from datagen.formats.importers.plan import MOST_OBJECTS
 from datagen.formats.importers.resample import resampled
 from datagen.geometry import invert_rigid
 from datagen.pipeline.records import boxes_2d, visible_pixels
@@ -21,7 +22,6 @@ WITH_MASKS = ("segmentation", "objects/count", "visibility/visible_pixels", "box
 """Further fields of scenes with masks."""
 WITH_NAMES = ("objects/category",)
 """Further field of scenes whose objects have names."""
-MOST_OBJECTS = 255
 _STILL_METRES, _STILL_RADIANS, _STILL_PIXELS = 0.002, 0.004, 0.01
 """Largest differences of poses and camera matrices over a clip that count as a static camera."""
 _LONGEST_NAME = 60

@@ -75,10 +75,10 @@ def find_obsurf(source: Path, options: ReadOptions) -> Found:
     found, absent, full = [], 0, 0
     for split, numbers in splits.items():
         for scene in numbers[: max(0, len(scenes.objects) - numbers.start)]:
-            if scenes.objects[scene] > most:
-                full += 1
-            elif there.isdisjoint(path.name for path in scenes.files(scene, "images")):
+            if there.isdisjoint(path.name for path in scenes.files(scene, "images")):
                 absent += 1
+            elif scenes.objects[scene] > most:
+                full += 1
             else:
                 reader = _Reader(scenes, scene)
                 found.append(Recording(f"{source} scene {scene}", split, reader.survey, reader.read))

@@ -14,6 +14,8 @@ from datagen.storage.safe_io import MOST_ARRAY_BYTES
 
 _MOST_PIXELS = MOST_ARRAY_BYTES // 3
 """Largest number of pixels of a scene: its colours are read as one array."""
+MOST_OBJECTS = 255
+"""Most objects of a scene: ids are bytes."""
 ASSUMED_OBJECTS = 6
 """Most objects of a scene if there are no masks; models take their number of slots from it."""
 _SHARES = 10
@@ -122,9 +124,11 @@ def plan_scenes(recordings: Iterable[Surveyed], choices: Choices) -> Plan:
     )
     for split, members in units.items():
         _check_masks(split, members)
-    known = [unit.facts.objects for members in units.values() for unit in members if unit.facts.objects is not None]
-    most = max(known, default=ASSUMED_OBJECTS)
-    return Plan(units, frames, views, size, max(1, most if choices.objects is None else choices.objects, *known), notes)
+    bounds = [unit.facts.objects for members in units.values() for unit in members if unit.facts.objects is not None]
+    wanted = max(bounds, default=ASSUMED_OBJECTS) if choices.objects is None else choices.objects
+    # A recording with many objects may show few of them at a time; scenes with too many are refused when they are read.
+    objects = min(max(1, wanted, *bounds), MOST_OBJECTS)
+    return Plan(units, frames, views, size, objects, notes)
 
 
 def _common(surveyed: Sequence[Surveyed], value: Callable[[Facts], Value], error: Callable[..., UsageError]) -> Value:

@@ -3,7 +3,7 @@
 SRC is a recording, or holds recordings, or train/, val/ and test/ with recordings. A recording is a folder:
 
     rgb/*.png or rgb.png          colour; also called color or image; PNG or JPEG
-    depth/*.png or depth.png      PNG or TIFF of 16 bits, or TIFF or NPY of floats in metres
+    depth/*.png or depth.png      PNG or TIFF of 16 bits, or TIFF or NPY of floats, usually metres
     camera.json                   intrinsics, unit of depth; here or in the folder above
     masks/*.png or mask.png       optional object ids, 0 = background
     objects.json                  optional names, [{"id": 1, "category": "mug"}, ...]
@@ -35,7 +35,7 @@ from datagen.formats.importers.files import (
 from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
 from datagen.rgbd.camera_pose import check_pose, pose_matrix, read_pose
 from datagen.rgbd.frame_files import check_pairs, list_frames
-from datagen.rgbd.images import read_colour, read_depth
+from datagen.rgbd.images import holds_floats, read_colour, read_depth
 from datagen.schema import SPLITS
 from datagen.storage.safe_io import read_json
 
@@ -52,6 +52,9 @@ class _Camera:
 
     k: Float64[np.ndarray, "3 3"]
     depth_scale: float
+    """Metres per unit of integer depth."""
+    float_scale: float
+    """Metres per unit of depth in floats."""
     euclidean: bool
     poses: Any
     """world_from_camera as JSON values: one matrix, or one for each image; None if missing."""
@@ -165,6 +168,7 @@ def _read_camera(path: Path, options: ReadOptions) -> _Camera:
     return _Camera(
         k=_intrinsics(values, path),
         depth_scale=scale,
+        float_scale=options.depth_scale or 1.0,
         euclidean=kind == "euclidean",
         poses=values.get("world_from_camera"),
         fps=None if fps is None else _positive(fps, f"{path}: fps"),
@@ -245,8 +249,11 @@ def _categories(folder: Path) -> dict[int, str] | None:
 
 
 def _depth(path: Path, camera: _Camera) -> np.ndarray:
-    depth = read_depth(path, camera.depth_scale)
-    check_unit(depth, camera.depth_scale, str(path))
+    depth, scale = read_depth(path, camera.depth_scale), camera.depth_scale
+    if holds_floats(path):
+        scale = camera.float_scale
+        depth = depth * np.float32(scale)
+    check_unit(depth, scale, str(path))
     return planar_depth(depth, camera.k) if camera.euclidean else depth
 
 

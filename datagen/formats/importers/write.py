@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,18 +39,25 @@ FPS = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """An import."""
+    """An import; values that are None are those of the format or the source."""
 
     format: Format
     source: Path
     out: Path
+    """Folder of the new dataset; must not hold anything yet."""
     grouping: Grouping | None = None
     frames: int | None = None
+    """Images of a clip."""
     views: int | None = None
+    """Images of a still scene, with the grouping `views`."""
     size: Size | None = None
+    """Width and height in pixels."""
     split: str | None = None
+    """Split of all scenes."""
     scenes: int | None = None
+    """Most scenes of each split."""
     objects: int | None = None
+    """Most objects of a scene."""
     world: World = "auto"
     fps: float | None = None
     reading: ReadOptions = field(default_factory=ReadOptions)
@@ -76,13 +84,15 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
     """
     started = time.monotonic()
     with new_folder(request.out) as folder:
-        found = IMPORTERS[request.format](request.source, request.reading)
+        with _reading():
+            found = IMPORTERS[request.format](request.source, request.reading)
         grouping = request.grouping or found.grouping
         recordings = enough(found.recordings, request.scenes)
         with progress(len(recordings)) as advance:
             surveyed = []
             for recording in recordings:
-                surveyed.append((recording, recording.survey()))
+                with _reading():
+                    surveyed.append((recording, recording.survey()))
                 advance()
         choices = Choices(
             grouping, request.frames, request.views, request.size, request.split, request.scenes, request.objects
@@ -108,7 +118,8 @@ def _fields(plan: Plan, split: str) -> tuple[str, ...]:
     if not plan.has_masks(split):
         return ALWAYS
     first = plan.units[split][0]
-    named = first.recording.read(first.images[:1]).categories is not None
+    with _reading():
+        named = first.recording.read(first.images[:1]).categories is not None
     return (*ALWAYS, *WITH_MASKS, *(WITH_NAMES if named else ()))
 
 
@@ -163,10 +174,21 @@ def _write_split(
 
 
 def _read(unit: Unit, target: Target, fields: frozenset[str]) -> tuple[dict[str, np.ndarray], Measured]:
-    images = unit.recording.read(unit.images)
+    with _reading():
+        images = unit.recording.read(unit.images)
     if WITH_NAMES[0] in fields and images.categories is None:
         raise UsageError(f"{unit.name} has no names of objects, but other scenes do; import them into two datasets.")
     return convert(images, target, unit.name, fields)
+
+
+@contextmanager
+def _reading() -> Iterator[None]:
+    """Name files that the system cannot read, such as those of other users; `new_folder` would blame its target."""
+    try:
+        yield
+    except OSError as error:
+        place = f"{error.filename} " if error.filename else "The source "
+        raise UsageError(f"{place}cannot be read: {error.strerror or error}. Fix this, or remove it.") from None
 
 
 def _finish(folder: Path, spec: Spec, seconds: float, scenes: int) -> None:

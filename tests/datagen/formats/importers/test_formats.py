@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from datagen.errors import DatagenError, UsageError
+from datagen.formats.importers import rgbd
 from datagen.formats.importers.interface import ReadOptions
 from datagen.formats.importers.write import Report, Request, import_dataset
 from datagen.storage.reader import Dataset
@@ -191,6 +192,30 @@ def test_a_bad_recording_is_named_and_nothing_is_written(change, message: str, t
     with pytest.raises(DatagenError, match=message):
         take(source, tmp_path / "out", format="rgbd")
     assert [path.name for path in tmp_path.iterdir()] == ["source"]
+
+
+def test_a_file_that_the_system_refuses_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source = write_rgbd(tmp_path / "source", [shoot()])
+
+    def refuse(path: Path, scale: float) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(rgbd, "read_depth", refuse)
+    with pytest.raises(UsageError, match=r"depth/0\.png cannot be read: Permission denied"):
+        take(source, tmp_path / "out", format="rgbd")
+
+
+def test_depth_in_floats_is_metres_unless_said_otherwise(tmp_path: Path):
+    shot = shoot()
+    source = write_rgbd(tmp_path / "source", [shot], world_from_camera=shot.pose.tolist())
+    (source / "depth/0.png").unlink()
+    for number, unit in enumerate((1.0, 0.001)):
+        np.save(source / "depth/0.npy", shot.depth / unit)
+        if number:
+            with pytest.raises(UsageError, match=r"With --depth-scale 0\.001 it would be 0\.\d+ m"):
+                take(source, tmp_path / "fails", format="rgbd")
+        take(source, tmp_path / f"{number}", format="rgbd", depth_scale=unit if number else None)
+        assert max(errors(Dataset(tmp_path / f"{number}").split("train")[0]).values()) < MILLIMETRE
 
 
 def test_other_bad_sources_are_named(tmp_path: Path):
