@@ -8,7 +8,8 @@
 Focal lengths are negative: the camera's x axis points left and its y axis up, as in CoppeliaSim.
 """
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,9 @@ def find_obpose(source: Path, options: ReadOptions) -> Found:
     if not files:
         raise UsageError(f"{source} holds no files such as train/0.npy or 0.npy.")
     shared = _shared_camera(source, options)
-    readers = [(split, _Reader(path, shared, options)) for split, path in files]
+    # Windows of a clip are read one after the other, and its file has to be parsed as a whole.
+    load = functools.lru_cache(maxsize=1)(_load_frames)
+    readers = [(split, _Reader(path, load, shared, options)) for split, path in files]
     recordings = [Recording(str(reader.path), split, reader.survey, reader.read) for split, reader in readers]
     return Found(recordings, "clip")
 
@@ -90,22 +93,23 @@ def _camera(values: Any, path: Path) -> _Camera:
 class _Reader:
     """Images of one file."""
 
-    def __init__(self, path: Path, camera: _Camera | None, options: ReadOptions):
-        self.path, self._shared, self._options = path, camera, options
+    def __init__(self, path: Path, load: Callable[[Path], list[Frame]], camera: _Camera | None, options: ReadOptions):
+        self.path, self._load, self._shared, self._options = path, load, camera, options
 
     def survey(self) -> Facts:
-        frames = self._frames()
+        frames = self._load(self.path)
         height, width = frames[0]["depth"].shape
         check_intrinsics(self._camera(frames[0]).k, (width, height), str(self.path))
         most = max(frame["mask_bin"].shape[2] - 1 for frame in frames) if self._has_masks(frames) else None
         return Facts(len(frames), 1, (width, height), most)
 
     def read(self, images: Sequence[int]) -> Images:
-        every = self._frames()
+        every = self._load(self.path)
         frames, has_masks = [every[number] for number in images], self._has_masks(every)
         cameras = [self._camera(frame) for frame in frames]
         scale = self._options.depth_scale or 1.0
-        depth = np.stack([np.asarray(frame["depth"], np.float32)[None] * np.float32(scale) for frame in frames])
+        with np.errstate(over="ignore"):  # becomes infinite, which is missing
+            depth = np.stack([np.asarray(frame["depth"], np.float32)[None] * np.float32(scale) for frame in frames])
         depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
         check_unit(depth, scale, str(self.path))
         for frame, planar, camera in zip(frames, depth, cameras, strict=True):
@@ -118,19 +122,6 @@ class _Reader:
             ids=np.stack([_ids(frame["mask_bin"])[None] for frame in frames]) if has_masks else None,
             categories=_categories(frames) if has_masks else None,
         )
-
-    def _frames(self) -> list[Frame]:
-        try:
-            values = read_pickled_npy(self.path)
-        except FileNotFoundError:
-            raise UsageError(f"{self.path} is missing.") from None
-        frames = values if type(values) is list else [values]
-        if not frames:
-            raise CorruptFile(f"{self.path} holds no frames.")
-        shape = _checked(frames[0], self.path)["depth"].shape
-        if any(_checked(frame, self.path)["depth"].shape != shape for frame in frames):
-            raise CorruptFile(f"{self.path} has frames of different sizes; expected one size.")
-        return frames
 
     def _has_masks(self, frames: list[Frame]) -> bool:
         return self._options.masks and all("mask_bin" in frame for frame in frames)
@@ -146,18 +137,36 @@ class _Reader:
     def _check_points(self, frame: Frame, depth: np.ndarray, camera: _Camera) -> None:
         """Compare the points that the file stores with those of its depth and camera."""
         stored = frame.get("pcd")
-        if not isinstance(stored, np.ndarray) or stored.shape != (*depth.shape, 3) or not (depth > 0).any():
+        if not isinstance(stored, np.ndarray) or stored.dtype.kind != "f" or stored.shape != (*depth.shape, 3):
+            return
+        if not (depth > 0).any():
             return
         rows, columns = np.nonzero(depth > 0)
         pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))])
         points = (np.linalg.inv(camera.k) @ pixels) * depth[rows, columns]
         points = camera.world_from_camera[:3, :3] @ points + camera.world_from_camera[:3, 3:]
-        away = float(np.median(np.linalg.norm(points.T - stored[rows, columns], axis=1)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            away = float(np.median(np.linalg.norm(points.T - stored[rows, columns], axis=1)))
         if not away < _NEAR:
             raise UsageError(
                 f"{self.path}: its points (pcd) are {away:.2g} m away from those of its depth and camera; expected "
                 f"less than {_NEAR:g} m. Name the right {CAMERA} with --camera."
             )
+
+
+def _load_frames(path: Path) -> list[Frame]:
+    """Read and check all frames of a file."""
+    try:
+        values = read_pickled_npy(path)
+    except FileNotFoundError:
+        raise UsageError(f"{path} is missing.") from None
+    frames = values if type(values) is list else [values]
+    if not frames:
+        raise CorruptFile(f"{path} holds no frames.")
+    shape = _checked(frames[0], path)["depth"].shape
+    if any(_checked(frame, path)["depth"].shape != shape for frame in frames):
+        raise CorruptFile(f"{path} has frames of different sizes; expected one size.")
+    return frames
 
 
 def _checked(frame: Any, path: Path) -> Frame:
