@@ -26,6 +26,7 @@ def figures(dataset: Dataset) -> dict[str, Any]:
     origin = dataset.spec["import"]
     return {
         "imported_from": f"{origin['source']} ({origin['format']})",
+        "world": origin["world"],
         "splits_with_masks": ", ".join(labelled) or "none",
         "objects_per_scene": _counts(labelled),
         "categories": _categories(labelled),

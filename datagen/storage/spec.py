@@ -185,7 +185,7 @@ def read_spec(folder: Path) -> Spec:
         raise CorruptFile(f"{path} was changed after it was written: its spec_hash does not fit. {_MEND}")
     if wrong := [key for key, fits in _FITS.items() if not _holds(fits, spec.get(key))]:
         raise CorruptFile(f"{path} is no spec: {', '.join(wrong)} missing or malformed. {_MEND}")
-    if ("import" in spec, "fields" in spec) != (is_imported(spec), is_imported(spec)):
+    if any((spec.get(key) is not None) != is_imported(spec) for key in ("import", "fields")):
         raise CorruptFile(f"{path} is no spec: its generator does not fit its keys. {_MEND}")
     if _pixels(spec["recipe"], spec["rig"], spec["resolution"]) > _MOST_PIXELS:
         raise CorruptFile(f"{path} is no spec: its scenes have more than {_MOST_PIXELS:,} pixels. {_MEND}")

@@ -110,7 +110,8 @@ class _Reader:
         for image in images:
             check_intrinsics(self._k(image), size, f"{self._folder / CAMERA}, image {image.number}")
         most = max(len(image.obj_ids) for image in images)
-        return Facts(len(images), 1, size, most if self._has_masks else None)
+        posed = all("cam_R_w2c" in image.camera for image in images)
+        return Facts(len(images), 1, size, most if self._has_masks else None, posed)
 
     def read(self, images: Sequence[int]) -> Images:
         chosen = [self._images[place] for place in images]

@@ -46,6 +46,8 @@ class Facts:
     """Width and height, pixels."""
     objects: int | None
     """Upper bound of the number of objects; None without masks."""
+    posed: bool
+    """Whether the poses of the cameras are known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -101,7 +101,7 @@ class _Reader:
         height, width = frames[0]["depth"].shape
         check_intrinsics(self._camera(frames[0]).k, (width, height), str(self.path))
         most = max(frame["mask_bin"].shape[2] - 1 for frame in frames) if self._has_masks(frames) else None
-        return Facts(len(frames), 1, (width, height), most)
+        return Facts(len(frames), 1, (width, height), most, posed=True)
 
     def read(self, images: Sequence[int]) -> Images:
         every = self._load(self.path)

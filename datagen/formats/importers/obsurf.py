@@ -128,7 +128,7 @@ class _Reader:
             scenes.files(self._scene, "images"), scenes.files(self._scene, "depths"), self._masks
         )  # fmt: skip
         objects = max((int(read_ids(path).max()) for path in self._masks), default=0) if self._masks else None
-        return Facts(scenes.views, 1, size, objects)
+        return Facts(scenes.views, 1, size, objects, posed=True)
 
     def read(self, images: Sequence[int]) -> Images:
         files = {kind: self._scenes.files(self._scene, kind) for kind in ("images", "depths")}

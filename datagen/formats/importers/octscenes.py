@@ -109,7 +109,8 @@ class _Reader:
             if self._folders.pose and not self._pose_file(path).exists():
                 raise missing_file(self._pose_file(path))
         ids = {int(one) for path in self._masks for one in np.unique(read_ids(path))} - {0}
-        return Facts(len(self._colours), 1, size, len(ids) if self._masks else None)
+        posed = self._folders.pose is not None
+        return Facts(len(self._colours), 1, size, len(ids) if self._masks else None, posed)
 
     def read(self, images: Sequence[int]) -> Images:
         chosen = [self._colours[number] for number in images]

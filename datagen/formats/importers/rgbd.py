@@ -217,7 +217,9 @@ class _Reader:
             check_intrinsics(camera.k, sizes[view.folder], str(view.camera))
         masks = [path for view in self._views for path in view.masks]
         ids = {int(one) for path in masks for one in np.unique(read_ids(path))} - {0}
-        return Facts(len(first.colour), len(self._views), sizes[first.folder], len(ids) if masks else None)
+        posed = bool(first.poses) or self._cameras[0].poses is not None
+        objects = len(ids) if masks else None
+        return Facts(len(first.colour), len(self._views), sizes[first.folder], objects, posed)
 
     def read(self, images: Sequence[int]) -> Images:
         views = list(zip(self._views, self._cameras, strict=True))

@@ -129,7 +129,7 @@ def _spec(request: Request, plan: Plan, fields: Mapping[str, tuple[str, ...]], f
     origin: dict[str, Any] = {
         "format": request.format,
         "source": source,
-        "world": request.world,
+        "world": " or ".join(sorted(_worlds(request, plan))),
         "grouping": request.grouping,
         **reading,
     }
@@ -146,6 +146,12 @@ def _spec(request: Request, plan: Plan, fields: Mapping[str, tuple[str, ...]], f
     }
     splits = {split: len(units) for split, units in plan.units.items()}
     return make_imported_spec(origin, facts, splits=splits, resolution=plan.size, fields=fields)
+
+
+def _worlds(request: Request, plan: Plan) -> set[str]:
+    """Origins of the world frames: `given` poses, or the `table` that the first image shows."""
+    posed = {unit.facts.posed for units in plan.units.values() for unit in units}
+    return {"given" if known and request.world != "table" else "table" for known in posed}
 
 
 def _printable(name: str) -> str:

@@ -117,6 +117,7 @@ def test_a_recording_without_poses_stands_on_its_table(tmp_path: Path):
     report = take(write_rgbd(tmp_path / "a", [shoot()]), tmp_path / "out", format="rgbd")
     record = Dataset(tmp_path / "out").split("train")[0]
     assert report.measured[0].estimated_world
+    assert report.spec["import"]["world"] == "table"
     assert errors(record)[0] < 2 * MILLIMETRE  # the table is at z = 0
     camera = record["camera/world_from_camera"][0, :3, 3]
     assert camera[2] == pytest.approx(CAMERAS[0][2], abs=0.005)
@@ -131,6 +132,8 @@ def test_given_poses_can_be_moved_onto_the_table(tmp_path: Path):
     take(source, tmp_path / "given", format="rgbd", grouping="views")
     take(source, tmp_path / "table", format="rgbd", grouping="views", world="table")
     given, table = (Dataset(tmp_path / name).split("train")[0] for name in ("given", "table"))
+    worlds = [Dataset(tmp_path / name).spec["import"]["world"] for name in ("given", "table")]
+    assert worlds == ["given", "table"]
     assert errors(given)[0] == pytest.approx(1.0, abs=0.01)
     assert errors(table)[0] < 0.005
     relative = [

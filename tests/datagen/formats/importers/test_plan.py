@@ -13,7 +13,7 @@ def recording(name: str = "a", split: str | None = None) -> Recording:
 
 
 def facts(images: int = 1, *, views: int = 1, size: tuple[int, int] = (8, 6), objects: int | None = 2) -> Facts:
-    return Facts(images, views, size, objects)
+    return Facts(images, views, size, objects, posed=True)
 
 
 def splits(plan) -> dict[str, list[tuple[str, tuple[int, ...]]]]:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from datagen.errors import CorruptFile
+from datagen.formats.importers.interface import ReadOptions
+from datagen.formats.importers.obpose import find_obpose
 from datagen.formats.importers.restricted_pickle import read_pickled_npy
 from tests.paths import ROOT
 
@@ -129,7 +131,15 @@ def test_an_array_never_reads_beyond_its_bytes(tmp_path: Path):
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason="the shared data are not there")
-def test_the_authors_camera_is_read():
+def test_the_authors_camera_looks_down_at_the_table(tmp_path: Path):
     camera = read_pickled_npy(SAMPLE)
     assert camera["camera_intrinsics"][0, 0] == pytest.approx(-175.84, abs=0.01)
-    assert camera["camera_extrinsics"].shape == (4, 4)
+    frame = {"rgb": np.zeros((128, 128, 3)), "depth": np.full((128, 128), 1.0)}
+    np.save(tmp_path / "0.npy", np.array(frame, object), allow_pickle=True)
+    images = find_obpose(tmp_path, ReadOptions(camera=SAMPLE)).recordings[0].read([0])
+    assert images.k[0, 0, :2, :].tolist() == pytest.approx([[175.84, 0, 64.5], [0, 175.84, 64.5]], abs=0.01)
+    assert images.world_from_camera is not None
+    pose = images.world_from_camera[0, 0]
+    down = pose[:3, 2]
+    assert (pose[:3, 3] - down * pose[2, 3] / down[2]).tolist() == pytest.approx([0.283, 0.012, 0], abs=0.002)
+    assert pose[2, 1] < 0  # image rows count downwards
