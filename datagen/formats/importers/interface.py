@@ -8,8 +8,6 @@ from typing import Literal, Protocol
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-from datagen.rgbd.camera_pose import Pose
-
 Grouping = Literal["clip", "views", "stills"]
 """Meaning of the images of a recording: frames of a clip, views of a still scene, or a scene each."""
 DepthType = Literal["planar", "euclidean"]
@@ -106,6 +104,3 @@ class Importer(Protocol):
             CorruptFile: a file is damaged.
         """
         ...
-
-
-IDENTITY: Pose = np.eye(4)
