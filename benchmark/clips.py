@@ -87,6 +87,11 @@ _FIELDS = (
 )
 
 
+def has_true_poses(scenes: Split) -> bool:
+    """Whether the true poses of a split are known; those of imported scenes are not."""
+    return scenes.has(*_FIELDS)
+
+
 def read_true_poses(
     scenes: Split, index: int, clip: Clip, truth: Integer[np.ndarray, "frame view height width"]
 ) -> TruePoses:

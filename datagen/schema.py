@@ -24,6 +24,9 @@ MAX_DEPTH = 65535 * DEPTH_SCALE
 
 GENERATOR = "obpose-datagen"
 
+IMPORTER = f"{GENERATOR} import"
+"""Generator of datasets whose scenes come from other projects; they hold only some fields and have no recipe."""
+
 SPLITS = ("train", "val", "test")
 
 EditKind = Literal["remove", "move", "add"]
@@ -57,7 +60,8 @@ class Field:
     description: str
     group: str = "simulation"
     """Group that decides when the array exists. `simulation`: always; `pixels`: after rendering; `sensor`: with a
-    recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with this edit."""
+    recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with this edit. Imported datasets
+    list their fields instead, see `datagen.storage.spec.fields_of`."""
 
 
 _PIXELS = "frame view height width"

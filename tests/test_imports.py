@@ -32,9 +32,9 @@ BELOW = {"assets": (), "datagen": ("assets",), "obpose": ("assets", "datagen"), 
 
 LAYERS = (
     {"errors", "version", "console"},
-    {"geometry", "scene", "schema", "config", "random_streams", "recipe_rules", "shapes", "catalog", "storage"},
+    {"geometry", "scene", "schema", "config", "random_streams", "recipe_rules", "shapes", "catalog", "storage", "rgbd"},
     {"sampling", "physics", "render", "sensor"},
-    {"edits", "pipeline", "verify", "inspect"},
+    {"edits", "pipeline", "verify", "inspect", "formats"},
     {"tracks", "commands"},
 )
 """Parts of `datagen` from the bottom up; none imports from a layer above its own."""

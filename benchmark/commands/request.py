@@ -10,6 +10,7 @@ from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.registry import budget_of, discover, expand, find_model, row_names
 from benchmark.names import check_model_name, find_twin
 from datagen.errors import UsageError
+from datagen.storage.reader import Dataset
 from datagen.tracks import DEFAULT, DataFolder, Source, find_data_folder, find_track, find_tracks
 from obpose.storage.pretrained import find_checkpoint
 from obpose.systems import system_of
@@ -98,6 +99,11 @@ def _scored_folder(folder: Path) -> DataFolder:
     source = find_data_folder(folder)
     if not source.size("test"):
         raise UsageError(f"{folder} has no test scenes to score on; generate some with --scenes or --split test=N.")
+    if "segmentation" not in Dataset(folder).fields("test"):
+        raise UsageError(
+            f"{folder} has no masks in its test split, so that nothing can be scored. Import it again with masks; "
+            "models can be trained on it with obpose-train."
+        )
     return source
 
 

@@ -238,17 +238,25 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     dataset = Dataset(job.fit_data)
     # Only models that learn get training clips, so that other models do not wait for their generation.
     train = _clips(dataset.split("train"), spec) if spec.kind == "learned" else []
-    val, truths = _clips(dataset.split("val"), spec), TruthSequence(dataset.split("val"))
+    held_out = dataset.split("val")
+    labelled = held_out.has("segmentation")
+    val, truths = _clips(held_out, spec), TruthSequence(held_out) if labelled else []
     tuned = len(spec.grid) > 1
     if tuned and not len(val):
         raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
+    if tuned and not labelled:
+        raise UsageError(f"{job.fit_data} has no masks in split val, but {job.model!r} is tuned on them; add some.")
     options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
     options |= {} if job.profile == "cpu" else {"profile": job.profile}
     changes = spec.on_tracks.get(job.targets[0].key.fit_track)
     options |= {"changes": dict(changes)} if changes else {}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
-    scorer = ValidationScorer(val, truths, job.out / VALIDATION / f"{job.folder.name}.csv") if job.folder else None
+    scorer = (
+        ValidationScorer(val, truths, job.out / VALIDATION / f"{job.folder.name}.csv")
+        if job.folder and labelled
+        else None
+    )
     segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": scorer} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)
     seconds = float(getattr(segmenter, "fit_seconds", time.perf_counter() - started))

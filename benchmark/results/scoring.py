@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmark.clips import ClipSequence, read_true_poses, read_truth
+from benchmark.clips import ClipSequence, has_true_poses, read_true_poses, read_truth
 from benchmark.metrics import clip_scores
 from benchmark.metrics.poses import pose_scores
 from benchmark.ranking.standings import Progress, silent
@@ -17,7 +17,7 @@ SPLIT = "test"
 
 
 def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
-    """Score stored label maps, and poses if the file has some, and write the scene table.
+    """Score stored label maps, and poses if the file and the dataset have some, and write the scene table.
 
     Returns the number of frames; each view counts as a frame. Pixels without depth are ignored, as geometry gives no
     information about them.
@@ -31,7 +31,7 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
     for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
         truth = read_truth(scenes, index)
         scores = clip_scores(truth, labels, slot, ~clip.valid)
-        if poses is not None:
+        if poses is not None and has_true_poses(scenes):
             true = read_true_poses(scenes, index, clip, truth)
             scores |= pose_scores(true, poses[index], truth, labels, slot, ~clip.valid)
         lines.append(scene_line(index, scores))

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from datagen.commands import options
+from datagen.commands import importing, options
 from datagen.commands.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
@@ -203,6 +203,7 @@ def _check_scene(values: Inspect | Regenerate) -> None:
 COMMANDS = {
     "generate": Command(Generate, _generate, _default_generate),
     "render": Command(Render, _render, _default_render),
+    "import": Command(importing.Import, importing.run),
     "verify": Command(Verify, _verify),
     "stats": Command(Stats, _stats),
     "preview": Command(Preview, _preview),

@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+from datagen.inspect import imported
 from datagen.inspect.stats import Summary, summary
 from datagen.schema import FIELDS
 from datagen.storage.dataset_folder import write_file
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import CONVENTIONS
-from datagen.storage.spec import CARD_FILE, Spec, settings_hash
+from datagen.storage.spec import CARD_FILE, Spec, is_imported, settings_hash
 
 SIZES = [(10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M")]
 """The hub's words for numbers of images below a limit."""
@@ -20,7 +21,8 @@ def write_card(folder: str | Path) -> Path:
         DatagenError: the folder holds no complete dataset.
     """
     spec = Dataset(folder).spec
-    write_file(Path(folder), CARD_FILE, card(spec, summary(folder)).encode(), settings_hash(spec))
+    text = imported.card(spec, summary(folder)) if is_imported(spec) else card(spec, summary(folder))
+    write_file(Path(folder), CARD_FILE, text.encode(), settings_hash(spec))
     return Path(folder) / CARD_FILE
 
 

@@ -12,7 +12,7 @@ from datagen.console.text import counted
 from datagen.errors import UsageError
 from datagen.schema import DEPTH_SCALE, SceneRecord
 from datagen.storage.reader import Dataset, Split
-from datagen.storage.spec import Spec, groups_of, views_of
+from datagen.storage.spec import Spec, is_imported, views_of
 
 LEAST_TILE = 160
 """Least width of an image in the preview, pixels; smaller ones are enlarged by a whole factor."""
@@ -155,7 +155,10 @@ def label_colors(count: int) -> UInt8[np.ndarray, "label 3"]:
 def _title(spec: Spec) -> str:
     width, height = spec["resolution"]
     frames, views = counted(spec["recipe"]["frames"], "frame"), counted(views_of(spec), "view")
-    return f"Recipe {spec['recipe']['name']}, seed {spec['seed']}: {width}x{height} pixels, {frames}, {views}"
+    origin = f"Recipe {spec['recipe']['name']}, seed {spec['seed']}"
+    if is_imported(spec):
+        origin = f"{spec['import']['source']}, imported from {spec['import']['format']}"
+    return f"{origin}: {width}x{height} pixels, {frames}, {views}"
 
 
 def _named(path: str | Path, endings: tuple[str, ...]) -> Path:
@@ -178,7 +181,7 @@ def _chosen(scenes: Split, wanted: Sequence[int] | None) -> dict[str, SceneRecor
         raise UsageError("No scene is named; give some, such as --scenes 0 1.")
     if wrong := [index for index in indices if not 0 <= index < len(scenes)]:
         raise UsageError(f"Split {scenes.name} has scenes 0 to {len(scenes) - 1}, but {wrong[0]} was requested.")
-    fields = ["rgb", "depth", "segmentation", *(["sensor_depth"] if "sensor" in groups_of(scenes.spec) else [])]
+    fields = ["rgb", "depth", *(name for name in ("segmentation", "sensor_depth") if scenes.has(name))]
     return {f"{scenes.name} scene {index}": scenes.read(index, fields) for index in indices}
 
 
@@ -195,8 +198,10 @@ def _depth_span(records: dict[str, SceneRecord]) -> tuple[float, float]:
 
 
 def _most_labels(records: dict[str, SceneRecord]) -> int:
-    """Number of ids in use, the background included."""
-    return 1 + max(int(np.max(record["segmentation"])) for record in records.values())
+    """Number of ids in use, the background included; 0 without any masks."""
+    return max(
+        1 + int(np.max(record["segmentation"])) if "segmentation" in record else 0 for record in records.values()
+    )
 
 
 def _rows(record: SceneRecord, span: tuple[float, float]) -> dict[str, Callable[[int, int], Rgb]]:
@@ -204,8 +209,9 @@ def _rows(record: SceneRecord, span: tuple[float, float]) -> dict[str, Callable[
     rows: dict[str, Callable[[int, int], Rgb]] = {
         "rgb": lambda frame, view: record["rgb"][frame, view],
         "depth": lambda frame, view: colored_depth(record["depth"][frame, view], *span),
-        "ids": lambda frame, view: colored_labels(record["segmentation"][frame, view]),
     }
+    if "segmentation" in record:
+        rows["ids"] = lambda frame, view: colored_labels(record["segmentation"][frame, view])
     if "sensor_depth" in record:
         rows["sensor"] = lambda frame, view: colored_depth(record["sensor_depth"][frame, view], *span)
     return rows

@@ -12,8 +12,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from datagen.errors import UsageError
+from datagen.inspect import imported
 from datagen.schema import SceneRecord, decode_depth
 from datagen.storage.reader import Dataset
+from datagen.storage.spec import is_imported
 
 MOVES = 0.005
 """Distance from its place in frame 0 above which an object counts as moving in a clip, metres."""
@@ -42,6 +44,8 @@ def summary(folder: str | Path) -> Summary:
     """
     dataset = Dataset(folder)
     dataset.check_complete()
+    if dataset.imported:
+        return {**_facts(dataset), **imported.figures(dataset)}
     records = [record for split in dataset.splits for record in _read(dataset, split, _SMALL)]
     figures = {**_facts(dataset), **_contents(records, _rejections(dataset))}
     return {**figures, **_pixels(dataset)} if dataset.spec["resolution"] else figures
@@ -69,6 +73,9 @@ def inspect(folder: str | Path, split: str, scene: int) -> None:
     scenes = Dataset(folder).split(split)
     if not 0 <= scene < len(scenes):
         raise UsageError(f"Split {split} has scenes 0 to {len(scenes) - 1}, but {scene} was requested.")
+    if is_imported(scenes.spec):
+        imported.inspect(scenes, scene)
+        return
     record = scenes.read(scene, [*_TABLE, *({_VISIBILITY} & set(scenes.fields(scene)))])
     console = Console(width=max(Console().width, 120))
     console.print(object_table(record, f"{folder}: {split} scene {scene}"))

@@ -125,7 +125,7 @@ def pixel_record(
     images = render_clip(scene, shapes, trajectory.world_from_object, renderer, resolution)
     k = np.stack([camera.k(*resolution) for camera in scene.cameras])
     segmentation = stack_images(images, "segmentation")
-    visible = _visible_pixels(segmentation, len(shapes))
+    visible = visible_pixels(segmentation, len(shapes))
     amodal = stack_images(images, "amodal_pixels").astype(np.uint32)
     fraction = (visible / np.maximum(amodal, 1)).astype(np.float32)
     return {
@@ -137,7 +137,7 @@ def pixel_record(
         "visibility/visible_pixels": _padded(visible, rows, axes=(2,)),
         "visibility/amodal_pixels": _padded(amodal, rows, axes=(2,)),
         "visibility/visible_fraction": _padded(fraction, rows, axes=(2,)),
-        "boxes/box_2d": _padded(_boxes_2d(segmentation, len(shapes)), rows, axes=(2,)),
+        "boxes/box_2d": _padded(boxes_2d(segmentation, len(shapes)), rows, axes=(2,)),
         "boxes/box_3d": _padded(_boxes_3d(shapes, trajectory), rows, axes=(1,)),
     }
 
@@ -180,12 +180,14 @@ def _sensed(images: list[list[Image]], k: np.ndarray, sensor: Sensor, rng: np.ra
     return {"sensor_depth": stored_depth(depth), "sensor_valid": valid}
 
 
-def _visible_pixels(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
+def visible_pixels(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
+    """Number of pixels of each object, uint32 [frame view object]."""
     images = segmentation.reshape(*segmentation.shape[:2], -1)
     return np.stack([np.count_nonzero(images == row + 1, axis=-1) for row in range(objects)], axis=-1).astype(np.uint32)
 
 
-def _boxes_2d(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
+def boxes_2d(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
+    """Box x0 y0 x1 y1 of the visible pixels of each object, uint16 [frame view object 4]; zeros if it shows none."""
     boxes = np.zeros((*segmentation.shape[:2], objects, 4), np.uint16)
     for row in range(objects):
         mask = segmentation == row + 1

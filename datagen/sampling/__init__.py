@@ -41,7 +41,10 @@ def sample_scene(recipe: Recipe, rng: np.random.Generator, split: str, index: in
 
 
 def _table_size(layout: Layout, rng: np.random.Generator) -> float:
-    return rounded(rng.uniform(*layout.table_sizes)) if layout.table_sizes else layout.table_size
+    if not layout.table_sizes:
+        return layout.table_size
+    least, greatest = layout.table_sizes
+    return rounded(rng.uniform(least, greatest))
 
 
 def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator) -> list[Spot]:

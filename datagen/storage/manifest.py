@@ -70,9 +70,18 @@ def _shard_facts(folder: Path, spec: Spec, split: str, number: int) -> dict[str,
             "bytes": path.stat().st_size,
             "sha256": digest,
             "content_hash": _joint_hash(shard.hashes()),
-            "attempts": int(shard.column("scene/attempts").sum()),
-            "rejections": sum((shard.rejections(row) for row in range(len(shard))), Counter[str]()),
+            **_sampling_facts(shard),
         }
+
+
+def _sampling_facts(shard: Shard) -> dict[str, Any]:
+    """Number of samples that were drawn and rejected; imported scenes were not sampled."""
+    if "scene/attempts" not in shard.fields:
+        return {"attempts": len(shard), "rejections": Counter[str]()}
+    return {
+        "attempts": int(shard.column("scene/attempts").sum()),
+        "rejections": sum((shard.rejections(row) for row in range(len(shard))), Counter[str]()),
+    }
 
 
 def _joint_hash(hashes: Iterable[str]) -> str:

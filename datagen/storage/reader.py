@@ -18,7 +18,18 @@ import numpy as np
 from datagen.errors import DatagenError, UsageError
 from datagen.schema import SPLITS, EditKind, SceneRecord, decode_depth
 from datagen.storage.shard import PackedScene, Shard, scenes_present
-from datagen.storage.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges, views_of
+from datagen.storage.spec import (
+    Spec,
+    edits_of,
+    fields_of,
+    groups_of,
+    is_imported,
+    read_spec,
+    settings_hash,
+    shard_name,
+    shard_ranges,
+    views_of,
+)
 
 _MOST_OPEN_FILES = 64
 
@@ -54,6 +65,15 @@ class Dataset:
     def groups(self) -> tuple[str, ...]:
         """Groups of fields that its scenes have; see `schema.Field.group`."""
         return groups_of(self.spec)
+
+    @property
+    def imported(self) -> bool:
+        """Whether the scenes come from another project, so that only some fields are known."""
+        return is_imported(self.spec)
+
+    def fields(self, split: str) -> tuple[str, ...]:
+        """Names of the fields that the scenes of a split have."""
+        return fields_of(self.spec, split)
 
     def split(self, name: str) -> "Split":
         """The scenes of one split.
@@ -140,6 +160,10 @@ class Split(Sequence[SceneRecord]):
         """The stored SHA-256 of one scene."""
         shard, row = self._locate(index)
         return shard.hashes()[row]
+
+    def has(self, *fields: str) -> bool:
+        """Whether the scenes have all of these fields."""
+        return {*fields} <= {*fields_of(self.spec, self.name)}
 
     def rejections(self, index: SupportsIndex) -> Counter[str]:
         """Number of rejected samples of one scene by reason."""

@@ -19,7 +19,17 @@ import numpy as np
 from h5py import h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from datagen.errors import DatagenError, UsageError
-from datagen.schema import DEPTH_SCALE, EDITS, FIELDS, FORMAT_VERSION, GENERATOR, SceneRecord, check_field, scene_hash
+from datagen.schema import (
+    DEPTH_SCALE,
+    EDITS,
+    FIELDS,
+    FORMAT_VERSION,
+    GENERATOR,
+    IMPORTER,
+    SceneRecord,
+    check_field,
+    scene_hash,
+)
 from datagen.storage.safe_io import (
     MOST_CHUNK_BYTES,
     hdf5_attribute,
@@ -29,7 +39,7 @@ from datagen.storage.safe_io import (
     read_hdf5,
     reading_hdf5,
 )
-from datagen.storage.spec import Spec, lengths_of, settings_hash, shard_name, shard_numbers
+from datagen.storage.spec import Spec, is_imported, lengths_of, settings_hash, shard_name, shard_numbers
 
 CONVENTIONS = (
     "Metres, seconds, kilograms, radians. World: right-handed, z up. Camera: OpenCV (x right, y down, z forward); "
@@ -181,6 +191,7 @@ class Shard:
         self._file = _open(self.path)
         self._datasets: dict[str, h5py.Dataset] = {}
         self._lengths = lengths_of(spec)
+        self._imported = is_imported(spec)
         try:
             with reading_hdf5(self.path, _ADVICE):
                 self._check_identity(spec, split, number)
@@ -260,6 +271,7 @@ class Shard:
         if name not in self._datasets:
             if name not in self.fields:
                 hint = _HINTS.get(FIELDS[name].group, "") if name in FIELDS else ""
+                hint = " It was imported, and its source does not have it." if self._imported else hint
                 raise UsageError(f"{self.path} holds no field {name!r}.{hint} It has: {', '.join(self.fields):.500}.")
             with reading_hdf5(self.path, _ADVICE):
                 dataset = hdf5_dataset(self._file, name)
@@ -281,8 +293,15 @@ class Shard:
         """Check that texts are ASCII, and that there are no more objects than rows."""
         if array.dtype.kind == "S" and array.tobytes().translate(None, _TEXT):
             raise ValueError(f"{name} holds text with bytes that are not printable ASCII")
-        if name == "objects/count" and np.max(array) > (rows := self._dataset("objects/category").shape[1]):
+        if name == "objects/count" and np.max(array) > (rows := self._object_rows()):
             raise ValueError(f"objects/count is {np.max(array)}, expected at most {rows}")
+
+    def _object_rows(self) -> int:
+        """Length of the object axis, by the first array that has one."""
+        name = next((name for name in FIELDS if name in self.fields and "object" in FIELDS[name].axes), None)
+        if name is None:
+            raise ValueError("objects/count is there without any array of objects")
+        return self._dataset(name).shape[1 + FIELDS[name].axes.index("object")]
 
     def _scene_hashes(self, spec: Spec) -> h5py.Dataset:
         dataset = hdf5_dataset(self._file, "hash", ndim=1, kinds="S")
@@ -357,7 +376,7 @@ def _open(path: Path) -> h5py.File:
 
 
 def _check_format(file: h5py.File, path: Path) -> None:
-    if "generator" not in file.attrs or hdf5_attribute(file, "generator", str) != GENERATOR:
+    if "generator" not in file.attrs or hdf5_attribute(file, "generator", str) not in (GENERATOR, IMPORTER):
         raise UsageError(f"{path} is an HDF5 file, but not one of {GENERATOR}; give a dataset made by {GENERATOR}.")
     version = hdf5_attribute(file, "format_version", int)
     if version != FORMAT_VERSION:

@@ -10,6 +10,8 @@ The spec is a plain dict:
     edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
     scenes_per_shard
     splits .......... number of scenes of each split
+    import .......... format, source and options of an imported dataset; key missing otherwise
+    fields .......... for each split, the fields that an imported dataset has; key missing otherwise
     spec_hash ....... SHA-256 of all the above: the dataset's identity
 """
 
@@ -24,7 +26,7 @@ from typing import Any
 
 from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
-from datagen.schema import DATA_VERSION, EDITS, FORMAT_VERSION, GENERATOR, SPLITS, EditKind
+from datagen.schema import DATA_VERSION, EDITS, FIELDS, FORMAT_VERSION, GENERATOR, IMPORTER, SPLITS, EditKind
 from datagen.storage.safe_io import MOST_ARRAY_BYTES, read_json
 
 SPEC_FILE = "dataset.json"
@@ -75,7 +77,34 @@ def make_spec(
     if edits:
         # Datasets without edits keep the identity that they had before there were any.
         spec["edits"] = [kind for kind in EDITS if kind in edits]
-    spec = json.loads(json.dumps(spec))
+    return _signed(spec)
+
+
+def make_imported_spec(
+    origin: Mapping[str, Any],
+    facts: Mapping[str, Any],
+    *,
+    splits: Mapping[str, int],
+    resolution: tuple[int, int],
+    fields: Mapping[str, Collection[str]],
+) -> Spec:
+    """Build the spec of an imported dataset.
+
+    Args:
+        origin: Format, source and options of the import, plain values.
+        facts: The constants of a recipe that readers of all datasets rely on, see `_is_recipe`.
+        splits: Scenes of each split.
+        resolution: Width and height of the images.
+        fields: Names of the fields of each split; others are unknown.
+    """
+    made = make_spec(facts, seed=0, splits=splits, resolution=resolution, renderer=None)
+    named = {split: [name for name in FIELDS if name in fields.get(split, ())] for split in SPLITS}
+    made = {key: value for key, value in made.items() if key != "spec_hash"}
+    return _signed({**made, "generator": IMPORTER, "import": origin, "fields": named})
+
+
+def _signed(values: Mapping[str, Any]) -> Spec:
+    spec = json.loads(json.dumps(values))
     return {**spec, "spec_hash": _digest(spec)}
 
 
@@ -147,7 +176,7 @@ def read_spec(folder: Path) -> Spec:
         raise UsageError(f"{folder} holds no dataset: {_missing_spec(folder)}") from None
     except CorruptFile as error:
         raise CorruptFile(f"{error} {_MEND}") from None
-    if not isinstance(spec, dict) or spec.get("generator") != GENERATOR:
+    if not isinstance(spec, dict) or spec.get("generator") not in (GENERATOR, IMPORTER):
         raise UsageError(f"{path} was not written by {GENERATOR}; give a folder made by it.")
     if spec.get("format_version") != FORMAT_VERSION:
         found = f"{spec.get('format_version')!r:.20}"
@@ -156,6 +185,8 @@ def read_spec(folder: Path) -> Spec:
         raise CorruptFile(f"{path} was changed after it was written: its spec_hash does not fit. {_MEND}")
     if wrong := [key for key, fits in _FITS.items() if not _holds(fits, spec.get(key))]:
         raise CorruptFile(f"{path} is no spec: {', '.join(wrong)} missing or malformed. {_MEND}")
+    if any((spec.get(key) is not None) != is_imported(spec) for key in ("import", "fields")):
+        raise CorruptFile(f"{path} is no spec: its generator does not fit its keys. {_MEND}")
     if _pixels(spec["recipe"], spec["rig"], spec["resolution"]) > _MOST_PIXELS:
         raise CorruptFile(f"{path} is no spec: its scenes have more than {_MOST_PIXELS:,} pixels. {_MEND}")
     return spec
@@ -187,8 +218,22 @@ def lengths_of(spec: Spec) -> dict[str, int]:
     return {"frame": spec["recipe"]["frames"], "view": views_of(spec), **images}
 
 
+def is_imported(spec: Spec) -> bool:
+    """Whether the scenes come from another project, so that there is no recipe and only some fields are known."""
+    return spec.get("generator") == IMPORTER
+
+
+def fields_of(spec: Spec, split: str) -> tuple[str, ...]:
+    """Names of the fields that the scenes of a split have."""
+    if is_imported(spec):
+        return tuple(spec["fields"][split])
+    return tuple(name for name, field in FIELDS.items() if field.group in groups_of(spec))
+
+
 def groups_of(spec: Spec) -> tuple[str, ...]:
-    """Groups of fields in a dataset of this spec."""
+    """Complete groups of fields in a dataset of this spec; an imported one has none, see `fields_of`."""
+    if is_imported(spec):
+        return ()
     if not spec["renderer"]:
         return ("simulation",)
     sensor = ("sensor",) if spec["recipe"]["sensor"]["enabled"] else ()
@@ -202,12 +247,27 @@ def recipe_of(spec: Spec) -> Recipe:
         UsageError: a constant is unknown to this program, or has an impossible value.
         CorruptFile: a constant has the wrong type.
     """
+    check_generated(spec)
     try:
         return recipe_from_dict(spec["recipe"])
     except UsageError as error:
         raise UsageError(f"{SPEC_FILE} holds a recipe that this version does not take: {error}") from None
     except ValueError as error:
         raise CorruptFile(f"{SPEC_FILE} holds no recipe ({error}); restore the original.") from None
+
+
+def check_generated(spec: Spec) -> None:
+    """Check that a dataset was generated, for features that need the scenes themselves.
+
+    Raises:
+        UsageError: it was imported.
+    """
+    if is_imported(spec):
+        raise UsageError(
+            f"The dataset was imported (format {spec['import']['format']}): it has images, but no recipe, shapes and "
+            "motions, so that it cannot be rendered, generated again or extended. Use a dataset that "
+            f"{GENERATOR} generated, or import into another folder."
+        )
 
 
 def rendered_recipe_of(spec: Spec) -> Recipe:
@@ -259,6 +319,8 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "rig": lambda rig: rig is None or (_has_views(rig) and type(rig["rig"]) is dict),
     "scenes_per_shard": lambda scenes: _is_number(scenes, 1, MOST_SCENES),
     "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
+    "import": lambda origin: origin is None or (_is_name(origin["format"]) and _is_name(origin["source"])),
+    "fields": lambda fields: fields is None or all(set(fields[split]) <= set(FIELDS) for split in SPLITS),
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
 }
 """Check of each key of a spec that readers rely on."""

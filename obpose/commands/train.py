@@ -22,6 +22,7 @@ from datagen.console.interrupts import interruptible_imports
 from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
 from datagen.storage.atomic import check_no_dataset
+from datagen.storage.reader import Dataset
 from datagen.tracks import DataFolder, Track, find_track
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
@@ -115,7 +116,8 @@ def run(values: Train, score: "Score | None" = None) -> int:
 
     torch.set_num_threads(values.threads)
     source = SceneDataset(folder, extra=["segmentation"] if system.uses_labels else ())
-    val_source = SceneDataset(folder, "val", extra=["segmentation"]) if data.size("val") else None
+    labels = [name for name in ("segmentation",) if name in Dataset(folder).fields("val")]
+    val_source = SceneDataset(folder, "val", extra=labels) if data.size("val") else None
     measured = system.known(measure_scene(source).changes())
     # Changes that follow from the track and the flags, from the scenes, and those that --set gives.
     chosen = {

@@ -77,7 +77,9 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         self._exact = _one_of(depth, ("observed", "clean"), "depth") == "clean"
         if isinstance(extra, str):
             raise UsageError(f"extra={extra!r} is a text; expected a list of names, such as [{extra!r}].")
-        numeric = [each.name for each in schema.FIELDS.values() if each.dtype != "S" and each.group in dataset.groups]
+        if unknown := [name for name in extra if dataset.imported and name not in dataset.fields(split)]:
+            raise UsageError(f"{folder} was imported, and {unknown[0]} is unknown in its split {split}.")
+        numeric = [name for name in dataset.fields(split) if schema.FIELDS[name].dtype != "S"]
         self._extra = tuple(_one_of(name, numeric, "field") for name in extra)
         self._seed = _not_negative(seed, "seed")
         # In shared memory, so that persistent workers see the number of the next epoch.

@@ -9,10 +9,10 @@ from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
+from datagen.rgbd.plane import fit_plane
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
-from obpose.rgbd.plane import fit_plane
 from obpose.types import Observation
 
 CLIPS = 32

@@ -10,13 +10,13 @@ from einops import rearrange
 from jaxtyping import Float64
 
 from datagen.geometry import unproject
+from datagen.rgbd.camera_pose import Pose, read_pose
+from datagen.rgbd.table import find_table, pose_over_table, table_points
 from obpose.config import Config
 from obpose.contact.config import ContactConfig
 from obpose.data.resolution import surface_spacing
 from obpose.errors import UsageError
-from obpose.rgbd.camera_pose import Pose, read_pose
 from obpose.rgbd.recording import Recording, parse_intrinsics, read_recording
-from obpose.rgbd.table import find_table, pose_over_table, table_points
 from obpose.rgbd.workspace import Workspace, find_workspace, rectangle
 from obpose.systems import architecture_of
 from obpose.trainable import Configuration

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from datagen.geometry import pixel_rays
+from datagen.rgbd.frame_files import check_pairs, list_frames
+from datagen.rgbd.images import Size, colour_size, depth_size, read_colour, read_depth
 from obpose.errors import UsageError
-from obpose.rgbd.frame_files import check_pairs, list_frames
-from obpose.rgbd.images import Size, colour_size, depth_size, read_colour, read_depth
 
 COLOUR_ENDINGS = (".png", ".jpg", ".jpeg")
 DEPTH_ENDINGS = (".png", ".tif", ".tiff", ".npy")

@@ -14,10 +14,10 @@ from jaxtyping import Float, Integer, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from datagen.geometry import invert_rigid, transform
+from datagen.rgbd.camera_pose import Pose
 from datagen.storage.atomic import new_folder
 from obpose.pictures import PALETTE, Picture, box_edges, draw_box, png, tint
 from obpose.rgbd.boxes import Box, upright_box
-from obpose.rgbd.camera_pose import Pose
 from obpose.rgbd.frames import PreparedFrames
 from obpose.scenes.pictures import write_gif, write_png
 

@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, label
 from scipy.spatial import ConvexHull, QhullError
 
+from datagen.rgbd.plane import TOLERANCE
 from obpose.errors import UsageError
-from obpose.rgbd.plane import TOLERANCE
 
 CELL = 0.02
 """Side of the cells in which the table's points are counted, metres."""

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int64, UInt8
 from benchmark.models.classical.points import pixel_width, scene_points, viewpoints
 from benchmark.models.classical.untrained import Untrained, keep_largest
 from benchmark.models.interface import Clip, Prediction
-from obpose.rgbd.plane import fit_plane
+from datagen.rgbd.plane import fit_plane
 
 LEAST_HEIGHT = 0.001
 """Height in metres above which a point belongs to an object; larger values cut off the feet of objects."""

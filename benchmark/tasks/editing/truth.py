@@ -97,6 +97,10 @@ def kinds_in(dataset: Dataset) -> tuple[EditKind, ...]:
     """
     if kinds := dataset.edits:
         return kinds
+    if dataset.imported:
+        raise UsageError(
+            f"{dataset.folder} was imported and holds no edits; give a dataset that obpose-datagen generated."
+        )
     raise UsageError(
         f"{dataset.folder} holds no edits; make them with: "
         f"obpose-datagen render --from {dataset.folder} --edits remove,move,add --out DIR."

@@ -15,6 +15,7 @@ from datagen.errors import UsageError
 from datagen.storage import spec
 from obpose.config_text import to_plain
 from obpose.systems import find_system
+from tests.worlds.imported import import_balls
 from tests.worlds.traced import spheres_recipe, write_dataset
 
 
@@ -100,3 +101,9 @@ def test_numbers_that_cannot_be_are_refused(facts: dict[str, Any], reason: str):
 def test_a_dataset_without_test_scenes_is_refused(tmp_path: Path):
     with pytest.raises(UsageError, match="has no test scenes to score on"):
         request(write_dataset(tmp_path / "data", scenes=0))
+
+
+def test_a_dataset_without_masks_is_refused(tmp_path: Path):
+    request(import_balls(tmp_path / "with", masks=("test",)).folder)
+    with pytest.raises(UsageError, match="has no masks in its test split"):
+        request(import_balls(tmp_path / "without", masks=("train",)).folder)

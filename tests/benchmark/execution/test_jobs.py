@@ -17,6 +17,7 @@ from benchmark.results.labels import read_labels
 from benchmark.results.run_folder import LABELS, RunKey, load_runs, load_scenes
 from datagen.errors import UsageError
 from datagen.storage import reader
+from tests.worlds.imported import import_balls
 from tests.worlds.traced import write_dataset
 
 Answer = Callable[[Clip], Prediction]
@@ -330,3 +331,12 @@ def test_what_a_model_changes_on_a_track_reaches_it_and_its_row(data: Path, tmp_
     assert there.options[-1]["changes"] == {"size": 2}
     (row,) = load_runs(tmp_path / "again")
     assert row.config["changes"] == {"size": 2}
+
+
+def test_a_model_is_not_tuned_on_scenes_without_masks(tmp_path: Path, register):
+    folder = import_balls(tmp_path, masks=("test",)).folder
+    register(background)
+    job(folder, tmp_path / "out").run()
+    register(background, grid=({"reach": 1}, {"reach": 2}))
+    with pytest.raises(UsageError, match="no masks in split val"):
+        job(folder, tmp_path / "out").run()

@@ -15,6 +15,7 @@ from benchmark.results.scoring import rescore, score_labels
 from datagen.errors import CorruptFile
 from datagen.storage.reader import Dataset, Split
 from tests.worlds import rendered
+from tests.worlds.imported import import_balls
 from tests.worlds.runs import MODELS, write_runs
 
 
@@ -107,3 +108,11 @@ def test_without_poses_there_are_no_such_columns(scenes: Split, data: Path, tmp_
     found = score(lambda clip: Prediction(clip.truth.astype(np.int64), 0), scenes, data, tmp_path)
     assert not set(POSE_METRICS) & set(found)
     assert read_poses(tmp_path / "labels.h5") is None
+
+
+def test_poses_of_imported_scenes_are_unknown_and_not_scored(tmp_path: Path):
+    dataset = import_balls(tmp_path)
+    found = score(OracleVisibleBoxes().segment, dataset.split("test"), dataset.folder, tmp_path / "out")
+    assert read_poses(tmp_path / "out" / "labels.h5") is not None
+    assert found["ari_fg"] == 1
+    assert not set(POSE_METRICS) & set(found)

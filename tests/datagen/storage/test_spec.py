@@ -5,15 +5,21 @@ import json
 import pytest
 
 from datagen.config import load_recipe, recipe_to_dict
-from datagen.errors import CorruptFile
-from datagen.schema import SPLITS
+from datagen.errors import CorruptFile, UsageError
+from datagen.schema import FIELDS, GENERATOR, SPLITS
 from datagen.storage.spec import (
+    SPEC_FILE,
     differences,
+    fields_of,
+    groups_of,
+    make_imported_spec,
     make_spec,
+    read_spec,
     recipe_of,
     settings_hash,
     shard_numbers,
     shard_ranges,
+    spec_text,
     split_sizes,
     with_splits,
 )
@@ -128,3 +134,40 @@ def test_only_files_with_the_very_names_of_shards_are_shards(tmp_path):
         (tmp_path / name).touch()
     assert shard_numbers(tmp_path, "train") == [1, 3, 123456]
     assert shard_numbers(tmp_path / "nowhere", "train") == []
+
+
+def imported_spec(**changes):
+    """Spec of two imported scenes, changed in some keys and signed again."""
+    facts = {**{key: MOVING[key] for key in ("name", "description", "frames", "fps", "views", "resolution", "parts")}}
+    facts |= {"objects": {"maximum": 3}, "sensor": {"enabled": False}}
+    origin = {"format": "rgbd", "source": "kitchen"}
+    splits, fields = {"train": 1, "test": 1}, {"train": ["rgb"], "test": ["segmentation", "rgb"]}
+    made = make_imported_spec(origin, facts, splits=splits, resolution=(7, 5), fields=fields)
+    return with_splits({**made, **changes}, splits)
+
+
+def test_an_imported_dataset_names_the_fields_of_each_split(tmp_path):
+    (tmp_path / SPEC_FILE).write_text(spec_text(imported_spec()))
+    made = read_spec(tmp_path)
+    assert [fields_of(made, split) for split in SPLITS] == [("rgb",), (), ("rgb", "segmentation")]
+    assert groups_of(made) == ()
+    with pytest.raises(UsageError, match=r"was imported \(format rgbd\): it has images, but no recipe"):
+        recipe_of(made)
+    assert set(fields_of(spec(), "train")) == {name for name, f in FIELDS.items() if f.group in groups_of(spec())}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"generator": GENERATOR},
+        {"import": None},
+        {"fields": {"train": ["rgb"], "val": [], "test": ["novelty"]}},
+        {"fields": {"train": ["rgb"]}},
+        {"fields": "rgb"},
+        {"import": {"format": 3, "source": "kitchen"}},
+    ],
+)
+def test_damage_of_an_imported_spec_is_found(changes, tmp_path):
+    (tmp_path / SPEC_FILE).write_text(spec_text(imported_spec(**changes)))
+    with pytest.raises(CorruptFile, match="is no spec"):
+        read_spec(tmp_path)

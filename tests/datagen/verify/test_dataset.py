@@ -55,12 +55,12 @@ def test_workers_do_not_change_the_verdict(plain: Path):
 
 def recount(record: SceneRecord) -> None:
     count = int(record["objects/count"])
-    visible = records._visible_pixels(record["segmentation"], count)
+    visible = records.visible_pixels(record["segmentation"], count)
     amodal = np.maximum(record["visibility/amodal_pixels"][..., :count], visible)
     record["visibility/visible_pixels"][..., :count] = visible
     record["visibility/amodal_pixels"][..., :count] = amodal
     record["visibility/visible_fraction"][..., :count] = visible / np.maximum(amodal, 1)
-    record["boxes/box_2d"][:, :, :count] = records._boxes_2d(record["segmentation"], count)
+    record["boxes/box_2d"][:, :, :count] = records.boxes_2d(record["segmentation"], count)
 
 
 def swap_labels(record: SceneRecord) -> None:

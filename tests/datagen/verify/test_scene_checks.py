@@ -48,14 +48,14 @@ def checks(record: SceneRecord, groups: tuple[str, ...] = rendered.GROUPS) -> se
 def recount(record: SceneRecord) -> SceneRecord:
     """Make all that can be counted in the ids fit them."""
     count = int(record["objects/count"])
-    visible = records._visible_pixels(record["segmentation"], count)
+    visible = records.visible_pixels(record["segmentation"], count)
     record["visibility/visible_pixels"][..., :count] = visible
     record["visibility/amodal_pixels"][..., :count] = np.maximum(
         record["visibility/amodal_pixels"][..., :count], visible
     )
     fraction = visible / np.maximum(record["visibility/amodal_pixels"][..., :count], 1)
     record["visibility/visible_fraction"][..., :count] = fraction
-    record["boxes/box_2d"][:, :, :count] = records._boxes_2d(record["segmentation"], count)
+    record["boxes/box_2d"][:, :, :count] = records.boxes_2d(record["segmentation"], count)
     return record
 
 

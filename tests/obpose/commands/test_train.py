@@ -19,6 +19,7 @@ from obpose.model.build import build_obpose
 from obpose.storage.checkpoint import load, read_config
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
+from tests.worlds.imported import import_balls
 from tests.worlds.traced import write_dataset
 
 SMALL = ("train.batch=1", "train.frames=2", "train.rays=32", "train.warmup=1", "model.voxels=4")
@@ -250,3 +251,13 @@ def training(data: Path, out: Path, *python: str, more: tuple[str, ...] = (), st
         stderr=subprocess.PIPE,
         start_new_session=True,
     )
+
+
+def test_an_imported_dataset_without_masks_becomes_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = import_balls(tmp_path, masks=(), frames=2).folder
+    run = tmp_path / "run"
+    assert main(["--data", str(folder), "--steps", "2", "--out", str(run), *SETTINGS], score=ari_fg) == 0
+    errors = capsys.readouterr().err
+    assert "validation loss" in errors
+    assert "ARI-FG" not in errors
+    assert read_config(run).model.slots == 6  # assumed

@@ -101,7 +101,7 @@ def cases(folder: Path) -> dict[str, tuple[list[Path], list[Path], str]]:
         "sizes of frames": ([rgb, large[0]], [depth, depth], "large.png is 8x4, but .*rgb.png is 6x4"),
         "size of depth": ([rgb], [large[1]], "large_depth.png is 8x4.*depth must be aligned"),
         "colour as depth": ([rgb], [rgb], "rgb.png holds no depth: it has mode RGB"),
-        "depth as colour": ([depth], [depth], "are --rgb and --depth swapped"),
+        "depth as colour": ([depth], [depth], "are colour and depth swapped"),
         "a cube": ([rgb], [folder / "cube.npy"], "cube.npy holds no depth"),
         "zeros": ([rgb], [write_depth(folder / "zeros.png", 0)], "No pixel has a depth"),
         "far": (

@@ -9,6 +9,7 @@ from datagen.schema import EDITS, decode_depth
 from datagen.storage.reader import Dataset
 from tests.benchmark.tasks.editing import oracle
 from tests.worlds import generated
+from tests.worlds.imported import import_balls
 
 
 def test_pairs_hold_what_the_dataset_holds(edits: Path):
@@ -40,3 +41,8 @@ def test_a_dataset_without_edits_is_told_how_to_get_some(tmp_path: Path):
     generated.make(tmp_path / "plain", {"test": 1})
     with pytest.raises(UsageError, match=r"obpose-datagen render --from .*plain --edits remove,move,add"):
         kinds_in(Dataset(tmp_path / "plain"))
+
+
+def test_an_imported_dataset_has_no_edits(tmp_path: Path):
+    with pytest.raises(UsageError, match="was imported and holds no edits"):
+        kinds_in(import_balls(tmp_path))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 
-from obpose.errors import UsageError
+from datagen.errors import UsageError
 
 _SIGN = r"(?:(?<![^\W_])(?<!-)[-+])?"
 """Optional sign; after a letter, a digit or another dash, it is punctuation."""

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image
 
+from datagen.errors import UsageError
 from datagen.storage.safe_io import npy_shape, open_image, read_npy
-from obpose.errors import UsageError
 
 Size = tuple[int, int]
 """Width and height in pixels."""
@@ -34,7 +34,7 @@ def colour_size(path: Path) -> Size:
     """
     with open_image(path) as image:
         if _is_depth(image):
-            raise UsageError(f"{path} is no colour image (mode {image.mode}); are --rgb and --depth swapped?")
+            raise UsageError(f"{path} is no colour image (mode {image.mode}); are colour and depth swapped?")
         if image.mode not in _COLOUR_MODES:
             raise UsageError(f"{path} has mode {image.mode}; expected RGB colours. Convert it to an RGB PNG.")
         _check_header(image, path)
@@ -100,6 +100,14 @@ def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
     return np.where(known, metres, np.float32(0))
 
 
+def holds_floats(path: Path) -> bool:
+    """Whether a depth image or array holds floats; raises as `depth_size`."""
+    if _is_array(path):
+        return npy_shape(path)[1].kind == "f"
+    with open_image(path) as image:
+        return image.mode.startswith("F")
+
+
 def _is_array(path: Path) -> bool:
     return path.suffix.lower() == ".npy"
 
@@ -138,5 +146,5 @@ def _check_orientation(image: Image.Image, path: Path) -> None:
     if orientation not in _UPRIGHT:
         raise UsageError(
             f"{path} is rotated or mirrored (EXIF orientation {orientation}); expected pixels that are stored like "
-            "those of the depth image and as --intrinsics describes. Rotate the pixels and remove the orientation."
+            "those of the depth image and as the intrinsics describe. Rotate the pixels and remove the orientation."
         )

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from datagen.errors import CorruptFile, UsageError
 from datagen.storage.safe_io import npy_shape, parse_json, read_npy, read_text
-from obpose.errors import CorruptFile, UsageError
 
 Pose = Float64[np.ndarray, "4 4"]
 """Rigid transform, metres."""
@@ -18,8 +18,12 @@ MOST_TRANSLATION = 1000.0
 """Largest coordinate of the camera in metres; larger ones indicate wrong units."""
 
 
-def read_pose(path: Path) -> Pose:
-    """Read world_from_camera: four rows of four numbers as text, JSON or NPY.
+class _Unreadable(ValueError):
+    """A file that holds no numbers in rows."""
+
+
+def read_pose(path: Path, flag: str = "--camera-pose ") -> Pose:
+    """Read world_from_camera: four rows of four numbers as text, JSON or NPY; `flag` precedes the path in messages.
 
     Raises:
         UsageError: there is no such file, or it holds no rigid pose.
@@ -28,34 +32,46 @@ def read_pose(path: Path) -> Pose:
     try:
         pose = _READERS.get(path.suffix.lower(), _read_rows)(path)
     except FileNotFoundError:
-        raise UsageError(f"--camera-pose {path} does not exist.") from None
-    if pose is None or not _is_rigid(pose):
+        raise UsageError(f"{flag}{path} does not exist.") from None
+    except _Unreadable as error:
+        raise CorruptFile(f"{flag}{path} cannot be read ({error}); expected four rows of four numbers.") from None
+    check_pose(pose, f"{flag}{path}")
+    assert pose is not None
+    return pose
+
+
+def check_pose(pose: Pose | None, name: str) -> None:
+    """Check that a matrix is a rigid pose in metres; `name` names it in messages.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if pose is None or not is_rigid(pose):
         raise UsageError(
-            f"--camera-pose {path} holds no rigid pose; expected world_from_camera: 4x4, a rotation and a translation "
+            f"{name} holds no rigid pose; expected world_from_camera: 4x4, a rotation and a translation "
             "in metres over the row 0 0 0 1, camera axes x right, y down, z forward."
         )
     if np.abs(pose[:3, 3]).max() > MOST_TRANSLATION:
         raise UsageError(
-            f"--camera-pose {path} has the translation {', '.join(f'{value:g}' for value in pose[:3, 3])}; expected "
+            f"{name} has the translation {', '.join(f'{value:g}' for value in pose[:3, 3])}; expected "
             f"metres, at most {MOST_TRANSLATION:,.0f}. Move the world's origin onto the table."
         )
-    return pose
 
 
 def _read_rows(path: Path) -> Pose | None:
     """Read numbers separated by spaces or commas; `#` starts a comment."""
     lines = (line.partition("#")[0].replace(",", " ").split() for line in read_text(path, MOST_POSE_BYTES).splitlines())
     try:
-        return _matrix([[float(number) for number in line] for line in lines if line])
+        return pose_matrix([[float(number) for number in line] for line in lines if line])
     except ValueError as error:
-        raise _unreadable(path, error) from None
+        raise _Unreadable(" ".join(str(error).split())[:100]) from None
 
 
 def _read_json(path: Path) -> Pose | None:
     try:
-        return _matrix(parse_json(read_text(path, MOST_POSE_BYTES)))
+        return pose_matrix(parse_json(read_text(path, MOST_POSE_BYTES)))
     except ValueError as error:
-        raise _unreadable(path, error) from None
+        raise _Unreadable(" ".join(str(error).split())[:100]) from None
 
 
 def _read_array(path: Path) -> Pose | None:
@@ -70,7 +86,7 @@ _READERS = {".json": _read_json, ".npy": _read_array}
 """Readers by file ending; other files are text."""
 
 
-def _matrix(value: Any) -> Pose | None:
+def pose_matrix(value: Any) -> Pose | None:
     """Convert four lists of four numbers to an array; None for anything else."""
     if not isinstance(value, list) or not all(isinstance(row, list) and len(row) == 4 for row in value):
         return None
@@ -80,12 +96,7 @@ def _matrix(value: Any) -> Pose | None:
     return np.array([float(number) if abs(number) < 1e300 else np.inf for number in numbers]).reshape(4, 4)
 
 
-def _unreadable(path: Path, error: ValueError) -> CorruptFile:
-    reason = " ".join(str(error).split())
-    return CorruptFile(f"--camera-pose {path} cannot be read ({reason:.100}); expected four rows of four numbers.")
-
-
-def _is_rigid(pose: Pose) -> bool:
+def is_rigid(pose: Pose) -> bool:
     """Whether all numbers are finite, and the matrix consists of a rotation and a translation."""
     rotation = pose[:3, :3]
     if not np.isfinite(pose).all() or np.abs(rotation).max() > 2:

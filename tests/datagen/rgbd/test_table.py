@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
+from datagen.errors import UsageError
 from datagen.geometry import invert_rigid, look_at, transform
-from obpose.errors import UsageError
-from obpose.rgbd.plane import fit_plane
-from obpose.rgbd.table import find_table, pose_over_table, table_points
+from datagen.rgbd.plane import fit_plane
+from datagen.rgbd.table import find_table, pose_over_table, table_points
 
 CAMERA = look_at(np.array([0.9, 0.0, 0.7]), np.zeros(3))
 POSE = look_at(np.array([0.8, 0.1, 0.7]), np.array([0.1, 0.0, 0.0]))

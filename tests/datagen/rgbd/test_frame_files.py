@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from obpose.errors import UsageError
-from obpose.rgbd.frame_files import check_pairs, list_frames, sort_frames
+from datagen.errors import UsageError
+from datagen.rgbd.frame_files import check_pairs, list_frames, sort_frames
 
 
 def files(names: str, folder: str = "") -> list[Path]:

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from datagen.errors import CorruptFile, UsageError
 from datagen.geometry import look_at, rigid
-from obpose.errors import CorruptFile, UsageError
-from obpose.rgbd.camera_pose import read_pose
+from datagen.rgbd.camera_pose import read_pose
 
 POSE = look_at(np.array([0.8, 0.1, 0.7]), np.array([0.1, 0.0, 0.0]))
 

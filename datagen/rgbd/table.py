@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float, Float64
 
-from obpose.errors import UsageError
-from obpose.rgbd.camera_pose import Pose
-from obpose.rgbd.plane import FEWEST_POINTS, SAMPLE, TOLERANCE, Plane, fit_plane
+from datagen.errors import UsageError
+from datagen.rgbd.camera_pose import Pose
+from datagen.rgbd.plane import FEWEST_POINTS, SAMPLE, TOLERANCE, Plane, fit_plane
 
 PLANES = 4
 """Number of candidate planes."""
@@ -40,18 +40,23 @@ def table_points(points: Float[np.ndarray, "point 3"], plane: Plane) -> Float[np
 
 
 def pose_over_table(
-    points: Float[np.ndarray, "point 3"], *, center: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 0
+    points: Float[np.ndarray, "point 3"],
+    *,
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    seed: int = 0,
+    advice: str = "give --camera-pose",
 ) -> Pose:
     """Find world_from_camera of a world in which the table is z = 0 and x points horizontally towards the camera.
 
     Points are in the camera frame, metres. The median of the table's points gets x and y of `center`, world frame.
+    `advice` ends the message about a missing plane.
 
     Raises:
         UsageError: no plane is found.
     """
     plane = find_table(points, seed=seed)
     if plane is None:
-        raise UsageError("No plane was found in the first frame, so that up is unknown; give --camera-pose.")
+        raise UsageError(f"No plane was found in the first frame, so that up is unknown; {advice}.")
     middle = np.median(table_points(points, plane), axis=0)
     rotation = _axes(plane, middle)
     x, y, _ = rotation @ middle

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from obpose.errors import CorruptFile, UsageError
-from obpose.rgbd.images import colour_size, depth_size, read_colour, read_depth
+from datagen.errors import CorruptFile, UsageError
+from datagen.rgbd.images import colour_size, depth_size, read_colour, read_depth
 
 SIZE = (6, 4)
 RGB = (200, 100, 50)
@@ -82,7 +82,7 @@ def test_a_transparent_palette_entry_is_refused(tmp_path: Path):
         ("a.jpg", Image.new("CMYK", SIZE), "mode CMYK; expected RGB"),
         ("a.tif", Image.new("LAB", SIZE), "mode LAB; expected RGB"),
         ("a.png", Image.new("1", SIZE), "mode 1; expected RGB"),
-        ("a.png", Image.fromarray(np.ones(SIZE[::-1], np.uint16)), "no colour image.*--rgb and --depth swapped"),
+        ("a.png", Image.fromarray(np.ones(SIZE[::-1], np.uint16)), "no colour image.*colour and depth swapped"),
         ("a.tif", Image.new("F", SIZE), "no colour image"),
     ],
 )

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from datagen.geometry import rotation_from_quaternion
-from obpose.rgbd.plane import FEWEST_POINTS, fit_plane
+from datagen.rgbd.plane import FEWEST_POINTS, fit_plane
 
 
 def table(rng: np.random.Generator, points: int = 4000, noise: float = 0.0) -> np.ndarray:

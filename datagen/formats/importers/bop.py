@@ -1,0 +1,191 @@
+"""BOP in its scenewise layout, one folder for each scene.
+
+    SRC/SPLIT/000000/scene_camera.json            cam_K, depth_scale (mm per unit), optional cam_R_w2c, cam_t_w2c
+    SRC/SPLIT/000000/rgb/000000.png               or .jpg
+    SRC/SPLIT/000000/depth/000000.png             16 bits
+    SRC/SPLIT/000000/scene_gt.json                optional: obj_id of each object
+    SRC/SPLIT/000000/mask_visib/000000_000000.png optional: visible part of each object
+
+SPLIT begins with train, val or test. SRC may also be a folder of scenes, or one scene.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from datagen.errors import CorruptFile, UsageError
+from datagen.formats.importers.files import (
+    HALF_PIXEL,
+    check_intrinsics,
+    check_unit,
+    common_size,
+    missing_file,
+    numbers,
+    read_ids,
+    read_object,
+)
+from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.geometry import invert_rigid
+from datagen.rgbd.camera_pose import check_pose
+from datagen.rgbd.images import read_colour, read_depth
+from datagen.schema import SPLITS
+
+CAMERA, TRUTH = "scene_camera.json", "scene_gt.json"
+_METRES = 0.001
+"""Metres per millimetre, the unit of BOP."""
+_ENDINGS = (".png", ".jpg", ".jpeg")
+_NUMBER = re.compile("[0-9]{1,12}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Image:
+    """Files and facts of one image."""
+
+    number: int
+    colour: Path
+    depth: Path
+    masks: list[Path]
+    obj_ids: list[int]
+    camera: dict[str, Any]
+
+
+def find_bop(source: Path, options: ReadOptions) -> Found:
+    """Find the scenes of a BOP dataset; see `interface.Importer`."""
+    found = [
+        Recording(str(folder), split, reader.survey, reader.read)
+        for split, folder in _scene_folders(source)
+        for reader in [_Reader(folder, options)]
+    ]
+    if not found:
+        raise UsageError(
+            f"{source} holds no scene of BOP: expected {CAMERA} in it, in folders such as 000000, or in "
+            "test/000000. The imagewise layout is not supported."
+        )
+    return Found(found, "stills")
+
+
+def _scene_folders(source: Path) -> list[tuple[str | None, Path]]:
+    if not source.is_dir():
+        raise UsageError(f"{source} is no folder; expected that of a BOP dataset.")
+    if (source / CAMERA).exists():
+        return [(_split_of(source.parent.name), source)]
+    inside = [path for path in sorted(source.iterdir()) if path.is_dir()]
+    if scenes := [path for path in inside if (path / CAMERA).exists()]:
+        return [(_split_of(source.name), path) for path in scenes]
+    return [
+        (split, path)
+        for folder in inside
+        for split in [_split_of(folder.name)]
+        for path in sorted(folder.iterdir())
+        if split and (path / CAMERA).exists()
+    ]
+
+
+def _split_of(name: str) -> str | None:
+    return next((split for split in SPLITS if re.match(rf"{split}(_|$)", name)), None)
+
+
+class _Reader:
+    """Images of one scene."""
+
+    def __init__(self, folder: Path, options: ReadOptions):
+        self._folder, self._options = folder, options
+        cameras = _by_number(read_object(folder / CAMERA), folder / CAMERA)
+        has_masks = options.masks and (folder / TRUTH).exists() and (folder / "mask_visib").is_dir()
+        truth = _by_number(read_object(folder / TRUTH), folder / TRUTH) if has_masks else {}
+        self._images = [_image(folder, number, cameras[number], truth.get(number)) for number in sorted(cameras)]
+        self._has_masks = has_masks
+        if not self._images:
+            raise UsageError(f"{folder / CAMERA} lists no images.")
+
+    def survey(self) -> Facts:
+        images = self._images
+        masks = [path for image in images for path in image.masks]
+        size = common_size([image.colour for image in images], [image.depth for image in images], masks)
+        for image in images:
+            check_intrinsics(self._k(image), size, f"{self._folder / CAMERA}, image {image.number}")
+        most = max(len(image.obj_ids) for image in images)
+        posed = all("cam_R_w2c" in image.camera for image in images)
+        return Facts(len(images), 1, size, most if self._has_masks else None, posed)
+
+    def read(self, images: Sequence[int]) -> Images:
+        chosen = [self._images[place] for place in images]
+        rgb = np.stack([read_colour(image.colour)[None] for image in chosen])
+        poses = [self._pose(image) for image in chosen]
+        names = self._names(chosen)
+        return Images(
+            rgb=rgb,
+            depth=np.stack([self._depth(image)[None] for image in chosen]),
+            k=np.stack([self._k(image)[None] for image in chosen]),
+            world_from_camera=None if any(pose is None for pose in poses) else np.array(poses)[:, None],
+            ids=np.stack([_ids(image, rgb.shape[2:4])[None] for image in chosen]) if self._has_masks else None,
+            categories={row + 1: f"obj_{number:06d}" for row, number in enumerate(names)} if self._has_masks else None,
+        )
+
+    def _depth(self, image: _Image) -> np.ndarray:
+        depth, scale = read_depth(image.depth, self._scale(image)), self._scale(image)
+        check_unit(depth, scale, str(image.depth))
+        return depth
+
+    def _names(self, chosen: Sequence[_Image]) -> list[int]:
+        """The objects of several images, which must be the same in the same order to have ids over time."""
+        longest = max((image.obj_ids for image in chosen), key=len)
+        for image in chosen:
+            if image.obj_ids != longest:
+                raise UsageError(
+                    f"{self._folder / TRUTH} lists other objects for image {image.number} than for image "
+                    f"{chosen[0].number}, so that they cannot be followed; import with --group stills."
+                )
+        return longest
+
+    def _scale(self, image: _Image) -> float:
+        scale = numbers([image.camera.get("depth_scale", 1.0)], 1, f"{self._folder / CAMERA}: depth_scale")[0]
+        return self._options.depth_scale or float(scale) * _METRES
+
+    def _k(self, image: _Image) -> Float64[np.ndarray, "3 3"]:
+        return numbers(image.camera.get("cam_K"), 9, f"{self._folder / CAMERA}: cam_K").reshape(3, 3) + HALF_PIXEL
+
+    def _pose(self, image: _Image) -> Float64[np.ndarray, "4 4"] | None:
+        if "cam_R_w2c" not in image.camera:
+            return None
+        place = f"{self._folder / CAMERA}, image {image.number}: cam_R_w2c"
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = numbers(image.camera["cam_R_w2c"], 9, place).reshape(3, 3)
+        camera_from_world[:3, 3] = _METRES * numbers(image.camera.get("cam_t_w2c"), 3, place.replace("_R_", "_t_"))
+        check_pose(camera_from_world, place)
+        return invert_rigid(camera_from_world)
+
+
+def _by_number(values: dict[str, Any], path: Path) -> dict[int, Any]:
+    """Values by image number; names that are no numbers would lead to files elsewhere."""
+    if wrong := [name for name in values if not _NUMBER.fullmatch(name)]:
+        raise CorruptFile(f"{path} has the image {wrong[0]!r:.60}; expected a number.")
+    return {int(name): value for name, value in values.items()}
+
+
+def _image(folder: Path, number: int, camera: Any, truth: Any) -> _Image:
+    stem = f"{number:06d}"
+    colour = next((path for end in _ENDINGS if (path := folder / "rgb" / f"{stem}{end}").exists()), None)
+    if colour is None:
+        raise missing_file(folder / "rgb" / f"{stem}.png")
+    objects = [] if truth is None else truth
+    if type(camera) is not dict or type(objects) is not list or not all(type(each) is dict for each in objects):
+        raise CorruptFile(f"{folder}: the entries of image {number} in {CAMERA} or {TRUTH} are damaged.")
+    obj_ids = [each.get("obj_id") for each in objects]
+    if not all(type(each) is int and 0 <= each < 10**6 for each in obj_ids):
+        raise CorruptFile(f"{folder / TRUTH}: image {number} has obj_id {obj_ids!r:.60}; expected numbers.")
+    masks = [folder / "mask_visib" / f"{stem}_{row:06d}.png" for row in range(len(objects))]
+    return _Image(number, colour, folder / "depth" / f"{stem}.png", masks, obj_ids, camera)
+
+
+def _ids(image: _Image, shape: tuple[int, int]) -> Int64[np.ndarray, "height width"]:
+    """Ids of the visible parts, row in scene_gt.json plus 1."""
+    ids = np.zeros(shape, np.int64)
+    for row, path in enumerate(image.masks):
+        ids[read_ids(path) > 0] = row + 1
+    return ids

@@ -1,0 +1,106 @@
+"""Recordings of other projects: what every importer finds, and how it gives images."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+
+Grouping = Literal["clip", "views", "stills"]
+"""Meaning of the images of a recording: frames of a clip, views of a still scene, or a scene each."""
+DepthType = Literal["planar", "euclidean"]
+"""Depth along the optical axis, or along the ray."""
+World = Literal["auto", "given", "table"]
+"""World frame: that of the given poses, or one that stands on the table; `auto` is `given` if there are poses."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """Choices of the user about how files are read."""
+
+    depth_scale: float | None = None
+    """Metres per unit of integer depth, or per unit of a synthetic scene; None for the format's own."""
+    depth_type: DepthType | None = None
+    """None for the format's own."""
+    masks: bool = True
+    """Whether to read masks."""
+    most_objects: int | None = None
+    """Scenes with more objects are left out; None for the format's own limit."""
+    camera: Path | None = None
+    """File with the camera, for formats that keep it elsewhere."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Size of a recording, known before its images are read."""
+
+    images: int
+    """Number of images over time, or of views if they are views."""
+    views: int
+    """Number of cameras that take each image."""
+    size: tuple[int, int]
+    """Width and height, pixels."""
+    objects: int | None
+    """Upper bound of the number of objects; None without masks."""
+    posed: bool
+    """Whether the poses of the cameras are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """Some images of a recording."""
+
+    rgb: UInt8[np.ndarray, "image view height width 3"]
+    """sRGB."""
+    depth: Float32[np.ndarray, "image view height width"]
+    """Planar z in metres, 0 = missing."""
+    k: Float64[np.ndarray, "image view 3 3"]
+    """Camera matrices in pixels, pixel centres at +0.5."""
+    world_from_camera: Float64[np.ndarray, "image view 4 4"] | None
+    """Poses, OpenCV axes, metres; None if unknown."""
+    ids: Int64[np.ndarray, "image view height width"] | None = None
+    """Objects by any positive numbers that are constant over the recording; 0 = background; None without masks."""
+    categories: Mapping[int, str] | None = None
+    """Name of each object by its id; None if unknown."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Images that belong together, read on demand."""
+
+    name: str
+    """Place of its files, for messages."""
+    split: str | None
+    """Published split; None if the format has none."""
+    survey: Callable[[], Facts]
+    """Read its size without its images; raises DatagenError for missing, unfit or damaged files."""
+    read: Callable[[Sequence[int]], Images]
+    """Read the images of these numbers; raises DatagenError for damaged files."""
+    fps: float | None = None
+    """Frames per second; None if unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Recordings in a folder."""
+
+    recordings: Sequence[Recording]
+    grouping: Grouping
+    """How its images are grouped if the user does not say."""
+    notes: tuple[str, ...] = ()
+    """Facts that the user should know, such as scenes that were left out."""
+
+
+class Importer(Protocol):
+    """Reader of one format."""
+
+    def __call__(self, source: Path, options: ReadOptions) -> Found:
+        """Find the recordings in a folder.
+
+        Raises:
+            UsageError: the folder does not have the layout of the format; says what is missing.
+            CorruptFile: a file is damaged.
+        """
+        ...

@@ -1,0 +1,205 @@
+"""From recordings to scenes: which images form a scene, and in which split it goes."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from datagen.console.text import counted
+from datagen.errors import UsageError
+from datagen.formats.importers.interface import Facts, Grouping, Recording
+from datagen.rgbd.images import Size
+from datagen.schema import SPLITS
+from datagen.storage.safe_io import MOST_ARRAY_BYTES
+
+_MOST_PIXELS = MOST_ARRAY_BYTES // 3
+"""Largest number of pixels of a scene: its colours are read as one array."""
+MOST_OBJECTS = 255
+"""Most objects of a scene: ids are bytes."""
+ASSUMED_OBJECTS = 6
+"""Most objects of a scene if there are no masks; models take their number of slots from it."""
+_SHARES = 10
+_FEW = 3
+"""Recordings from which on whole recordings are assigned to splits."""
+
+Value = TypeVar("Value")
+Surveyed = tuple[Recording, Facts]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Images of a recording that become one scene."""
+
+    recording: Recording
+    facts: Facts
+    images: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Place of its files, for messages."""
+        whole = len(self.images) == self.facts.images
+        return self.recording.name + ("" if whole else f", images from {self.images[0]} on")
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Choices of the user about scenes."""
+
+    grouping: Grouping
+    frames: int | None = None
+    """Images of a clip; None for all."""
+    views: int | None = None
+    """Images of a still scene, spread evenly over the recording; None for all."""
+    size: Size | None = None
+    """Width and height in pixels; None for that of the images."""
+    split: str | None = None
+    """Split of all scenes; None for the published ones, or 80/10/10."""
+    scenes: int | None = None
+    """Most scenes of each split."""
+    objects: int | None = None
+    """Most objects of a scene; None for the number in the masks, or `ASSUMED_OBJECTS`."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Scenes of a dataset before their images are read."""
+
+    units: dict[str, list[Unit]]
+    """Scenes of each split."""
+    frames: int
+    views: int
+    size: Size
+    objects: int
+    """Upper bound of the number of objects."""
+    notes: tuple[str, ...]
+
+    def has_masks(self, split: str) -> bool:
+        """Whether all scenes of a split have masks."""
+        units = self.units[split]
+        return bool(units) and all(unit.facts.objects is not None for unit in units)
+
+
+def enough(recordings: Sequence[Recording], scenes: int | None) -> list[Recording]:
+    """As many recordings as a number of scenes in each split needs, so that large datasets are not read in vain."""
+    if scenes is None:
+        return list(recordings)
+    taken: Counter[str | None] = Counter()
+    chosen = []
+    for recording in recordings:
+        taken[recording.split] += 1
+        # Without published splits, one scene of ten goes to test.
+        if taken[recording.split] <= scenes * (1 if recording.split else _SHARES):
+            chosen.append(recording)
+    return chosen
+
+
+def plan_scenes(recordings: Iterable[Surveyed], choices: Choices) -> Plan:
+    """Group the images of recordings into scenes of one form, and assign them to splits.
+
+    Raises:
+        UsageError: the scenes would differ in size or number of images, are too large, or mix masks with none in a
+            split.
+    """
+    surveyed = list(recordings)
+    size = choices.size or _common(surveyed, lambda facts: facts.size, _size_error)
+    groups = {recording: _groups(recording, facts, choices) for recording, facts in surveyed}
+    lengths = {len(images): recording for recording, parts in groups.items() for images in parts}
+    if len(lengths) > 1:
+        (one, first), (other, second) = sorted(lengths.items(), key=lambda item: item[0])[:2]
+        flag = "--views" if choices.grouping == "views" else "--frames"
+        raise UsageError(
+            f"{first.name} has {counted(one, 'image')} and {second.name} {other}; all scenes need equal numbers. Give "
+            f"{flag} {one} to take as many of each, or --group stills for a scene an image."
+        )
+    length = next(iter(lengths))
+    cameras = _common(surveyed, lambda facts: facts.views, _views_error)
+    frames, views = (1, length) if choices.grouping == "views" else (length, cameras)
+    if frames * views * size[0] * size[1] > _MOST_PIXELS:
+        raise UsageError(
+            f"A scene would have {frames * views} images of {size[0]}x{size[1]}; expected at most "
+            f"{_MOST_PIXELS:,} pixels. Give fewer --frames or --views, or a smaller --resolution."
+        )
+    units, notes = _assign(
+        [[Unit(recording, facts, images) for images in groups[recording]] for recording, facts in surveyed], choices
+    )
+    for split, members in units.items():
+        _check_masks(split, members)
+    bounds = [unit.facts.objects for members in units.values() for unit in members if unit.facts.objects is not None]
+    wanted = max(bounds, default=ASSUMED_OBJECTS) if choices.objects is None else choices.objects
+    # A recording with many objects may show few of them at a time; scenes with too many are refused when they are read.
+    objects = min(max(1, wanted, *bounds), MOST_OBJECTS)
+    return Plan(units, frames, views, size, objects, notes)
+
+
+def _common(surveyed: Sequence[Surveyed], value: Callable[[Facts], Value], error: Callable[..., UsageError]) -> Value:
+    first, facts = surveyed[0]
+    for recording, others in surveyed:
+        if value(others) != value(facts):
+            raise error(recording, others, first, facts)
+    return value(facts)
+
+
+def _size_error(one: Recording, facts: Facts, two: Recording, others: Facts) -> UsageError:
+    sizes = [f"{size[0]}x{size[1]}" for size in (facts.size, others.size)]
+    return UsageError(
+        f"{one.name} has images of {sizes[0]} pixels, {two.name} of {sizes[1]}; all scenes need one size. Give "
+        "--resolution, such as 160x120: images are cropped to its aspect and scaled."
+    )
+
+
+def _views_error(one: Recording, facts: Facts, two: Recording, others: Facts) -> UsageError:
+    return UsageError(
+        f"{one.name} has {counted(facts.views, 'view')}, {two.name} {others.views}; all scenes need equal numbers. "
+        "Import them into several datasets."
+    )
+
+
+def _groups(recording: Recording, facts: Facts, choices: Choices) -> list[tuple[int, ...]]:
+    """Numbers of the images of each scene of a recording."""
+    if choices.grouping == "stills":
+        return [(image,) for image in range(facts.images)]
+    wanted = choices.views if choices.grouping == "views" else choices.frames
+    length = wanted or facts.images
+    if length > facts.images:
+        flag = "--views" if choices.grouping == "views" else "--frames"
+        raise UsageError(f"{recording.name} has {counted(facts.images, 'image')}, but {flag} is {length}; give fewer.")
+    if choices.grouping == "views":
+        return [tuple(place * facts.images // length for place in range(length))]
+    return [tuple(range(start, start + length)) for start in range(0, facts.images - length + 1, length)]
+
+
+def _assign(groups: list[list[Unit]], choices: Choices) -> tuple[dict[str, list[Unit]], tuple[str, ...]]:
+    """Units of each split, and notes on how they were chosen."""
+    units = [unit for members in groups for unit in members]
+    labelled = [unit.facts.objects is not None for unit in units]
+    notes: tuple[str, ...] = ()
+    if choices.split:
+        splits = [choices.split] * len(units)
+    elif all(unit.recording.split for unit in units):
+        splits = [str(unit.recording.split) for unit in units]
+    elif any(labelled) and not all(labelled):
+        places = iter(range(len(units)))
+        splits = [("test", "val")[next(places) % 2] if known else "train" for known in labelled]
+        notes = ("Scenes without masks are the training split; those with masks are shared between test and val.",)
+    elif len(groups) >= _FEW or len(units) == len(groups):
+        splits = [_share(place) for place, members in enumerate(groups) for _ in members]
+    else:
+        splits = [_share(place) for place in range(len(units))]
+        notes = ("Training, validation and test scenes come from the same recordings.",)
+    found = {name: [unit for unit, split in zip(units, splits, strict=True) if split == name] for name in SPLITS}
+    return {name: members[: choices.scenes] for name, members in found.items()}, notes
+
+
+def _share(place: int) -> str:
+    """Split of one of many scenes: of every ten, the second goes to test, the third to val, the others to train."""
+    return {1: "test", 2: "val"}.get(place % _SHARES, "train")
+
+
+def _check_masks(split: str, units: Sequence[Unit]) -> None:
+    known = {unit.facts.objects is not None: unit for unit in units}
+    if len(known) > 1:
+        raise UsageError(
+            f"{known[True].recording.name} has masks and {known[False].recording.name} has none, but all scenes of "
+            f"split {split} need the same fields. Leave out --split, move them to train/, val/ and test/, or leave "
+            "masks out with --ignore-masks."
+        )

@@ -1,0 +1,251 @@
+"""Every format, read from a small source in exactly its layout: points of all pixels lie on the surfaces they show."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datagen.errors import DatagenError, UsageError
+from datagen.formats.importers import rgbd
+from datagen.formats.importers.interface import ReadOptions
+from datagen.formats.importers.write import Report, Request, import_dataset
+from datagen.storage.reader import Dataset
+from datagen.verify.dataset import find
+from tests.worlds import recordings
+from tests.worlds.recordings import CAMERAS, SIZE, errors, shoot, write_json, write_rgbd
+
+MILLIMETRE = 1e-3
+
+
+def take(source: Path, out: Path, **changes: object) -> Report:
+    reading = {name: changes.pop(name) for name in list(changes) if name in ReadOptions.__dataclass_fields__}
+    return import_dataset(Request(source=source, out=out, reading=ReadOptions(**reading), **changes))
+
+
+def multishapenet(folder: Path) -> Path:
+    return recordings.write_obsurf(folder, multishapenet=True)
+
+
+def rgbd_with_poses(folder: Path) -> Path:
+    shot = shoot()
+    return write_rgbd(folder, [shot, shot], world_from_camera=shot.pose.tolist())
+
+
+def rgbd_euclidean_views(folder: Path) -> Path:
+    for view, position in enumerate(CAMERAS):
+        shot = shoot(position)
+        place = write_rgbd(folder / f"view{view}", [shot], depth_type="euclidean", pixel_center=0)
+        recordings.save(place / "depth/0.png", recordings.units(shot.distance, 1e-4))
+        np.savetxt(place / "world_from_camera.txt", shot.pose)
+    return folder
+
+
+def bop_test(folder: Path) -> Path:
+    recordings.write_bop(folder / "test_primesense" / "000001")
+    return folder
+
+
+CASES: dict[str, tuple[str, Callable[[Path], Path], dict[str, object], dict[str, int], tuple[int, int]]] = {
+    "rgbd": ("rgbd", rgbd_with_poses, {"split": "test"}, {"test": 1}, (2, 1)),
+    "rgbd views": ("rgbd", rgbd_euclidean_views, {"split": "test"}, {"test": 1}, (1, 3)),
+    "clevr3d": ("obsurf", recordings.write_obsurf, {}, {"train": 2}, (1, 3)),
+    "multishapenet": ("obsurf", multishapenet, {}, {"train": 2}, (1, 3)),
+    "obpose": ("obpose", recordings.write_authors, {}, {"train": 2, "test": 1}, (3, 1)),
+    "bop": ("bop", bop_test, {}, {"test": 3}, (1, 1)),
+    "bop views": ("bop", bop_test, {"grouping": "views"}, {"test": 1}, (1, 3)),
+    "octscenes": ("octscenes", recordings.write_octscenes, {"views": 2}, {"train": 1, "test": 1}, (1, 2)),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_points_lie_on_the_surfaces_that_their_pixels_show(case, tmp_path: Path):
+    name, write, changes, splits, (frames, views) = case
+    take(write(tmp_path / "source"), tmp_path / "out", format=name, **changes)
+    dataset = Dataset(tmp_path / "out")
+    assert {split: count for split, count in dataset.splits.items() if count} == splits
+    assert find(tmp_path / "out") == []
+    labelled = [split for split in splits if dataset.split(split).has("segmentation")]
+    record = dataset.split(labelled[-1])[0]
+    assert record["depth"].shape == (frames, views, SIZE[1], SIZE[0])
+    assert max(errors(record).values()) < MILLIMETRE
+    assert np.array_equal(record["rgb"][0, 0], shoot().rgb)
+    assert np.array_equal(record["segmentation"][0, 0], shoot().ids)
+
+
+def test_names_of_objects_are_kept(tmp_path: Path):
+    take(bop_test(tmp_path / "bop"), tmp_path / "a", format="bop")
+    take(recordings.write_authors(tmp_path / "npy"), tmp_path / "b", format="obpose")
+    rgbd = write_rgbd(tmp_path / "rgbd", [shoot()])
+    write_json(rgbd / "objects.json", [{"id": 2, "category": "Schüssel"}])
+    take(rgbd, tmp_path / "c", format="rgbd", split="test")
+    names = [Dataset(tmp_path / folder).split("test")[0]["objects/category"].tolist() for folder in "abc"]
+    assert names == [[b"obj_000002", b"obj_000007"], [b"mug", b"bowl"], [b"", b"Sch?ssel"]]
+
+
+def test_scenes_with_too_many_objects_are_left_out(tmp_path: Path):
+    source = recordings.write_obsurf(tmp_path / "source")
+    arrays = dict(np.load(source / "metadata.npz"))
+    arrays["shape"][1] = 1  # ten objects
+    np.savez(source / "metadata.npz", **arrays)
+    report = take(source, tmp_path / "out", format="obsurf")
+    assert report.spec["splits"]["train"] == 1
+    assert "1 scene left out with more than 6 objects" in " ".join(report.notes)
+    assert take(source, tmp_path / "all", format="obsurf", most_objects=10).spec["splits"]["train"] == 2
+
+
+def test_published_splits_go_by_the_scene_number(tmp_path: Path):
+    source = recordings.write_obsurf(tmp_path / "source", scenes=(69_999, 70_000, 70_500, 85_000))
+    report = take(source, tmp_path / "out", format="obsurf")
+    assert report.spec["splits"] == {"train": 1, "val": 1, "test": 1}
+
+
+def test_views_of_the_authors_have_their_own_cameras(tmp_path: Path):
+    source = tmp_path / "train"
+    source.mkdir()
+    for number, position in enumerate(CAMERAS):
+        shot = shoot(position)
+        frame = {**recordings.authors_frame(shot), "misc": recordings.authors_camera(shot)}
+        np.save(source / f"{number}.npy", np.array(frame, object), allow_pickle=True)
+    take(tmp_path, tmp_path / "out", format="obpose")
+    scenes = Dataset(tmp_path / "out").split("train")
+    assert [max(errors(scene).values()) < MILLIMETRE for scene in scenes] == [True] * 3
+
+
+def test_a_recording_without_poses_stands_on_its_table(tmp_path: Path):
+    report = take(write_rgbd(tmp_path / "a", [shoot()]), tmp_path / "out", format="rgbd")
+    record = Dataset(tmp_path / "out").split("train")[0]
+    assert report.measured[0].estimated_world
+    assert report.spec["import"]["world"] == "table"
+    assert errors(record)[0] < 2 * MILLIMETRE  # the table is at z = 0
+    camera = record["camera/world_from_camera"][0, :3, 3]
+    assert camera[2] == pytest.approx(CAMERAS[0][2], abs=0.005)
+    assert camera[0] > 0  # x points to the camera
+    assert camera[1] == pytest.approx(0, abs=1e-3)
+
+
+def test_given_poses_can_be_moved_onto_the_table(tmp_path: Path):
+    shots = [shoot(position) for position in CAMERAS]
+    lifted = [shot.pose + np.eye(4)[2][:, None] * np.array([0, 0, 0, 1.0]) for shot in shots]
+    source = write_rgbd(tmp_path / "a", shots, world_from_camera=[pose.tolist() for pose in lifted])
+    take(source, tmp_path / "given", format="rgbd", grouping="views")
+    take(source, tmp_path / "table", format="rgbd", grouping="views", world="table")
+    given, table = (Dataset(tmp_path / name).split("train")[0] for name in ("given", "table"))
+    worlds = [Dataset(tmp_path / name).spec["import"]["world"] for name in ("given", "table")]
+    assert worlds == ["given", "table"]
+    assert errors(given)[0] == pytest.approx(1.0, abs=0.01)
+    assert errors(table)[0] < 0.005
+    relative = [
+        np.linalg.inv(poses[0]) @ poses[1]
+        for poses in (given["camera/world_from_camera"], table["camera/world_from_camera"])
+    ]
+    assert np.allclose(*relative)
+
+
+def break_rgbd(folder: Path, change: Callable[[Path], object]) -> Path:
+    source = write_rgbd(folder, [shoot(), shoot()])
+    change(source)
+    return source
+
+
+def clip_of_moving_camera(folder: Path) -> None:
+    poses = [shoot(position).pose.tolist() for position in CAMERAS[:2]]
+    write_rgbd(folder, [shoot(position) for position in CAMERAS[:2]], world_from_camera=poses)
+
+
+def edit_camera(**changes: object) -> Callable[[Path], object]:
+    values = recordings.camera_json(shoot())
+    return lambda folder: write_json(folder / "camera.json", {**values, **changes})
+
+
+EMPTY = np.zeros((36, 48), np.uint16)
+SMALL = shoot(size=(40, 30))
+BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
+    "missing depth": (lambda folder: (folder / "depth/1.png").unlink(), "2 colour images but 1 depth images"),
+    "missing mask": (lambda folder: (folder / "masks/1.png").unlink(), "2 colour images but 1 masks"),
+    "a gap": (lambda folder: (folder / "depth/1.png").rename(folder / "depth/2.png"), "their numbers differ"),
+    "no depth": (lambda folder: (folder / "depth").rename(folder / "other"), "colour but no depth"),
+    "no camera": (lambda folder: (folder / "camera.json").unlink(), "camera.json is missing"),
+    "mixed sizes": (lambda folder: recordings.save(folder / "rgb/1.png", SMALL.rgb), "rgb/1.png is 40x30"),
+    "unaligned mask": (lambda folder: recordings.save(folder / "masks/0.png", SMALL.ids), "masks/0.png is 40x30"),
+    "damaged image": (lambda folder: (folder / "rgb/0.png").write_bytes(b"\x89PNG"), "rgb/0.png is damaged"),
+    "cut image": (
+        lambda folder: (folder / "depth/0.png").write_bytes((folder / "depth/0.png").read_bytes()[:200]),
+        "depth/0.png is damaged",
+    ),
+    "colour mask": (lambda folder: recordings.save(folder / "masks/0.png", shoot().rgb), "no mask: it has mode RGB"),
+    "millimetres as metres": (edit_camera(depth_scale=1), r"With --depth-scale 0.0001 it would be 0.\d+ m"),
+    "no unit": (edit_camera(depth_scale=0), "depth_scale is 0"),
+    "no focal length": (edit_camera(fx="wide"), "fx, fy, cx, cy is"),
+    "other size": (edit_camera(fx=5e5), "cannot be those of images of 48x36"),
+    "infinite": (lambda folder: (folder / "camera.json").write_text('{"fx": NaN}'), "NaN"),
+    "no object": (lambda folder: (folder / "camera.json").write_text("[]"), "expected an object"),
+    "mirrored pose": (edit_camera(world_from_camera=np.diag([1, 1, -1, 1.0]).tolist()), "no rigid pose"),
+    "too few poses": (edit_camera(world_from_camera=[np.eye(4).tolist()]), "no pose for image 1"),
+    "moving camera": (clip_of_moving_camera, "the camera moves by"),
+    "empty depth": (lambda folder: recordings.save(folder / "depth/0.png", EMPTY), "has no depth"),
+    "names": (lambda folder: write_json(folder / "objects.json", {"1": "mug"}), "expected a list of objects"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "message"), BROKEN.values(), ids=BROKEN)
+def test_a_bad_recording_is_named_and_nothing_is_written(change, message: str, tmp_path: Path):
+    source = break_rgbd(tmp_path / "source", change)
+    with pytest.raises(DatagenError, match=message):
+        take(source, tmp_path / "out", format="rgbd")
+    assert [path.name for path in tmp_path.iterdir()] == ["source"]
+
+
+def test_a_file_that_the_system_refuses_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    source = write_rgbd(tmp_path / "source", [shoot()])
+
+    def refuse(path: Path, scale: float) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(rgbd, "read_depth", refuse)
+    with pytest.raises(UsageError, match=r"depth/0\.png cannot be read: Permission denied"):
+        take(source, tmp_path / "out", format="rgbd")
+
+
+def test_depth_in_floats_is_metres_unless_said_otherwise(tmp_path: Path):
+    shot = shoot()
+    source = write_rgbd(tmp_path / "source", [shot], world_from_camera=shot.pose.tolist())
+    (source / "depth/0.png").unlink()
+    for number, unit in enumerate((1.0, 0.001)):
+        np.save(source / "depth/0.npy", shot.depth / unit)
+        if number:
+            with pytest.raises(UsageError, match=r"With --depth-scale 0\.001 it would be 0\.\d+ m"):
+                take(source, tmp_path / "fails", format="rgbd")
+        take(source, tmp_path / f"{number}", format="rgbd", depth_scale=unit if number else None)
+        assert max(errors(Dataset(tmp_path / f"{number}").split("train")[0]).values()) < MILLIMETRE
+
+
+def test_other_bad_sources_are_named(tmp_path: Path):
+    for name in ("rgbd", "obsurf", "obpose", "bop", "octscenes"):
+        for source in (tmp_path, tmp_path / "nowhere"):
+            with pytest.raises(DatagenError, match=re.escape(str(source))):
+                take(source, tmp_path / "out", format=name)
+    bop = recordings.write_bop(tmp_path / "000000")
+    cases = {
+        "scene_camera.json": ({"../../secret": {}}, "has the image '../../secret'"),
+        "scene_gt.json": ({"0": [{"obj_id": "../x"}]}, "has obj_id"),
+    }
+    for file, (values, message) in cases.items():
+        old = (bop / file).read_text()
+        write_json(bop / file, values)
+        with pytest.raises(DatagenError, match=message):
+            take(bop, tmp_path / "out", format="bop")
+        (bop / file).write_text(old)
+    (bop / "mask_visib/000001_000001.png").unlink()
+    with pytest.raises(DatagenError, match=r"000001_000001\.png is missing"):
+        take(bop, tmp_path / "out", format="bop")
+    assert not (tmp_path / "out").exists()
+
+
+def test_authors_files_with_another_camera_are_refused(tmp_path: Path):
+    source = recordings.write_authors(tmp_path / "source")
+    other = np.array(recordings.authors_camera(shoot(CAMERAS[1])), object)
+    np.save(tmp_path / "other.npy", other, allow_pickle=True)
+    with pytest.raises(UsageError, match=r"points \(pcd\) are"):
+        take(source, tmp_path / "out", format="obpose", camera=tmp_path / "other.npy")
