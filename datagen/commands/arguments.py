@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from datagen.config import Recipe, Rig
+from datagen.formats.exporters import Format
 
 _OVERRIDES = tyro.conf.arg(name="")
 _FOLDER = Annotated[Path, tyro.conf.Positional]
@@ -136,3 +137,18 @@ class Inspect:
 @dataclass(frozen=True)
 class Regenerate(Inspect):
     """Generate one scene again and compare all its arrays with the stored ones."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export a dataset to the format of another project; the new folder appears when it is complete."""
+
+    folder: _FOLDER
+    format: Format
+    """Name of the format."""
+    out: Path
+    """New folder for the export."""
+    splits: str = "train,val,test"
+    """Splits to export, separated by commas; those without scenes are left out."""
+    overwrite: _Flag = False
+    """Replace an export in the same folder."""

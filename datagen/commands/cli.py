@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datagen.commands import options
-from datagen.commands.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
+from datagen.commands.arguments import Constants, Export, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.storage.reader import Dataset
-from datagen.storage.spec import read_spec, rendered_recipe_of
+from datagen.storage.spec import CARD_FILE, read_spec, rendered_recipe_of
 
 if TYPE_CHECKING:
     from datagen.pipeline.generate import Report
@@ -194,6 +194,18 @@ def _regenerate(values: Regenerate) -> int:
     return EXIT_OK
 
 
+def _export(values: Export) -> int:
+    from datagen.console.progress import scene_progress
+    from datagen.formats.export import export
+
+    splits = options.parse_split_names(values.splits)
+    settings = {"splits": splits, "overwrite": values.overwrite, "progress": scene_progress}
+    counts = export(values.folder, values.out, values.format, **settings)
+    print(f"{values.out.resolve()}: {', '.join(f'{number} {split}' for split, number in counts.items())} scenes.")
+    print(f"How to load them, and what the format leaves out: {values.out / CARD_FILE}")
+    return EXIT_OK
+
+
 def _check_scene(values: Inspect | Regenerate) -> None:
     scenes = Dataset(values.folder).splits[values.split]
     if not 0 <= values.scene < scenes:
@@ -207,6 +219,7 @@ COMMANDS = {
     "stats": Command(Stats, _stats),
     "preview": Command(Preview, _preview),
     "inspect": Command(Inspect, _inspect),
+    "export": Command(Export, _export),
     "regenerate": Command(Regenerate, _regenerate),
 }
 
