@@ -5,6 +5,7 @@ Optional fields of the dataset format are named here only, so that exporters do 
 
 from collections.abc import Iterator
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +32,22 @@ class ExportScene:
     def name(self) -> str:
         """Index of the scene in its split as a name of fixed length, so that sorting keeps the order."""
         return f"{self.index:06d}"
+
+    @property
+    def dataset(self) -> Path:
+        """Folder of the dataset."""
+        return self._scenes.folder
+
+    @property
+    def place(self) -> str:
+        """Place of the scene, for messages."""
+        return f"{self.dataset}, {self.split} scene {self.index}"
+
+    @property
+    def label_renderer(self) -> str:
+        """Name of the renderer that made the labels."""
+        renderer = self._scenes.spec["renderer"]
+        return "pyrender" if renderer and renderer["name"] == "pyrender" else "raster"
 
     def has(self, *fields: str) -> bool:
         """Whether the dataset has all of these fields."""

@@ -40,10 +40,10 @@ def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
         (folder / scene.split).mkdir(exist_ok=True)
         for view in range(scene.views):
             name = view_name(scene, view)
-            np.savez_compressed(folder / scene.split / f"{name}.npz", **clip_arrays(scene, view))
+            np.savez_compressed(folder / scene.split / f"{name}.npz", allow_pickle=False, **clip_arrays(scene, view))
 
 
-def clip_arrays(scene: ExportScene, view: int) -> dict[str, np.ndarray]:
+def clip_arrays(scene: ExportScene, view: int) -> dict[str, np.ndarray | np.generic]:
     """All arrays of one camera's clip, by MOVi's names with slashes between levels."""
     depth, depth_range = quantised(_distance(scene, view)[..., None])
     width, height = scene.size
@@ -88,7 +88,7 @@ def _flow(scene: ExportScene, view: int) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _camera(scene: ExportScene, view: int) -> dict[str, np.ndarray]:
+def _camera(scene: ExportScene, view: int) -> dict[str, np.ndarray | np.generic]:
     poses = scene.world_from_camera[:, view]
     turned = poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0])
     focal, width = scene.k[0, view, 0, 0], scene.size[0]
@@ -193,9 +193,9 @@ depth = clip["depth"] / 65535 * (high - low) + low  # as for MOVi""",
   pixel has no return.
 - `forward_flow` and `backward_flow` are (row, column) in pixels, 16 bits over their ranges, if the dataset has flow.
 - The camera looks along its -z axis, with y up. Quaternions are (w, x, y, z).
-- Ids are rows of `instances/` plus 1. `bboxes` and `bbox_frames` list the frames in which an object is visible, followed
-  by padding with frame -1.
+- Ids are rows of `instances/` plus 1. `bboxes` and `bbox_frames` list the frames in which an object is visible,
+  followed by padding with frame -1.
 - `events/collisions/force` is an impulse in N s; the floor has index 65535.""",
-    loses="Depth and flow are rounded to 1/65535 of their range in the clip. Positions and normals of collisions, shape "
-    "parameters, colours, lights and edits are left out. `asset_id`, `scale` and `background` do not exist.",
+    loses="Depth and flow are rounded to 1/65535 of their range in the clip. Positions and normals of collisions, "
+    "shape parameters, colours, lights and edits are left out. `asset_id`, `scale` and `background` do not exist.",
 )

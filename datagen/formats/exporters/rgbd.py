@@ -8,15 +8,16 @@ import numpy as np
 
 from datagen.formats.exporters.interface import CAMERAS, PIXELS, Exporter, Files
 from datagen.formats.images import depth_units, write_png
-from datagen.formats.scenes import ExportScene, plain, view_name
+from datagen.formats.scenes import ExportScene
 from datagen.schema import DEPTH_SCALE
 
 
 def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
-    """Write `SPLIT/NAME/` with `rgb`, `depth`, `masks`, `camera.json` and `objects.json`."""
+    """Write `SPLIT/NAME/`, or `SPLIT/NAME/viewV/` for several views, with images, camera, poses and objects."""
     for scene in scenes:
+        place = folder / scene.split / scene.name
         for view in range(scene.views):
-            _write_clip(folder / scene.split / view_name(scene, view), scene, view)
+            _write_clip(place if scene.views == 1 else place / f"view{view}", scene, view)
 
 
 def _write_clip(folder: Path, scene: ExportScene, view: int) -> None:
@@ -35,7 +36,7 @@ def _write_clip(folder: Path, scene: ExportScene, view: int) -> None:
         "fy": k[0, 1, 1],
         "cx": k[0, 0, 2],
         "cy": k[0, 1, 2],
-        "convention": "first pixel centre at 0.5,0.5",
+        "pixel_center": 0.5,
         "depth_scale_m": DEPTH_SCALE,
         "fps": scene.fps,
     }
@@ -45,8 +46,9 @@ def _write_clip(folder: Path, scene: ExportScene, view: int) -> None:
     if np.all(poses == poses[0]):
         np.savetxt(folder / "world_from_camera.txt", poses[0], fmt="%.17g")
     else:
-        text = json.dumps({f"{frame:06d}": plain(pose) for frame, pose in enumerate(poses)}, indent=1)
-        (folder / "world_from_camera.json").write_text(text + "\n")
+        (folder / "poses").mkdir()
+        for frame, pose in enumerate(poses):
+            np.savetxt(folder / "poses" / f"{frame:06d}.txt", pose, fmt="%.17g")
 
 
 EXPORTER = Exporter(
@@ -54,10 +56,10 @@ EXPORTER = Exporter(
     write=write,
     needs=(*PIXELS, *CAMERAS),
     files={
-        "rgb": Files("*/*/rgb/*.png", "image/png", "Colour images."),
-        "depth": Files("*/*/depth/*.png", "image/png", "16-bit planar depth in units of 0.1 mm, 0 = no return."),
-        "masks": Files("*/*/masks/*.png", "image/png", "8-bit object ids, 0 = background."),
-        "cameras": Files("*/*/camera.json", "application/json", "Intrinsics, size, depth unit and frame rate."),
+        "rgb": Files("**/rgb/*.png", "image/png", "Colour images."),
+        "depth": Files("**/depth/*.png", "image/png", "16-bit planar depth in units of 0.1 mm, 0 = no return."),
+        "masks": Files("**/masks/*.png", "image/png", "8-bit object ids, 0 = background."),
+        "cameras": Files("**/camera.json", "application/json", "Intrinsics, size, depth unit and frame rate."),
     },
     loading="""\
 import json
@@ -65,18 +67,18 @@ from pathlib import Path
 
 import imageio.v3 as iio
 
-clip = Path("{folder}/train/000000")  # folders of several views: 000000-0
+clip = Path("{folder}/train/000000")  # several views: 000000/view0
 camera = json.loads((clip / "camera.json").read_text())
 rgb = iio.imread(clip / "rgb" / "000000.png")
 depth = iio.imread(clip / "depth" / "000000.png") * camera["depth_scale_m"]  # metres, 0 = no return""",
     layout="""\
-| file in `SPLIT/NAME/` | content |
+| file in `SPLIT/NAME/`, or `SPLIT/NAME/viewV/` | content |
 |---|---|
 | `rgb/FRAME.png` | colour |
 | `depth/FRAME.png` | planar depth, 16 bits, units of `depth_scale_m` (0.1 mm) |
 | `masks/FRAME.png` | object ids, 8 bits, 0 = background |
 | `camera.json` | fx, fy, cx, cy in pixels, with the first pixel's centre at 0.5, 0.5; size, depth unit, frame rate |
-| `world_from_camera.txt` | 4x4 pose, metres; `world_from_camera.json` with one pose per frame if the camera moves |
+| `world_from_camera.txt` | 4x4 pose, metres; if the camera moves, `poses/FRAME.txt` instead |
 | `objects.json` | category of each id |""",
     loses="Poses, contacts, shapes, materials, visibility counts, flow and edits are left out. Pixels are exact.",
 )
