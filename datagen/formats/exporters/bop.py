@@ -160,11 +160,11 @@ def _model_facts(shape: Shape) -> dict[str, Any]:
     return {
         "diameter": float(np.max(pdist(points[ConvexHull(points).vertices]))),
         **facts,
-        **_symmetries(shape.symmetry),
+        **symmetries(shape.symmetry),
     }
 
 
-def _symmetries(group: str) -> dict[str, Any]:
+def symmetries(group: str) -> dict[str, Any]:
     """Symmetries of a rotation group, as bop_toolkit names them."""
     if not is_continuous(group):
         turns = [plain(_turn(rotation)) for rotation in symmetry_rotations(group)[1:]]

@@ -32,7 +32,8 @@ def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
         for view in range(scene.views):
             frames = [_frame(scene, frame, view) for frame in range(scene.frames)]
             if scene.frames > 1:
-                shared = frames[0]["misc"] if shared is None else shared
+                first: _Camera = frames[0]["misc"]
+                shared = shared or first
                 _check_camera(scene, frames, shared)
             content = np.empty(len(frames), object)
             content[:] = frames

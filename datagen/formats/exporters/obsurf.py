@@ -45,10 +45,10 @@ def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
                     "one; the dataset has more. Export other splits, or a smaller dataset."
                 )
             rows[number] = _write_images(folder, scene, frame, number)
-    np.savez_compressed(folder / "metadata.npz", allow_pickle=False, **_metadata(rows))
+    np.savez_compressed(folder / "metadata.npz", allow_pickle=False, **metadata(rows))
 
 
-def _metadata(rows: dict[int, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+def metadata(rows: dict[int, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Arrays over all numbers up to the last; gaps get more objects than the loader accepts, so that it skips them."""
     first = next(iter(rows.values()))
     arrays = {name: np.zeros((max(rows) + 1, *array.shape), array.dtype) for name, array in first.items()}
