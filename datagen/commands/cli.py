@@ -13,7 +13,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datagen.commands import options
-from datagen.commands.arguments import Constants, Export, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
+from datagen.commands.arguments import (
+    Constants,
+    Export,
+    Generate,
+    Inspect,
+    Preview,
+    Push,
+    Regenerate,
+    Render,
+    Stats,
+    Verify,
+)
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
@@ -206,6 +217,21 @@ def _export(values: Export) -> int:
     return EXIT_OK
 
 
+def _push(values: Push) -> int:
+    from datagen.formats.push import plan_upload, push
+
+    upload = plan_upload(values.folder, values.repository)
+    size = f"{len(upload.files)} files, {upload.size / 1e6:.1f} MB"
+    if values.dry_run:
+        for name in upload.files:
+            print(f"  {name}")
+        print(f"{size}, would go to {upload.address} ({'public' if values.public else 'private'} if new).")
+        return EXIT_OK
+    push(values.folder, upload, private=not values.public)
+    print(f"{upload.address}: {size}.")
+    return EXIT_OK
+
+
 def _check_scene(values: Inspect | Regenerate) -> None:
     scenes = Dataset(values.folder).splits[values.split]
     if not 0 <= values.scene < scenes:
@@ -220,6 +246,7 @@ COMMANDS = {
     "preview": Command(Preview, _preview),
     "inspect": Command(Inspect, _inspect),
     "export": Command(Export, _export),
+    "push": Command(Push, _push),
     "regenerate": Command(Regenerate, _regenerate),
 }
 
