@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 import tyro
 
 from datagen.config import Recipe, Rig
-from datagen.formats.exporters import Format
 
 _OVERRIDES = tyro.conf.arg(name="")
 _FOLDER = Annotated[Path, tyro.conf.Positional]
@@ -157,7 +156,7 @@ class Export:
     """Export a dataset to the format of another project; the new folder appears when it is complete."""
 
     folder: _FOLDER
-    format: Format
+    format: Literal["webdataset", "movi", "bop", "coco", "obsurf", "obpose", "rgbd"]
     """Name of the format."""
     out: Path
     """New folder for the export."""

@@ -54,7 +54,10 @@ Make images of it:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
     kept = "Interrupted; finished shards are kept, run the same command again to continue."
+    if given[:1] == ["export"]:
+        kept = "Interrupted; nothing was exported."
     return run_command(PROGRAM, COMMANDS, default="generate", arguments=arguments, interrupted=kept)
 
 

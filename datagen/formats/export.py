@@ -83,10 +83,11 @@ def _check_folder(source: Path, folder: Path, *, overwrite: bool) -> None:
     """Check that the new folder is free, or is an export that may be replaced.
 
     Raises:
-        UsageError: it is neither, or lies in the dataset's folder.
+        UsageError: it is neither, or one of the two folders lies in the other.
     """
-    if folder.resolve().is_relative_to(source.resolve()):
-        raise UsageError(f"{folder} is in the folder of the dataset, {source}; give another --out.")
+    new, old = folder.resolve(), source.resolve()
+    if new.is_relative_to(old) or old.is_relative_to(new):
+        raise UsageError(f"{folder} and the folder of the dataset, {source}, lie in each other; give another --out.")
     if not overwrite or not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         check_new_folder(folder)
     elif not is_export(folder):

@@ -88,9 +88,10 @@ def test_a_failed_export_keeps_the_one_that_it_was_to_replace(clips: Path, tmp_p
     assert json.loads((tmp_path / "out" / EXPORT_FILE).read_text())["format"] == "rgbd"
 
 
-def test_an_export_into_its_dataset_is_refused(clips: Path):
-    with pytest.raises(UsageError, match="in the folder of the dataset"):
-        export(clips, clips / "out", "rgbd")
+def test_an_export_into_its_dataset_or_around_it_is_refused(clips: Path):
+    for out in (clips, clips / "out", clips.parent):
+        with pytest.raises(UsageError, match="lie in each other"):
+            export(clips, out, "rgbd", overwrite=True)
 
 
 def test_splits_without_scenes_are_refused(clips: Path, tmp_path: Path):
