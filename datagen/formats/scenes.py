@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32, UInt8, UInt16
 
 from datagen.schema import SceneRecord
 from datagen.storage.reader import Split, read_depth
@@ -86,10 +86,11 @@ class ExportScene:
     @cached_property
     def world_from_camera(self) -> Float[np.ndarray, "frame view 4 4"]:
         """Camera poses, OpenCV axes, metres."""
-        return self._for_each_frame(self.read("camera/world_from_camera"))
+        moving = "camera/world_from_camera_of_frame"
+        return self._for_each_frame(self.read(moving if self.has(moving) else "camera/world_from_camera"))
 
     def _for_each_frame(self, matrices: np.ndarray) -> np.ndarray:
-        """Matrices of static cameras have no frame axis; those of moving ones have."""
+        """Repeat the matrices of static cameras, which have no frame axis."""
         return np.broadcast_to(matrices, (self.frames, *matrices.shape[-3:]))
 
     @cached_property
@@ -142,13 +143,35 @@ class ExportScene:
         """Optical flow (x, y) of one view in pixels."""
         return self.read(f"flow/{direction}")[:, view].astype(np.float32)
 
+    @property
+    def has_normals(self) -> bool:
+        """Whether the dataset has surface normals."""
+        return self.has("normals")
+
+    def normals(self, view: int) -> Float[np.ndarray, "frame height width 3"]:
+        """Unit surface normals of one view in world axes; zeros without a surface."""
+        world_from_camera = self.world_from_camera[:, view, :3, :3]
+        return np.einsum("fij,fhwj->fhwi", world_from_camera, self.read("normals")[:, view] / 32767)
+
+    @property
+    def has_object_coordinates(self) -> bool:
+        """Whether the dataset has object coordinates."""
+        return self.has("object_coordinates")
+
+    def object_coordinates(self, view: int) -> UInt16[np.ndarray, "frame height width 3"]:
+        """Places in the objects' minimum-volume boxes, 0 to 65535 along each axis."""
+        return self.read("object_coordinates")[:, view]
+
 
 _SIMULATED = ("objects/", "poses/", "contacts/", "lights/", "scene/", "camera/")
 
 
 def scenes_of(scenes: Split) -> Iterator[ExportScene]:
-    """Iterate over the scenes of a split; memory holds one at a time."""
-    return (ExportScene(scenes, index) for index in range(len(scenes)))
+    """Iterate over the scenes of a split; memory holds one scene, and the file that it is in, at a time."""
+    for indices in scenes.shards:
+        for index in indices:
+            yield ExportScene(scenes, index)
+        scenes.close()
 
 
 def view_name(scene: ExportScene, view: int) -> str:

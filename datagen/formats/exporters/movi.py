@@ -53,6 +53,7 @@ def clip_arrays(scene: ExportScene, view: int) -> dict[str, np.ndarray | np.gene
         "depth": depth,
         "metadata/depth_range": depth_range,
         **_flow(scene, view),
+        **_surfaces(scene, view),
         "metadata/video_name": np.array(f"{scene.split}/{view_name(scene, view)}"),
         "metadata/width": np.int32(width),
         "metadata/height": np.int32(height),
@@ -85,6 +86,16 @@ def _flow(scene: ExportScene, view: int) -> dict[str, np.ndarray]:
         if scene.has_flow(direction):
             flow, span = quantised(np.nan_to_num(scene.flow(direction, view)[..., ::-1]))
             arrays |= {f"{direction}_flow": flow, f"metadata/{direction}_flow_range": span}
+    return arrays
+
+
+def _surfaces(scene: ExportScene, view: int) -> dict[str, np.ndarray]:
+    """Normals from -1..1 and object coordinates from 0..1, both as 0 to 65535."""
+    arrays: dict[str, np.ndarray] = {}
+    if scene.has_normals:
+        arrays["normal"] = np.rint((scene.normals(view) + 1) / 2 * 65535).astype(np.uint16)
+    if scene.has_object_coordinates:
+        arrays["object_coordinates"] = scene.object_coordinates(view)
     return arrays
 
 
@@ -192,6 +203,8 @@ depth = clip["depth"] / 65535 * (high - low) + low  # as for MOVi""",
 - `depth` is the distance to the camera's centre, 16 bits over `metadata/depth_range`; the least value is 0 where a
   pixel has no return.
 - `forward_flow` and `backward_flow` are (row, column) in pixels, 16 bits over their ranges, if the dataset has flow.
+- `normal` (world axes, -1 to 1 as 0 to 65535) and `object_coordinates` (in the minimum-volume box) exist if the dataset
+  has them.
 - The camera looks along its -z axis, with y up. Quaternions are (w, x, y, z).
 - Ids are rows of `instances/` plus 1. `bboxes` and `bbox_frames` list the frames in which an object is visible,
   followed by padding with frame -1.

@@ -85,3 +85,24 @@ def test_flow_spans_its_range(clips: Path, monkeypatch):
     decoded = arrays["backward_flow"] / 65535 * (high - low) + low
     np.testing.assert_allclose(decoded[..., ::-1], flow, atol=(high - low) / 65535)
     assert "forward_flow" not in arrays
+
+
+def test_normals_are_in_world_axes(clips: Path):
+    scene = source(clips)
+    normals = np.zeros((3, 1, 64, 64, 3), np.int16)
+    normals[:] = np.rint(32767 * scene.world_from_camera[0, 0, 2, :3])  # the world's z in camera axes
+    scene._fields |= {"normals"}
+    scene._arrays["normals"] = normals
+    decoded = movi.clip_arrays(scene, 0)["normal"] / 65535 * 2 - 1
+    np.testing.assert_allclose(decoded, np.broadcast_to([0, 0, 1], decoded.shape), atol=1e-4)
+
+
+def test_moving_cameras_have_their_pose_in_every_frame(clips: Path):
+    scene = source(clips)
+    poses = np.tile(scene.world_from_camera[0, 0], (3, 1, 1, 1))
+    poses[:, 0, 0, 3] += [0.0, 0.1, 0.2]
+    scene._fields |= {"camera/world_from_camera_of_frame"}
+    scene._arrays["camera/world_from_camera_of_frame"] = poses
+    del scene.__dict__["world_from_camera"]
+    positions = movi.clip_arrays(scene, 0)["camera/positions"]
+    np.testing.assert_allclose(np.diff(positions[:, 0]), 0.1, atol=1e-6)
