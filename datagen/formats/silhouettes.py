@@ -9,7 +9,7 @@ from jaxtyping import Bool
 from datagen.edits.edit_context import Stage
 from datagen.errors import CorruptFile
 from datagen.formats.scenes import ExportScene
-from datagen.pipeline.records import scene_and_trajectory
+from datagen.pipeline.records import render_clip, scene_and_trajectory, stack_images
 from datagen.render import make_renderer
 from datagen.shapes import build
 
@@ -36,9 +36,5 @@ def silhouettes(scene: ExportScene, stage: Stage) -> Iterator[Bool[np.ndarray, "
     renderer = make_renderer(scene.label_renderer)
     for row, shape in enumerate(stage.shapes):
         alone = replace(stage.scene, bodies=(stage.scene.bodies[row],))
-        renderer.load(alone, [shape])
-        poses = stage.world_from_object[:, [row]]
-        yield np.array(
-            [[renderer.render(pose, camera, *scene.size).segmentation for camera in alone.cameras] for pose in poses],
-            bool,
-        )
+        images = render_clip(alone, [shape], stage.world_from_object[:, [row]], renderer, scene.size)
+        yield stack_images(images, "segmentation") > 0
