@@ -19,6 +19,7 @@ def export_card(spec: Spec, exporter: Exporter, counts: Mapping[str, int]) -> st
     """
     recipe = spec["recipe"]
     images = sum(counts.values()) * recipe["frames"] * views_of(spec)
+    synthetic = "" if spec.get("import") else "- synthetic\n"
     scenes = ", ".join(f"{number} {split}" for split, number in counts.items())
     return f"""---
 license: {license_of(spec).hub}
@@ -29,9 +30,8 @@ size_categories:
 - {size_category(images)}
 tags:
 - object-centric-learning
-- synthetic
 - rgb-d
-pretty_name: obpose {recipe["name"]} ({exporter.title})
+{synthetic}pretty_name: obpose {recipe["name"]} ({exporter.title})
 {exporter.hub_config(counts)}---
 
 # {recipe["name"]} as {exporter.title}

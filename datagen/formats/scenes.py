@@ -43,6 +43,12 @@ class ExportScene:
         """Place of the scene, for messages."""
         return f"{self.dataset}, {self.split} scene {self.index}"
 
+    def render_command(self, options: str) -> str:
+        """Advice to render the scenes with other options, or to choose another format if they cannot be rendered."""
+        if self.has("scene/description"):
+            return f"render the scenes for it: obpose-datagen render --from {self.dataset} {options}"
+        return "choose another --format"
+
     @property
     def label_renderer(self) -> str:
         """Name of the renderer that made the labels."""

@@ -47,7 +47,7 @@ def _check_camera(scene: ExportScene, frames: list[dict[str, Any]], shared: _Cam
     if any(not np.array_equal(frame["misc"][name], shared[name]) for frame in frames for name in shared):
         raise UsageError(
             f"{scene.place}: its cameras differ from those before, but the authors' loader knows one camera for all "
-            f"clips. Render the clips for it: obpose-datagen render --from {scene.dataset} --views 1 --rig.jitter 0"
+            f"clips; {scene.render_command('--views 1 --rig.jitter 0')}."
         )
 
 

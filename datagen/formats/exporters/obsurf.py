@@ -89,7 +89,7 @@ def _category_number(name: str) -> int:
 
 def _check_camera(scene: ExportScene, frame: int, view: int) -> None:
     """Check that ObSuRF's camera, aimed from this position, sees the same as the scene's."""
-    remedy = f"render the scenes for it: obpose-datagen render --from {scene.dataset} {_REMEDY}"
+    remedy = scene.render_command(_REMEDY) + "."
     if scene.size != SIZE:
         width, height = scene.size
         raise UsageError(f"ObSuRF's loader reads images of 320x240 pixels, not {width}x{height}; {remedy}")

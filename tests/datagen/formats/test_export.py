@@ -8,6 +8,7 @@ import pytest
 from datagen.errors import DatagenError, UsageError
 from datagen.formats import export as module
 from datagen.formats.export import EXPORT_FILE, export
+from datagen.formats.export_card import export_card
 from datagen.formats.exporters import EXPORTERS, Format
 from datagen.schema import FIELDS
 from datagen.storage.reader import Dataset
@@ -111,3 +112,20 @@ def test_an_incomplete_dataset_is_refused(tmp_path: Path):
     with pytest.raises(DatagenError, match="is incomplete"):
         export(folder, tmp_path / "out", "rgbd")
     assert not (tmp_path / "out").exists()
+
+
+def test_cards_of_imported_images_do_not_claim_a_licence(clips: Path):
+    spec = Dataset(clips).spec
+    generated = export_card(spec, EXPORTERS["rgbd"], {"train": 2})
+    assert generated.startswith("---\nlicense: mit\n")
+    assert "- synthetic\npretty_name: obpose staged (RGB-D folders)\n---\n" in generated
+    imported = export_card({**spec, "import": {"format": "rgbd"}}, EXPORTERS["rgbd"], {"train": 2})
+    assert imported.startswith("---\nlicense: other\n")
+    assert "synthetic" not in imported
+
+
+def test_scenes_that_cannot_be_rendered_get_other_advice(clips: Path, tmp_path: Path, monkeypatch):
+    fields = sorted(FIELDS.keys() - {"scene/description"})
+    monkeypatch.setattr("datagen.storage.reader.Split.fields", lambda *_: fields)
+    with pytest.raises(UsageError, match="320x240 pixels, not 64x64; choose another --format"):
+        export(clips, tmp_path / "out", "obsurf")
