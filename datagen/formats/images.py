@@ -5,9 +5,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Shaped
 
-MILLIMETRES = 1e-3
-"""Metres per unit of depth images in millimetres."""
-
 
 def write_png(path: Path, image: Shaped[np.ndarray, "height width *channel"]) -> None:
     """Write an 8-bit colour image, or an 8-bit or 16-bit image of one channel; its folder is created."""
