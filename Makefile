@@ -1,4 +1,5 @@
-# Every target sets up its own .venv; nothing else has to be installed but Python 3.11, pip and make.
+# Every target sets up its own .venv; nothing else has to be installed but Python, pip and make. For Python 3.12 and
+# later, PyBullet is built from source, which needs a C++ compiler: make demo PYTHON=python3.13
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
@@ -9,7 +10,25 @@ if sys.version_info < (3, 11):
     sys.exit(f"Found {found}; expected 3.11 or newer. Name another one with: make PYTHON=/path/to/python3.11")
 print(f"Using {found}.")
 endef
-export CHECK_PYTHON
+# What pip installs for the simulation: nothing more on 3.11, which has a wheel of PyBullet.
+define CHOOSE_EXTRAS
+import shutil, sys
+from importlib.util import find_spec
+if sys.version_info < (3, 12) or find_spec("pybullet"):
+    sys.exit()
+version = f"Python {sys.version_info.major}.{sys.version_info.minor}"
+if any(map(shutil.which, ("c++", "g++", "clang++"))):
+    sys.stderr.write(
+        f"PyBullet has no wheel for {version}; pip builds it from source: about 7 CPU-minutes, 1 GB of memory.\n"
+    )
+    print("[simulate]")
+else:
+    sys.stderr.write(
+        f"PyBullet has no wheel for {version}, and there is no C++ compiler to build it. All but simulation works.\n"
+        "To simulate, install one (Debian, Ubuntu: apt-get install g++) and run `make clean`, or use Python 3.11.\n"
+    )
+endef
+export CHECK_PYTHON CHOOSE_EXTRAS
 # One thread a process: the numbers must not depend on how many cores a machine has.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -61,7 +80,8 @@ clean:
 	@# The CPU build first: PyPI's build for Linux on x86_64 brings 2.7 GB of CUDA packages.
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --index-url $(TORCH_INDEX) --retries 1 --timeout 20 \
 		--no-deps torch || echo "No CPU build of PyTorch at $(TORCH_INDEX); pip takes the one of its own index."
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable .
+	extras=$$($(BIN)/python -c "$$CHOOSE_EXTRAS") && \
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".$$extras"
 	touch $@
 
 .venv/.dev: .venv/.core

@@ -18,6 +18,7 @@ ONLY_IN = {
     "OpenGL": ("datagen/render/pyrender_gl.py",),
     "numba": ("datagen/render/kernels.py",),
     "torch": ("obpose/", "benchmark/models/adapters/", "benchmark/studies/"),
+    "huggingface_hub": ("datagen/formats/push.py",),
     "viser": (
         "obpose/viewer/page.py",
         "obpose/viewer/panel.py",

@@ -136,3 +136,31 @@ class Inspect:
 @dataclass(frozen=True)
 class Regenerate(Inspect):
     """Generate one scene again and compare all its arrays with the stored ones."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """Upload a dataset or an export to the Hugging Face hub; log in before with `hf auth login`."""
+
+    folder: _FOLDER
+    repository: Annotated[str, tyro.conf.Positional]
+    """Name of the dataset on the hub, OWNER/NAME; it is created if necessary."""
+    public: _Flag = False
+    """Create it for everybody to see; otherwise a new one is private."""
+    dry_run: _Flag = False
+    """Check the folder and list what would be uploaded, without a network."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export a dataset to the format of another project; the new folder appears when it is complete."""
+
+    folder: _FOLDER
+    format: Literal["webdataset", "movi", "bop", "coco", "obsurf", "obpose", "rgbd"]
+    """Name of the format."""
+    out: Path
+    """New folder for the export."""
+    splits: str = "train,val,test"
+    """Splits to export, separated by commas; those without scenes are left out."""
+    overwrite: _Flag = False
+    """Replace an export in the same folder."""

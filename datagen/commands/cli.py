@@ -13,12 +13,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datagen.commands import importing, options
-from datagen.commands.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
+from datagen.commands.arguments import (
+    Constants,
+    Export,
+    Generate,
+    Inspect,
+    Preview,
+    Push,
+    Regenerate,
+    Render,
+    Stats,
+    Verify,
+)
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.storage.reader import Dataset
-from datagen.storage.spec import read_spec, rendered_recipe_of
+from datagen.storage.spec import CARD_FILE, read_spec, rendered_recipe_of
 
 if TYPE_CHECKING:
     from datagen.pipeline.generate import Report
@@ -43,7 +54,10 @@ Make images of it:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
     kept = "Interrupted; finished shards are kept, run the same command again to continue."
+    if given[:1] == ["export"]:
+        kept = "Interrupted; nothing was exported."
     return run_command(PROGRAM, COMMANDS, default="generate", arguments=arguments, interrupted=kept)
 
 
@@ -194,6 +208,33 @@ def _regenerate(values: Regenerate) -> int:
     return EXIT_OK
 
 
+def _export(values: Export) -> int:
+    from datagen.console.progress import scene_progress
+    from datagen.formats.export import export
+
+    splits = options.parse_split_names(values.splits)
+    settings = {"splits": splits, "overwrite": values.overwrite, "progress": scene_progress}
+    counts = export(values.folder, values.out, values.format, **settings)
+    print(f"{values.out.resolve()}: {', '.join(f'{number} {split}' for split, number in counts.items())} scenes.")
+    print(f"How to load them, and what the format leaves out: {values.out / CARD_FILE}")
+    return EXIT_OK
+
+
+def _push(values: Push) -> int:
+    from datagen.formats.push import plan_upload, push
+
+    upload = plan_upload(values.folder, values.repository)
+    size = f"{len(upload.files)} files, {upload.size / 1e6:.1f} MB"
+    if values.dry_run:
+        for name in upload.files:
+            print(f"  {name}")
+        print(f"{size}, would go to {upload.address} ({'public' if values.public else 'private'} if new).")
+        return EXIT_OK
+    push(values.folder, upload, private=not values.public)
+    print(f"{upload.address}: {size}.")
+    return EXIT_OK
+
+
 def _check_scene(values: Inspect | Regenerate) -> None:
     scenes = Dataset(values.folder).splits[values.split]
     if not 0 <= values.scene < scenes:
@@ -208,6 +249,8 @@ COMMANDS = {
     "stats": Command(Stats, _stats),
     "preview": Command(Preview, _preview),
     "inspect": Command(Inspect, _inspect),
+    "export": Command(Export, _export),
+    "push": Command(Push, _push),
     "regenerate": Command(Regenerate, _regenerate),
 }
 

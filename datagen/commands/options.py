@@ -101,6 +101,18 @@ def parse_edits(text: str | None) -> tuple[EditKind, ...]:
     return tuple(kind for kind in EDITS if kind in names)
 
 
+def parse_split_names(text: str) -> tuple[str, ...]:
+    """Parse a list of splits such as `train,val`.
+
+    Raises:
+        UsageError: there is no such split.
+    """
+    names = text.split(",")
+    if unknown := [name for name in names if name not in SPLITS]:
+        raise UsageError(f"--splits {text:.80}: unknown {unknown[0]!r:.40}; expected some of {','.join(SPLITS)}.")
+    return tuple(split for split in SPLITS if split in names)
+
+
 def parse_share(text: str | None) -> tuple[int, int]:
     """Parse `i/n` into (i, n), i counted from 0; None gives (0, 1).
 

@@ -1,29 +1,64 @@
 """A dataset's card: the README.md in its folder, with the header that the Hugging Face hub reads."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.inspect import imported
+from datagen.inspect.croissant import Files, croissant
 from datagen.inspect.stats import Summary, summary
 from datagen.schema import FIELDS
 from datagen.storage.dataset_folder import write_file
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import CONVENTIONS
-from datagen.storage.spec import CARD_FILE, Spec, is_imported, settings_hash
+from datagen.storage.spec import CARD_FILE, CROISSANT_FILE, Spec, is_imported, settings_hash
 
 SIZES = [(10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M")]
 """The hub's words for numbers of images below a limit."""
 
 
 def write_card(folder: str | Path) -> Path:
-    """Write DIR/README.md of a complete dataset and give its path.
+    """Write DIR/README.md and DIR/croissant.json of a complete dataset, and give the path of the former.
 
     Raises:
         DatagenError: the folder holds no complete dataset.
     """
     spec = Dataset(folder).spec
     text = imported.card(spec, summary(folder)) if is_imported(spec) else card(spec, summary(folder))
-    write_file(Path(folder), CARD_FILE, text.encode(), settings_hash(spec))
+    texts = {CROISSANT_FILE: metadata(spec), CARD_FILE: text}
+    for name, text in texts.items():
+        write_file(Path(folder), name, text.encode(), settings_hash(spec))
     return Path(folder) / CARD_FILE
+
+
+def metadata(spec: Spec) -> str:
+    """Croissant metadata of a dataset."""
+    shards = Files("*.h5", "application/x-hdf5", "Shards of up to 64 scenes; every array has its scenes first.")
+    return croissant(
+        name=spec["recipe"]["name"],
+        description=description_of(spec),
+        identity=spec["spec_hash"],
+        license_url=license_of(spec).url,
+        files={"shards": shards},
+        splits=spec["splits"],
+    )
+
+
+@dataclass(frozen=True)
+class License:
+    """Licence of a dataset, as the Hugging Face hub and Croissant name it."""
+
+    hub: str
+    url: str | None
+
+
+def license_of(spec: Spec) -> License:
+    """Licence of a dataset; that of imported images is unknown."""
+    return License("other", None) if spec.get("import") else License("mit", "https://opensource.org/license/mit")
+
+
+def description_of(spec: Spec) -> str:
+    """One sentence about the content of a dataset."""
+    return spec["recipe"]["description"] or "An own recipe."
 
 
 def card(spec: Spec, figures: Summary) -> str:
@@ -32,7 +67,7 @@ def card(spec: Spec, figures: Summary) -> str:
     fields = '["rgb", "depth", "segmentation"]' if figures["resolution"] else '["poses/position"]'
     renderer = spec["renderer"] and f"{spec['renderer']['name']} {spec['renderer']['version']}"
     return f"""---
-license: mit
+license: {license_of(spec).hub}
 task_categories:
 - image-segmentation
 - depth-estimation
@@ -47,7 +82,7 @@ pretty_name: obpose {figures["recipe"]}
 
 # {figures["recipe"]}
 
-{spec["recipe"]["description"] or "An own recipe."} Made with `{spec["generator"]}`, {rendered}; every constant of the \
+{description_of(spec)} Made with `{spec["generator"]}`, {rendered}; every constant of the \
 recipe is in `dataset.json`.
 
 {_table(figures)}

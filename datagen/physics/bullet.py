@@ -8,6 +8,7 @@ import contextlib
 import functools
 import math
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from types import ModuleType
 from typing import Any
@@ -25,6 +26,9 @@ from datagen.shapes.shape import Shape
 GAP_RANGE = 0.02
 """Metres; larger gaps are reported as inf."""
 
+FIRST_WITHOUT_WHEEL = (3, 12)
+"""First Python version for which PyBullet has no wheels."""
+
 _HULL_MARGIN = 0.001
 """Metres by which PyBullet inflates every convex hull."""
 
@@ -38,7 +42,7 @@ class World:
     """One scene inside PyBullet: `start` brings it to frame 0, `run` simulates the rest; a context manager.
 
     Raises:
-        UsageError: PyBullet is not installed (it exists for Python up to 3.11).
+        UsageError: PyBullet is not installed; says what to do.
     """
 
     def __init__(self, scene: Scene, shapes: Sequence[Shape], physics: Physics):
@@ -236,11 +240,27 @@ def _bullet() -> ModuleType:
         with _quiet():
             import pybullet
     except ImportError as error:
-        raise UsageError(
-            "Simulation needs PyBullet, which exists for Python up to 3.11; use Python 3.11 to simulate. Stored "
-            "trajectories render without it: obpose-datagen render --from DIR."
-        ) from error
+        raise UsageError(_options()) from error
     return pybullet
+
+
+def _options() -> str:
+    """Everything that a user without PyBullet can do."""
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    install = "Install it: pip install 'obpose[simulate]'."
+    if sys.version_info >= FIRST_WITHOUT_WHEEL:
+        install += (
+            " It has no wheels for Python 3.12 and later, so that pip builds it: about seven CPU-minutes, 1 GB of "
+            "memory, and a C++ compiler (Debian, Ubuntu: apt-get install g++)."
+        )
+    choices = (
+        install,
+        "Use Python 3.11, for which pip installs a wheel.",
+        "Simulate on another machine with --simulate-only, and make the images here: obpose-datagen render --from DIR.",
+        "Use what exists: datasets from elsewhere can be trained on, segmented, scored and edited without PyBullet.",
+    )
+    listed = "".join(f"\n  {number}. {choice}" for number, choice in enumerate(choices, start=1))
+    return f"Simulation needs PyBullet, which is not installed for this Python {version}. Choose one:{listed}"
 
 
 @functools.cache

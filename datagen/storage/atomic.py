@@ -62,23 +62,41 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def new_folder(folder: Path) -> Iterator[Path]:
+def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
     """Yield a temporary folder that becomes `folder` if the block succeeds, and is deleted if not.
+
+    With `replace`, a present folder is deleted once the block has succeeded; callers check that it may be.
 
     Raises:
         UsageError: the folder already exists and is not empty, or was created meanwhile; nothing was changed.
         DatagenError: it cannot be written.
     """
-    check_new_folder(folder)
+    check = check_no_dataset if replace else check_new_folder
+    check(folder)
     with _temporary_folder(folder, folder.resolve()) as temporary:
         yield temporary
-        check_new_folder(folder)
+        check(folder)
+        if replace and folder.exists():
+            _exchange(folder.resolve(), temporary)
+            return
         # A folder can only replace an empty one: the rename fails if another process was faster.
         try:
             temporary.rename(folder.resolve())
         except OSError:
             check_new_folder(folder)
             raise
+
+
+def _exchange(old: Path, new: Path) -> None:
+    """Replace a folder by another and delete it; it comes back if the other cannot take its place."""
+    aside = temporary_path(old.with_name(f"{old.name}.old"))
+    old.rename(aside)
+    try:
+        new.rename(old)
+    except OSError:
+        aside.rename(old)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 @contextmanager

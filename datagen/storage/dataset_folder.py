@@ -16,6 +16,7 @@ from datagen.storage.locks import FolderLock
 from datagen.storage.shard import scenes_present, shard_settings
 from datagen.storage.spec import (
     CARD_FILE,
+    CROISSANT_FILE,
     MANIFEST_FILE,
     SPEC_FILE,
     Spec,
@@ -28,7 +29,8 @@ from datagen.storage.spec import (
     with_splits,
 )
 
-_OURS = re.compile(rf"({SPEC_FILE}|{MANIFEST_FILE}|{CARD_FILE}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.h5)")
+_FACTS = "|".join((SPEC_FILE, MANIFEST_FILE, CARD_FILE, CROISSANT_FILE))
+_OURS = re.compile(rf"({_FACTS}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.h5)")
 _WAIT_SECONDS = 0.05
 _PATIENCE_SECONDS = 600
 """Time to wait for another process to prepare the folder."""

@@ -32,6 +32,7 @@ from datagen.storage.safe_io import MOST_ARRAY_BYTES, read_json
 SPEC_FILE = "dataset.json"
 MANIFEST_FILE = "manifest.json"
 CARD_FILE = "README.md"
+CROISSANT_FILE = "croissant.json"
 
 MOST_SCENES = 1_000_000
 """Largest number of scenes of a split."""

@@ -1,10 +1,13 @@
 import subprocess
 import sys
+from typing import get_args, get_type_hints
 
 import pytest
 
 from datagen.commands import cli
+from datagen.commands.arguments import Export
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, EXIT_VERIFICATION
+from datagen.formats.exporters import EXPORTERS, Format
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
 from tests.worlds.generated import FLAGS, ROOT, command, hashes, make
@@ -201,6 +204,18 @@ def test_the_other_subcommands_run(dataset, capsys):
     assert run("preview", dataset, "--scenes", 0) == EXIT_OK
     assert "preview.png" in capsys.readouterr().out
     assert run("verify", dataset, "--workers", 1) == EXIT_OK
+
+
+def test_export_says_what_it_wrote(dataset, tmp_path, capsys):
+    assert run("export", "--format", "coco", dataset, "--out", tmp_path / "coco", "--splits", "test") == EXIT_OK
+    assert f"{tmp_path / 'coco'}: 1 test scenes." in capsys.readouterr().out
+    assert run("export", "--format", "coco", dataset, "--out", tmp_path / "coco") == EXIT_USAGE
+    assert "already exists and is not empty" in capsys.readouterr().err
+
+
+def test_every_exporter_is_a_format_of_the_command_line():
+    assert get_type_hints(Export)["format"] == Format
+    assert list(get_args(Format)) == list(EXPORTERS)
 
 
 @pytest.mark.parametrize("name", ["", *cli.COMMANDS])

@@ -134,3 +134,9 @@ def test_the_limits_themselves_are_accepted():
 def test_an_empty_name_is_no_recipe():
     with pytest.raises(UsageError, match="Unknown recipe ''"):
         options.choose_recipe("", video=False)
+
+
+def test_names_of_splits_keep_their_order():
+    assert options.parse_split_names("test,train") == ("train", "test")
+    with pytest.raises(UsageError, match="--splits train,valid: unknown 'valid'; expected some of train,val,test"):
+        options.parse_split_names("train,valid")

@@ -1,5 +1,7 @@
 from pathlib import Path
 
+import pytest
+
 from datagen.inspect import dataset_card, stats
 from datagen.schema import FIELDS
 from datagen.storage.reader import Dataset
@@ -63,3 +65,11 @@ def test_the_documentation_names_every_check():
     names = {part.split('"')[0] for part in sources.split('Finding("')[1:]}
     assert names
     assert all(f"`{name}`" in text for name in names)
+
+
+@pytest.mark.filterwarnings("ignore")  # of libraries while they are imported
+def test_every_dataset_has_croissant_metadata(tiny_dataset: Path):
+    mlcroissant = pytest.importorskip("mlcroissant")
+    described = mlcroissant.Dataset(jsonld=tiny_dataset / "croissant.json")
+    assert not described.metadata.issues.errors
+    assert [record["splits/scenes"] for record in described.records("splits")] == [4, 2, 2]

@@ -216,6 +216,7 @@ def test_without_pybullet_the_message_says_what_still_works():
     shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "Python 3.11" in shown
     assert "obpose-datagen render --from DIR" in shown
+    assert "pip install 'obpose[simulate]'" in shown
 
 
 @pytest.mark.slow

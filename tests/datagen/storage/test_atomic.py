@@ -259,3 +259,16 @@ def test_running_processes_are_told_from_ended_ones(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(os, "kill", refuse)
     assert is_running(1)
+
+
+def test_a_folder_is_replaced_only_once_the_new_one_is_complete(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "old").touch()
+    with pytest.raises(KeyError), new_folder(tmp_path / "out", replace=True):
+        raise KeyError
+    assert os.listdir(tmp_path / "out") == ["old"]
+    with new_folder(tmp_path / "out", replace=True) as temporary:
+        (temporary / "new").touch()
+        assert os.listdir(tmp_path / "out") == ["old"]
+    assert os.listdir(tmp_path / "out") == ["new"]
+    assert os.listdir(tmp_path) == ["out"]
