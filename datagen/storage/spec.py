@@ -8,6 +8,7 @@ The spec is a plain dict:
     renderer ........ name and version, null if there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
     edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
+    assets .......... meshes, see `datagen.meshes.library.MeshEntry`; key missing if there are none
     scenes_per_shard
     splits .......... number of scenes of each split
     spec_hash ....... SHA-256 of all the above: the dataset's identity
@@ -56,6 +57,7 @@ def make_spec(
     renderer: Mapping[str, Any] | None,
     rig: Mapping[str, Any] | None = None,
     edits: Collection[EditKind] = (),
+    assets: Sequence[Mapping[str, Any]] = (),
 ) -> Spec:
     """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
@@ -75,6 +77,8 @@ def make_spec(
     if edits:
         # Datasets without edits keep the identity that they had before there were any.
         spec["edits"] = [kind for kind in EDITS if kind in edits]
+    if assets:
+        spec["assets"] = list(assets)
     spec = json.loads(json.dumps(spec))
     return {**spec, "spec_hash": _digest(spec)}
 
@@ -238,6 +242,11 @@ def _has_views(values: Mapping[str, Any]) -> bool:
     return _is_number(values["views"], 1, _MOST_PIXELS)
 
 
+def _is_asset(asset: Mapping[str, Any]) -> bool:
+    texts = ("name", "file", "sha256", "up", "hulls_method", "hulls_sha256")
+    return all(_is_name(asset[key]) for key in texts) and set(asset["splits"]) <= set(SPLITS)
+
+
 def _is_recipe(recipe: Mapping[str, Any]) -> bool:
     return (
         all(_is_name(name) for name in (recipe["name"], recipe["description"], *recipe["parts"]))
@@ -259,6 +268,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "rig": lambda rig: rig is None or (_has_views(rig) and type(rig["rig"]) is dict),
     "scenes_per_shard": lambda scenes: _is_number(scenes, 1, MOST_SCENES),
     "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
+    "assets": lambda assets: assets is None or (type(assets) is list and all(_is_asset(asset) for asset in assets)),
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
 }
 """Check of each key of a spec that readers rely on."""
