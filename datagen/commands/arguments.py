@@ -74,7 +74,7 @@ class Generate:
     assets_split: str | None = None
     """Shares of the meshes that train, val and test draw from, such as 80/10/10; default all splits use all meshes."""
     hull_seconds: float = 300.0
-    """Time limit for cutting one mesh into convex hulls, after which its convex hull is used."""
+    """CPU time for cutting one mesh into convex hulls, after which its convex hull is used."""
     constants: Annotated[Constants, _OVERRIDES] = Constants()
 
 
@@ -171,6 +171,6 @@ class Assets:
     scale: float = 1.0
     """Further factor on the size of all meshes."""
     hull_seconds: float = 300.0
-    """Time limit for cutting one mesh into convex hulls, after which its convex hull is used."""
+    """CPU time for cutting one mesh into convex hulls, after which its convex hull is used."""
     out: Path = Path("assets.png")
     """The sheet of thumbnails, .png or .jpg."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from datagen.commands import options
-from datagen.commands.arguments import Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
+from datagen.commands.arguments import Assets, Constants, Generate, Inspect, Preview, Regenerate, Render, Stats, Verify
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
@@ -143,8 +143,16 @@ def _render(values: Render) -> int:
     from datagen.pipeline.generate import render
 
     rig = wanted if wanted != recipe else None
-    report = render(values.source, folder, resolution=size, renderer=values.renderer, rig=rig, edits=edits,
-        assets=values.assets, run=run)
+    report = render(
+        values.source,
+        folder,
+        resolution=size,
+        renderer=values.renderer,
+        rig=rig,
+        edits=edits,
+        assets=values.assets,
+        run=run,
+    )
     _print_report(folder, report, spec["splits"])
     return EXIT_OK
 
@@ -218,6 +226,14 @@ def _regenerate(values: Regenerate) -> int:
     return EXIT_OK
 
 
+def _assets(values: Assets) -> int:
+    from datagen.inspect import assets_check
+    from datagen.meshes.survey import Reading
+
+    reading = Reading(values.unit, values.up, values.scale, values.hull_seconds)
+    return assets_check.run(values.folder, reading, values.out)
+
+
 def _check_scene(values: Inspect | Regenerate) -> None:
     scenes = Dataset(values.folder).splits[values.split]
     if not 0 <= values.scene < scenes:
@@ -232,6 +248,7 @@ COMMANDS = {
     "preview": Command(Preview, _preview),
     "inspect": Command(Inspect, _inspect),
     "regenerate": Command(Regenerate, _regenerate),
+    "assets": Command(Assets, _assets),
 }
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from datagen.meshes.distance import MeshSolid
 from datagen.meshes.hulls import convex_corners
-from datagen.meshes.read import BadMesh, RawMesh
+from datagen.meshes.named_files import BadMesh
+from datagen.meshes.read import RawMesh
 from datagen.meshes.skins import make_skin, reordered
 from datagen.meshes.symmetry import find_symmetry
 from datagen.meshes.topology import Surface, smooth_normals, weld
@@ -123,5 +124,3 @@ def _triangulated(part: Float[np.ndarray, "corner 3"]) -> tuple[np.ndarray, np.n
     inward = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) < 0
     faces[inward] = faces[inward][:, ::-1]
     return hull.points, faces
-
-

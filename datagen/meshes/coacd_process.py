@@ -1,5 +1,6 @@
-"""Process that cuts one mesh with CoACD: `python -m datagen.meshes.coacd_process MESH.npz HULLS.npz`."""
+"""Process that cuts one mesh with CoACD: `python -m datagen.meshes.coacd_process MESH HULLS SECONDS`."""
 
+import resource
 import sys
 from pathlib import Path
 
@@ -9,8 +10,10 @@ from datagen.meshes.hulls import MOST_CORNERS, OPTIONS
 from datagen.storage.safe_io import read_npz
 
 
-def main(source: str, target: str) -> None:
-    """Read vertices and faces, cut them, and write the corners of all hulls."""
+def main(source: str, target: str, seconds: str) -> None:
+    """Read vertices and faces, cut them, and write the corners of all hulls; the system kills it after the CPU time."""
+    # The hard limit is higher, because reaching it would raise another signal.
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
     import coacd
 
     coacd.set_log_level("error")

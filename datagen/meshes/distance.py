@@ -1,4 +1,4 @@
-"""Exact distances to triangle meshes, and the mesh as a `Solid`."""
+"""Exact distances to triangle meshes, inside and outside, and the mesh as a `Solid`."""
 
 from functools import cached_property
 
@@ -6,12 +6,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from datagen.meshes.winding import winding_numbers
-
 _LARGEST = 4.0
 """Triangles larger than this multiple of the median radius are compared with every point."""
 
 _POINTS_AT_ONCE = 2000
+
+_MOST_AT_ONCE = 2_000_000
+"""Pairs of points and triangles whose solid angles are evaluated at once."""
 
 
 class MeshSolid:
@@ -88,3 +89,29 @@ def squared_distances(
         share = np.clip(np.sum(offset * edge, axis=-1) / np.where(length > 0, length, 1), 0, 1)
         best = np.minimum(best, np.sum((offset - share[..., None] * edge) ** 2, axis=-1))
     return np.where(inside, height**2 / np.where(area > 0, area, 1), best)
+
+
+def winding_numbers(
+    triangles: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, "point"]:
+    """Sum of the solid angles of all triangles at each point, over 4 pi: 1 inside of a closed surface, 0 outside.
+
+    These are the generalised winding numbers of Jacobson et al. (2013).
+    """
+    chunk = max(1, _MOST_AT_ONCE // max(1, len(triangles)))
+    parts = [_solid_angles(triangles, points[start : start + chunk]) for start in range(0, len(points), chunk)]
+    return np.concatenate([*parts, np.zeros(0)])
+
+
+def _solid_angles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Solid angles by Van Oosterom and Strackee (1983)."""
+    a, b, c = (triangles[None, :, i] - points[:, None] for i in range(3))
+    la, lb, lc = (np.sqrt(np.einsum("pfi,pfi->pf", x, x)) for x in (a, b, c))
+    volume = np.einsum("pfi,pfi->pf", a, np.cross(b, c))
+    across = (
+        la * lb * lc
+        + np.einsum("pfi,pfi->pf", a, b) * lc
+        + np.einsum("pfi,pfi->pf", b, c) * la
+        + np.einsum("pfi,pfi->pf", c, a) * lb
+    )
+    return np.sum(np.arctan2(volume, across), axis=1) / (2 * np.pi)

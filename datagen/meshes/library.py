@@ -12,21 +12,22 @@ import numpy as np
 from datagen.errors import UsageError
 from datagen.meshes.build import make_shape, mass_of, place
 from datagen.meshes.hulls import Hulls, find_hulls
-from datagen.meshes.read import content_hash, read_mesh
+from datagen.meshes.named_files import content_hash
+from datagen.meshes.read import read_mesh
 from datagen.meshes.units import Up
 from datagen.scene import ShapeSpec
-from datagen.shapes.geometry.mass import Mass
+from datagen.shapes.geometry.mass import Mass, of_mesh
 from datagen.shapes.shape import Shape
 from datagen.storage.structure import strict_converter, structure
 
 FAMILY = "mesh"
 """Shape family of meshes."""
 
-PREFIX = "mesh:"
-"""Stands before the names of meshes in `objects.categories`."""
-
 SECONDS = 300.0
-"""Time limit of CoACD for one mesh."""
+"""CPU time that CoACD may take for one mesh."""
+
+_ROUNDING = 1e-6
+"""Relative difference of masses that rounding may cause."""
 
 _CACHED = 32
 
@@ -89,7 +90,7 @@ class Library:
         for entry in self.entries:
             if entry.spec.parameters == parameters:
                 return _shape(self.folder, entry, self.hulls)
-        raise UsageError(f"A scene names the mesh {str(dict(parameters)):.200}, which its dataset does not list.")
+        raise UsageError(f"A scene names the mesh {dict(parameters)!s:.200}, which its dataset does not list.")
 
     def names(self, split: str) -> list[str]:
         """Names of the meshes that scenes of a split may hold."""
@@ -112,6 +113,22 @@ class Library:
                     "Give the folder that holds it with --assets."
                 )
             _check_content(self.folder, entry, content_hash(self.folder, entry.file))
+
+    def faults(self) -> list[str]:
+        """Meshes whose stored mass is not that of their closed surface; hulls of open ones cannot be checked."""
+        found = []
+        for entry in self.entries:
+            name = str(self.folder / entry.file)
+            surface = place(read_mesh(self.folder, entry.file), entry.scale, entry.up, name).surface
+            if surface.closed:
+                mass = of_mesh(surface.vertices, surface.faces)
+                wrong = [
+                    abs(mass.volume / entry.volume - 1),
+                    *np.abs(mass.center - entry.center) / entry.volume ** (1 / 3),
+                ]
+                if max(wrong) > _ROUNDING:
+                    found.append(f"{entry.file}: volume or centre of mass in dataset.json is not that of its surface")
+        return found
 
     def values(self) -> list[dict[str, Any]]:
         """Plain values for `dataset.json`."""

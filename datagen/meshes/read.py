@@ -1,40 +1,27 @@
-"""Read OBJ, PLY, STL and GLB files into one triangle list with textures; the only module that imports trimesh.
+"""Read OBJ, PLY, STL and GLB files into one triangle list with textures; the only module that imports trimesh."""
 
-A mesh file may name other files, such as an MTL file and its textures. They are read only from inside the folder that
-the user gave, and they are part of the mesh's content hash.
-"""
-
-import hashlib
 import io
 import logging
 import re
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from datagen.errors import CorruptFile, DatagenError, UsageError
-from datagen.storage.safe_io import MOST_IMAGE_PIXELS, brief_reason, open_image, read_bytes
+from datagen.meshes.named_files import BadMesh, NamedFiles, joint_hash, read_file
+from datagen.storage.safe_io import MOST_IMAGE_PIXELS, brief_reason
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 """File types that can be read, lower case."""
 
-MOST_BYTES = 2**28
-"""Largest size of a mesh file or texture, bytes."""
-
 MOST_FACES = 500_000
 """Largest number of triangles of a mesh."""
 
-_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _GREY = 0.6
 """Linear grey of parts without a colour of their own."""
-
-
-class BadMesh(CorruptFile):
-    """A mesh that cannot be used; the message names the file and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +59,8 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
         BadMesh: the file, or one that it names, is damaged, empty, too large or outside of the folder.
     """
     path = folder / file
-    files = _Files(folder, path)
-    data = _read(folder, file)
+    files = NamedFiles(folder, path)
+    data = read_file(folder, file)
     _check_face_count(path, data)
     geometries = _load(path, data, files)
     pieces = [_piece(path, geometry, matrix) for geometry, matrix in geometries]
@@ -85,88 +72,9 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
         raise _too_many(path, len(merged.faces))
     if not np.all(np.isfinite(merged.vertices)):
         raise BadMesh(f"{path} has vertices that are NaN or infinite. Export it again, or remove it.")
-    sha256 = _content_hash(files, data)
+    sha256 = joint_hash(files, data)
     problems = tuple(f"{name:.80} is missing" for name in dict.fromkeys(files.missing))
     return RawMesh(**vars(merged), parts=len(pieces), sha256=sha256, problems=problems)
-
-
-def content_hash(folder: Path, file: str) -> str:
-    """Hash of the content of a mesh file and of the MTL files and textures that it names.
-
-    Raises:
-        BadMesh: as `read_mesh`.
-    """
-    return _content_hash(_Files(folder, folder / file), _read(folder, file))
-
-
-def _content_hash(files: "_Files", data: bytes) -> str:
-    contents = [data]
-    if files.mesh.suffix.lower() == ".obj":
-        materials = [content for name in _names(data, rb"mtllib") if (content := files.find(name)) is not None]
-        textures = [name for material in materials for name in _names(material, rb"map_Kd")]
-        contents += [*materials, *(content for name in textures if (content := files.find(name)) is not None)]
-    digests = [hashlib.sha256(content).hexdigest() for content in contents]
-    # A mesh without further files has the hash of its file.
-    return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
-
-
-@dataclass
-class _Files:
-    """Resolver for trimesh: reads files that a mesh names, from inside one folder only."""
-
-    folder: Path
-    mesh: Path
-    missing: list[str] = field(default_factory=list)
-    failure: DatagenError | None = None
-    """First error that makes the mesh unusable; trimesh swallows exceptions of resolvers."""
-
-    def find(self, name: str) -> bytes | None:
-        """Content of a named file; None if there is none.
-
-        Raises:
-            BadMesh: the file lies outside of the folder.
-            DatagenError: it is too large, or a damaged image.
-        """
-        name = name.strip().replace("\\", "/")
-        path = (self.mesh.parent / name).resolve()
-        if not path.is_relative_to(self.folder.resolve()):
-            raise BadMesh(
-                f"{self.mesh} names {name!r:.80}, which lies outside of {self.folder}; nothing was read. "
-                "Put the file beside the mesh and name it without a folder."
-            )
-        if self.mesh.suffix.lower() != ".obj":
-            raise BadMesh(f"{self.mesh} names the file {name!r:.80}; expected one file with all data embedded.")
-        if not path.is_file():
-            self.missing.append(name)
-            return None
-        if path.suffix.lower() in _IMAGES:
-            with open_image(path, ("PNG", "JPEG", "TIFF", "BMP")):
-                pass
-        return read_bytes(path, MOST_BYTES)
-
-    def get(self, name: str) -> bytes:
-        """Read a named file for trimesh.
-
-        Raises:
-            FileNotFoundError: there is none, or it may not be read.
-        """
-        try:
-            data = self.find(name)
-        except DatagenError as error:
-            self.failure = self.failure or error
-            raise FileNotFoundError(name) from None
-        if data is None:
-            raise FileNotFoundError(name)
-        return data
-
-    # Names that trimesh expects of a resolver.
-    __getitem__ = get
-
-    def keys(self) -> list[str]:
-        return []
-
-    def namespaced(self, _namespace: str) -> "_Files":
-        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,25 +86,6 @@ class _Piece:
     image: np.ndarray
     images: tuple[np.ndarray, ...]
     has_colors: bool
-
-
-def _read(folder: Path, file: str) -> bytes:
-    path = folder / file
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise BadMesh(f"{path} lies outside of {folder}; nothing was read. Copy it into the folder.")
-    try:
-        data = read_bytes(path, MOST_BYTES)
-    except FileNotFoundError:
-        raise UsageError(f"{path} does not exist; give the folder that holds the mesh with --assets.") from None
-    if not data:
-        raise BadMesh(f"{path} is empty. Export it again, or remove it.")
-    return data
-
-
-def _names(data: bytes, keyword: bytes) -> list[str]:
-    """Arguments of all lines of an OBJ or MTL file that begin with a keyword, each once, in their order."""
-    found = re.findall(rb"^[ \t]*" + keyword + rb"[ \t]+([^\r\n]+)", data, re.MULTILINE | re.IGNORECASE)
-    return list(dict.fromkeys(name.decode("utf-8", "replace").strip() for name in found))
 
 
 def _check_face_count(path: Path, data: bytes) -> None:
@@ -220,7 +109,7 @@ def _too_many(path: Path, count: int) -> BadMesh:
     )
 
 
-def _load(path: Path, data: bytes, files: _Files) -> list[tuple[Any, np.ndarray]]:
+def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndarray]]:
     """All geometries of a file with their transforms."""
     import trimesh
 
@@ -228,7 +117,7 @@ def _load(path: Path, data: bytes, files: _Files) -> list[tuple[Any, np.ndarray]
     disabled, log.disabled = log.disabled, True
     try:
         with warnings.catch_warnings(action="ignore"):
-            loaded = trimesh.load(
+            loaded: Any = trimesh.load(
                 io.BytesIO(data),
                 file_type=path.suffix.lower()[1:],
                 resolver=files,  # pyright: ignore[reportArgumentType]

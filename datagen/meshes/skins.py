@@ -110,7 +110,7 @@ def _coverage(shape: tuple[int, int], uv: Float[np.ndarray, "face 3 2"]) -> Floa
 
 
 def _encode(linear: np.ndarray) -> UInt8[np.ndarray, "..."]:
-    """sRGB bytes of linear values."""
+    """SRGB bytes of linear values."""
     value = np.clip(linear, 0, 1)
     srgb = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-9) ** (1 / 2.4) - 0.055)
     return np.rint(255 * srgb).astype(np.uint8)

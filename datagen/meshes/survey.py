@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.config import MESH_PREFIX
 from datagen.errors import DatagenError, UsageError
 from datagen.meshes.build import Placed, place
 from datagen.meshes.hulls import Hulls
-from datagen.meshes.library import PREFIX, SECONDS, Library, hulls_of, make_entry
+from datagen.meshes.library import SECONDS, Library, hulls_of, make_entry
 from datagen.meshes.read import SUFFIXES, RawMesh, read_mesh
 from datagen.meshes.units import LARGEST, METRES, SMALLEST, Guess, Unit, Up, guess_unit, guess_up
 from datagen.schema import SPLITS
@@ -22,7 +23,16 @@ MOST_MESHES = 10_000
 BEYOND = 0.002
 """Metres that hulls may extend beyond the surface before it is reported."""
 
-_PLAIN_STEMS = {"textured", "textured_simple", "nontextured", "model", "mesh", "object", "texture_mesh", "model_normalized"}
+_PLAIN_STEMS = {
+    "textured",
+    "textured_simple",
+    "nontextured",
+    "model",
+    "mesh",
+    "object",
+    "texture_mesh",
+    "model_normalized",
+}
 _PLAIN_FOLDERS = {"google_16k", "google_64k", "google_512k", "poisson", "tsdf", "clouds", "meshes", "visual", "models"}
 
 
@@ -37,7 +47,7 @@ class Reading:
     scale: float = 1.0
     """Further factor on all sizes."""
     seconds: float = SECONDS
-    """Time limit of the convex decomposition of a mesh."""
+    """CPU time that the convex decomposition of a mesh may take."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.scale) and 1e-6 <= self.scale <= 1e6):
@@ -80,7 +90,9 @@ class Examined:
         if not self.placed.surface.closed:
             found.append("not closed: mass from its hulls, both sides drawn")
         if self.hulls and self.hulls.method == "time limit":
-            found.append("convex decomposition took too long: one hull")
+            found.append("convex decomposition took too long: one hull; raise --hull-seconds")
+        if self.hulls and self.hulls.method == "failed":
+            found.append("convex decomposition failed: one hull")
         if self.hulls and self.hulls.beyond > BEYOND:
             found.append(f"hulls extend {1e3 * self.hulls.beyond:.1f} mm beyond the surface")
         return found
@@ -135,7 +147,10 @@ def examine(folder: Path, file: str, name: str, reading: Reading, *, hulls: bool
     """Read one mesh, guess its unit and make its hulls; failures become part of the result."""
     try:
         raw = read_mesh(folder, file)
-        suffix, longest = Path(file).suffix.lower(), float(np.max(np.ptp(raw.vertices[raw.faces].reshape(-1, 3), axis=0)))
+        suffix, longest = (
+            Path(file).suffix.lower(),
+            float(np.max(np.ptp(raw.vertices[raw.faces].reshape(-1, 3), axis=0))),
+        )
         guess = Guess(reading.unit, "--unit") if reading.unit else guess_unit(suffix, longest)
         scale, up = METRES[guess.unit] * reading.scale, reading.up or guess_up(suffix)
         placed = place(raw, scale, up, str(folder / file))
@@ -166,7 +181,7 @@ def fits(wanted: str, name: str) -> bool:
 
 
 def _plain(name: str) -> str:
-    name = name.removeprefix(PREFIX).lower().replace("-", "_")
+    name = name.removeprefix(MESH_PREFIX).lower().replace("-", "_")
     return name.removeprefix("ycb_")
 
 
@@ -190,19 +205,19 @@ def make_library(
     Raises:
         UsageError: a mesh cannot be used, none is left, or there are too few for the splits.
     """
-    wanted = [name for name in categories if name.startswith(PREFIX)]
+    wanted = [name for name in categories if name.startswith(MESH_PREFIX)]
     if categories and not wanted:
         raise UsageError(
-            f"The recipe's objects.categories name no mesh; name some of --assets as {PREFIX}NAME, or use a recipe "
+            f"objects.categories names no mesh; name some of --assets as {MESH_PREFIX}NAME, or use a recipe "
             "without categories, such as moving."
         )
     found = survey(folder, reading, names=wanted, note=note)
     messages = [f"{one.name}: {warning}." for one in found for warning in one.warnings]
     absent = [name for name in wanted if not any(fits(name, one.name) for one in found)]
     if absent and found:
-        messages.append(f"Not in {folder}: {', '.join(name.removeprefix(PREFIX) for name in absent)}.")
+        messages.append(f"Not in {folder}: {', '.join(name.removeprefix(MESH_PREFIX) for name in absent)}.")
     if not found:
-        raise UsageError(f"{folder} holds none of the meshes {', '.join(absent):.600}; see docs/meshes.md for sources.")
+        raise UsageError(f"{folder} holds none of {', '.join(absent):.600}; docs/meshes.md says where to get them.")
     _check_usable(folder, found)
     found = _without_copies(found, messages)
     splits = split_meshes([one.raw.sha256 for one in found if one.raw], shares)
@@ -226,7 +241,7 @@ def make_library(
 def _check_usable(folder: Path, found: Sequence[Examined]) -> None:
     if failures := [one.failure for one in found if one.failure]:
         more = f" And {len(failures) - 1} more; `assets check` lists them." if len(failures) > 1 else ""
-        raise UsageError(f"{failures[0]}{more} Or choose meshes with --objects.categories {PREFIX}NAME ...")
+        raise UsageError(f"{failures[0]}{more} Or choose meshes with --objects.categories {MESH_PREFIX}NAME ...")
     if unsure := [one for one in found if one.guess and not one.guess.certain]:
         names = ", ".join(f"{one.file} ({one.guess.reason})" for one in unsure if one.guess)
         raise UsageError(

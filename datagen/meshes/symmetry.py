@@ -6,8 +6,8 @@ from jaxtyping import Float
 from datagen.meshes.distance import MeshSolid
 from datagen.shapes.symmetry import about_z
 
-TOLERANCE = 0.01
-"""Distance, as a share of the longest side, by which a turned mesh may miss itself; scans are never exact."""
+TOLERANCE, MOST = 0.01, 0.03
+"""Distances, as shares of the longest side, by which 95 % and all of a turned mesh may miss itself: scans are rough."""
 
 _ORDERS = (2, 3, 4, 5, 6, 8)
 _ROUND = 24
@@ -16,12 +16,13 @@ _MOST_POINTS = 400
 
 
 def find_symmetry(vertices: Float[np.ndarray, "vertex 3"], solid: MeshSolid) -> str:
-    """Name of the rotation group (see `datagen.shapes.symmetry`); `C1` if no rotation about z or x maps it to itself."""
+    """Name of the rotation group, see `datagen.shapes.symmetry`; `C1` if no turn about z maps it to itself."""
     points = vertices[:: max(1, len(vertices) // _MOST_POINTS)]
-    tolerance = TOLERANCE * float(np.max(np.ptp(vertices, axis=0)))
+    longest = float(np.max(np.ptp(vertices, axis=0)))
 
     def fits(rotation: np.ndarray) -> bool:
-        return bool(np.max(solid.distance(points @ rotation.T)) <= tolerance)
+        distance = solid.distance(points @ rotation.T)
+        return bool(np.max(distance) <= MOST * longest and np.quantile(distance, 0.95) <= TOLERANCE * longest)
 
     turns = [order for order in _ORDERS if fits(about_z(np.array([2 * np.pi / order]))[0])]
     if not turns:

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from datagen.meshes.winding import winding_numbers
+from datagen.meshes.distance import winding_numbers
 from datagen.shapes.geometry.mass import of_mesh
 
 _WELD = 1e-6
@@ -58,9 +58,7 @@ def weld(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3
             if not len(others) or winding_numbers(points[others], corner)[0] < 0.5:
                 turned[rows] = True
     welded[turned] = welded[turned][:, ::-1]
-    return Surface(
-        points, welded, np.flatnonzero(real), turned, is_closed(welded), pieces, _open_edges(welded)
-    )
+    return Surface(points, welded, np.flatnonzero(real), turned, is_closed(welded), pieces, _open_edges(welded))
 
 
 def is_closed(faces: Int[np.ndarray, "face 3"]) -> bool:

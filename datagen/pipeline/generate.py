@@ -8,11 +8,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.config import Recipe, recipe_to_dict
+from datagen.config import MESH_PREFIX, Recipe, recipe_to_dict
 from datagen.console.progress import Progress, no_progress
 from datagen.errors import UsageError
 from datagen.inspect.dataset_card import write_card
-from datagen.meshes.library import PREFIX, Library, open_library
+from datagen.meshes.library import Library, open_library
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, array_hash
@@ -101,10 +101,10 @@ def dataset_spec(
     Raises:
         UsageError: edits are requested without images, or the recipe needs meshes and there are none.
     """
-    if not meshes and (named := [name for name in recipe.objects.categories if name.startswith(PREFIX)]):
+    if not meshes and (named := [name for name in recipe.objects.categories if name.startswith(MESH_PREFIX)]):
         raise UsageError(
-            f"Recipe {recipe.name!r} needs meshes such as {named[0].removeprefix(PREFIX)}; give the folder that holds them "
-            "with --assets. docs/meshes.md says where to download the YCB objects."
+            f"Recipe {recipe.name!r} needs meshes such as {named[0].removeprefix(MESH_PREFIX)}; give the folder that "
+            "holds them with --assets. docs/meshes.md says where to download the YCB objects."
         )
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")

@@ -69,9 +69,7 @@ class Simulated:
     """Number of rejected scenes by the rule that they broke."""
 
 
-def simulate_scene(
-    recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None = None
-) -> Simulated:
+def simulate_scene(recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None = None) -> Simulated:
     """Scene `index` of a split, a pure function of its arguments, `DATA_VERSION` and the files of `meshes`.
 
     Raises:

@@ -277,7 +277,7 @@ def _texel(skins, level, x, y, c):
 @kernel
 def _bilinear(skins, level, u, v, c):
     x, y = u * skins.images[level, 1] - 0.5, v * skins.images[level, 2] - 0.5
-    i, j = int(math.floor(x)), int(math.floor(y))
+    i, j = math.floor(x), math.floor(y)
     fx, fy = x - i, y - j
     top = _texel(skins, level, i, j, c) * (1 - fx) + _texel(skins, level, i + 1, j, c) * fx
     bottom = _texel(skins, level, i, j + 1, c) * (1 - fx) + _texel(skins, level, i + 1, j + 1, c) * fx
@@ -819,6 +819,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         sx, sy = at[r, 0], at[r, 1]
         ray = _world_ray(view, sx, sy)
         e = _unit(-ray[0], -ray[1], -ray[2])
+        wa = wb = wc = 0.0
         if face == TABLE:
             o = TABLE
             z = at[r, 2]
@@ -829,7 +830,8 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
             o = owners[face]
             i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
             # Position in the object frame, for the texture; normal in the world.
-            a, b, c, z = _weights(q, i, j, k, sx, sy)
+            wa, wb, wc, z = _weights(q, i, j, k, sx, sy)
+            a, b, c = wa, wb, wc
             x = a * v[i, 0] + b * v[j, 0] + c * v[k, 0]
             y = a * v[i, 1] + b * v[j, 1] + c * v[k, 1]
             h = a * v[i, 2] + b * v[j, 2] + c * v[k, 2]
@@ -854,7 +856,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
             # Between the sides of the pixel's footprint, which is longer along the slope.
             across = view[3, 1] * z / math.sqrt(max(toward, 0.1))
             row.second[r] = 0.0
-            _skin(mesh.skins, face, a, b, c, across, row.albedo[r])
+            _skin(mesh.skins, face, wa, wb, wc, across, row.albedo[r])
         else:
             row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
         shade = _occlusion_at(occlusion, occlusion_frame, p[0], p[1])

@@ -54,10 +54,7 @@ class PyrenderRenderer:
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._scene = self._pyrender.Scene(ambient_light=[*scene.ambient], bg_color=[*scene.backdrop, 1.0])
-        self._nodes = [
-            self._scene.add(self._shape(s, b.material))
-            for s, b in zip(shapes, scene.bodies, strict=True)
-        ]
+        self._nodes = [self._scene.add(self._shape(s, b.material)) for s, b in zip(shapes, scene.bodies, strict=True)]
         self._table = self._scene.add(self._mesh(*_table(scene.table.size), scene.table.material, double_sided=True))
         self._shadows = bool(scene.lights) and scene.lights[0].casts_shadow
         for row, light in enumerate(scene.lights):
@@ -111,8 +108,10 @@ class PyrenderRenderer:
             sampler = self._pyrender.Sampler(
                 magFilter=GL_LINEAR, minFilter=GL_LINEAR_MIPMAP_LINEAR, wrapS=GL_REPEAT, wrapT=GL_REPEAT
             )
-            # OpenGL wants at least 2x2 texels for its mipmaps, and sends the rows as they are.
-            image = pyramid[0] if len(pyramid) > 1 else np.repeat(np.repeat(pyramid[0], 2, axis=0), 2, axis=1)
+            # OpenGL wants at least 2x2 texels for its mipmaps; pyrender counts v from the lower edge.
+            image = pyramid[0]
+            if image.size == 3:
+                image = np.tile(image, (2, 2, 1))
             texture = self._pyrender.Texture(source=image, source_channels="RGB", sampler=sampler)
             surface = self._pyrender.MetallicRoughnessMaterial(
                 baseColorTexture=texture, metallicFactor=material.metalness, roughnessFactor=material.roughness
@@ -122,7 +121,7 @@ class PyrenderRenderer:
                 self._pyrender.Primitive(
                     positions=shape.vertices[shape.faces[own]].reshape(-1, 3),
                     normals=shape.normals[own].reshape(-1, 3),
-                    texcoord_0=skin.uv[own].reshape(-1, 2),
+                    texcoord_0=skin.uv[own].reshape(-1, 2) * [1, -1] + [0, 1],
                     color_0=np.concatenate([colors, np.ones((len(colors), 1))], axis=1),
                     material=surface,
                 )

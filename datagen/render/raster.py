@@ -216,7 +216,13 @@ def _pack_skins(shapes: Sequence[Shape], face_start: np.ndarray) -> kernels.Skin
                 texels.append(image.reshape(-1, 3))
             levels.append(len(images))
     return kernels.Skins(
-        uv, colors, density, texture, np.array(levels), np.array(images).reshape(-1, 3), np.concatenate(texels)
+        uv,
+        colors,
+        density,
+        texture,
+        np.array(levels, np.int64),
+        np.array(images, np.int64).reshape(-1, 3),
+        np.concatenate(texels),
     )
 
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from datagen.config import Recipe
 from datagen.geometry import quaternion_from_rotation
+from datagen.meshes.library import Library
 from datagen.sampling.appearance import sample_backdrop, sample_materials, sample_table
 from datagen.sampling.cameras import sample_ambient, sample_cameras, sample_lights
 from datagen.sampling.items import Item, Rejected, sample_item, sample_items
 from datagen.sampling.layout import Spot, cluster, flattest, on_top, place, scatter, try_to_place
 from datagen.sampling.motion import Start, sample_motion, sample_starts
-from datagen.meshes.library import Library
 from datagen.scene import Body, Material, Motion, Scene, Table, rounded, vector
 
 __all__ = ["Rejected", "sample_scene"]

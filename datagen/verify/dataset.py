@@ -90,7 +90,8 @@ def find(folder: str | Path, *, workers: int = 1, assets: Path | None = None) ->
     with closing(make_all(functools.partial(_check_scenes, dataset, meshes), jobs, workers)) as results:
         checked = list(tracked(results, "verified jobs", len(jobs)))
     scenes = [finding for part in checked for finding in part.findings]
-    return [*scenes, *_duplicates(checked), *_check_files(dataset), *_check_manifest(dataset)]
+    faults = [Finding("assets", message) for message in (meshes.faults() if meshes else ())]
+    return [*faults, *scenes, *_duplicates(checked), *_check_files(dataset), *_check_manifest(dataset)]
 
 
 def _check_scenes(dataset: Dataset, meshes: Library | None, split: str, scenes: range) -> Checked:

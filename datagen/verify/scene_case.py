@@ -168,9 +168,7 @@ class ViewRays:
         return directions @ self._world_from_camera[view, :3, :3].T
 
 
-def make_case(
-    record: Mapping[str, np.ndarray], allowed: Allowed = DEFAULT, meshes: MeshSource | None = None
-) -> Case:
+def make_case(record: Mapping[str, np.ndarray], allowed: Allowed = DEFAULT, meshes: MeshSource | None = None) -> Case:
     """Build the geometry that a record describes.
 
     Raises:
