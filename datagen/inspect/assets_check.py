@@ -171,7 +171,7 @@ def _picture(one: Examined) -> UInt8[np.ndarray, "height width 3"]:
     return renderer.render(pose[None], camera, TILE, TILE).rgb
 
 
-def sheet(tiles: Sequence[UInt8[np.ndarray, "height width 3"]]) -> UInt8[np.ndarray, "height width 3"]:
+def sheet(tiles: Sequence[UInt8[np.ndarray, "height width 3"]]) -> UInt8[np.ndarray, "_ _ 3"]:
     """Thumbnails in rows."""
     columns = min(COLUMNS, len(tiles))
     blank = np.full_like(tiles[0], 255)

@@ -12,7 +12,7 @@ from datagen.meshes.named_files import BadMesh
 from datagen.meshes.read import RawMesh
 from datagen.meshes.skins import make_skin, reordered
 from datagen.meshes.symmetry import find_symmetry
-from datagen.meshes.topology import Surface, smooth_normals, weld
+from datagen.meshes.topology import Surface, signed_volume, smooth_normals, weld
 from datagen.meshes.units import Up, rotation_to_z
 from datagen.shapes.geometry.bounding import Outline, minimum_box
 from datagen.shapes.geometry.mass import Mass, of_mesh, total
@@ -61,8 +61,8 @@ def place(raw: RawMesh, scale: float, up: Up, name: str) -> Placed:
 
 def mass_of(surface: Surface, hulls: tuple[Float[np.ndarray, "_ 3"], ...]) -> Mass:
     """Mass from the closed surface, otherwise from the hulls."""
-    if surface.closed and (mass := of_mesh(surface.vertices, surface.faces)).volume > 0:
-        return mass
+    if surface.closed and signed_volume(surface.vertices, surface.faces) > 0:
+        return of_mesh(surface.vertices, surface.faces)
     return total([of_mesh(*_triangulated(part)) for part in hulls])
 
 

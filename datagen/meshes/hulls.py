@@ -21,6 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from datagen.errors import DatagenError, UsageError
 from datagen.meshes.distance import MeshSolid
+from datagen.meshes.topology import signed_volume
 from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import read_npz
 
@@ -128,7 +129,7 @@ def _stored(path: Path, seconds: float) -> Hulls | None:
 def _decompose(vertices: np.ndarray, faces: np.ndarray, *, closed: bool, seconds: float) -> Hulls:
     solid = MeshSolid(vertices, faces, closed=closed)
     whole = convex_corners(vertices)
-    volume = _volume(vertices, faces) if closed else 0.0
+    volume = signed_volume(vertices, faces) if closed else 0.0
     if volume > CONVEX_SHARE * ConvexHull(whole).volume:
         return Hulls((whole,), "convex", overshoot((whole,), solid))
     parts = _run_coacd(vertices, faces, seconds)
@@ -141,11 +142,6 @@ def _decompose(vertices: np.ndarray, faces: np.ndarray, *, closed: bool, seconds
 def convex_corners(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "corner 3"]:
     """Corners of the convex hull of some points."""
     return points[ConvexHull(points).vertices]
-
-
-def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float(np.sum(np.cross(a, b) * c) / 6)
 
 
 def _run_coacd(vertices: np.ndarray, faces: np.ndarray, seconds: float) -> tuple[np.ndarray, ...] | str:

@@ -36,7 +36,7 @@ class RawMesh:
     """Linear RGB of each corner, multiplied with the texture."""
     image: Int[np.ndarray, "face"]
     """Index into `images`, or -1 for faces without a texture."""
-    images: tuple[UInt8[np.ndarray, "height width 3"], ...]
+    images: tuple[UInt8[np.ndarray, "_ _ 3"], ...]
     """Textures, sRGB."""
     has_colors: bool
     """Whether the file gives textures, vertex colours or material colours."""

@@ -8,7 +8,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from datagen.meshes.distance import winding_numbers
-from datagen.shapes.geometry.mass import of_mesh
 
 _WELD = 1e-6
 """Distance, as a share of the longest side, within which corners are one vertex."""
@@ -51,7 +50,7 @@ def weld(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3
     turned = np.zeros(len(welded), bool)
     for piece in range(pieces):
         rows = face_labels == piece
-        if is_closed(welded[rows]) and of_mesh(points, welded[rows]).volume < 0:
+        if is_closed(welded[rows]) and signed_volume(points, welded[rows]) < 0:
             # The wall of a cavity points inwards, and stays.
             others = welded[~rows]
             corner = points[welded[rows][:1, 0]]
@@ -67,6 +66,12 @@ def is_closed(faces: Int[np.ndarray, "face 3"]) -> bool:
     low, high = np.minimum(start, end), np.maximum(start, end)
     _, edge = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True)
     return not np.any(np.bincount(edge.reshape(-1), weights=np.where(start < end, 1.0, -1.0)))
+
+
+def signed_volume(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> float:
+    """Volume of a closed surface; negative if its normals point inwards."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return float(np.sum(np.cross(a, b) * c) / 6)
 
 
 def smooth_normals(

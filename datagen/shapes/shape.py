@@ -96,6 +96,7 @@ class Shape:
         return np.min([solid.signed_distance(points) for solid in self.solids], axis=0)
 
 
+@runtime_checkable
 class MeshSource(Protocol):
     """Geometry of the shapes that are stored in files; see `datagen.meshes.library.Library`."""
 

@@ -18,7 +18,7 @@ class Skin:
     """Texture of each face."""
     density: Float32[np.ndarray, "face"]
     """Texels per metre of each face at level 0 of its texture."""
-    pyramids: tuple[tuple[UInt8[np.ndarray, "height width 3"], ...], ...]
+    pyramids: tuple[tuple[UInt8[np.ndarray, "_ _ 3"], ...], ...]
     """Levels of each texture, sRGB; every level has half the size of the one before."""
     mean: tuple[float, float, float]
     """Mean colour of the surface, sRGB in 0..1."""
