@@ -94,6 +94,7 @@ def make_shape(
         symmetry=find_symmetry(vertices, solid),
         minimum_box=minimum_box(Outline.of_points(corners)),
         size=np.ptp(vertices, axis=0),
+        backs=0 if surface.closed else len(surface.faces),
         skin=reordered(skin, rows, turned) if skin else None,
         resting=resting_directions(np.concatenate(parts)) if parts and resting else (),
     )

@@ -28,6 +28,7 @@ class RasterRenderer:
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
+        self._casters, self._caster_start = _casters(shapes, self._mesh.faces, self._face_start)
         self._materials = np.array(
             [_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)]
         )
@@ -119,7 +120,7 @@ class RasterRenderer:
 
     def _light_map(self, m: kernels.LightMap, margin: float) -> None:
         kernels.light_vertices(self._world, m.axes, len(m.texels), margin, self._light, m.frame)
-        kernels.rasterise_light(self._light, self._mesh.faces, self._face_start, m.texels, m.tiles)
+        kernels.rasterise_light(self._light, self._casters, self._caster_start, m.texels, m.tiles)
 
 
 class _Buffers:
@@ -196,6 +197,15 @@ def _pack_mesh(shapes: Sequence[Shape]) -> tuple[kernels.Mesh, np.ndarray, np.nd
         skins=_pack_skins(shapes, face_start),
     )
     return mesh, vertex_start, face_start
+
+
+def _casters(shapes: Sequence[Shape], faces: np.ndarray, face_start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces that cast shadows: all but the back sides of open surfaces, which would shade their own front sides."""
+    if not any(shape.backs for shape in shapes):
+        return faces, face_start
+    ends = face_start[1:] - [shape.backs for shape in shapes]
+    parts = [faces[start:end] for start, end in zip(face_start[:-1], ends, strict=True)]
+    return np.concatenate(parts), np.cumsum([0, *(len(part) for part in parts)])
 
 
 def _pack_skins(shapes: Sequence[Shape], face_start: np.ndarray) -> kernels.Skins:

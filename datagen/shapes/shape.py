@@ -83,6 +83,8 @@ class Shape:
     """Primitive that equals the whole shape exactly; None if there is none."""
     skin: Skin | None = None
     """Colours of a mesh with textures or vertex colours."""
+    backs: int = 0
+    """Number of faces at the end that are the back sides of others, drawn because the surface is open."""
     resting: tuple[tuple[float, float, float], ...] = ()
     """Directions of the object frame that may point down when a mesh rests; empty for all other families."""
 
