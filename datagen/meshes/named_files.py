@@ -14,6 +14,9 @@ from datagen.storage.safe_io import open_image, read_bytes
 MOST_BYTES = 2**28
 """Largest size of a mesh file or texture, bytes."""
 
+_MOST_HEADER = 65536
+"""Largest part of a PLY file in which its header is searched, bytes."""
+
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 
@@ -37,6 +40,9 @@ def joint_hash(files: "NamedFiles", data: bytes) -> str:
         materials = [content for name in _names(data, rb"mtllib") if (content := files.find(name)) is not None]
         textures = [name for material in materials for name in _names(material, rb"map_Kd")]
         contents += [*materials, *(content for name in textures if (content := files.find(name)) is not None)]
+    elif files.mesh.suffix.lower() == ".ply":
+        textures = _names(data[:_MOST_HEADER], rb"comment TextureFile")
+        contents += [content for name in textures if (content := files.find(name)) is not None]
     digests = [hashlib.sha256(content).hexdigest() for content in contents]
     # A mesh without further files has the hash of its file.
     return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
@@ -66,7 +72,7 @@ class NamedFiles:
                 f"{self.mesh} names {name!r:.80}, which lies outside of {self.folder}; nothing was read. "
                 "Put the file beside the mesh and name it without a folder."
             )
-        if self.mesh.suffix.lower() != ".obj":
+        if self.mesh.suffix.lower() not in (".obj", ".ply"):
             raise BadMesh(f"{self.mesh} names the file {name!r:.80}; expected one file with all data embedded.")
         if not path.is_file():
             self.missing.append(name)

@@ -55,6 +55,19 @@ def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, colors: np.nd
     return path
 
 
+def write_textured_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
+    """A PLY file as BOP's: texture coordinates at the vertices, and an image that a comment names."""
+    write_ply(path, vertices, faces)
+    Image.new("RGB", (4, 4), (250, 120, 10)).save(path.with_suffix(".png"))
+    text = path.read_text().replace("format ascii 1.0", f"format ascii 1.0\ncomment TextureFile {path.stem}.png")
+    text = text.replace("property float z", "property float z\nproperty float texture_u\nproperty float texture_v")
+    head, body = text.split("end_header\n")
+    rows = body.splitlines()
+    rows[: len(vertices)] = [f"{row} 0.5 0.5" for row in rows[: len(vertices)]]
+    path.write_text(head + "end_header\n" + "\n".join(rows) + "\n")
+    return path
+
+
 def write_stl(path: Path, corners: np.ndarray) -> Path:
     """A binary STL file of triangles (face corner axis)."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from datagen.errors import DatagenError
 from datagen.meshes.build import place
 from datagen.meshes.named_files import content_hash
 from datagen.meshes.read import LINEAR, read_mesh
-from tests.worlds.meshes import BOX, SIDES, triangles, write_obj, write_ply, write_stl
+from tests.worlds.meshes import BOX, SIDES, triangles, write_obj, write_ply, write_stl, write_textured_ply
 
 
 def test_an_obj_with_a_texture(tmp_path: Path):
@@ -32,6 +32,15 @@ def test_a_ply_with_vertex_colours(tmp_path: Path):
     raw = read_mesh(tmp_path, write_ply(tmp_path / "a.ply", 40 * BOX, triangles(), colors).name)
     np.testing.assert_allclose(raw.colors, LINEAR[colors][triangles()], rtol=1e-6)
     assert raw.images == ()
+
+
+def test_a_ply_of_bop_names_its_texture_in_a_comment(tmp_path: Path):
+    path = write_textured_ply(tmp_path / "obj_000001.ply", 40 * BOX, triangles())
+    raw = read_mesh(tmp_path, path.name)
+    assert raw.images[0][0, 0].tolist() == [250, 120, 10]
+    np.testing.assert_allclose(raw.uv, 0.5)
+    path.with_suffix(".png").write_bytes((path.with_suffix(".png")).read_bytes() + b"0")
+    assert content_hash(tmp_path, path.name) != raw.sha256
 
 
 def test_a_glb_keeps_the_transforms_of_its_parts(tmp_path: Path):
