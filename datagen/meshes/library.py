@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from datagen.errors import UsageError
+from datagen.errors import CorruptFile, UsageError
 from datagen.meshes.build import make_shape, mass_of, place
 from datagen.meshes.hulls import Hulls, find_hulls
 from datagen.meshes.named_files import content_hash
@@ -144,6 +144,7 @@ def open_library(values: Sequence[Mapping[str, Any]] | None, folder: Path | None
 
     Raises:
         UsageError: the dataset needs a folder and there is none, or a file is missing or has changed.
+        CorruptFile: the list is damaged.
     """
     if not values:
         if folder is not None:
@@ -151,7 +152,10 @@ def open_library(values: Sequence[Mapping[str, Any]] | None, folder: Path | None
         return None
     if folder is None:
         raise UsageError("The dataset was made with meshes; give the folder that holds them with --assets.")
-    entries = tuple(structure(dict(value), MeshEntry, strict_converter(), "assets") for value in values)
+    try:
+        entries = tuple(structure(dict(value), MeshEntry, strict_converter(), "assets") for value in values)
+    except (ValueError, TypeError) as error:
+        raise CorruptFile(f"The dataset's list of meshes is damaged ({error}); restore dataset.json.") from None
     library = Library(folder, entries)
     library.check()
     return library

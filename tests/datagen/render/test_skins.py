@@ -69,7 +69,7 @@ def test_unused_texels_do_not_bleed_into_coarse_levels():
     image = np.zeros((64, 64, 3), np.uint8)
     image[:20, :20] = 255
     skin = make_skin(raw_box(image, np.array([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3]])), 0.05 * BOX)
-    assert all(level[0, 0, 0] > 250 for level in skin.pyramids[0])
+    assert all(np.min(level) > 250 for level in skin.pyramids[0])
 
 
 @pytest.mark.parametrize("renderer", ["raster", pytest.param("pyrender", marks=pytest.mark.slow)])
