@@ -1,5 +1,6 @@
 """Find and examine the meshes of a folder: names, units, defects, and the entries of a dataset."""
 
+import dataclasses
 import hashlib
 import re
 from collections.abc import Callable, Collection, Sequence
@@ -12,7 +13,7 @@ from datagen.config import MESH_PREFIX
 from datagen.errors import DatagenError, UsageError
 from datagen.meshes.build import Placed, place
 from datagen.meshes.hulls import Hulls
-from datagen.meshes.library import SECONDS, Library, hulls_of, make_entry
+from datagen.meshes.library import SECONDS, Library, MeshEntry, hulls_of, make_entry
 from datagen.meshes.read import SUFFIXES, RawMesh, read_mesh
 from datagen.meshes.units import LARGEST, METRES, SMALLEST, Guess, Unit, Up, guess_unit, guess_up
 from datagen.schema import SPLITS
@@ -162,19 +163,6 @@ def examine(folder: Path, file: str, name: str, reading: Reading, *, hulls: bool
         return Examined(name, file, failure=str(error))
 
 
-def survey(
-    folder: Path, reading: Reading, *, names: Collection[str] = (), note: Callable[[str], None] = lambda _name: None
-) -> list[Examined]:
-    """Examine the meshes of a folder, or those whose name fits one of `names`; `note` is called before each."""
-    files = find_files(folder)
-    found = []
-    for file, name in zip(files, name_files(files), strict=True):
-        if not names or any(fits(wanted, name) for wanted in names):
-            note(name)
-            found.append(examine(folder, file, name, reading))
-    return found
-
-
 def fits(wanted: str, name: str) -> bool:
     """Whether a mesh's name is the wanted one, with or without `mesh:`, `ycb_` and the number of a YCB object."""
     return _plain(wanted) == _plain(name)
@@ -211,31 +199,45 @@ def make_library(
             f"objects.categories names no mesh; name some of --assets as {MESH_PREFIX}NAME, or use a recipe "
             "without categories, such as moving."
         )
-    found = survey(folder, reading, names=wanted, note=note)
-    messages = [f"{one.name}: {warning}." for one in found for warning in one.warnings]
-    absent = [name for name in wanted if not any(fits(name, one.name) for one in found)]
-    if absent and found:
-        messages.append(f"Not in {folder}: {', '.join(name.removeprefix(MESH_PREFIX) for name in absent)}.")
-    if not found:
-        raise UsageError(f"{folder} holds none of {', '.join(absent):.600}; docs/meshes.md says where to get them.")
-    _check_usable(folder, found)
-    found = _without_copies(found, messages)
-    splits = split_meshes([one.raw.sha256 for one in found if one.raw], shares)
-    entries = [
-        make_entry(
-            name=one.name,
-            file=one.file,
-            sha256=one.raw.sha256,
-            scale=one.scale,
-            up=one.up,
-            splits=splits[one.raw.sha256],
-            hulls=one.hulls,
-            placed=one.placed,
-        )
-        for one in found
-        if one.raw and one.hulls
+    files = find_files(folder)
+    chosen = [
+        (file, name)
+        for file, name in zip(files, name_files(files), strict=True)
+        if not wanted or any(fits(one, name) for one in wanted)
     ]
-    return Library(folder, tuple(entries)), messages
+    absent = [one.removeprefix(MESH_PREFIX) for one in wanted if not any(fits(one, name) for _, name in chosen)]
+    if not chosen:
+        raise UsageError(f"{folder} holds none of {', '.join(absent):.600}; docs/meshes.md says where to get them.")
+    # Quick checks of all files come before the hulls, which take long; only one mesh is kept in memory.
+    _check_usable(folder, [_summary(examine(folder, file, name, reading, hulls=False)) for file, name in chosen])
+    messages = [f"Not in {folder}: {', '.join(absent)}."] if absent else []
+    entries: dict[str, MeshEntry] = {}
+    for file, name in chosen:
+        note(name)
+        one = examine(folder, file, name, reading)
+        if not one.raw or not one.hulls:
+            raise UsageError(f"{one.failure} The file has changed while it was read.")
+        messages += [f"{name}: {warning}." for warning in one.warnings]
+        if one.raw.sha256 in entries:
+            messages.append(f"{name}: same content as {entries[one.raw.sha256].name}; used once.")
+        else:
+            entries[one.raw.sha256] = make_entry(
+                name=name,
+                file=file,
+                sha256=one.raw.sha256,
+                scale=one.scale,
+                up=one.up,
+                splits=SPLITS,
+                hulls=one.hulls,
+                placed=one.placed,
+            )
+    splits = split_meshes(list(entries), shares)
+    return Library(folder, tuple(dataclasses.replace(x, splits=splits[x.sha256]) for x in entries.values())), messages
+
+
+def _summary(one: Examined) -> Examined:
+    """The facts about a mesh without its triangles and textures."""
+    return dataclasses.replace(one, raw=None, placed=None)
 
 
 def _check_usable(folder: Path, found: Sequence[Examined]) -> None:
@@ -248,16 +250,6 @@ def _check_usable(folder: Path, found: Sequence[Examined]) -> None:
             f"The unit of {names} cannot be inferred; give it with --unit m, cm, mm or in, and --scale for a further "
             f"factor. `obpose-datagen assets check {folder}` shows the sizes."
         )
-
-
-def _without_copies(found: Sequence[Examined], messages: list[str]) -> list[Examined]:
-    kept: dict[str, Examined] = {}
-    for one in found:
-        if one.raw and one.raw.sha256 in kept:
-            messages.append(f"{one.name}: same content as {kept[one.raw.sha256].name}; used once.")
-        elif one.raw:
-            kept[one.raw.sha256] = one
-    return list(kept.values())
 
 
 def split_meshes(hashes: Sequence[str], shares: tuple[float, float, float] | None) -> dict[str, tuple[str, ...]]:

@@ -108,6 +108,15 @@ def dataset_spec(
         )
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
+    built_in = any(not name.startswith(MESH_PREFIX) for name in recipe.objects.categories)
+    if (
+        meshes
+        and not built_in
+        and (bare := [name for name, scenes in splits.items() if scenes and not meshes.names(name)])
+    ):
+        raise UsageError(
+            f"Split {bare[0]} has scenes, but no mesh; give it a share in --assets-split, or make no scenes for it."
+        )
     return make_spec(
         recipe_to_dict(recipe),
         seed=seed,

@@ -120,6 +120,13 @@ def test_other_files_are_rejected(folder: Path, tmp_path: Path, capsys: pytest.C
     assert re.search(r"box\.obj is not the file", capsys.readouterr().err)
 
 
+def test_a_split_without_meshes_has_no_scenes(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = ["--out", str(tmp_path / "out"), "--assets-split", "1/0/1"]
+    assert main(["--assets", str(folder / "assets"), "--split", "train=1,val=1", *out]) == 2
+    assert "Split val has scenes, but no mesh" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_recipe_of_meshes_says_that_it_needs_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["--recipe", "ycb-moving", "--scenes", "1", "--out", str(tmp_path / "out")]) == 2
     assert "--assets" in capsys.readouterr().err
