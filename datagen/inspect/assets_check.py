@@ -110,7 +110,7 @@ def _table(folder: Path, rows: Sequence[Row]) -> Grid:
         "cm³",
         "colours",
     ):
-        grid.add_column(title)
+        grid.add_column(title, no_wrap=title == "mesh")
     for row in rows:
         grid.add_row(escape(row.name), *(escape(cell) for cell in row.cells))
     return grid
