@@ -17,6 +17,10 @@ OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
 """Fields of a recipe that its parts do not inherit."""
 
 
+MESH_PREFIX = "mesh:"
+"""Stands before the names of meshes in `objects.categories`."""
+
+
 @dataclass(frozen=True)
 class Objects:
     """Number, categories, sizes and physical properties of the objects."""
@@ -26,7 +30,7 @@ class Objects:
     maximum: int = 4
     """Most objects in a scene."""
     categories: tuple[str, ...] = ()
-    """Names from the catalog that objects are drawn from; empty means all tabletop categories."""
+    """Names from the catalog, or `mesh:NAME` of --assets, that objects are drawn from; empty means all of either."""
     size: tuple[float, float] = (0.03, 0.16)
     """Range of an object's longest side, metres."""
     sizes: tuple[float, ...] = ()
@@ -269,6 +273,11 @@ class Recipe:
             raise UsageError(f"Recipe {self.name!r} is impossible: {'; '.join(wrong)}.")
 
     @property
+    def needs_meshes(self) -> bool:
+        """Whether the recipe names meshes, which the user has to provide."""
+        return any(name.startswith(MESH_PREFIX) for name in self.objects.categories)
+
+    @property
     def video(self) -> bool:
         """Whether clips have more than one frame."""
         return self.frames > 1
@@ -312,6 +321,11 @@ def constant_names(recipe: Recipe) -> list[str]:
 def recipe_names() -> list[str]:
     """Names of all recipes that ship with the package."""
     return sorted(path.stem for path in assets.RECIPES.glob("*.toml"))
+
+
+def names_without_meshes() -> list[str]:
+    """Names of the recipes that need no files of the user."""
+    return [name for name in recipe_names() if not load_recipe(name).needs_meshes]
 
 
 @functools.cache

@@ -140,7 +140,9 @@ def _problems_of(name: str, value: Any) -> Iterator[str]:
             yield f"{name} is {value}, expected the least before the greatest"
     elif name == "appearance.finishes" and not values:
         yield f"{name} names none, expected at least one"
-    elif name == "objects.categories" and (unknown := set(values) - _categories(values)):
+    elif name == "objects.categories" and (
+        unknown := {name for name in values if not name.startswith("mesh:")} - _categories(values)
+    ):
         names = ", ".join(sorted(_categories(values)))
         yield f"objects.categories has unknown {', '.join(sorted(unknown))}, expected some of {names}"
     elif name in _COLORS and not all(re.fullmatch(r"#[0-9a-fA-F]{6}", x) for x in values if x or name == _COLORS[0]):

@@ -28,7 +28,7 @@ _MOST_PARAMETERS = 1000
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
-Pattern = Literal["plain", "two-tone", "checker", "stripes", "noise", "wood", "dots"]
+Pattern = Literal["plain", "two-tone", "checker", "stripes", "noise", "wood", "dots", "image"]
 Motion = Literal["rest", "drop", "slide", "roll", "push", "throw"]
 
 
@@ -43,7 +43,7 @@ class Material:
     color2: Vector = (0.0, 0.0, 0.0)
     """The second colour, used by patterns with two colours."""
     pattern: Pattern = "plain"
-    """Arrangement of the two colours, a solid texture in the object frame."""
+    """Arrangement of the two colours, a solid texture in the object frame; `image`: the mesh's own colours."""
     period: float = 0.02
     """Period of the pattern, metres."""
     axis: Vector = (0.0, 0.0, 1.0)
@@ -213,6 +213,8 @@ def _check_parameter(value: Any) -> Any:
 
 def _shape(values: Any, _kind: type) -> ShapeSpec:
     plain = structure(values, _PlainShape, _CONVERTER)
+    if plain.family == "mesh":  # its scale is no length
+        return ShapeSpec(plain.family, dict(vars(structure(plain.parameters, _MeshParameters, _CONVERTER))))
     return ShapeSpec(plain.family, {name: _check_parameter(value) for name, value in plain.parameters.items()})
 
 
@@ -222,6 +224,16 @@ class _PlainShape:
 
     family: str
     parameters: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _MeshParameters:
+    """Parameters of a mesh from a file."""
+
+    file: str
+    sha256: str
+    scale: float
+    up: str
 
 
 _CONVERTER = strict_converter(_MOST).copy()

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from datagen.config import load_recipe, recipe_names
+from datagen.config import load_recipe, names_without_meshes
 from datagen.console.progress import Progress, no_progress
 from datagen.console.text import counted
 from datagen.errors import DatagenError, UsageError, unknown_name
@@ -188,7 +188,7 @@ def find_track(name: str, profile: Profile = "cpu") -> Track:
     Raises:
         UsageError: there is none; the message suggests the nearest name.
     """
-    names = recipe_names()
+    names = names_without_meshes()
     if name in names:
         return Track(name, profile)
     if name in GROUPS:
@@ -208,12 +208,12 @@ def find_tracks(names: Iterable[str], profile: Profile = "cpu") -> list[Track]:
 
 def all_tracks(profile: Profile = "cpu") -> list[Track]:
     """List all tracks, one for each recipe."""
-    return [Track(name, profile) for name in recipe_names()]
+    return [Track(name, profile) for name in names_without_meshes()]
 
 
 def find_dataset(track: str, spec_hash: str, folders: Iterable[Path]) -> Path | None:
     """Find the dataset of that identity in one of the folders or among the tracks already made; None if absent."""
-    made = [Track(track, profile).folder for profile in PROFILES] if track in recipe_names() else []
+    made = [Track(track, profile).folder for profile in PROFILES] if track in names_without_meshes() else []
     for folder in (*folders, *made):
         if (folder / "dataset.json").exists() and Dataset(folder).spec["spec_hash"] == spec_hash:
             return folder

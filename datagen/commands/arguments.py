@@ -63,6 +63,18 @@ class Generate:
     """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False
     """Replace a dataset of other settings in the same folder."""
+    assets: Path | None = None
+    """Folder of OBJ, PLY, STL and GLB meshes that objects are drawn from; see docs/meshes.md."""
+    unit: Literal["m", "cm", "mm", "in"] | None = None
+    """Unit of all meshes; default guessed for each from its size."""
+    up: Literal["x", "y", "z"] | None = None
+    """Upward axis of all meshes; default y for GLB and z for the others."""
+    scale: float = 1.0
+    """Further factor on the size of all meshes."""
+    assets_split: str | None = None
+    """Shares of the meshes that train, val and test draw from, such as 80/10/10; default all splits use all meshes."""
+    hull_seconds: float = 300.0
+    """CPU time for cutting one mesh into convex hulls, after which its convex hull is used."""
     constants: Annotated[Constants, _OVERRIDES] = Constants()
 
 
@@ -88,6 +100,8 @@ class Render:
     """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False
     """Replace a dataset of other settings in the same folder."""
+    assets: Path | None = None
+    """Folder of the meshes that the source was made with."""
     rig: Rig = field(default_factory=Rig)
 
 
@@ -98,6 +112,8 @@ class Verify:
     folder: _FOLDER
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
+    assets: Path | None = None
+    """Folder of the meshes that the dataset was made with."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +153,9 @@ class Inspect:
 class Regenerate(Inspect):
     """Generate one scene again and compare all its arrays with the stored ones."""
 
+    assets: Path | None = None
+    """Folder of the meshes that the dataset was made with."""
+
 
 @dataclass(frozen=True)
 class Push:
@@ -164,3 +183,22 @@ class Export:
     """Splits to export, separated by commas; those without scenes are left out."""
     overwrite: _Flag = False
     """Replace an export in the same folder."""
+
+
+@dataclass(frozen=True)
+class Assets:
+    """Check a folder of meshes: a table of units, sizes, hulls and problems, and a sheet of thumbnails."""
+
+    action: Annotated[Literal["check"], tyro.conf.Positional]
+    """What to do."""
+    folder: _FOLDER
+    unit: Literal["m", "cm", "mm", "in"] | None = None
+    """Unit of all meshes; default guessed for each from its size."""
+    up: Literal["x", "y", "z"] | None = None
+    """Upward axis of all meshes; default y for GLB and z for the others."""
+    scale: float = 1.0
+    """Further factor on the size of all meshes."""
+    hull_seconds: float = 300.0
+    """CPU time for cutting one mesh into convex hulls, after which its convex hull is used."""
+    out: Path = Path("assets.png")
+    """The sheet of thumbnails, .png or .jpg."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from datagen.commands import importing, options
 from datagen.commands.arguments import (
+    Assets,
     Constants,
     Export,
     Generate,
@@ -32,6 +33,7 @@ from datagen.storage.reader import Dataset
 from datagen.storage.spec import CARD_FILE, read_spec, rendered_recipe_of
 
 if TYPE_CHECKING:
+    from datagen.meshes.library import Library
     from datagen.pipeline.generate import Report
 
 PROGRAM = "obpose-datagen"
@@ -114,10 +116,32 @@ def _generate(values: Generate) -> int:
     from datagen.pipeline.generate import generate
 
     renderer = None if values.simulate_only else values.renderer or "raster"
-    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits}
+    meshes = _meshes(values, recipe)
+    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits, "meshes": meshes}
     report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
     return EXIT_OK
+
+
+def _meshes(values: Generate, recipe: Recipe) -> "Library | None":
+    """The meshes of --assets; warnings about them go to standard error."""
+    if values.assets is None:
+        if values.unit or values.up or values.scale != 1.0 or values.assets_split:
+            raise UsageError("--unit, --up, --scale and --assets-split are about the meshes of --assets; give it too.")
+        return None
+
+    from datagen.meshes.survey import Reading, make_library
+
+    library, messages = make_library(
+        values.assets,
+        Reading(values.unit, values.up, values.scale, values.hull_seconds),
+        categories=recipe.objects.categories,
+        shares=options.parse_shares(values.assets_split),
+        note=lambda name: print(f"Reading {name}", file=sys.stderr),
+    )
+    for message in messages:
+        print(message, file=sys.stderr)
+    return library
 
 
 def _render(values: Render) -> int:
@@ -134,7 +158,16 @@ def _render(values: Render) -> int:
     from datagen.pipeline.generate import render
 
     rig = wanted if wanted != recipe else None
-    report = render(values.source, folder, resolution=size, renderer=values.renderer, rig=rig, edits=edits, run=run)
+    report = render(
+        values.source,
+        folder,
+        resolution=size,
+        renderer=values.renderer,
+        rig=rig,
+        edits=edits,
+        assets=values.assets,
+        run=run,
+    )
     _print_report(folder, report, spec["splits"])
     return EXIT_OK
 
@@ -165,7 +198,7 @@ def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> Non
 def _verify(values: Verify) -> int:
     from datagen import verify
 
-    return verify.run(values.folder, workers=options.parse_workers(values.workers))
+    return verify.run(values.folder, workers=options.parse_workers(values.workers), assets=values.assets)
 
 
 def _stats(values: Stats) -> int:
@@ -199,7 +232,7 @@ def _regenerate(values: Regenerate) -> int:
 
     from datagen.pipeline.generate import regenerate
 
-    differing = regenerate(values.folder, values.split, values.scene)
+    differing = regenerate(values.folder, values.split, values.scene, values.assets)
     place = f"{values.folder}, {values.split} scene {values.scene}"
     if differing:
         print(f"{place}: these arrays differ from what is stored: {', '.join(differing)}")
@@ -235,6 +268,14 @@ def _push(values: Push) -> int:
     return EXIT_OK
 
 
+def _assets(values: Assets) -> int:
+    from datagen.inspect import assets_check
+    from datagen.meshes.survey import Reading
+
+    reading = Reading(values.unit, values.up, values.scale, values.hull_seconds)
+    return assets_check.run(values.folder, reading, values.out)
+
+
 def _check_scene(values: Inspect | Regenerate) -> None:
     scenes = Dataset(values.folder).splits[values.split]
     if not 0 <= values.scene < scenes:
@@ -252,6 +293,7 @@ COMMANDS = {
     "export": Command(Export, _export),
     "push": Command(Push, _push),
     "regenerate": Command(Regenerate, _regenerate),
+    "assets": Command(Assets, _assets),
 }
 
 if __name__ == "__main__":

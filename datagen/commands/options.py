@@ -113,6 +113,21 @@ def parse_split_names(text: str) -> tuple[str, ...]:
     return tuple(split for split in SPLITS if split in names)
 
 
+def parse_shares(text: str | None) -> tuple[float, float, float] | None:
+    """Parse shares of train, val and test such as `80/10/10`; None gives None.
+
+    Raises:
+        UsageError: it is not of that form, or all are zero.
+    """
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d{1,6}(?:\.\d{1,6})?)/(\d{1,6}(?:\.\d{1,6})?)/(\d{1,6}(?:\.\d{1,6})?)", text)
+    if not match or not any(float(share) for share in match.groups()):
+        raise UsageError(f"--assets-split {text:.40}: expected shares of train, val and test, such as 80/10/10.")
+    train, val, test = (float(share) for share in match.groups())
+    return train, val, test
+
+
 def parse_share(text: str | None) -> tuple[int, int]:
     """Parse `i/n` into (i, n), i counted from 0; None gives (0, 1).
 

@@ -1,5 +1,6 @@
 """A dataset's card: the README.md in its folder, with the header that the Hugging Face hub reads."""
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from datagen.inspect.stats import Summary, summary
 from datagen.schema import FIELDS
 from datagen.storage.dataset_folder import write_file
 from datagen.storage.reader import Dataset
+from datagen.storage.safe_io import parse_json
 from datagen.storage.shard import CONVENTIONS
 from datagen.storage.spec import CARD_FILE, CROISSANT_FILE, Spec, is_imported, settings_hash
 
@@ -23,7 +25,8 @@ def write_card(folder: str | Path) -> Path:
         DatagenError: the folder holds no complete dataset.
     """
     spec = Dataset(folder).spec
-    text = imported.card(spec, summary(folder)) if is_imported(spec) else card(spec, summary(folder))
+    figures = summary(folder)
+    text = imported.card(spec, figures) if is_imported(spec) else card(spec, figures, meshes_seen(folder))
     texts = {CROISSANT_FILE: metadata(spec), CARD_FILE: text}
     for name, text in texts.items():
         write_file(Path(folder), name, text.encode(), settings_hash(spec))
@@ -61,8 +64,8 @@ def description_of(spec: Spec) -> str:
     return spec["recipe"]["description"] or "An own recipe."
 
 
-def card(spec: Spec, figures: Summary) -> str:
-    """The text of the card."""
+def card(spec: Spec, figures: Summary, seen: Mapping[str, Collection[str]] | None = None) -> str:
+    """The text of the card; `seen` are the content hashes of the meshes that each split's scenes hold."""
     rendered = f"rendered with `{figures['renderer']}`" if figures["renderer"] else "simulated, without images"
     fields = '["rgb", "depth", "segmentation"]' if figures["resolution"] else '["poses/position"]'
     renderer = spec["renderer"] and f"{spec['renderer']['name']} {spec['renderer']['version']}"
@@ -86,7 +89,7 @@ pretty_name: obpose {figures["recipe"]}
 recipe is in `dataset.json`.
 
 {_table(figures)}
-## Loading
+{_meshes(spec, seen or {})}## Loading
 
 ```python
 from datagen.storage.reader import Dataset
@@ -115,6 +118,54 @@ PyTorch dataset over the folder.
 The hash of every scene's arrays is stored beside it; `obpose-datagen verify` proves arrays, hashes and geometry, and
 `obpose-datagen regenerate --split train --scene 0` makes a scene again and compares.
 """
+
+
+def meshes_seen(folder: str | Path) -> dict[str, set[str]]:
+    """Content hashes of the meshes in the scenes of each split, from the stored objects."""
+    dataset, seen = Dataset(folder), {}
+    if not dataset.spec.get("assets"):
+        return {}
+    for split, scenes in dataset.splits.items():
+        reader, found = dataset.split(split), set[str]()
+        for index in range(scenes):
+            record = reader.read(index, ["objects/count", "objects/parameters"])
+            for text in record["objects/parameters"][: int(record["objects/count"])]:
+                shape = parse_json(bytes(text).decode())
+                if shape["family"] == "mesh":
+                    found.add(shape["parameters"]["sha256"])
+        seen[split] = found
+    return seen
+
+
+def _meshes(spec: Spec, seen: Mapping[str, Collection[str]]) -> str:
+    """Section about the meshes; it states which of the test split's shapes occur in training."""
+    if not (assets := spec.get("assets")):
+        return ""
+    rows = [
+        f"| {asset['name']} | `{asset['file']}` | {asset['scale']:g} | {', '.join(asset['splits'])} "
+        f"| {asset['hulls']} ({asset['hulls_method']}) | `{asset['sha256']}` |"
+        for asset in assets
+    ]
+    train, test = set(seen.get("train", ())), set(seen.get("test", ()))
+    counts = ", ".join(f"{len(hashes)} in {split}" for split, hashes in seen.items())
+    if train & test:
+        proof = f"{len(train & test)} of the test split's {len(test)} shapes also occur in training."
+    else:
+        proof = "No shape of the test split occurs in training: their content hashes are disjoint."
+    return "\n".join(
+        [
+            "## Meshes",
+            "",
+            f"The scenes hold {len(set().union(*seen.values()))} different meshes: {counts}. {proof}",
+            "The meshes themselves are not part of the dataset; their licences are those of their sources.",
+            "",
+            "| mesh | file | metres per unit | splits | hulls | SHA-256 of content |",
+            "|---|---|---|---|---|---|",
+            *rows,
+            "",
+            "",
+        ]
+    )
 
 
 def size_category(images: int) -> str:

@@ -8,10 +8,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.config import Recipe, recipe_to_dict
+from datagen.config import MESH_PREFIX, Recipe, recipe_to_dict
 from datagen.console.progress import Progress, no_progress
 from datagen.errors import UsageError
 from datagen.inspect.dataset_card import write_card
+from datagen.meshes.library import Library, open_library
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, array_hash
@@ -59,6 +60,7 @@ def generate(
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
+    meshes: Library | None = None,
     run: Run = Run(),
 ) -> Report:
     """Make a dataset, complete it, or extend it.
@@ -71,14 +73,17 @@ def generate(
         resolution: Width and height of the images, the recipe's if None.
         renderer: Name of the renderer; None stores scenes and trajectories without images.
         edits: Counterfactual edits that are rendered beside each scene.
+        meshes: Meshes that objects are drawn from, instead of the recipe's categories.
         run: Options that do not change the content.
 
     Raises:
         UsageError: the request contradicts itself or what is in the folder.
         DatagenError: it could not be completed; running it again goes on.
     """
-    spec = dataset_spec(recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer, edits=edits)
-    return _fill(folder, spec, None, run)
+    spec = dataset_spec(
+        recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer, edits=edits, meshes=meshes
+    )
+    return _fill(folder, spec, None, meshes, run)
 
 
 def dataset_spec(
@@ -89,14 +94,29 @@ def dataset_spec(
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
+    meshes: Library | None = None,
 ) -> Spec:
     """The spec of the dataset that `generate` makes of these arguments in a new folder.
 
     Raises:
-        UsageError: edits are requested without images.
+        UsageError: edits are requested without images, or the recipe needs meshes and there are none.
     """
+    if not meshes and (named := [name for name in recipe.objects.categories if name.startswith(MESH_PREFIX)]):
+        raise UsageError(
+            f"Recipe {recipe.name!r} needs meshes such as {named[0].removeprefix(MESH_PREFIX)}; give the folder that "
+            "holds them with --assets. docs/meshes.md says where to download the YCB objects."
+        )
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
+    built_in = any(not name.startswith(MESH_PREFIX) for name in recipe.objects.categories)
+    if (
+        meshes
+        and not built_in
+        and (bare := [name for name, scenes in splits.items() if scenes and not meshes.names(name)])
+    ):
+        raise UsageError(
+            f"Split {bare[0]} has scenes, but no mesh; give it a share in --assets-split, or make no scenes for it."
+        )
     return make_spec(
         recipe_to_dict(recipe),
         seed=seed,
@@ -104,6 +124,7 @@ def dataset_spec(
         resolution=(resolution or recipe.resolution) if renderer else None,
         renderer=renderer_identity(renderer),
         edits=edits,
+        assets=meshes.values() if meshes else (),
     )
 
 
@@ -115,12 +136,14 @@ def render(
     renderer: str = "raster",
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
+    assets: Path | None = None,
     run: Run = Run(),
 ) -> Report:
     """Make images of the scenes of another dataset, which may have images; needs no physics engine.
 
     The source's or its recipe's resolution is used if None. The cameras (`rig`, `views`) of the recipe `rig` replace
-    the source's. The other arguments are those of `generate`.
+    the source's. `assets` is the folder of the source's meshes. The other arguments are those of
+    `generate`.
 
     Raises:
         UsageError: the source is no dataset, of another data version or the folder itself, or the request contradicts
@@ -137,7 +160,10 @@ def render(
         )
     dataset.check_complete()
     spec = render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig, edits=edits)
-    return _fill(folder, spec, Source(source, settings_hash(dataset.spec)), run)
+    meshes = open_library(dataset.spec.get("assets"), assets)
+    if meshes and not edits:
+        meshes = meshes.without_hulls()
+    return _fill(folder, spec, Source(source, settings_hash(dataset.spec)), meshes, run)
 
 
 def render_spec(
@@ -159,32 +185,35 @@ def render_spec(
         renderer=renderer_identity(renderer),
         rig=cameras or source["rig"],
         edits=edits,
+        assets=source.get("assets") or (),
     )
 
 
-def regenerate(folder: Path, split: str, index: int) -> list[str]:
+def regenerate(folder: Path, split: str, index: int, assets: Path | None = None) -> list[str]:
     """Generate one scene again and compare it with the stored one; returns the names of the arrays that differ.
 
+    `assets` is the folder of the dataset's meshes.
+
     Raises:
-        UsageError: the folder holds no dataset, or no such scene.
+        UsageError: the folder holds no dataset, or no such scene, or its meshes have changed.
         DatagenError: the scene has not been made yet, or cannot be read.
     """
     dataset = Dataset(folder)
     stored = dataset.split(split)[index]
-    fresh = make_scene(dataset.spec, split, index)
+    fresh = make_scene(dataset.spec, split, index, meshes=open_library(dataset.spec.get("assets"), assets))
     return [
         name for name in stored if name not in fresh or array_hash(name, stored[name]) != array_hash(name, fresh[name])
     ]
 
 
-def _fill(folder: Path, wanted: Spec, source: Source | None, run: Run) -> Report:
+def _fill(folder: Path, wanted: Spec, source: Source | None, meshes: Library | None, run: Run) -> Report:
     started = time.monotonic()
     check_memory(wanted)
 
     def make_first() -> None:
         """Generate and discard one scene, so that an infeasible recipe fails before any file is touched."""
         if split := next((name for name, scenes in wanted["splits"].items() if scenes), None):
-            SceneMaker(wanted, source)(split, 0)
+            SceneMaker(wanted, source, meshes)(split, 0)
 
     with filling(folder, wanted, overwrite=run.overwrite, prove=make_first) as spec:
         part, parts = run.share
@@ -194,7 +223,7 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, run: Run) -> Report
             if task.todo and task.split in run.splits and task.order % parts == part
         ]
         scenes = [(task.split, index) for task in tasks for index in task.todo]
-        maker = SceneMaker(spec, source)
+        maker = SceneMaker(spec, source, meshes)
         progress = run.progress if scenes else no_progress
         with progress(len(scenes)) as advance, closing(make_all(maker, scenes, run.workers)) as made:
             for task in tasks:

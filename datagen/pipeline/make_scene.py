@@ -12,6 +12,7 @@ from datagen.config import Recipe
 from datagen.edits import edits_record
 from datagen.edits.edit_context import stage_of
 from datagen.errors import CorruptFile, UsageError
+from datagen.meshes.library import Library
 from datagen.pipeline.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.pipeline.visible_range import check_range
 from datagen.random_streams import Stream, scene_rng
@@ -46,6 +47,8 @@ class SceneMaker:
     spec: Spec
     source: Source | None = None
     """Dataset that the simulation fields are read from; None simulates."""
+    meshes: Library | None = None
+    """Meshes of the dataset."""
 
     def __call__(self, split: str, index: int) -> PackedScene:
         """Make one scene.
@@ -54,7 +57,7 @@ class SceneMaker:
             UsageError: another dataset has taken the source's folder.
             CorruptFile: a scene of the source cannot be read or built.
         """
-        return pack(make_scene(self.spec, split, index, self._source_record(split, index)))
+        return pack(make_scene(self.spec, split, index, self._source_record(split, index), self.meshes))
 
     def _source_record(self, split: str, index: int) -> SceneRecord | None:
         if self.source is None:
@@ -110,13 +113,15 @@ def scene_memory(spec: Spec) -> int:
     return images + 80 * finer * width * height + tables
 
 
-def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = None) -> SceneRecord:
+def make_scene(
+    spec: Spec, split: str, index: int, source: SceneRecord | None = None, meshes: Library | None = None
+) -> SceneRecord:
     """All arrays of one scene, a pure function of the spec's settings, the split and the index.
 
     The scene is simulated unless `source` holds its simulation fields.
     """
     recipe = recipe_of(spec)
-    record = source or _simulate(recipe, spec["seed"], split, index)
+    record = source or _simulate(recipe, spec["seed"], split, index, meshes)
     scene, trajectory = scene_and_trajectory(record)
     if spec["rig"]:
         cameras = sample_cameras(rendered_recipe_of(spec), _rng(spec, split, index, "rig"))
@@ -124,7 +129,7 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
         record = with_scene(record, scene)
     if not spec["renderer"]:
         return record
-    shapes = tuple(build(body.shape) for body in scene.bodies)
+    shapes = tuple(build(body.shape, meshes) for body in scene.bodies)
     renderer = _renderer(spec["renderer"]["name"])
     width, height = spec["resolution"]
     check_range(scene, shapes, trajectory.world_from_object, (width, height), name=f"{split} scene {index}: ")
@@ -153,11 +158,11 @@ def object_rows(recipe: Recipe) -> int:
     return max(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts))))
 
 
-def _simulate(recipe: Recipe, seed: int, split: str, index: int) -> SceneRecord:
+def _simulate(recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None) -> SceneRecord:
     # Imported here so that rendering stored scenes does not need the physics engine.
     from datagen.pipeline.simulate import simulate_scene
 
-    made = simulate_scene(recipe, seed, split, index)
+    made = simulate_scene(recipe, seed, split, index, meshes)
     return simulation_record(
         made.scene,
         made.shapes,

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from datagen import shapes as shape_families
 from datagen.config import Recipe
 from datagen.errors import ImpossibleScene, UsageError
+from datagen.meshes.library import Library
 from datagen.physics.bullet import World
 from datagen.pipeline.visible_range import near_object, table_fault
 from datagen.random_streams import scene_rng
@@ -68,8 +69,8 @@ class Simulated:
     """Number of rejected scenes by the rule that they broke."""
 
 
-def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulated:
-    """Scene `index` of a split, a pure function of its arguments and `DATA_VERSION`.
+def simulate_scene(recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None = None) -> Simulated:
+    """Scene `index` of a split, a pure function of its arguments, `DATA_VERSION` and the files of `meshes`.
 
     Raises:
         ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws, or they came nowhere near.
@@ -83,8 +84,8 @@ def simulate_scene(recipe: Recipe, seed: int, split: str, index: int) -> Simulat
     fitting: list[int] = []
     for attempt in range(1, recipe.attempts + 1):
         try:
-            scene = sample_scene(part, rng, split, index)
-            shapes = tuple(shape_families.build(body.shape) for body in scene.bodies)
+            scene = sample_scene(part, rng, split, index, meshes)
+            shapes = tuple(shape_families.build(body.shape, meshes) for body in scene.bodies)
             trajectory = _trajectory(part, scene, shapes)
         except Rejected as rejection:
             rejections[rejection.reason] += 1

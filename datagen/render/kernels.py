@@ -43,7 +43,9 @@ CREASE = 0.96
 AO_LENGTH = 0.02
 """Distance over which an object darkens the ambient light around its foot, metres."""
 
-PATTERNS = ("plain", "two-tone", "checker", "stripes", "noise", "wood", "dots")
+PATTERNS = ("plain", "two-tone", "checker", "stripes", "noise", "wood", "dots", "image")
+IMAGE = 7
+"""Index of the pattern whose colours come from a mesh's `Skins`."""
 
 
 def _vogel_disc(count: int) -> np.ndarray:
@@ -69,6 +71,30 @@ SRGB = _srgb_table()
 kernel = njit(cache=True, error_model="numpy")
 
 
+def _linear_table() -> np.ndarray:
+    value = np.arange(256) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+LINEAR = _linear_table()
+
+
+class Skins(NamedTuple):
+    """Textures and vertex colours of all objects; rows of faces are those of `Mesh`, unused ones being zero."""
+
+    uv: np.ndarray
+    colors: np.ndarray
+    density: np.ndarray
+    """Texels per metre at level 0."""
+    texture: np.ndarray
+    levels: np.ndarray
+    """First level of each texture, and one row more for the end."""
+    images: np.ndarray
+    """First texel, width and height of each level."""
+    texels: np.ndarray
+    """sRGB of all texels of all levels."""
+
+
 class Mesh(NamedTuple):
     """Concatenated meshes of all objects of a scene, each in its object frame."""
 
@@ -78,6 +104,7 @@ class Mesh(NamedTuple):
     """Object that each face belongs to."""
     normals: np.ndarray
     face_normals: np.ndarray
+    skins: Skins
 
 
 class LightMap(NamedTuple):
@@ -120,6 +147,8 @@ class Row(NamedTuple):
     look: np.ndarray
     second: np.ndarray
     """Share of the second colour."""
+    albedo: np.ndarray
+    """Linear RGB where the pattern is `IMAGE`."""
     light: np.ndarray
     """Share of the first light that arrives; shares of the ambient light from above and from below that are blocked."""
     blur: np.ndarray
@@ -233,6 +262,43 @@ def texture_weights(pattern, period, axis, points, width):
     for i in range(len(points)):
         weights[i] = _texture(pattern, period, axis, points[i, 0], points[i, 1], points[i, 2], width)
     return weights
+
+
+# --- Textures of meshes -------------------------------------------------------------------------------------------
+
+
+@kernel
+def _texel(skins, level, x, y, c):
+    """Linear value of one channel of a texel; textures repeat."""
+    width, height = skins.images[level, 1], skins.images[level, 2]
+    return LINEAR[skins.texels[skins.images[level, 0] + (y % height) * width + x % width, c]]
+
+
+@kernel
+def _bilinear(skins, level, u, v, c):
+    x, y = u * skins.images[level, 1] - 0.5, v * skins.images[level, 2] - 0.5
+    i, j = math.floor(x), math.floor(y)
+    fx, fy = x - i, y - j
+    top = _texel(skins, level, i, j, c) * (1 - fx) + _texel(skins, level, i + 1, j, c) * fx
+    bottom = _texel(skins, level, i, j + 1, c) * (1 - fx) + _texel(skins, level, i + 1, j + 1, c) * fx
+    return top * (1 - fy) + bottom * fy
+
+
+@kernel
+def _skin(skins, face, a, b, c, width, albedo):
+    """Linear RGB of a face at barycentric weights, averaged over about `width` metres (trilinear mipmapping)."""
+    uv, colors, texture = skins.uv, skins.colors, skins.texture[face]
+    u = a * uv[face, 0, 0] + b * uv[face, 1, 0] + c * uv[face, 2, 0]
+    v = a * uv[face, 0, 1] + b * uv[face, 1, 1] + c * uv[face, 2, 1]
+    first, last = skins.levels[texture], skins.levels[texture + 1] - 1
+    fine = min(max(math.log2(max(skins.density[face] * width, 1e-6)), 0.0), float(last - first))
+    level = min(first + int(fine), last)
+    share = fine - int(fine)
+    for k in range(3):
+        value = _bilinear(skins, level, u, v, k)
+        if share > 0 and level < last:
+            value = value * (1 - share) + _bilinear(skins, level + 1, u, v, k) * share
+        albedo[k] = value * (a * colors[face, 0, k] + b * colors[face, 1, k] + c * colors[face, 2, k])
 
 
 # --- Vertices -----------------------------------------------------------------------------------------------------
@@ -627,6 +693,8 @@ def _reflect(row, count, s, materials):
         matte, plain = 1 - metalness, 0.04 * (1 - metalness)
         for c in range(3):
             albedo = materials[o, c] + second * (materials[o, 3 + c] - materials[o, c])
+            if materials[o, 6] == IMAGE:
+                albedo = row.albedo[q, c]
             diffuse = diffuse_r if c == 0 else (diffuse_g if c == 1 else diffuse_b)
             base = base_r if c == 0 else (base_g if c == 1 else base_b)
             edge = edge_r if c == 0 else (edge_g if c == 1 else edge_b)
@@ -751,6 +819,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         sx, sy = at[r, 0], at[r, 1]
         ray = _world_ray(view, sx, sy)
         e = _unit(-ray[0], -ray[1], -ray[2])
+        wa = wb = wc = 0.0
         if face == TABLE:
             o = TABLE
             z = at[r, 2]
@@ -761,7 +830,8 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
             o = owners[face]
             i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
             # Position in the object frame, for the texture; normal in the world.
-            a, b, c, z = _weights(q, i, j, k, sx, sy)
+            wa, wb, wc, z = _weights(q, i, j, k, sx, sy)
+            a, b, c = wa, wb, wc
             x = a * v[i, 0] + b * v[j, 0] + c * v[k, 0]
             y = a * v[i, 1] + b * v[j, 1] + c * v[k, 1]
             h = a * v[i, 2] + b * v[j, 2] + c * v[k, 2]
@@ -782,7 +852,13 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         toward = n[0] * e[0] + n[1] * e[1] + n[2] * e[2]
         axis = (materials[o, 8], materials[o, 9], materials[o, 10])
         width = view[3, 1] * z / max(toward, 0.3)
-        row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
+        if materials[o, 6] == IMAGE and face >= 0:
+            # Between the sides of the pixel's footprint, which is longer along the slope.
+            across = view[3, 1] * z / math.sqrt(max(toward, 0.1))
+            row.second[r] = 0.0
+            _skin(mesh.skins, face, wa, wb, wc, across, row.albedo[r])
+        else:
+            row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
         shade = _occlusion_at(occlusion, occlusion_frame, p[0], p[1])
         light[r, 0] = 1.0
         light[r, 1] = min(0.75 * shade, 1.0) if o == TABLE else 0.0

@@ -17,11 +17,14 @@ from datagen.render import kernels
 from datagen.render.renderer import NEAREST, Image, light_axes, linear
 from datagen.scene import Camera, Light, Material, Scene
 from datagen.shapes.shape import Shape
+from datagen.shapes.skin import Skin
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 FAR_LIGHT = 1000.0
 """Metres to the point lights that stand for distant lights without shadow; pyrender's directional ones all cast one."""
+
+GL_LINEAR, GL_LINEAR_MIPMAP_LINEAR, GL_REPEAT = 0x2601, 0x2703, 0x2901
 
 COLORS_PER_PERIOD = 12
 """Vertices along one period of a pattern, whose colours OpenGL interpolates between."""
@@ -51,10 +54,7 @@ class PyrenderRenderer:
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._scene = self._pyrender.Scene(ambient_light=[*scene.ambient], bg_color=[*scene.backdrop, 1.0])
-        self._nodes = [
-            self._scene.add(self._mesh(s.vertices[s.faces], s.normals, b.material))
-            for s, b in zip(shapes, scene.bodies, strict=True)
-        ]
+        self._nodes = [self._scene.add(self._shape(s, b.material)) for s, b in zip(shapes, scene.bodies, strict=True)]
         self._table = self._scene.add(self._mesh(*_table(scene.table.size), scene.table.material, double_sided=True))
         self._shadows = bool(scene.lights) and scene.lights[0].casts_shadow
         for row, light in enumerate(scene.lights):
@@ -92,6 +92,41 @@ class PyrenderRenderer:
     def _color_flags(self) -> int:
         flags = self._pyrender.RenderFlags
         return flags.SHADOWS_DIRECTIONAL if self._shadows else flags.NONE
+
+    def _shape(self, shape: Shape, material: Material) -> Any:
+        if material.pattern == "image" and shape.skin is not None:
+            return self._skinned(shape, shape.skin, material)
+        return self._mesh(shape.vertices[shape.faces], shape.normals, material)
+
+    def _skinned(self, shape: Shape, skin: Skin, material: Material) -> Any:
+        """A mesh with one primitive for each of its textures."""
+        primitives = []
+        for row, pyramid in enumerate(skin.pyramids):
+            own = skin.texture == row
+            if not np.any(own):
+                continue
+            sampler = self._pyrender.Sampler(
+                magFilter=GL_LINEAR, minFilter=GL_LINEAR_MIPMAP_LINEAR, wrapS=GL_REPEAT, wrapT=GL_REPEAT
+            )
+            # OpenGL wants at least 2x2 texels for its mipmaps; pyrender counts v from the lower edge.
+            image = pyramid[0]
+            if image.size == 3:
+                image = np.tile(image, (2, 2, 1))
+            texture = self._pyrender.Texture(source=image, source_channels="RGB", sampler=sampler)
+            surface = self._pyrender.MetallicRoughnessMaterial(
+                baseColorTexture=texture, metallicFactor=material.metalness, roughnessFactor=material.roughness
+            )
+            colors = skin.colors[own].reshape(-1, 3)
+            primitives.append(
+                self._pyrender.Primitive(
+                    positions=shape.vertices[shape.faces[own]].reshape(-1, 3),
+                    normals=shape.normals[own].reshape(-1, 3),
+                    texcoord_0=skin.uv[own].reshape(-1, 2) * [1, -1] + [0, 1],
+                    color_0=np.concatenate([colors, np.ones((len(colors), 1))], axis=1),
+                    material=surface,
+                )
+            )
+        return self._pyrender.Mesh(primitives)
 
     def _mesh(
         self,

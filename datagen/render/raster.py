@@ -28,6 +28,7 @@ class RasterRenderer:
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
+        self._casters, self._caster_start = _casters(shapes, self._mesh.faces, self._face_start)
         self._materials = np.array(
             [_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)]
         )
@@ -119,7 +120,7 @@ class RasterRenderer:
 
     def _light_map(self, m: kernels.LightMap, margin: float) -> None:
         kernels.light_vertices(self._world, m.axes, len(m.texels), margin, self._light, m.frame)
-        kernels.rasterise_light(self._light, self._mesh.faces, self._face_start, m.texels, m.tiles)
+        kernels.rasterise_light(self._light, self._casters, self._caster_start, m.texels, m.tiles)
 
 
 class _Buffers:
@@ -146,9 +147,9 @@ def _row(width: int) -> kernels.Row:
     count = width * kernels.SUB**2
     kind, owner, pixel = (np.empty(count, np.int32) for _ in range(3))
     share, second, blur = (np.empty(count) for _ in range(3))
-    at, point, normal, look, light, color = (np.empty((count, 3)) for _ in range(6))
+    at, point, normal, look, light, color, albedo = (np.empty((count, 3)) for _ in range(7))
     total = np.empty((width, 3))
-    return kernels.Row(kind, owner, pixel, share, at, point, normal, look, second, light, blur, color, total)
+    return kernels.Row(kind, owner, pixel, share, at, point, normal, look, second, albedo, light, blur, color, total)
 
 
 def _light_map(size: int, axes: np.ndarray) -> kernels.LightMap:
@@ -193,8 +194,46 @@ def _pack_mesh(shapes: Sequence[Shape]) -> tuple[kernels.Mesh, np.ndarray, np.nd
         owners=np.repeat(np.arange(len(shapes)), np.diff(face_start)).astype(np.int32),
         normals=normals.astype(np.float32),
         face_normals=(across / np.where(length > 0, length, 1)).astype(np.float32),
+        skins=_pack_skins(shapes, face_start),
     )
     return mesh, vertex_start, face_start
+
+
+def _casters(shapes: Sequence[Shape], faces: np.ndarray, face_start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces that cast shadows: all but the back sides of open surfaces, which would shade their own front sides."""
+    if not any(shape.backs for shape in shapes):
+        return faces, face_start
+    ends = face_start[1:] - [shape.backs for shape in shapes]
+    parts = [faces[start:end] for start, end in zip(face_start[:-1], ends, strict=True)]
+    return np.concatenate(parts), np.cumsum([0, *(len(part) for part in parts)])
+
+
+def _pack_skins(shapes: Sequence[Shape], face_start: np.ndarray) -> kernels.Skins:
+    """Textures and colours of all meshes; arrays have rows for all faces only if there is a mesh with colours."""
+    skins = [shape.skin for shape in shapes]
+    count = int(face_start[-1]) if any(skins) else 0
+    uv, colors = np.zeros((count, 3, 2), np.float32), np.zeros((count, 3, 3), np.float32)
+    density, texture = np.zeros(count, np.float32), np.zeros(count, np.int32)
+    levels, images, texels = [0], [], [np.zeros((0, 3), np.uint8)]
+    for skin, start, end in zip(skins, face_start[:-1], face_start[1:], strict=True):
+        if skin is None:
+            continue
+        uv[start:end], colors[start:end], density[start:end] = skin.uv, skin.colors, skin.density
+        texture[start:end] = skin.texture + len(levels) - 1
+        for pyramid in skin.pyramids:
+            for image in pyramid:
+                images.append((sum(map(len, texels)), image.shape[1], image.shape[0]))
+                texels.append(image.reshape(-1, 3))
+            levels.append(len(images))
+    return kernels.Skins(
+        uv,
+        colors,
+        density,
+        texture,
+        np.array(levels, np.int64),
+        np.array(images, np.int64).reshape(-1, 3),
+        np.concatenate(texels),
+    )
 
 
 def _pack_material(material: Material) -> Float[np.ndarray, "column"]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from datagen.config import Layout, Recipe
 from datagen.geometry import quaternion_from_rotation
+from datagen.meshes.library import Library
 from datagen.sampling.appearance import sample_backdrop, sample_materials, sample_table
 from datagen.sampling.cameras import sample_ambient, sample_cameras, sample_lights
 from datagen.sampling.items import Item, Rejected, sample_item, sample_items
@@ -17,17 +18,20 @@ from datagen.scene import Body, Material, Motion, Scene, Table, rounded, vector
 __all__ = ["Rejected", "sample_scene"]
 
 
-def sample_scene(recipe: Recipe, rng: np.random.Generator, split: str, index: int) -> Scene:
+def sample_scene(
+    recipe: Recipe, rng: np.random.Generator, split: str, index: int, meshes: Library | None = None
+) -> Scene:
     """Draw scene `index` of a split once; the simulation decides whether it obeys the recipe's rules.
 
     Raises:
         Rejected: the objects that were drawn found no place.
     """
     recipe = recipe.for_scene(index)
-    spots = _sample_spots(recipe, split, rng)
+    spots = _sample_spots(recipe, split, rng, meshes)
     starts = sample_starts(spots, recipe.layout, recipe.motion, recipe.physics, rng)
     sizes = [float(np.max(spot.item.shape.size)) for spot in spots]
     materials = sample_materials(recipe.appearance, sizes, rng)
+    materials = [_own_colors(spot, material) for spot, material in zip(spots, materials, strict=True)]
     return Scene(
         bodies=tuple(_body(*row) for row in zip(spots, starts, materials, strict=True)),
         table=Table(_table_size(recipe.layout, rng), sample_table(recipe.appearance, rng)),
@@ -47,33 +51,33 @@ def _table_size(layout: Layout, rng: np.random.Generator) -> float:
     return rounded(rng.uniform(least, greatest))
 
 
-def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator) -> list[Spot]:
+def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator, meshes: Library | None) -> list[Spot]:
     if recipe.layout.placement == "touching":
-        return _touching(recipe, split, rng)
-    items = sample_items(recipe.objects, split, rng)
+        return _touching(recipe, split, rng, meshes)
+    items = sample_items(recipe.objects, split, rng, meshes)
     motions: list[Motion] = [sample_motion(item, recipe.motion, rng) for item in items]
     if recipe.layout.placement == "scattered":
         return scatter(items, motions, recipe.layout, recipe.motion, rng)
     return _stacked(recipe, items, rng)
 
 
-def _touching(recipe: Recipe, split: str, rng: np.random.Generator) -> list[Spot]:
+def _touching(recipe: Recipe, split: str, rng: np.random.Generator, meshes: Library | None) -> list[Spot]:
     """A group of at least two in contact, and the rest apart from it."""
     count = int(rng.integers(recipe.objects.minimum, recipe.objects.maximum + 1))
     size = int(rng.integers(2, count + 1))
     kind: Motion = "slide" if rng.uniform() < 0.5 else "push"
     friction = rounded(rng.uniform(*recipe.objects.friction))
-    members = [_steady_item(recipe, split, rng) for _ in range(size)]
+    members = [_steady_item(recipe, split, rng, meshes) for _ in range(size)]
     spots = cluster([dataclasses.replace(item, friction=friction) for item in members], kind, recipe.layout, rng)
     for _ in range(count - size):
-        item = sample_item(recipe.objects, split, rng)
+        item = sample_item(recipe.objects, split, rng, meshes)
         spots.append(place(item, sample_motion(item, recipe.motion, rng), spots, recipe.layout, recipe.motion, rng))
     return spots
 
 
-def _steady_item(recipe: Recipe, split: str, rng: np.random.Generator) -> Item:
+def _steady_item(recipe: Recipe, split: str, rng: np.random.Generator, meshes: Library | None) -> Item:
     for _ in range(recipe.layout.tries):
-        item = sample_item(recipe.objects, split, rng)
+        item = sample_item(recipe.objects, split, rng, meshes)
         if flattest(item) is not None:
             return item
     raise Rejected("unsteady")
@@ -91,6 +95,12 @@ def _stacked(recipe: Recipe, items: Sequence[Item], rng: np.random.Generator) ->
         spot = spot or try_to_place(item, kind, spots, recipe.layout, recipe.motion, rng)
         spots.append(spot or place(item, "drop", spots, recipe.layout, recipe.motion, rng))
     return spots
+
+
+def _own_colors(spot: Spot, material: Material) -> Material:
+    """The drawn material, or the mesh's own colours on a surface of medium roughness."""
+    skin = spot.item.shape.skin
+    return Material("image", skin.mean, skin.mean, "image", roughness=0.5) if skin else material
 
 
 def _body(spot: Spot, start: Start, material: Material) -> Body:

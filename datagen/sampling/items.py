@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from datagen import catalog, shapes
-from datagen.config import Objects
+from datagen.config import MESH_PREFIX, Objects
+from datagen.meshes.library import Library
 from datagen.random_streams import pool_rng
 from datagen.scene import ShapeSpec, rounded
 from datagen.shapes.shape import Shape
@@ -24,17 +25,27 @@ class Item:
     shape_id: int | None = None
 
 
-def sample_items(objects: Objects, split: str, rng: np.random.Generator) -> list[Item]:
+def sample_items(objects: Objects, split: str, rng: np.random.Generator, meshes: Library | None = None) -> list[Item]:
     """Draw the objects of a scene; their number is between the recipe's minimum and maximum."""
     count = int(rng.integers(objects.minimum, objects.maximum + 1))
-    return [sample_item(objects, split, rng) for _ in range(count)]
+    return [sample_item(objects, split, rng, meshes) for _ in range(count)]
 
 
-def sample_item(objects: Objects, split: str, rng: np.random.Generator) -> Item:
-    """Draw one object; if the recipe has a pool of shapes, the test split draws from its own part of the pool."""
-    category = str(rng.choice(objects.categories or catalog.TABLETOP))
+def sample_item(objects: Objects, split: str, rng: np.random.Generator, meshes: Library | None = None) -> Item:
+    """Draw one object; if the recipe has a pool of shapes, the test split draws from its own part of the pool.
+
+    With meshes, objects are those of the split, and the other categories that the recipe names.
+    """
+    categories = objects.categories or catalog.TABLETOP
+    if meshes:
+        named = [name for name in objects.categories if not name.startswith(MESH_PREFIX)]
+        categories = [*named, *(MESH_PREFIX + name for name in meshes.names(split))]
+    category = str(rng.choice(categories))
     shape_id = None
-    if objects.shape_pool:
+    if meshes and category.startswith(MESH_PREFIX):
+        category = category.removeprefix(MESH_PREFIX)
+        spec = meshes.entry(category).spec
+    elif objects.shape_pool:
         shape_id = int(rng.integers(objects.shape_pool)) + (objects.shape_pool if split == "test" else 0)
         number = list(catalog.CATEGORIES).index(category)
         spec = _sample_spec(category, objects, pool_rng(number, shape_id))
@@ -44,7 +55,7 @@ def sample_item(objects: Objects, split: str, rng: np.random.Generator) -> Item:
     return Item(
         category,
         spec,
-        shapes.build(spec),
+        shapes.build(spec, meshes),
         density=rounded(np.exp(rng.uniform(low, high))),
         friction=rounded(rng.uniform(*objects.friction)),
         restitution=rounded(rng.uniform(*objects.restitution)),

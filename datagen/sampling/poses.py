@@ -15,6 +15,9 @@ _SUPPORT_DEPTH = 3e-4
 _ANGLES = 2 * np.pi * np.arange(24) / 24
 _DIRECTIONS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
+_UPRIGHT = np.cos(np.radians(20))
+"""Cosine of the largest tilt of a mesh that still counts as upright."""
+
 STEADY = 0.004
 """Least distance of a steady object's centre of mass from the edge of its base, seen from above, metres."""
 
@@ -78,18 +81,30 @@ def extent(stance: Stance, direction: Float[np.ndarray, "2"]) -> float:
 
 
 def upright(shape: Shape) -> Stance:
-    """The shape with its main axis up."""
+    """The shape with its main axis up; a mesh is tilted a little if it rests on a facet of its hull then."""
+    for stance in steady_stances(shape) if shape.resting else ():
+        if stance.rotation[2, 2] > _UPRIGHT:
+            # The smallest rotation that does it keeps the heading.
+            return Stance(shape, _tilted(stance.rotation[2]))
     return Stance(shape, np.eye(3))
 
 
 @lru_cache(maxsize=64)
 def steady_stances(shape: Shape) -> list[Stance]:
     """All steady orientations in which an axis of the object frame or of the smallest box points down."""
+    if shape.resting:
+        return _resting_stances(shape)
     axes = np.eye(3)
     if not np.allclose(np.abs(shape.minimum_box.rotation).max(axis=0), 1):
         axes = np.concatenate([axes, shape.minimum_box.rotation.T])
     stances = [Stance(shape, _with_up(sign * axis)) for axis in axes for sign in (1.0, -1.0)]
     return [stance for stance in stances if stance.is_steady]
+
+
+def _resting_stances(shape: Shape) -> list[Stance]:
+    """Steady orientations of a mesh, the most upright first."""
+    stances = [Stance(shape, _with_up(-np.array(down))) for down in shape.resting]
+    return sorted((x for x in stances if x.is_steady), key=lambda stance: -stance.rotation[2, 2])
 
 
 def can_roll(shape: Shape) -> bool:
@@ -116,6 +131,13 @@ def about_vertical(angle: float) -> Float[np.ndarray, "3 3"]:
     """Rotation about world z by an angle in radians."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _tilted(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation that brings a unit vector of the object frame to world z."""
+    x, y, z = axis
+    cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + z)
 
 
 def _with_up(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

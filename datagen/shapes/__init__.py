@@ -7,7 +7,7 @@ from functools import lru_cache
 from datagen.errors import UsageError
 from datagen.scene import ShapeSpec
 from datagen.shapes.families import composite, extrusion, furniture, lathe, mug, primitives, superquadric
-from datagen.shapes.shape import Shape
+from datagen.shapes.shape import MeshSource, Shape
 from datagen.storage.safe_io import parse_json
 
 FAMILIES: dict[str, Callable[..., Shape]] = {
@@ -50,12 +50,16 @@ FAMILIES: dict[str, Callable[..., Shape]] = {
 """Family names and the functions that turn a family's parameters into a shape."""
 
 
-def build(spec: ShapeSpec) -> Shape:
-    """Build the shape of a spec; the last few are cached.
+def build(spec: ShapeSpec, meshes: MeshSource | None = None) -> Shape:
+    """Build the shape of a spec; the last few are cached. `meshes` holds the geometry of the family `mesh`.
 
     Raises:
-        UsageError: there is no such family, or the parameters are not its own.
+        UsageError: there is no such family, the parameters are not its own, or a mesh is missing.
     """
+    if spec.family == "mesh":
+        if meshes is None:
+            raise UsageError("The scene holds meshes; give the folder that holds their files with --assets.")
+        return meshes.shape(spec.parameters)
     if spec.family not in FAMILIES:
         raise UsageError(f"Unknown shape family {spec.family!r}; expected one of {', '.join(FAMILIES)}.")
     return _build(spec.family, json.dumps(spec.parameters, sort_keys=True))

@@ -3,12 +3,14 @@
 All are in the object frame: metres, origin at the centre of mass of the homogeneous solid, z the main axis.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
+
+from datagen.shapes.skin import Skin
 
 MESH_TOLERANCE = 8e-5
 """Largest distance of a rendered mesh from the exact surface, metres."""
@@ -66,7 +68,7 @@ class Shape:
     """Unit normals at each face's corners: shared across smooth surfaces, different on the two sides of an edge."""
     solids: tuple[Solid, ...]
     convex_parts: tuple[Float[np.ndarray, "_ 3"], ...]
-    """Corner points of the convex hulls that physics uses; at most 1 mm from the true surface."""
+    """Corner points of the convex hulls that physics uses; at most 1 mm from the true surface, except for meshes."""
     volume: float
     """Volume, cubic metres."""
     inertia: Float[np.ndarray, "3 3"]
@@ -79,6 +81,12 @@ class Shape:
     """Extents of the true surface along the object frame's axes, metres."""
     primitive: Primitive | None = None
     """Primitive that equals the whole shape exactly; None if there is none."""
+    skin: Skin | None = None
+    """Colours of a mesh with textures or vertex colours."""
+    backs: int = 0
+    """Number of faces at the end that are the back sides of others, drawn because the surface is open."""
+    resting: tuple[tuple[float, float, float], ...] = ()
+    """Directions of the object frame that may point down when a mesh rests; empty for all other families."""
 
     @property
     def radius(self) -> float:
@@ -88,3 +96,12 @@ class Shape:
     def signed_distance(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point"]:
         """Signed distance to the union of the solids, see `Solid`; also 0 inside, where two solids touch."""
         return np.min([solid.signed_distance(points) for solid in self.solids], axis=0)
+
+
+@runtime_checkable
+class MeshSource(Protocol):
+    """Geometry of the shapes that are stored in files; see `datagen.meshes.library.Library`."""
+
+    def shape(self, parameters: Mapping[str, Any]) -> Shape:
+        """The shape that a scene's description names."""
+        ...

@@ -8,6 +8,7 @@ The spec is a plain dict:
     renderer ........ name and version, null if there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
     edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
+    assets .......... meshes, see `datagen.meshes.library.MeshEntry`; key missing if there are none
     scenes_per_shard
     splits .......... number of scenes of each split
     import .......... format, source and options of an imported dataset; key missing otherwise
@@ -59,6 +60,7 @@ def make_spec(
     renderer: Mapping[str, Any] | None,
     rig: Mapping[str, Any] | None = None,
     edits: Collection[EditKind] = (),
+    assets: Sequence[Mapping[str, Any]] = (),
 ) -> Spec:
     """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
@@ -78,6 +80,8 @@ def make_spec(
     if edits:
         # Datasets without edits keep the identity that they had before there were any.
         spec["edits"] = [kind for kind in EDITS if kind in edits]
+    if assets:
+        spec["assets"] = list(assets)
     return _signed(spec)
 
 
@@ -299,6 +303,11 @@ def _has_views(values: Mapping[str, Any]) -> bool:
     return _is_number(values["views"], 1, _MOST_PIXELS)
 
 
+def _is_asset(asset: Mapping[str, Any]) -> bool:
+    texts = ("name", "file", "sha256", "up", "hulls_method", "hulls_sha256")
+    return all(_is_name(asset[key]) for key in texts) and set(asset["splits"]) <= set(SPLITS)
+
+
 def _is_recipe(recipe: Mapping[str, Any]) -> bool:
     return (
         all(_is_name(name) for name in (recipe["name"], recipe["description"], *recipe["parts"]))
@@ -322,6 +331,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
     "import": lambda origin: origin is None or (_is_name(origin["format"]) and _is_name(origin["source"])),
     "fields": lambda fields: fields is None or all(set(fields[split]) <= set(FIELDS) for split in SPLITS),
+    "assets": lambda assets: assets is None or (type(assets) is list and all(_is_asset(asset) for asset in assets)),
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
 }
 """Check of each key of a spec that readers rely on."""

@@ -15,6 +15,7 @@ from datagen import schema
 from datagen.console.progress import tracked
 from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
+from datagen.meshes.library import Library, open_library
 from datagen.pipeline.parallel import make_all
 from datagen.storage.manifest import make_manifest, read_manifest
 from datagen.storage.reader import Dataset, Split
@@ -43,14 +44,14 @@ class Checked:
     """SHA-256 of each scene's description, by the scene's name."""
 
 
-def run(folder: str | Path, *, workers: int = 1) -> int:
-    """Check a dataset, print the findings, and return the exit code.
+def run(folder: str | Path, *, workers: int = 1, assets: Path | None = None) -> int:
+    """Check a dataset, print the findings, and return the exit code; `assets` is the folder of its meshes.
 
     Raises:
         UsageError: the folder holds no dataset of this format and data version.
     """
     console = Console(soft_wrap=True, highlight=False)
-    findings = find(folder, workers=workers)
+    findings = find(folder, workers=workers, assets=assets)
     for finding in findings[:MOST_PRINTED]:
         console.print(str(finding), markup=False)
     if len(findings) > MOST_PRINTED:
@@ -69,7 +70,7 @@ def run(folder: str | Path, *, workers: int = 1) -> int:
     return EXIT_OK
 
 
-def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
+def find(folder: str | Path, *, workers: int = 1, assets: Path | None = None) -> list[Finding]:
     """All findings of a dataset, in the order of its scenes.
 
     Raises:
@@ -84,18 +85,21 @@ def find(folder: str | Path, *, workers: int = 1) -> list[Finding]:
             f"{folder} has data version {dataset.spec['data_version']}, this program proves {schema.DATA_VERSION}; "
             f"use the version of the program that made it, see {MANIFEST_FILE}."
         )
+    meshes = open_library(dataset.spec.get("assets"), assets)
+    meshes = meshes and meshes.without_hulls()
     jobs = [
         (split, range(start, min(start + SCENES_PER_JOB, size)))
         for split, size in dataset.splits.items()
         for start in range(0, size, SCENES_PER_JOB)
     ]
-    with closing(make_all(functools.partial(_check_scenes, dataset), jobs, workers)) as results:
+    with closing(make_all(functools.partial(_check_scenes, dataset, meshes), jobs, workers)) as results:
         checked = list(tracked(results, "verified jobs", len(jobs)))
     scenes = [finding for part in checked for finding in part.findings]
-    return [*scenes, *_duplicates(checked), *_check_files(dataset), *_check_manifest(dataset)]
+    faults = [Finding("assets", message) for message in (meshes.faults() if meshes else ())]
+    return [*faults, *scenes, *_duplicates(checked), *_check_files(dataset), *_check_manifest(dataset)]
 
 
-def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
+def _check_scenes(dataset: Dataset, meshes: Library | None, split: str, scenes: range) -> Checked:
     findings, contents = [], {}
     records = Split(dataset.folder, dataset.spec, split)
     recipe = None if dataset.imported else recipe_of(dataset.spec)
@@ -117,6 +121,7 @@ def _check_scenes(dataset: Dataset, split: str, scenes: range) -> Checked:
                 recipe.for_scene(scene).physics,
                 sensor=recipe.sensor,
                 renderer=(dataset.spec["renderer"] or {"name": "raster"})["name"],
+                meshes=meshes,
             )
         findings.extend(dataclasses.replace(finding, **place) for finding in found)
         if "scene/description" in record:

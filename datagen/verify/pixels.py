@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
+from datagen.meshes.distance import MeshSolid
 from datagen.schema import DEPTH_SCALE
 from datagen.shapes.shape import MESH_TOLERANCE
+from datagen.verify.mesh_rays import bounds, grazes, mesh_of, surface_distances
 from datagen.verify.scene_case import Case, Finding, rounding
 from datagen.verify.sphere_tracing import clip_to_box, trace
 
@@ -73,8 +75,11 @@ def signed_distance(
 def _off_surface(
     case: Case, row: int, frame: int, view: int, rays: Float[np.ndarray, "pixel 3"], depth: Float[np.ndarray, "pixel"]
 ) -> Iterator[Finding]:
-    distance = signed_distance(case, row, frame, case.center(view) + depth[:, None] * rays)
     allowed = MESH_TOLERANCE + rounding(rays, SURFACE_STEPS) + _renderer_error(case, view, rays, depth)
+    if mesh := mesh_of(case.shapes[row]):
+        distance = surface_distances(mesh, *_local_rays(case, row, frame, view, rays), depth, allowed)
+    else:
+        distance = signed_distance(case, row, frame, case.center(view) + depth[:, None] * rays)
     off = np.abs(distance) > allowed
     if np.any(off) and case.allowed.precision.snap:
         off[off] = ~_grazes(case, row, frame, view, rays[off], depth[off])
@@ -120,15 +125,25 @@ def _grazes(
 
     Such a pixel lies beside a triangle that is seen edge-on, and carries the depth to which that is extended.
     """
-    pose, shape = case.world_from_object[frame, row], case.shapes[row]
-    origin, local = (case.center(view) - pose[:3, 3]) @ pose[:3, :3], rays @ pose[:3, :3]
-    origins = np.broadcast_to(origin, local.shape)
+    shape = case.shapes[row]
+    origins, local = _local_rays(case, row, frame, view, rays)
+    if mesh := mesh_of(shape):
+        return grazes(mesh, origins, local, case.allowed.precision.sideways(depth, case.focal[view]))
     distance = np.abs(shape.signed_distance(origins + depth[:, None] * local))
     sideways = case.allowed.precision.sideways(depth, case.focal[view])
     near, far = clip_to_box(shape.minimum_box, origins, local, float(np.max(sideways)) + NEAR_MISS)
     far = np.minimum(far, depth + 10 * distance + 0.002)
     hit, closest = trace(shape.signed_distance, origins, local, near, far, SHELL + sideways)
     return np.isinf(hit) & (closest <= NEAR_MISS + sideways)
+
+
+def _local_rays(
+    case: Case, row: int, frame: int, view: int, rays: Float[np.ndarray, "pixel 3"]
+) -> tuple[Float[np.ndarray, "pixel 3"], Float[np.ndarray, "pixel 3"]]:
+    """Origins and directions of a view's rays in the frame of one object."""
+    pose = case.world_from_object[frame, row]
+    origin, local = (case.center(view) - pose[:3, 3]) @ pose[:3, :3], rays @ pose[:3, :3]
+    return np.broadcast_to(origin, local.shape), local
 
 
 def check_table(case: Case) -> Iterator[Finding]:
@@ -243,12 +258,25 @@ def _count(case: Case, rays: Rays, row: int, tally: Tally) -> None:
     farthest = np.sqrt(np.sum(rays.origins**2, axis=-1)) + np.sqrt(np.sum((np.abs(box.center) + box.size) ** 2))
     sideways = precision.sideways(farthest, focal)
     near, far = clip_to_box(box, rays.origins, rays.directions, SHELL + float(np.max(sideways, initial=0)))
-    hit, closest = trace(solid, rays.origins, rays.directions, near, far, SHELL + sideways)
+    if mesh := mesh_of(case.shapes[row]):
+        hit, touched = _cast(mesh, rays, near <= far, sideways)
+    else:
+        hit, closest = trace(solid, rays.origins, rays.directions, near, far, SHELL + sideways)
+        touched = closest <= NEAR_MISS + sideways
     wrong = hit < rays.depth - ORDER_TOLERANCE - precision.buffer(np.where(np.isfinite(hit), hit, 0))
     np.add.at(tally.covered, tuple(rays.image[np.isfinite(hit)].T), 1)
-    np.add.at(tally.touched, tuple(rays.image[closest <= NEAR_MISS + sideways].T), 1)
+    np.add.at(tally.touched, tuple(rays.image[touched].T), 1)
     np.add.at(tally.wrong, tuple(rays.image[wrong].T), 1)
     np.maximum.at(tally.lead, tuple(rays.image[wrong].T), np.minimum(rays.depth[wrong] - hit[wrong], 10.0))
+
+
+def _cast(
+    mesh: MeshSolid, rays: Rays, near: Bool[np.ndarray, "ray"], sideways: Float[np.ndarray, "ray"]
+) -> tuple[Float[np.ndarray, "ray"], Bool[np.ndarray, "ray"]]:
+    """Hits that are sure, and whether a hit is possible, of the rays that come near a mesh."""
+    hit, touched = np.full(len(near), np.inf), np.zeros(len(near), bool)
+    hit[near], touched[near] = bounds(mesh, rays.origins[near], rays.directions[near], sideways[near])
+    return hit, touched
 
 
 def _rays_near(case: Case, row: int) -> Iterator[Rays]:

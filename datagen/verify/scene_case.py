@@ -15,7 +15,7 @@ from datagen.config import Physics, Sensor
 from datagen.scene import Scene, scene_from_json
 from datagen.schema import DEPTH_SCALE
 from datagen.shapes import build
-from datagen.shapes.shape import Shape
+from datagen.shapes.shape import MeshSource, Shape
 
 
 @dataclass(frozen=True)
@@ -168,14 +168,14 @@ class ViewRays:
         return directions @ self._world_from_camera[view, :3, :3].T
 
 
-def make_case(record: Mapping[str, np.ndarray], allowed: Allowed = DEFAULT) -> Case:
+def make_case(record: Mapping[str, np.ndarray], allowed: Allowed = DEFAULT, meshes: MeshSource | None = None) -> Case:
     """Build the geometry that a record describes.
 
     Raises:
         ValueError, KeyError or TypeError: the description cannot be read or built.
     """
     scene = scene_from_json(bytes(record["scene/description"].item()).decode())
-    shapes = [build(body.shape) for body in scene.bodies]
+    shapes = [build(body.shape, meshes) for body in scene.bodies]
     poses = rigid_poses(record["poses/position"], record["poses/quaternion_wxyz"])
     return Case(record, scene, shapes, poses[:, : len(shapes)], allowed)
 

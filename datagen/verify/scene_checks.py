@@ -7,6 +7,7 @@ import numpy as np
 
 from datagen.config import Physics, Sensor
 from datagen.errors import DatagenError
+from datagen.shapes.shape import MeshSource
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
 from datagen.verify.edits import check_edit, check_effects
@@ -34,17 +35,18 @@ def verify_record(
     *,
     sensor: Sensor = DEFAULT.sensor,
     renderer: str = "raster",
+    meshes: MeshSource | None = None,
 ) -> list[Finding]:
     """All contradictions within one scene's arrays, which must have the fields of `groups`, see `schema.Field.group`.
 
     The recipe's physics limits how deep contacts may be, its sensor determines the noise of sensor depth, and the
-    renderer determines how exact depth and ids can be.
+    renderer determines how exact depth and ids can be. `meshes` holds the geometry of meshes.
     """
     if findings := list(check_schema(record, groups)):
         return findings
     try:
         # An unknown renderer is taken for one that is no more exact than OpenGL.
-        case = make_case(record, Allowed(physics, sensor, PRECISION.get(renderer, OPENGL)))
+        case = make_case(record, Allowed(physics, sensor, PRECISION.get(renderer, OPENGL)), meshes)
     except (ValueError, KeyError, TypeError, IndexError, DatagenError) as error:
         return [Finding("description", f"cannot be built: {type(error).__name__} {error}")]
     if case.count != record["objects/count"]:

@@ -4,15 +4,26 @@ import json
 import pytest
 
 from datagen import catalog
-from datagen.config import Layout, Recipe, Rig, load_recipe, recipe_from_dict, recipe_names, recipe_to_dict
+from datagen.config import (
+    Layout,
+    Recipe,
+    Rig,
+    load_recipe,
+    names_without_meshes,
+    recipe_from_dict,
+    recipe_names,
+    recipe_to_dict,
+)
 from datagen.errors import UsageError
 
 VIDEO = ("moving", "touching", "same-colour", "two-colour", "textured", "noisy", "mixed", "cluttered")
 STILL = ("desk", "static", "clevr3d", "multishape")
+MESHES = ("ycb-moving", "ycb-static")
 
 
 def test_the_recipes_are_those_of_the_documentation():
-    assert sorted(VIDEO + STILL) == recipe_names()
+    assert sorted(VIDEO + STILL + MESHES) == recipe_names()
+    assert sorted(VIDEO + STILL) == names_without_meshes()
 
 
 @pytest.mark.parametrize("name", recipe_names())
@@ -35,7 +46,7 @@ def test_desk_draws_its_cameras_and_its_objects_from_ranges():
     assert all(part.rig.distances and part.views == 1 and part.sensor.enabled for part in parts)
 
 
-@pytest.mark.parametrize("name", [name for name in recipe_names() if name != "desk"])
+@pytest.mark.parametrize("name", [name for name in names_without_meshes() if name != "desk"])
 def test_sizes_are_as_promised(name: str):
     recipe = load_recipe(name)
     assert (recipe.frames, recipe.views) == ((10, 1) if name in VIDEO else (1, 3))
@@ -45,6 +56,16 @@ def test_sizes_are_as_promised(name: str):
     assert recipe.video == (name in VIDEO)
     assert recipe.sensor.enabled == (name == "noisy")
     assert set(recipe.objects.categories) <= set(catalog.CATEGORIES)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_the_ycb_recipes_name_the_papers_19_objects(name: str):
+    recipe = load_recipe(name)
+    assert recipe.needs_meshes
+    assert len(set(recipe.objects.categories)) == 19
+    assert (recipe.frames, recipe.views) == ((10, 1) if name == "ycb-moving" else (1, 3))
+    # camera_info.npy of the authors: 175.84 pixels of focal length at 128, 1.032 m from where it looks.
+    assert (recipe.rig.field_of_view, recipe.rig.distance, recipe.rig.elevation) == (40, 1.0324, 55)
 
 
 def test_the_front_camera_is_the_papers():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from datagen import sampling
-from datagen.config import Layout, Objects, Recipe, load_recipe, recipe_names
+from datagen.config import Layout, Objects, Recipe, load_recipe, names_without_meshes
 from datagen.errors import ImpossibleScene, UsageError
 from datagen.pipeline import simulate
 from datagen.pipeline.simulate import Simulated, check_course, check_room, is_hopeless, simulate_scene
@@ -21,7 +21,7 @@ from tests.paths import ROOT
 
 pytestmark = pytest.mark.skipif(not importlib.util.find_spec("pybullet"), reason="simulation needs PyBullet")
 
-VIDEO = [name for name in recipe_names() if load_recipe(name).video]
+VIDEO = [name for name in names_without_meshes() if load_recipe(name).video]
 
 
 def scenes(name: str, count: int, split: str = "train") -> list[Simulated]:
@@ -72,14 +72,14 @@ def check_promises(name: str, made: Simulated) -> None:
         assert np.max(speed) < 0.01
 
 
-@pytest.mark.parametrize("name", recipe_names())
+@pytest.mark.parametrize("name", names_without_meshes())
 def test_scenes_keep_the_promises_of_their_recipe(name: str):
     for made in scenes(name, 2):
         check_promises(name, made)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", recipe_names())
+@pytest.mark.parametrize("name", names_without_meshes())
 def test_many_scenes_keep_the_promises_of_their_recipe(name: str):
     for made in scenes(name, 40):
         check_promises(name, made)
@@ -177,7 +177,7 @@ def test_forty_objects_on_the_table_are_refused_at_once():
         simulate_scene(many, 0, "train", 0)
 
 
-@pytest.mark.parametrize("name", recipe_names())
+@pytest.mark.parametrize("name", names_without_meshes())
 def test_there_is_room_in_every_recipe(name: str):
     for index in range(5):
         check_room(load_recipe(name).for_scene(index))

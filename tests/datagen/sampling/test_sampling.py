@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from datagen.config import load_recipe, recipe_names
+from datagen.config import load_recipe, names_without_meshes
 from datagen.sampling import Rejected, sample_scene
 from datagen.scene import Scene, scene_from_json, scene_to_json
 
@@ -18,7 +18,7 @@ def scene(name: str, seed: int = 0, index: int = 0, split: str = "train") -> Sce
     raise AssertionError(name)
 
 
-@pytest.mark.parametrize("name", recipe_names())
+@pytest.mark.parametrize("name", names_without_meshes())
 def test_scenes_survive_the_way_through_json_and_follow_their_generator(name: str):
     made = scene(name)
     assert scene_from_json(scene_to_json(made)) == made
@@ -26,7 +26,7 @@ def test_scenes_survive_the_way_through_json_and_follow_their_generator(name: st
     assert scene(name, seed=1) != made
 
 
-@pytest.mark.parametrize("name", recipe_names())
+@pytest.mark.parametrize("name", names_without_meshes())
 def test_a_scenes_text_is_short(name: str):
     made = scene(name)
     assert len(scene_to_json(made)) < 700 + 700 * len(made.bodies) + 100 * len(made.cameras)

@@ -1,0 +1,29 @@
+"""Process that cuts one mesh with CoACD: `python -m datagen.meshes.coacd_process MESH HULLS SECONDS`."""
+
+import resource
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from datagen.meshes.hulls import MOST_CORNERS, OPTIONS
+from datagen.storage.safe_io import read_npz
+
+
+def main(source: str, target: str, seconds: str) -> None:
+    """Read vertices and faces, cut them, and write the corners of all hulls; the system kills it after the CPU time."""
+    # The hard limit is higher, because reaching it would raise another signal.
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
+    import coacd
+
+    coacd.set_log_level("error")
+    mesh = read_npz(Path(source), ("vertices", "faces"))
+    parts = coacd.run_coacd(
+        coacd.Mesh(mesh["vertices"], mesh["faces"]), seed=0, decimate=True, max_ch_vertex=MOST_CORNERS, **OPTIONS
+    )
+    corners = [np.asarray(vertices, np.float64) for vertices, _ in parts]
+    np.savez(target, corners=np.concatenate(corners), counts=np.array([len(part) for part in corners]))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,40 @@
+"""The report on a folder of meshes: a row for each, errors with remedies, a sheet of thumbnails."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
+from datagen.inspect.assets_check import TILE, run
+from datagen.meshes.survey import Reading
+from tests.worlds.meshes import BOX, triangles, write_obj, write_stl
+
+
+def test_a_good_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path / "cache"))
+    write_obj(tmp_path / "meshes")
+    assert run(tmp_path / "meshes", Reading(), tmp_path / "sheet.png") == EXIT_OK
+    words = " ".join(capsys.readouterr().out.split())
+    assert "10.0 x 8.0 x 12.0" in words
+    assert "1 convex" in words
+    picture = np.asarray(Image.open(tmp_path / "sheet.png"))
+    assert picture.shape[1] == TILE
+    # The camera stands at +x and +y, above: three sides show, in their own colours.
+    colors = picture[:TILE].reshape(-1, 3).astype(int)
+    strong = {tuple(row > row.max() / 2) for row in colors if row.max() > 2 * row.min() + 40}
+    assert {(False, True, False), (True, True, False), (True, False, True)} <= strong
+
+
+def test_what_needs_attention(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path / "cache"))
+    write_stl(tmp_path / "meshes" / "unsure.stl", (5 * BOX)[triangles()])
+    (tmp_path / "meshes" / "empty.stl").write_bytes(b"")
+    assert run(tmp_path / "meshes", Reading(), tmp_path / "sheet.jpg") == EXIT_VERIFICATION
+    out = " ".join(capsys.readouterr().out.split())
+    assert "empty.stl is empty" in out
+    assert "unsure.stl: longest side 10 fits neither m nor mm; give --unit" in out
+    assert (tmp_path / "sheet.jpg").exists()
+    with pytest.raises(UsageError, match=r"\.png"):
+        run(tmp_path / "meshes", Reading(), tmp_path / "sheet.gif")
