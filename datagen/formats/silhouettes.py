@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from datagen.edits.edit_context import Stage
-from datagen.errors import CorruptFile
+from datagen.errors import CorruptFile, UsageError
 from datagen.formats.scenes import ExportScene
 from datagen.pipeline.records import render_clip, scene_and_trajectory, stack_images
 from datagen.render import make_renderer
@@ -18,6 +18,7 @@ def stage_of_scene(scene: ExportScene) -> Stage:
     """The scene's shapes and poses.
 
     Raises:
+        UsageError: it holds meshes of a user, whose files an export does not have.
         CorruptFile: its description is damaged.
     """
     try:
@@ -27,6 +28,11 @@ def stage_of_scene(scene: ExportScene) -> Stage:
             f"{scene.place}: scene/description is damaged ({error}). Delete the shard and run the command that made it "
             "again."
         ) from None
+    if any(body.shape.family == "mesh" for body in described.bodies):
+        raise UsageError(
+            f"{scene.place} holds meshes of your own, whose models this format needs; expected objects of the catalog. "
+            "The other formats can hold it."
+        )
     shapes = tuple(build(body.shape) for body in described.bodies)
     return Stage(described, shapes, trajectory.world_from_object, tuple(range(1, len(shapes) + 1)))
 

@@ -16,7 +16,7 @@ from datagen.config import load_recipe, recipe_from_dict, recipe_to_dict
 from datagen.errors import UsageError
 from datagen.pipeline.generate import Run, generate, render
 from datagen.pipeline.make_scene import make_scene, renderer_identity
-from datagen.recipe_rules import LIMITS, RANGES
+from datagen.recipe_rules import LIMITS, OPTIONAL_RANGES, RANGES
 from datagen.render import make_renderer
 from datagen.schema import EDITS, SceneRecord
 from datagen.storage.spec import Spec, groups_of, make_spec, recipe_of
@@ -75,7 +75,7 @@ def constants(draw: st.DrawFn, name: str, like: Any) -> Any:
     if isinstance(like, tuple):
         values = tuple(draw(constants(name, part)) for part in like or (0.1,))
         return tuple(sorted(values)) if name in RANGES else values
-    low, high = SMALLER.get(name, LIMITS[name][:2])
+    low, high = SMALLER.get(OPTIONAL_RANGES.get(name, name), LIMITS[name][:2])
     if isinstance(like, int):
         return draw(st.integers(int(low), int(high)))
     inside = st.floats(low, high) if low <= 0 else st.floats(np.log(low), np.log(high)).map(lambda x: float(np.exp(x)))
@@ -93,7 +93,7 @@ def requests(draw: st.DrawFn, edits: tuple[str, ...] = EDITS) -> dict[str, Any]:
         for key in path:
             part = part[key]
         if name in LIMITS:
-            part[leaf] = draw(constants(name, part[leaf]))
+            part[leaf] = draw(constants(name, (0.0, 0.0) if name in OPTIONAL_RANGES else part[leaf]))
         else:
             part[leaf] = draw(st.sampled_from(CHOICES[name]))
     rig = {"rig": values["rig"], "views": values["views"]} if draw(st.booleans()) else None
