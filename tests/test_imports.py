@@ -34,7 +34,7 @@ LAYERS = (
     {"errors", "version", "console"},
     {"geometry", "scene", "schema", "config", "random_streams", "recipe_rules", "shapes", "catalog", "storage"},
     {"sampling", "physics", "render", "sensor"},
-    {"edits", "pipeline", "verify", "inspect"},
+    {"edits", "pipeline", "signals", "verify", "inspect"},
     {"tracks", "commands"},
 )
 """Parts of `datagen` from the bottom up; none imports from a layer above its own."""

@@ -91,6 +91,9 @@ def _generate(values: Generate) -> int:
     edits = options.parse_edits(values.edits)
     if values.simulate_only and edits:
         raise UsageError("--simulate-only makes no images, so that there is nothing to edit; give --edits to `render`.")
+    signals = options.parse_signals(values.signals)
+    if values.simulate_only and signals:
+        raise UsageError("--simulate-only makes no images, and signals belong to images; give --with to `render`.")
     size = None
     if not values.simulate_only:
         size = options.parse_resolution(values.resolution) if values.resolution else recipe.resolution
@@ -100,7 +103,7 @@ def _generate(values: Generate) -> int:
     from datagen.pipeline.generate import generate
 
     renderer = None if values.simulate_only else values.renderer or "raster"
-    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits}
+    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits, "signals": signals}
     report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
     return EXIT_OK
@@ -120,7 +123,9 @@ def _render(values: Render) -> int:
     from datagen.pipeline.generate import render
 
     rig = wanted if wanted != recipe else None
-    report = render(values.source, folder, resolution=size, renderer=values.renderer, rig=rig, edits=edits, run=run)
+    settings: dict[str, Any] = {"renderer": values.renderer, "rig": rig, "edits": edits}
+    settings["signals"] = options.parse_signals(values.signals)
+    report = render(values.source, folder, resolution=size, **settings, run=run)
     _print_report(folder, report, spec["splits"])
     return EXIT_OK
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from datagen.config import Recipe, constant_names, load_recipe
 from datagen.errors import UsageError
-from datagen.schema import EDITS, SPLITS, EditKind
+from datagen.schema import EDITS, SIGNALS, SPLITS, EditKind, Signal
 from datagen.storage.spec import MOST_SCENES, split_sizes
 
 LEAST_SIDE, MOST_SIDE = 8, 4096
@@ -99,6 +99,18 @@ def parse_edits(text: str | None) -> tuple[EditKind, ...]:
     if text is not None and (unknown := [name for name in names if name not in EDITS]):
         raise UsageError(f"--edits {text}: unknown {unknown[0]!r}; expected some of {','.join(EDITS)}.")
     return tuple(kind for kind in EDITS if kind in names)
+
+
+def parse_signals(text: str | None) -> tuple[Signal, ...]:
+    """Parse a list of signals such as `flow,normals`; None gives no signals.
+
+    Raises:
+        UsageError: there is no such signal.
+    """
+    names = [] if text is None else text.split(",")
+    if unknown := [name for name in names if name not in SIGNALS]:
+        raise UsageError(f"--with {text:.80}: unknown {unknown[0]!r:.40}; expected some of {','.join(SIGNALS)}.")
+    return tuple(name for name in SIGNALS if name in names)
 
 
 def parse_share(text: str | None) -> tuple[int, int]:

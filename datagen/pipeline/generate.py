@@ -14,7 +14,7 @@ from datagen.errors import UsageError
 from datagen.inspect.dataset_card import write_card
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.pipeline.parallel import make_all
-from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, array_hash
+from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, Signal, array_hash
 from datagen.storage.dataset_folder import filling, settle, write_file
 from datagen.storage.manifest import make_manifest
 from datagen.storage.reader import Dataset
@@ -59,6 +59,7 @@ def generate(
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
+    signals: Collection[Signal] = (),
     run: Run = Run(),
 ) -> Report:
     """Make a dataset, complete it, or extend it.
@@ -71,14 +72,15 @@ def generate(
         resolution: Width and height of the images, the recipe's if None.
         renderer: Name of the renderer; None stores scenes and trajectories without images.
         edits: Counterfactual edits that are rendered beside each scene.
+        signals: Optional signals that are stored beside the images.
         run: Options that do not change the content.
 
     Raises:
         UsageError: the request contradicts itself or what is in the folder.
         DatagenError: it could not be completed; running it again goes on.
     """
-    spec = dataset_spec(recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer, edits=edits)
-    return _fill(folder, spec, None, run)
+    settings = {"splits": splits, "seed": seed, "resolution": resolution, "renderer": renderer}
+    return _fill(folder, dataset_spec(recipe, **settings, edits=edits, signals=signals), None, run)
 
 
 def dataset_spec(
@@ -89,12 +91,15 @@ def dataset_spec(
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
+    signals: Collection[Signal] = (),
 ) -> Spec:
     """The spec of the dataset that `generate` makes of these arguments in a new folder.
 
     Raises:
-        UsageError: edits are requested without images.
+        UsageError: edits or signals are requested without images.
     """
+    if signals and not renderer:
+        raise UsageError("Signals belong to images, and a dataset without images has none; leave one of them out.")
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
     return make_spec(
@@ -104,6 +109,7 @@ def dataset_spec(
         resolution=(resolution or recipe.resolution) if renderer else None,
         renderer=renderer_identity(renderer),
         edits=edits,
+        signals=signals,
     )
 
 
@@ -115,6 +121,7 @@ def render(
     renderer: str = "raster",
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
+    signals: Collection[Signal] = (),
     run: Run = Run(),
 ) -> Report:
     """Make images of the scenes of another dataset, which may have images; needs no physics engine.
@@ -136,7 +143,8 @@ def render(
             f"{DATA_VERSION}; render it with the program that made it, or generate it again."
         )
     dataset.check_complete()
-    spec = render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig, edits=edits)
+    settings = {"resolution": resolution, "renderer": renderer, "rig": rig, "edits": edits, "signals": signals}
+    spec = render_spec(dataset.spec, **settings)
     return _fill(folder, spec, Source(source, settings_hash(dataset.spec)), run)
 
 
@@ -147,6 +155,7 @@ def render_spec(
     renderer: str = "raster",
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
+    signals: Collection[Signal] = (),
 ) -> Spec:
     """The spec of a dataset that `render` makes of the scenes of another."""
     width, height = resolution or source["resolution"] or source["recipe"]["resolution"]
@@ -159,6 +168,7 @@ def render_spec(
         renderer=renderer_identity(renderer),
         rig=cameras or source["rig"],
         edits=edits,
+        signals=signals,
     )
 
 

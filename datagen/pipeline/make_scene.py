@@ -20,9 +20,10 @@ from datagen.render.renderer import Renderer
 from datagen.sampling.cameras import sample_cameras
 from datagen.schema import FIELDS, SPLITS, SceneRecord
 from datagen.shapes import build
+from datagen.signals import signals_record
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import PackedScene, pack
-from datagen.storage.spec import Spec, edits_of, recipe_of, rendered_recipe_of, views_of
+from datagen.storage.spec import Spec, edits_of, recipe_of, rendered_recipe_of, signals_of, views_of
 
 MOST_MEMORY = 4 * 2**30
 """Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
@@ -94,7 +95,7 @@ def check_memory(spec: Spec) -> None:
     if needed > MOST_MEMORY:
         raise UsageError(
             f"A scene would take about {needed / 2**30:.1f} GiB of memory, expected at most {MOST_MEMORY / 2**30:.0f} "
-            "GiB. Lower --frames, --views, --resolution or --objects.maximum, or leave out --edits."
+            "GiB. Lower --frames, --views, --resolution or --objects.maximum, or leave out --edits and --with."
         )
 
 
@@ -145,7 +146,10 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
         renderer,
         {kind: _rng(spec, split, index, kind) for kind in edits_of(spec)},
     )
-    return {**record, **pixels, **edits}
+    signals = signals_record(
+        stage_of(scene, shapes, trajectory), pixels, signals_of(spec), _rng(spec, split, index, "tracks")
+    )
+    return {**record, **pixels, **edits, **signals}
 
 
 def object_rows(recipe: Recipe) -> int:

@@ -151,7 +151,10 @@ def render_clip(
 ) -> list[list[Image]]:
     """Render images of a given (width, height), indexed [frame][view]."""
     renderer.load(scene, shapes)
-    return [[renderer.render(pose, camera, *resolution) for camera in scene.cameras] for pose in world_from_object]
+    return [
+        [renderer.render(pose, camera.at(frame), *resolution) for camera in scene.cameras]
+        for frame, pose in enumerate(world_from_object)
+    ]
 
 
 def stack_images(images: list[list[Image]], name: str) -> np.ndarray:

@@ -8,6 +8,7 @@ The spec is a plain dict:
     renderer ........ name and version, null if there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
     edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
+    with ............ optional signals, in the order of `schema.SIGNALS`; key missing if there are none
     scenes_per_shard
     splits .......... number of scenes of each split
     spec_hash ....... SHA-256 of all the above: the dataset's identity
@@ -24,7 +25,7 @@ from typing import Any
 
 from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
-from datagen.schema import DATA_VERSION, EDITS, FORMAT_VERSION, GENERATOR, SPLITS, EditKind
+from datagen.schema import DATA_VERSION, EDITS, FORMAT_VERSION, GENERATOR, SIGNALS, SPLITS, EditKind, Signal
 from datagen.storage.safe_io import MOST_ARRAY_BYTES, read_json
 
 SPEC_FILE = "dataset.json"
@@ -40,6 +41,7 @@ _MOST_PIXELS = MOST_ARRAY_BYTES // 3
 """Largest number of pixels of a scene: its colours are read as one array."""
 _BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
 _BYTES_PER_EDITED_PIXEL = 7  # rgb, depth, segmentation, effects
+_BYTES_PER_SIGNAL_PIXEL = {"flow": 10, "normals": 6, "coordinates": 6}
 
 _LONGEST_NAME = 1000
 _MEND = "Restore it, or delete it and run the command that made the dataset again, which rebuilds it from the shards."
@@ -56,10 +58,12 @@ def make_spec(
     renderer: Mapping[str, Any] | None,
     rig: Mapping[str, Any] | None = None,
     edits: Collection[EditKind] = (),
+    signals: Collection[Signal] = (),
 ) -> Spec:
     """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
-    scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL)
+    signal_bytes = sum(_BYTES_PER_SIGNAL_PIXEL.get(name, 0) for name in signals)
+    scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL + signal_bytes)
     spec = {
         "format_version": FORMAT_VERSION,
         "data_version": DATA_VERSION,
@@ -75,6 +79,8 @@ def make_spec(
     if edits:
         # Datasets without edits keep the identity that they had before there were any.
         spec["edits"] = [kind for kind in EDITS if kind in edits]
+    if signals:
+        spec["with"] = [name for name in SIGNALS if name in signals]
     spec = json.loads(json.dumps(spec))
     return {**spec, "spec_hash": _digest(spec)}
 
@@ -175,6 +181,11 @@ def edits_of(spec: Spec) -> tuple[EditKind, ...]:
     return tuple(kind for kind in EDITS if kind in spec.get("edits", ()))
 
 
+def signals_of(spec: Spec) -> tuple[Signal, ...]:
+    """The optional signals of a dataset, in the order of `schema.SIGNALS`."""
+    return tuple(name for name in SIGNALS if name in spec.get("with", ()))
+
+
 def views_of(spec: Spec) -> int:
     """Number of cameras of a dataset: that of the rig used for rendering, otherwise that of its recipe."""
     return (spec["rig"] or spec["recipe"])["views"]
@@ -192,7 +203,7 @@ def groups_of(spec: Spec) -> tuple[str, ...]:
     if not spec["renderer"]:
         return ("simulation",)
     sensor = ("sensor",) if spec["recipe"]["sensor"]["enabled"] else ()
-    return "simulation", "pixels", *sensor, *edits_of(spec)
+    return "simulation", "pixels", *sensor, *edits_of(spec), *signals_of(spec)
 
 
 def recipe_of(spec: Spec) -> Recipe:
@@ -260,6 +271,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "scenes_per_shard": lambda scenes: _is_number(scenes, 1, MOST_SCENES),
     "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
+    "with": lambda names: names is None or (type(names) is list and set(names) <= set(SIGNALS)),
 }
 """Check of each key of a spec that readers rely on."""
 

@@ -12,6 +12,7 @@ from datagen.verify.bodies import check_boxes, check_overlap, check_poses
 from datagen.verify.edits import check_edit, check_effects
 from datagen.verify.pixels import check_order, check_surfaces, check_table
 from datagen.verify.scene_case import DEFAULT, OPENGL, PRECISION, Allowed, Case, Finding, make_case
+from datagen.verify.signals import check_amodal, check_coordinates, check_flow, check_normals, check_tracks
 from datagen.verify.views import check_views
 
 Check = Callable[[Case], Iterator[Finding]]
@@ -23,6 +24,11 @@ CHECKS: dict[str, tuple[Check, ...]] = {
     "remove": (partial(check_edit, kind="remove"), check_effects),
     "move": (partial(check_edit, kind="move"),),
     "add": (partial(check_edit, kind="add"),),
+    "flow": (check_flow,),
+    "tracks": (check_tracks,),
+    "normals": (check_normals,),
+    "coordinates": (check_coordinates,),
+    "amodal": (check_amodal,),
 }
 """Checks by the group of fields that they need."""
 
