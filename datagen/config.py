@@ -13,6 +13,9 @@ import assets
 from datagen.errors import UsageError, unknown_name
 from datagen.recipe_rules import constants, problems
 
+LATER = ("rig.motion", "rig.orbit", "rig.travel", "rig.shake", "rig.sway")
+"""Constants that datasets may lack: left out at their defaults, so that older datasets keep their identity."""
+
 OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
 """Fields of a recipe that its parts do not inherit."""
 
@@ -22,7 +25,7 @@ class Objects:
     """Number, categories, sizes and physical properties of the objects."""
 
     minimum: int = 2
-    """Fewest objects in a scene."""
+    """Fewest objects in a scene; 0 allows empty scenes."""
     maximum: int = 4
     """Most objects in a scene."""
     categories: tuple[str, ...] = ()
@@ -154,6 +157,16 @@ class Rig:
     """Angle of the first camera about the world's z axis, seen from its target, degrees; at 0 it looks along -x."""
     jitter: float = 0.0
     """Standard deviation of each camera's position along each axis, metres."""
+    motion: Literal["still", "orbit", "linear", "handheld"] = "still"
+    """Motion of the cameras in a clip: none, around the vertical through their target, straight, or a hand's tremor."""
+    orbit: float = 30.0
+    """Angle that an orbit covers from the first to the last frame, degrees; negative is clockwise from above."""
+    travel: tuple[float, float, float] = (0.0, 0.2, 0.0)
+    """Straight way from the first to the last frame, metres; the camera keeps looking at its target."""
+    shake: float = 0.01
+    """Standard deviation of a handheld camera's position along each axis, metres, in waves of 0.3 to 2 Hz."""
+    sway: float = 1.0
+    """Standard deviation of a handheld camera's rotation about each axis, degrees."""
 
 
 @dataclass(frozen=True)
@@ -273,9 +286,9 @@ class Recipe:
 
 @functools.lru_cache(maxsize=64)
 def _part(whole: Recipe, name: str) -> Recipe:
-    own = _difference(recipe_to_dict(whole), recipe_to_dict(Recipe()), set(whole.overrides))
+    own = _difference(dataclasses.asdict(whole), dataclasses.asdict(Recipe()), set(whole.overrides))
     own = {key: value for key, value in own.items() if key not in OF_THE_WHOLE}
-    return recipe_from_dict(_merge(recipe_to_dict(load_recipe(name)), own))
+    return recipe_from_dict(_merge(dataclasses.asdict(load_recipe(name)), own))
 
 
 def _difference(values: dict[str, Any], defaults: dict[str, Any], kept: set[str], prefix: str = "") -> dict[str, Any]:
@@ -296,7 +309,7 @@ def _merge(values: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def constant_names(recipe: Recipe) -> list[str]:
     """Dotted names of all constants that parts may inherit."""
-    return [name for name, _ in constants(recipe_to_dict(recipe)) if name not in OF_THE_WHOLE]
+    return [name for name, _ in constants(dataclasses.asdict(recipe)) if name not in OF_THE_WHOLE]
 
 
 def recipe_names() -> list[str]:
@@ -334,4 +347,8 @@ def recipe_from_dict(data: dict[str, Any]) -> Recipe:
 
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
     """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe."""
-    return dataclasses.asdict(recipe)
+    values, defaults = dataclasses.asdict(recipe), dataclasses.asdict(Recipe())
+    for group, _, name in (path.partition(".") for path in LATER):
+        if values[group][name] == defaults[group][name]:
+            del values[group][name]
+    return values

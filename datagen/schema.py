@@ -70,8 +70,8 @@ class Field:
     """Frame of reference, `-` if there is none."""
     description: str
     group: str = "simulation"
-    """Group that decides when the array exists. `simulation`: always; `pixels`: after rendering; `sensor`: with a
-    recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with this edit; `flow`, `tracks`,
+    """Group that decides when the array exists. `simulation`: always; `moving_camera`: if cameras move; `pixels`: after
+    rendering; `sensor`: with a recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with this edit; `flow`, `tracks`,
     `normals`, `coordinates`, `amodal`: if it was made with this signal."""
 
 
@@ -99,6 +99,7 @@ _FIELDS = [
     ("sensor_valid", "uint8", _PIXELS, "bool", "image", "1 where the sensor returned a depth", "sensor"),
     ("camera/K", "float64", "view 3 3", "pixel", "image", "camera matrix, pixel centres at +0.5; every image holds the recipe's frame, see docs/dataset.md", "pixels"),
     ("camera/world_from_camera", "float64", "view 4 4", "m", "world", "pose, OpenCV axes (x right, y down, z forward)", "simulation"),
+    ("camera/world_from_camera_of_frame", "float64", "frame view 4 4", "m", "world", "pose in every frame; camera/world_from_camera is that of frame 0", "moving_camera"),
     ("lights/direction", "float64", "light 3", "1", "world", "unit vector towards each light; row 0 casts the shadow", "simulation"),
     ("lights/radiance", "float64", "light 3", "1", "-", "linear RGB on a surface that faces the light", "simulation"),
     ("lights/ambient", "float64", "3", "1", "-", "linear RGB of the light from everywhere", "simulation"),

@@ -61,6 +61,8 @@ class Generate:
     """Counterfactual edits to render for each scene: one or more of remove,move,add, separated by commas."""
     signals: Annotated[str | None, tyro.conf.arg(name="with")] = None
     """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
+    cameras: Path | None = None
+    """JSON file with the intrinsics, size and poses of the cameras, which replace those of --rig and --views."""
     shard: str | None = None
     """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False
@@ -88,6 +90,8 @@ class Render:
     """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
+    cameras: Path | None = None
+    """JSON file with the intrinsics, size and poses of the cameras, which replace those of --rig and --views."""
     shard: str | None = None
     """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False

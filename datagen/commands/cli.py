@@ -94,9 +94,11 @@ def _generate(values: Generate) -> int:
     signals = options.parse_signals(values.signals)
     if values.simulate_only and signals:
         raise UsageError("--simulate-only makes no images, and signals belong to images; give --with to `render`.")
+    cameras = _cameras(values.cameras)
     size = None
     if not values.simulate_only:
-        size = options.parse_resolution(values.resolution) if values.resolution else recipe.resolution
+        default = cameras.resolution if cameras else recipe.resolution
+        size = options.parse_resolution(values.resolution) if values.resolution else default
     folder = values.out or options.default_folder(recipe.name, size, values.seed)
     run = _how(values)
 
@@ -104,6 +106,7 @@ def _generate(values: Generate) -> int:
 
     renderer = None if values.simulate_only else values.renderer or "raster"
     settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits, "signals": signals}
+    settings["cameras"] = cameras
     report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
     return EXIT_OK
@@ -115,8 +118,14 @@ def _render(values: Render) -> int:
     wanted = dataclasses.replace(recipe, rig=values.rig, views=values.views)
     size = options.parse_resolution(values.resolution) if values.resolution else None
     edits = options.parse_edits(values.edits)
+    cameras = _cameras(values.cameras)
+    if cameras and wanted != recipe:
+        raise UsageError("--cameras replaces the rig; leave out --rig.* and --views.")
+    size = size or (cameras.resolution if cameras else None)
     folder = values.out or options.default_folder(
-        recipe.name + "-rig" * (wanted != recipe), size or spec["resolution"] or recipe.resolution, spec["seed"]
+        recipe.name + "-rig" * (wanted != recipe or cameras is not None),
+        size or spec["resolution"] or recipe.resolution,
+        spec["seed"],
     )
     run = _how(values)
 
@@ -124,10 +133,18 @@ def _render(values: Render) -> int:
 
     rig = wanted if wanted != recipe else None
     settings: dict[str, Any] = {"renderer": values.renderer, "rig": rig, "edits": edits}
-    settings["signals"] = options.parse_signals(values.signals)
+    settings |= {"signals": options.parse_signals(values.signals), "cameras": cameras}
     report = render(values.source, folder, resolution=size, **settings, run=run)
     _print_report(folder, report, spec["splits"])
     return EXIT_OK
+
+
+def _cameras(path: Path | None) -> Any:
+    if path is None:
+        return None
+    from datagen.storage.cameras_file import read_cameras
+
+    return read_cameras(path)
 
 
 def _how(values: Generate | Render) -> Any:

@@ -1,5 +1,6 @@
 """Make datasets in parallel, shard by shard; interrupted runs resume."""
 
+import dataclasses
 import itertools
 import json
 import time
@@ -15,6 +16,7 @@ from datagen.inspect.dataset_card import write_card
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, Signal, array_hash
+from datagen.storage.cameras_file import CamerasFile
 from datagen.storage.dataset_folder import filling, settle, write_file
 from datagen.storage.manifest import make_manifest
 from datagen.storage.reader import Dataset
@@ -60,6 +62,7 @@ def generate(
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
     signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
     run: Run = Run(),
 ) -> Report:
     """Make a dataset, complete it, or extend it.
@@ -73,13 +76,14 @@ def generate(
         renderer: Name of the renderer; None stores scenes and trajectories without images.
         edits: Counterfactual edits that are rendered beside each scene.
         signals: Optional signals that are stored beside the images.
+        cameras: Cameras that replace the recipe's.
         run: Options that do not change the content.
 
     Raises:
         UsageError: the request contradicts itself or what is in the folder.
         DatagenError: it could not be completed; running it again goes on.
     """
-    settings = {"splits": splits, "seed": seed, "resolution": resolution, "renderer": renderer}
+    settings = {"splits": splits, "seed": seed, "resolution": resolution, "renderer": renderer, "cameras": cameras}
     return _fill(folder, dataset_spec(recipe, **settings, edits=edits, signals=signals), None, run)
 
 
@@ -92,6 +96,7 @@ def dataset_spec(
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
     signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
 ) -> Spec:
     """The spec of the dataset that `generate` makes of these arguments in a new folder.
 
@@ -102,11 +107,16 @@ def dataset_spec(
         raise UsageError("Signals belong to images, and a dataset without images has none; leave one of them out.")
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
+    if cameras:
+        cameras.check_frames(recipe.frames)
+        recipe = dataclasses.replace(recipe, views=len(cameras.views))
+        resolution = resolution or cameras.resolution
     return make_spec(
         recipe_to_dict(recipe),
         seed=seed,
         splits=splits,
         resolution=(resolution or recipe.resolution) if renderer else None,
+        cameras=cameras.views if cameras else (),
         renderer=renderer_identity(renderer),
         edits=edits,
         signals=signals,
@@ -122,6 +132,7 @@ def render(
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
     signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
     run: Run = Run(),
 ) -> Report:
     """Make images of the scenes of another dataset, which may have images; needs no physics engine.
@@ -144,7 +155,7 @@ def render(
         )
     dataset.check_complete()
     settings = {"resolution": resolution, "renderer": renderer, "rig": rig, "edits": edits, "signals": signals}
-    spec = render_spec(dataset.spec, **settings)
+    spec = render_spec(dataset.spec, **settings, cameras=cameras)
     return _fill(folder, spec, Source(source, settings_hash(dataset.spec)), run)
 
 
@@ -156,17 +167,24 @@ def render_spec(
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
     signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
 ) -> Spec:
     """The spec of a dataset that `render` makes of the scenes of another."""
+    poses = cameras.views if cameras else () if rig else source.get("cameras", ())
+    replaced = {key: recipe_to_dict(rig)[key] for key in ("rig", "views")} if rig else source["rig"]
+    if cameras:
+        cameras.check_frames(source["recipe"]["frames"])
+        replaced = {"rig": (source["rig"] or source["recipe"])["rig"], "views": len(cameras.views)}
+        resolution = resolution or cameras.resolution
     width, height = resolution or source["resolution"] or source["recipe"]["resolution"]
-    cameras = {key: recipe_to_dict(rig)[key] for key in ("rig", "views")} if rig else None
     return make_spec(
         source["recipe"],
         seed=source["seed"],
         splits=source["splits"],
         resolution=(width, height),
         renderer=renderer_identity(renderer),
-        rig=cameras or source["rig"],
+        rig=replaced,
+        cameras=poses,
         edits=edits,
         signals=signals,
     )

@@ -18,15 +18,21 @@ from datagen.random_streams import Stream, scene_rng
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
 from datagen.sampling.cameras import sample_cameras
+from datagen.scene import Camera
 from datagen.schema import FIELDS, SPLITS, SceneRecord
 from datagen.shapes import build
 from datagen.signals import signals_record
+from datagen.storage.cameras_file import cameras_from_values
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import PackedScene, pack
 from datagen.storage.spec import Spec, edits_of, recipe_of, rendered_recipe_of, signals_of, views_of
 
 MOST_MEMORY = 4 * 2**30
 """Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
+
+
+_SIMULATED = ("simulation", "moving_camera")
+"""Groups of fields that need no images."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ class SceneMaker:
         if self.source is None:
             return None
         scenes = _source_split(self.source, split)
-        names = [name for name in scenes.fields(index) if name in FIELDS and FIELDS[name].group == "simulation"]
+        names = [name for name in scenes.fields(index) if name in FIELDS and FIELDS[name].group in _SIMULATED]
         record = scenes.read(index, names)
         try:
             scene_and_trajectory(record)
@@ -117,10 +123,11 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
     The scene is simulated unless `source` holds its simulation fields.
     """
     recipe = recipe_of(spec)
-    record = source or _simulate(recipe, spec["seed"], split, index)
+    given = cameras_from_values(spec.get("cameras", []))
+    record = source or _simulate(recipe, spec["seed"], split, index, given)
     scene, trajectory = scene_and_trajectory(record)
     if spec["rig"]:
-        cameras = sample_cameras(rendered_recipe_of(spec), _rng(spec, split, index, "rig"))
+        cameras = given or sample_cameras(rendered_recipe_of(spec), _rng(spec, split, index, "rig"))
         scene = dataclasses.replace(scene, cameras=cameras)
         record = with_scene(record, scene)
     if not spec["renderer"]:
@@ -154,14 +161,14 @@ def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = 
 
 def object_rows(recipe: Recipe) -> int:
     """Length of the object axis: the most objects that a scene of the recipe or its parts can have."""
-    return max(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts))))
+    return max(1, *(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts)))))
 
 
-def _simulate(recipe: Recipe, seed: int, split: str, index: int) -> SceneRecord:
+def _simulate(recipe: Recipe, seed: int, split: str, index: int, cameras: tuple[Camera, ...]) -> SceneRecord:
     # Imported here so that rendering stored scenes does not need the physics engine.
     from datagen.pipeline.simulate import simulate_scene
 
-    made = simulate_scene(recipe, seed, split, index)
+    made = simulate_scene(recipe, seed, split, index, cameras)
     return simulation_record(
         made.scene,
         made.shapes,

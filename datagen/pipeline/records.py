@@ -18,6 +18,7 @@ from datagen.shapes.shape import Shape
 
 _FARTHEST = 1e6
 """Largest value of a pose or velocity."""
+_PATHS = "camera/world_from_camera_of_frame"
 _POSES = ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity")
 
 
@@ -59,6 +60,8 @@ def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
             f"it has {rows} objects in {scene.frames} frames, but there are poses of {record['objects/count']} objects "
             f"in {frames} frames"
         )
+    if wrong := [len(camera.path) for camera in scene.cameras if len(camera.path) not in (0, 1, frames)]:
+        raise ValueError(f"a camera has {wrong[0]} poses in {frames} frames")
     poses = {name: record[f"poses/{name}"][:, :rows] for name in _POSES}
     if wrong := [name for name, values in poses.items() if not np.all(np.abs(values) <= _FARTHEST)]:
         raise ValueError(f"poses/{wrong[0]} holds values that are not finite, or beyond {_FARTHEST:g}")
@@ -68,17 +71,24 @@ def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
 
 def with_scene(record: SceneRecord, scene: Scene) -> SceneRecord:
     """Copy of `record` whose cameras, lights and description are those of `scene`, which has the same objects."""
-    return {**record, **_surroundings(scene)}
+    return {**{name: array for name, array in record.items() if name != _PATHS}, **_surroundings(scene)}
 
 
 def _surroundings(scene: Scene) -> SceneRecord:
+    moving = any(camera.moves for camera in scene.cameras)
     return {
+        **({_PATHS: _camera_paths(scene)} if moving else {}),
         "camera/world_from_camera": np.stack([camera.world_from_camera for camera in scene.cameras]),
         "lights/direction": np.array([light.direction for light in scene.lights], np.float64),
         "lights/radiance": np.array([light.radiance for light in scene.lights], np.float64),
         "lights/ambient": np.array(scene.ambient, np.float64),
         "scene/description": _text([scene_to_json(scene)])[0, ...],
     }
+
+
+def _camera_paths(scene: Scene) -> Float[np.ndarray, "frame view 4 4"]:
+    frames = range(scene.frames)
+    return np.array([[camera.at(frame).world_from_camera for camera in scene.cameras] for frame in frames])
 
 
 def _object_arrays(bodies: Sequence[Body], shapes: Sequence[Shape]) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from datagen.config import Lighting, Recipe, Rig
+from datagen.sampling.camera_paths import camera_path
 from datagen.sampling.poses import about_vertical
 from datagen.scene import Camera, Light, rounded, vector
 
@@ -14,7 +15,12 @@ def sample_cameras(recipe: Recipe, rng: np.random.Generator) -> tuple[Camera, ..
     """
     width, height = recipe.visibility_resolution
     angles = [2 * np.pi * view / recipe.views for view in range(recipe.views)]
-    return tuple(_camera(recipe.rig, angle, width / height, rng) for angle in angles)
+    cameras = tuple(_camera(recipe.rig, angle, width / height, rng) for angle in angles)
+    if recipe.rig.motion == "still" or not recipe.video:
+        return cameras
+    # A child generator, so that scenes with and without motion of the cameras are the same otherwise.
+    (own,) = rng.spawn(1)
+    return tuple(camera_path(camera, recipe, angle, own) for camera, angle in zip(cameras, angles, strict=True))
 
 
 def _camera(rig: Rig, angle: float, aspect: float, rng: np.random.Generator) -> Camera:

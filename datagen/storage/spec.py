@@ -7,6 +7,7 @@ The spec is a plain dict:
     resolution ...... width and height of the images, null if there are none
     renderer ........ name and version, null if there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
+    cameras ......... views of a cameras file that replace the rig's; key missing if there is none
     edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
     with ............ optional signals, in the order of `schema.SIGNALS`; key missing if there are none
     scenes_per_shard
@@ -59,6 +60,7 @@ def make_spec(
     rig: Mapping[str, Any] | None = None,
     edits: Collection[EditKind] = (),
     signals: Collection[Signal] = (),
+    cameras: Sequence[Mapping[str, Any]] = (),
 ) -> Spec:
     """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
@@ -79,6 +81,8 @@ def make_spec(
     if edits:
         # Datasets without edits keep the identity that they had before there were any.
         spec["edits"] = [kind for kind in EDITS if kind in edits]
+    if cameras:
+        spec["cameras"] = list(cameras)
     if signals:
         spec["with"] = [name for name in SIGNALS if name in signals]
     spec = json.loads(json.dumps(spec))
@@ -191,6 +195,14 @@ def views_of(spec: Spec) -> int:
     return (spec["rig"] or spec["recipe"])["views"]
 
 
+def has_moving_cameras(spec: Spec) -> bool:
+    """Whether the cameras of a dataset have a pose for each frame."""
+    if cameras := spec.get("cameras"):
+        return any(len(view["poses"]) > 1 for view in cameras)
+    rig = (spec["rig"] or spec["recipe"])["rig"]
+    return spec["recipe"]["frames"] > 1 and rig.get("motion", "still") != "still"
+
+
 def lengths_of(spec: Spec) -> dict[str, int]:
     """Lengths of the axes of `schema.FIELDS` that a spec determines."""
     width, height = spec["resolution"] or (0, 0)
@@ -200,10 +212,11 @@ def lengths_of(spec: Spec) -> dict[str, int]:
 
 def groups_of(spec: Spec) -> tuple[str, ...]:
     """Groups of fields in a dataset of this spec."""
+    moving = ("moving_camera",) if has_moving_cameras(spec) else ()
     if not spec["renderer"]:
-        return ("simulation",)
+        return "simulation", *moving
     sensor = ("sensor",) if spec["recipe"]["sensor"]["enabled"] else ()
-    return "simulation", "pixels", *sensor, *edits_of(spec), *signals_of(spec)
+    return "simulation", *moving, "pixels", *sensor, *edits_of(spec), *signals_of(spec)
 
 
 def recipe_of(spec: Spec) -> Recipe:
@@ -249,6 +262,16 @@ def _has_views(values: Mapping[str, Any]) -> bool:
     return _is_number(values["views"], 1, _MOST_PIXELS)
 
 
+def _is_camera(view: Mapping[str, Any]) -> bool:
+    numbers = [view[name] for name in ("fx", "fy", "cx", "cy")] + [x for pose in view["poses"] for x in pose]
+    return (
+        _is_size([view["width"], view["height"]])
+        and all(type(number) in (int, float) for number in numbers)
+        and len(view["poses"]) > 0
+        and all(len(pose) == 7 for pose in view["poses"])
+    )
+
+
 def _is_recipe(recipe: Mapping[str, Any]) -> bool:
     return (
         all(_is_name(name) for name in (recipe["name"], recipe["description"], *recipe["parts"]))
@@ -256,7 +279,8 @@ def _is_recipe(recipe: Mapping[str, Any]) -> bool:
         and _has_views(recipe)
         and _is_size(recipe["resolution"])
         and 0.001 <= recipe["fps"] <= 1e6
-        and _is_number(recipe["objects"]["maximum"], 1, 255)
+        and _is_number(recipe["objects"]["maximum"], 0, 255)
+        and type(recipe["rig"]) is dict
         and type(recipe["sensor"]["enabled"]) is bool
     )
 
@@ -271,6 +295,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "scenes_per_shard": lambda scenes: _is_number(scenes, 1, MOST_SCENES),
     "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
+    "cameras": lambda views: views is None or all(_is_camera(view) for view in views),
     "with": lambda names: names is None or (type(names) is list and set(names) <= set(SIGNALS)),
 }
 """Check of each key of a spec that readers rely on."""

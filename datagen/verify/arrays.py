@@ -75,6 +75,10 @@ def check_description(case: Case) -> Iterator[Finding]:
     record, scene = case.record, case.scene
     yield from _equal(record, "objects/count", case.count)
     yield from _equal(record, "camera/world_from_camera", [camera.world_from_camera for camera in scene.cameras])
+    if "camera/world_from_camera_of_frame" in record:
+        frames = range(scene.frames)
+        paths = [[camera.at(frame).world_from_camera for camera in scene.cameras] for frame in frames]
+        yield from _equal(record, "camera/world_from_camera_of_frame", paths)
     if "camera/K" in record:
         height, width = record["segmentation"].shape[2:]
         yield from _equal(record, "camera/K", [camera.k(width, height) for camera in scene.cameras])

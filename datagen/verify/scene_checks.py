@@ -9,6 +9,7 @@ from datagen.config import Physics, Sensor
 from datagen.errors import DatagenError
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
+from datagen.verify.cameras import check_paths
 from datagen.verify.edits import check_edit, check_effects
 from datagen.verify.pixels import check_order, check_surfaces, check_table
 from datagen.verify.scene_case import DEFAULT, OPENGL, PRECISION, Allowed, Case, Finding, make_case
@@ -19,6 +20,7 @@ Check = Callable[[Case], Iterator[Finding]]
 
 CHECKS: dict[str, tuple[Check, ...]] = {
     "simulation": (check_description, check_poses, check_overlap),
+    "moving_camera": (check_paths,),
     "pixels": (check_counts, check_boxes, check_surfaces, check_table, check_order, check_views),
     "sensor": (check_sensor,),
     "remove": (partial(check_edit, kind="remove"), check_effects),
