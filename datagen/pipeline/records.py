@@ -12,7 +12,7 @@ from datagen.errors import UsageError
 from datagen.geometry import transform
 from datagen.render.renderer import Image, Renderer
 from datagen.scene import Body, Scene, Trajectory, scene_from_json, scene_to_json
-from datagen.schema import SceneRecord, encode_depth
+from datagen.schema import FIELDS, SceneRecord, encode_depth
 from datagen.sensor import sense
 from datagen.shapes.shape import Shape
 
@@ -38,7 +38,7 @@ def simulation_record(
     return {
         **_surroundings(scene),
         "objects/count": np.asarray(len(scene.bodies), np.uint8),
-        **{f"objects/{name}": _padded(array, rows) for name, array in _object_arrays(scene.bodies, shapes).items()},
+        **_object_fields(scene.bodies, shapes, rows),
         **{f"poses/{name}": _padded(getattr(trajectory, name), rows, axes=(1,)) for name in _POSES},
         "contacts/gap": _padded(trajectory.contact_gap, rows + 1, axes=(1, 2), fill=np.inf),
         "contacts/impulse": _padded(trajectory.contact_impulse, rows + 1, axes=(1, 2)),
@@ -89,6 +89,13 @@ def _surroundings(scene: Scene) -> SceneRecord:
 def _camera_paths(scene: Scene) -> Float[np.ndarray, "frame view 4 4"]:
     frames = range(scene.frames)
     return np.array([[camera.at(frame).world_from_camera for camera in scene.cameras] for frame in frames])
+
+
+def _object_fields(bodies: Sequence[Body], shapes: Sequence[Shape], rows: int) -> SceneRecord:
+    if bodies:
+        return {f"objects/{name}": _padded(array, rows) for name, array in _object_arrays(bodies, shapes).items()}
+    fields = [field for name, field in FIELDS.items() if name.startswith("objects/") and field.axes]
+    return {f.name: np.zeros((rows, *map(int, f.axes[1:])), "S1" if f.dtype == "S" else f.dtype) for f in fields}
 
 
 def _object_arrays(bodies: Sequence[Body], shapes: Sequence[Shape]) -> dict[str, np.ndarray]:
@@ -195,7 +202,8 @@ def _sensed(images: list[list[Image]], k: np.ndarray, sensor: Sensor, rng: np.ra
 
 def _visible_pixels(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
     images = segmentation.reshape(*segmentation.shape[:2], -1)
-    return np.stack([np.count_nonzero(images == row + 1, axis=-1) for row in range(objects)], axis=-1).astype(np.uint32)
+    counts = [np.count_nonzero(images == row + 1, axis=-1) for row in range(objects)]
+    return np.array(counts, np.uint32).reshape(objects, *images.shape[:2]).transpose(1, 2, 0)
 
 
 def _boxes_2d(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
@@ -216,7 +224,8 @@ def _extent(used: np.ndarray) -> np.ndarray:
 def _boxes_3d(shapes: Sequence[Shape], trajectory: Trajectory) -> Float[np.ndarray, "frame object 8 3"]:
     corners = [shape.minimum_box.corners for shape in shapes]
     frames = [zip(poses, corners, strict=True) for poses in trajectory.world_from_object]
-    return np.array([[transform(pose, points) for pose, points in pairs] for pairs in frames], np.float32)
+    boxes = np.array([[transform(pose, points) for pose, points in pairs] for pairs in frames], np.float32)
+    return boxes.reshape(len(trajectory.position), len(shapes), 8, 3)
 
 
 def _padded(array: np.ndarray, rows: int, *, axes: tuple[int, ...] = (0,), fill: float = 0) -> np.ndarray:

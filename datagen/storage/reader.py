@@ -18,7 +18,17 @@ import numpy as np
 from datagen.errors import DatagenError, UsageError
 from datagen.schema import SPLITS, EditKind, SceneRecord, decode_depth
 from datagen.storage.shard import PackedScene, Shard, scenes_present
-from datagen.storage.spec import Spec, edits_of, groups_of, read_spec, settings_hash, shard_name, shard_ranges, views_of
+from datagen.storage.spec import (
+    Spec,
+    edits_of,
+    groups_of,
+    has_moving_cameras,
+    read_spec,
+    settings_hash,
+    shard_name,
+    shard_ranges,
+    views_of,
+)
 
 _MOST_OPEN_FILES = 64
 
@@ -86,6 +96,20 @@ class Dataset:
             )
 
 
+def require_stationary(scenes: "Split", reader: str) -> None:
+    """Check that the cameras of some scenes do not move, for a `reader` that takes one pose for all frames of a clip.
+
+    Raises:
+        UsageError: they do.
+    """
+    if scenes.has_moving_cameras:
+        raise UsageError(
+            f"The cameras of {scenes.folder} move, and {reader} takes one pose for all frames of a clip. Render the "
+            f"scenes with stationary cameras (obpose-datagen render --from {scenes.folder} --rig.motion still, or "
+            "--cameras FILE), or use windows of one frame."
+        )
+
+
 class Split(Sequence[SceneRecord]):
     """The scenes of one split, in order."""
 
@@ -102,6 +126,11 @@ class Split(Sequence[SceneRecord]):
     def views(self) -> int:
         """Number of cameras."""
         return views_of(self.spec)
+
+    @property
+    def has_moving_cameras(self) -> bool:
+        """Whether cameras have a pose for each frame, `camera/world_from_camera_of_frame`."""
+        return has_moving_cameras(self.spec)
 
     @overload
     def __getitem__(self, index: SupportsIndex) -> SceneRecord: ...
