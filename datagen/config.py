@@ -13,7 +13,10 @@ import assets
 from datagen.errors import UsageError, unknown_name
 from datagen.recipe_rules import constants, problems
 
-LATER = ("rig.motion", "rig.orbit", "rig.travel", "rig.shake", "rig.sway")
+LATER = (
+    *(f"rig.{name}" for name in ("motion", "orbit", "travel", "shake", "sway")),
+    *(f"sensor.{name}" for name in ("device", "depth_step", "nearest", "farthest")),
+)
 """Constants that datasets may lack: left out at their defaults, so that older datasets keep their identity."""
 
 OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
@@ -227,6 +230,14 @@ class Sensor:
     """Linear reflectance below which returns become less likely."""
     quantisation: float = 0.001
     """Depth step at 1 m, metres; grows with the square of depth."""
+    device: str = ""
+    """Name of the preset that these constants come from; see `datagen.sensor_presets`."""
+    depth_step: float = 0.0
+    """Depth step at any distance, metres, such as 0.001 for whole millimetres; 0: none."""
+    nearest: float = 0.0
+    """Depth up to which nothing returns, metres."""
+    farthest: float = 10.0
+    """Depth from which nothing returns, metres."""
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,9 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "sensor.grazing_angle": (0, 90, "degrees"),
     "sensor.dark_reflectance": _SHARE,
     "sensor.quantisation": (0, 0.1, "metres"),
+    "sensor.depth_step": (0, 0.1, "metres"),
+    "sensor.nearest": (0, 10, "metres"),
+    "sensor.farthest": (0, 10, "metres"),
 }
 """Least and greatest value of every number of a recipe, and their unit; pairs and lists hold such numbers."""
 
@@ -170,6 +173,9 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
             f"least_visible_pixels is {recipe['least_visible_pixels']}, but a frame of visibility_resolution has only "
             f"{width * height} pixels"
         )
+    nearest, farthest = recipe["sensor"]["nearest"], recipe["sensor"]["farthest"]
+    if nearest >= farthest:
+        yield f"sensor.nearest {nearest} is not below sensor.farthest {farthest}"
     if not any(recipe["motion"]["weights"].values()):
         yield "motion.weights are all 0"
     if unknown := set(recipe["overrides"]) - {name for name, _ in constants(recipe)}:

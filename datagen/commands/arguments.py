@@ -63,6 +63,8 @@ class Generate:
     """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
     cameras: Path | None = None
     """JSON file with the intrinsics, size and poses of the cameras, which replace those of --rig and --views."""
+    sensor_preset: str | None = None
+    """Depth sensor named after a device: kinect-v1, azure-kinect or realsense-d435; it sets the --sensor constants."""
     shard: str | None = None
     """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False

@@ -17,6 +17,7 @@ from datagen.commands.arguments import Constants, Generate, Inspect, Preview, Re
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
+from datagen.sensor_presets import with_sensor
 from datagen.storage.reader import Dataset
 from datagen.storage.spec import read_spec, rendered_recipe_of
 
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 
 PROGRAM = "obpose-datagen"
 _LOADING = """Load it:
-    from datagen.storage.reader import Dataset
+    from datagen.sensor_presets import with_sensor
+from datagen.storage.reader import Dataset
     scenes = Dataset("{folder}").split("{split}")
     record = scenes[0]  # a dict of arrays; scenes.read(0, ["rgb"]) reads only some
 """
@@ -52,9 +54,12 @@ def _default_generate(arguments: list[str]) -> dict[str, Any]:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--recipe")
     parser.add_argument("--video", action="store_true")
+    parser.add_argument("--sensor-preset")
     known, _ = parser.parse_known_args(arguments)
-    recipe = options.with_overrides(options.choose_recipe(known.recipe, video=known.video), arguments)
-    values = Generate(recipe=known.recipe, constants=Constants.of(recipe))
+    recipe = options.choose_recipe(known.recipe, video=known.video)
+    recipe = with_sensor(recipe, known.sensor_preset) if known.sensor_preset else recipe
+    recipe = options.with_overrides(recipe, arguments)
+    values = Generate(recipe=known.recipe, sensor_preset=known.sensor_preset, constants=Constants.of(recipe))
     return {"default": values, "description": _description(recipe)}
 
 

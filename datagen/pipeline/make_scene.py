@@ -25,7 +25,15 @@ from datagen.signals import signals_record
 from datagen.storage.cameras_file import cameras_from_values
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import PackedScene, pack
-from datagen.storage.spec import Spec, edits_of, recipe_of, rendered_recipe_of, signals_of, views_of
+from datagen.storage.spec import (
+    BYTES_PER_SIGNAL_PIXEL,
+    Spec,
+    edits_of,
+    recipe_of,
+    rendered_recipe_of,
+    signals_of,
+    views_of,
+)
 
 MOST_MEMORY = 4 * 2**30
 """Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
@@ -112,9 +120,12 @@ def scene_memory(spec: Spec) -> int:
     width, height = spec["resolution"] or (0, 0)
     # Removals are rendered at three times the resolution, and keep a mask for each object.
     finer, masks = (9, 80 + 2 * objects) if "remove" in edits else (1, 0)
-    images = recipe.frames * views_of(spec) * width * height * (40 + 20 * len(edits) + masks)
+    signals = signals_of(spec)
+    maps = 2 * sum(BYTES_PER_SIGNAL_PIXEL.get(name, 0) for name in signals) + 9 * ("tracks" in signals)
+    images = recipe.frames * views_of(spec) * width * height * (40 + 20 * len(edits) + masks + maps)
     tables = recipe.frames * (48 * (objects + 1) ** 2 + 72 * views_of(spec) * objects)
-    return images + 80 * finer * width * height + tables
+    # Signals keep the surface points of some images.
+    return images + (80 * finer + 600 * bool(signals)) * width * height + tables
 
 
 def make_scene(spec: Spec, split: str, index: int, source: SceneRecord | None = None) -> SceneRecord:

@@ -85,8 +85,9 @@ class Projection:
         kernels.place_vertices(meshes.vertices, meshes.vertex_start, np.ascontiguousarray(world_from_object), world)
         samples_from_world = k @ invert_rigid(camera.world_from_camera)[:3]
         kernels.project_vertices(world, samples_from_world, self._homogeneous, self._screen)
-        self._tiles = -(-SUB * self._size // TILE)
-        self._starts, self._items = _list_faces(self._homogeneous, self._screen, meshes.faces, *self._tiles)
+        self._columns, self._rows = -(-SUB * width // TILE), -(-SUB * height // TILE)
+        places = self._homogeneous, self._screen
+        self._starts, self._items = _list_faces(*places, meshes.faces, self._columns, self._rows)
 
     def hit(self, points: Float[np.ndarray, "point 2"], owners: Int[np.ndarray, "point"]) -> Hits:
         """First surfaces behind points of the image (pixels), of the object in row `owners`, or of all for `ANY`.
@@ -104,7 +105,8 @@ class Projection:
             self._meshes.owners,
             self._starts,
             self._items,
-            *self._tiles,
+            self._columns,
+            self._rows,
             hits.face,
             hits.weights,
             hits.inverse_depth,
@@ -128,7 +130,7 @@ class Projection:
             self._meshes.owners,
             self._starts,
             self._items,
-            self._tiles[0],
+            self._columns,
         )
         return y[inside], x[inside]
 

@@ -16,7 +16,7 @@ from typing import Any, SupportsIndex, overload
 import numpy as np
 
 from datagen.errors import DatagenError, UsageError
-from datagen.schema import SPLITS, EditKind, SceneRecord, decode_depth
+from datagen.schema import SPLITS, EditKind, SceneRecord, Signal, decode_depth
 from datagen.storage.shard import PackedScene, Shard, scenes_present
 from datagen.storage.spec import (
     Spec,
@@ -27,6 +27,7 @@ from datagen.storage.spec import (
     settings_hash,
     shard_name,
     shard_ranges,
+    signals_of,
     views_of,
 )
 
@@ -54,6 +55,11 @@ class Dataset:
     def edits(self) -> tuple[EditKind, ...]:
         """Counterfactual edits that its scenes have."""
         return edits_of(self.spec)
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Optional signals that its scenes have."""
+        return signals_of(self.spec)
 
     @property
     def views(self) -> int:

@@ -42,7 +42,8 @@ _MOST_PIXELS = MOST_ARRAY_BYTES // 3
 """Largest number of pixels of a scene: its colours are read as one array."""
 _BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
 _BYTES_PER_EDITED_PIXEL = 7  # rgb, depth, segmentation, effects
-_BYTES_PER_SIGNAL_PIXEL = {"flow": 10, "normals": 6, "coordinates": 6}
+BYTES_PER_SIGNAL_PIXEL = {"flow": 10, "normals": 6, "coordinates": 6}
+"""Bytes that each signal stores for a pixel; tracks and amodal masks do not grow with the pixels."""
 
 _LONGEST_NAME = 1000
 _MEND = "Restore it, or delete it and run the command that made the dataset again, which rebuilds it from the shards."
@@ -64,7 +65,7 @@ def make_spec(
 ) -> Spec:
     """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
-    signal_bytes = sum(_BYTES_PER_SIGNAL_PIXEL.get(name, 0) for name in signals)
+    signal_bytes = sum(BYTES_PER_SIGNAL_PIXEL.get(name, 0) for name in signals)
     scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL + signal_bytes)
     spec = {
         "format_version": FORMAT_VERSION,
