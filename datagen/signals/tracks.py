@@ -64,7 +64,7 @@ def _points(
     """Surface points at the chosen places, and these places: pixels' centres where the backdrop lies beside them."""
     row, local, normal = np.zeros(len(images), int), np.zeros((len(images), 3)), np.zeros((len(images), 3))
     pixels = pixels.copy()
-    for frame, view in np.unique(images[:, :2], axis=0):
+    for frame, view in np.unique(images[:, :2], axis=0).tolist():
         own = np.flatnonzero(np.all(images[:, :2] == [frame, view], axis=1))
         row[own] = clip.row_at(frame, view, pixels[own])
         beside = own[row[own] == NOTHING]

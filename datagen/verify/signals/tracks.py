@@ -85,7 +85,7 @@ def _check_queries(case: Case, row: Integer[np.ndarray, "point"]) -> Iterator[Fi
 
 def _check_image(
     case: Case, frame: int, view: int, row: Integer[np.ndarray, "point"], world: Float[np.ndarray, "point 3"]
-) -> tuple[list[str], Sight, Bool[np.ndarray, "point"]]:
+) -> tuple[list[str], Sight, Bool[np.ndarray, "inner"]]:
     """Errors of the points' places in an image, and the points in it with their stored occlusion."""
     pixels, z = case.project(world, view)
     stored = case.record["tracks/position_2d"][view, :, frame].astype(np.float64)
