@@ -51,8 +51,8 @@ def _check_file(
     record: Mapping[str, np.ndarray], poses: Float[np.ndarray, "frame view 4 4"], views: Sequence[Mapping[str, Any]]
 ) -> Iterator[Finding]:
     for number, view in enumerate(views):
-        values = np.array(view["poses"], np.float64)
-        expected = rigid_poses(values[:, :3], values[:, 3:])
+        values = np.array(view["poses"], np.float64)[:, None]
+        expected = rigid_poses(values[..., :3], values[..., 3:])[:, 0]
         if np.max(np.abs(poses[:, number] - expected)) > ROUNDING:
             yield Finding("cameras", "poses are not those of the cameras file", view=number)
         if "segmentation" in record:
