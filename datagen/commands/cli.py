@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 PROGRAM = "obpose-datagen"
 _LOADING = """Load it:
-    from datagen.sensor_presets import with_sensor
-from datagen.storage.reader import Dataset
+    from datagen.storage.reader import Dataset
     scenes = Dataset("{folder}").split("{split}")
     record = scenes[0]  # a dict of arrays; scenes.read(0, ["rgb"]) reads only some
 """
