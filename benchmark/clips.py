@@ -11,7 +11,7 @@ from benchmark.metrics.poses import TruePoses
 from benchmark.models.interface import Clip
 from datagen.errors import UsageError
 from datagen.geometry import rotation_from_quaternion
-from datagen.storage.reader import Split, read_depth
+from datagen.storage.reader import Split, read_depth, require_stationary
 
 Item = TypeVar("Item")
 
@@ -41,12 +41,13 @@ class ClipSequence(_Lazy[Clip]):
     With `uses_labels` the clips carry the ground truth, for oracles and supervised models only.
 
     Raises:
-        UsageError: the dataset holds no images.
+        UsageError: the dataset holds no images, or its cameras move.
     """
 
     def __init__(self, scenes: Split, *, uses_labels: bool = False):
         if scenes.spec["resolution"] is None:
             raise UsageError(f"{scenes.folder} holds no images; make them with: obpose-datagen render.")
+        require_stationary(scenes, "the benchmark")
         super().__init__(len(scenes), partial(read_clip, scenes, uses_labels=uses_labels))
 
 

@@ -13,6 +13,13 @@ import assets
 from datagen.errors import UsageError, unknown_name
 from datagen.recipe_rules import OPTIONAL_RANGES, constants, problems
 
+LATER = (
+    *OPTIONAL_RANGES,
+    *(f"rig.{name}" for name in ("motion", "orbit", "travel", "shake", "sway")),
+    *(f"sensor.{name}" for name in ("device", "depth_step", "nearest", "farthest")),
+)
+"""Constants that datasets may lack: left out at their defaults, so that older datasets keep their identity."""
+
 OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
 """Fields of a recipe that its parts do not inherit."""
 
@@ -26,7 +33,7 @@ class Objects:
     """Number, categories, sizes and physical properties of the objects."""
 
     minimum: int = 2
-    """Fewest objects in a scene."""
+    """Fewest objects in a scene; 0 allows empty scenes."""
     maximum: int = 4
     """Most objects in a scene."""
     categories: tuple[str, ...] = ()
@@ -168,6 +175,16 @@ class Rig:
     """Least and greatest azimuth, degrees; each scene draws its own. If empty, all have `azimuth`."""
     fields_of_view: tuple[float, ...] = ()
     """Least and greatest field of view, degrees; each scene draws its own. If empty, all have `field_of_view`."""
+    motion: Literal["still", "orbit", "linear", "handheld"] = "still"
+    """Motion of the cameras in a clip: none, around the vertical through their target, straight, or a hand's tremor."""
+    orbit: float = 30.0
+    """Angle that an orbit covers from the first to the last frame, degrees; negative is clockwise from above."""
+    travel: tuple[float, float, float] = (0.0, 0.2, 0.0)
+    """Straight way from the first to the last frame, metres; the camera keeps looking at its target."""
+    shake: float = 0.01
+    """Standard deviation of a handheld camera's position along each axis, metres, in waves of 0.3 to 2 Hz."""
+    sway: float = 1.0
+    """Standard deviation of a handheld camera's rotation about each axis, degrees."""
 
 
 @dataclass(frozen=True)
@@ -228,6 +245,14 @@ class Sensor:
     """Linear reflectance below which returns become less likely."""
     quantisation: float = 0.001
     """Depth step at 1 m, metres; grows with the square of depth."""
+    device: str = ""
+    """Name of the preset that these constants come from; see `datagen.sensor_presets`."""
+    depth_step: float = 0.0
+    """Depth step at any distance, metres, such as 0.001 for whole millimetres; 0: none."""
+    nearest: float = 0.0
+    """Depth up to which nothing returns, metres."""
+    farthest: float = 10.0
+    """Depth from which nothing returns, metres."""
 
 
 @dataclass(frozen=True)
@@ -292,9 +317,9 @@ class Recipe:
 
 @functools.lru_cache(maxsize=64)
 def _part(whole: Recipe, name: str) -> Recipe:
-    own = _difference(recipe_to_dict(whole), recipe_to_dict(Recipe()), set(whole.overrides))
+    own = _difference(dataclasses.asdict(whole), dataclasses.asdict(Recipe()), set(whole.overrides))
     own = {key: value for key, value in own.items() if key not in OF_THE_WHOLE}
-    return recipe_from_dict(_merge(recipe_to_dict(load_recipe(name)), own))
+    return recipe_from_dict(_merge(dataclasses.asdict(load_recipe(name)), own))
 
 
 def _difference(values: dict[str, Any], defaults: dict[str, Any], kept: set[str], prefix: str = "") -> dict[str, Any]:
@@ -357,13 +382,9 @@ def recipe_from_dict(data: dict[str, Any]) -> Recipe:
 
 
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
-    """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe.
-
-    Constants that were added later are left out where they are empty, so that older datasets keep their identity.
-    """
-    values = dataclasses.asdict(recipe)
-    for name in OPTIONAL_RANGES:
-        group, constant = name.split(".")
-        if not values[group][constant]:
-            del values[group][constant]
+    """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe."""
+    values, defaults = dataclasses.asdict(recipe), dataclasses.asdict(Recipe())
+    for group, _, name in (path.partition(".") for path in LATER):
+        if values[group][name] == defaults[group][name]:
+            del values[group][name]
     return values

@@ -6,8 +6,9 @@ import numpy as np
 
 from datagen.schema import SPLITS, EditKind
 
-Stream = Literal["scene", "sensor", "rig", EditKind]
-"""Purpose of random numbers: sampling a scene, the sensor's noise, cameras of a new rig, or one kind of edit."""
+Stream = Literal["scene", "sensor", "rig", EditKind, "tracks"]
+"""Purpose of random numbers: sampling a scene, the sensor's noise, cameras of a new rig, one kind of edit, or the
+choice of tracked points."""
 
 _STREAMS: tuple[Stream, ...] = get_args(Stream)
 _POOL_KEY = 20261120

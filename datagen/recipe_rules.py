@@ -14,6 +14,9 @@ MOST_STEPS = 10_000
 MOST_STEPS_OF_A_SCENE = 1_000_000
 """Largest number of steps of physics of a scene, the time in which it settles included."""
 
+MOST_CAMERA_POSES = 5000
+"""Largest number of camera poses of a scene whose cameras move; every scene stores them in its description."""
+
 _SHARE = (0, 1, "")
 
 LIMITS: dict[str, tuple[int | float, int | float, str]] = {
@@ -24,8 +27,8 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "least_visible_pixels": (0, 4096**2, "pixels"),
     "visibility_resolution": (1, 4096, "pixels"),
     "attempts": (1, 10_000, ""),
-    "objects.minimum": (1, math.inf, ""),
-    "objects.maximum": (1, math.inf, ""),
+    "objects.minimum": (0, math.inf, ""),
+    "objects.maximum": (0, math.inf, ""),
     "objects.size": (0.01, 10, "metres"),
     "objects.sizes": (0.01, 10, "metres"),
     "objects.size_skew": (0.001, 1000, ""),
@@ -69,6 +72,10 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "rig.elevations": (-89.9, 89.9, "degrees"),
     "rig.azimuths": (-3600, 3600, "degrees"),
     "rig.fields_of_view": (1, 170, "degrees"),
+    "rig.orbit": (-3600, 3600, "degrees"),
+    "rig.travel": (-100, 100, "metres"),
+    "rig.shake": (0, 1, "metres"),
+    "rig.sway": (0, 30, "degrees"),
     "lighting.softness": (0, 45, "degrees"),
     "lighting.elevation": (1, 90, "degrees"),
     "lighting.key": (0, 100, ""),
@@ -88,6 +95,9 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "sensor.grazing_angle": (0, 90, "degrees"),
     "sensor.dark_reflectance": _SHARE,
     "sensor.quantisation": (0, 0.1, "metres"),
+    "sensor.depth_step": (0, 0.1, "metres"),
+    "sensor.nearest": (0, 10, "metres"),
+    "sensor.farthest": (0, 10, "metres"),
 }
 """Least and greatest value of every number of a recipe, and their unit; pairs and lists hold such numbers."""
 
@@ -172,7 +182,7 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
     if objects["maximum"] > MOST_OBJECTS:
         yield f"objects.maximum is {objects['maximum']}, expected at most {MOST_OBJECTS}"
     if layout["placement"] == "touching" and objects["minimum"] < 2:
-        yield "objects.minimum is 1, expected at least 2 where layout.placement is touching"
+        yield f"objects.minimum is {objects['minimum']}, expected at least 2 where layout.placement is touching"
     reach = max(abs(c) + h for c, h in zip(layout["center"], layout["workspace_half_extent"], strict=True))
     name, table_size = _least(layout, "table_sizes", "table_size")
     if reach > table_size / 2:
@@ -183,10 +193,16 @@ def _contradictions(recipe: dict[str, Any]) -> Iterator[str]:
             f"least_visible_pixels is {recipe['least_visible_pixels']}, but a frame of visibility_resolution has only "
             f"{width * height} pixels"
         )
+    nearest, farthest = recipe["sensor"]["nearest"], recipe["sensor"]["farthest"]
+    if nearest >= farthest:
+        yield f"sensor.nearest {nearest} is not below sensor.farthest {farthest}"
     if not any(recipe["motion"]["weights"].values()):
         yield "motion.weights are all 0"
     if unknown := set(recipe["overrides"]) - {name for name, _ in constants(recipe)}:
         yield f"overrides names {', '.join(sorted(unknown))}, which are no constants"
+    poses = recipe["frames"] * recipe["views"]
+    if recipe["rig"]["motion"] != "still" and poses > MOST_CAMERA_POSES:
+        yield f"frames x views is {poses:,}, expected at most {MOST_CAMERA_POSES:,} with moving cameras"
     yield from _endless(recipe)
     yield from _below_the_table(recipe["rig"])
 

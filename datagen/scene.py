@@ -7,7 +7,7 @@ Together they are all that a renderer needs.
 import dataclasses
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -100,11 +100,36 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Lens:
+    """Camera matrix for images of one size; other sizes scale it along each axis."""
+
+    width: int
+    height: int
+    """Size of the images that the other numbers refer to, pixels."""
+    fx: float
+    fy: float
+    """Focal lengths, pixels."""
+    cx: float
+    cy: float
+    """Principal point, pixels; the centre of pixel (0, 0) is at 0.5."""
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Pose of a camera in one frame, OpenCV axes, world frame."""
+
+    position: Vector
+    """Position, metres."""
+    quaternion_wxyz: Quaternion
+
+
+@dataclass(frozen=True)
 class Camera:
     """An ideal camera; its image size is chosen when rendering.
 
     The camera is aimed at a frame with horizontal angle `field_of_view` and ratio `aspect` of width to height. An image
     of that aspect shows exactly this frame. A wider image also shows the sides, a higher one the areas above and below.
+    A camera with a `lens` has that camera matrix instead, and one with a `path` has those poses instead.
     """
 
     position: Vector
@@ -113,14 +138,33 @@ class Camera:
     """Horizontal angle of the frame, radians."""
     aspect: float = 1.0
     """Width over height of the frame."""
+    lens: Lens | None = None
+    """Camera matrix that replaces `field_of_view` and `aspect`."""
+    path: tuple[CameraPose, ...] = ()
+    """One pose for all frames, or one for each; they replace `position` and `target`, which are those of frame 0."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether the camera has a pose for each frame."""
+        return len(self.path) > 1
+
+    def at(self, frame: int) -> "Camera":
+        """The camera as it is in one frame."""
+        return replace(self, path=(self.path[frame],)) if self.moves else self
 
     @property
     def world_from_camera(self) -> Float[np.ndarray, "4 4"]:
-        """Pose of the camera, OpenCV axes."""
+        """Pose of the camera in frame 0, OpenCV axes."""
+        if self.path:
+            return rigid(np.array(self.path[0].position), np.array(self.path[0].quaternion_wxyz))
         return look_at(np.array(self.position), np.array(self.target))
 
     def k(self, width: int, height: int) -> Float[np.ndarray, "3 3"]:
         """Camera matrix in pixels for an image of the given size."""
+        if self.lens is not None:
+            x, y = width / self.lens.width, height / self.lens.height
+            row = [self.lens.fx * x, 0.0, self.lens.cx * x], [0.0, self.lens.fy * y, self.lens.cy * y]
+            return np.array([*row, [0.0, 0.0, 1.0]])
         k = intrinsics(self.field_of_view, width, height)
         k[:2, :2] *= min(1.0, height * self.aspect / width)
         return k
@@ -190,7 +234,13 @@ class Trajectory:
 
 def scene_to_json(scene: Scene) -> str:
     """Serialise a scene to canonical JSON: equal scenes give equal text, and reading it back gives an equal scene."""
-    return json.dumps(dataclasses.asdict(scene), separators=(",", ":"), allow_nan=False)
+    values = dataclasses.asdict(scene)
+    for camera in values["cameras"]:
+        # Descriptions of cameras without a lens or a path keep the text that they had before there were any.
+        for name in ("lens", "path"):
+            if not camera[name]:
+                del camera[name]
+    return json.dumps(values, separators=(",", ":"), allow_nan=False)
 
 
 def scene_from_json(text: str) -> Scene:

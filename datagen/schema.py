@@ -34,6 +34,20 @@ EditKind = Literal["remove", "move", "add"]
 EDITS: tuple[EditKind, ...] = get_args(EditKind)
 """Counterfactual edits that a dataset may store for each scene; each is a group of fields."""
 
+Signal = Literal["flow", "tracks", "normals", "coordinates", "amodal"]
+
+SIGNALS: tuple[Signal, ...] = get_args(Signal)
+"""Optional signals that a dataset may store beside its images; each is a group of fields, see `datagen.signals`."""
+
+NORMAL_SCALE = 32767
+"""Stored units of a normal's component of 1; the direction is within 0.003 degrees."""
+
+COORDINATE_SCALE = 65535
+"""Stored units of a whole side of an object's minimum-volume box."""
+
+SHOWN, HIDDEN, OUTSIDE, UNKNOWN = range(4)
+"""Values of a flow's occlusion: the point shows there, another surface hides it, it leaves the image, it has no flow."""
+
 LEAST_EFFECT = 24
 """Least difference of a pixel's summed channels (at most 765) that counts as an effect of an edit.
 
@@ -59,8 +73,9 @@ class Field:
     """Frame of reference, `-` if there is none."""
     description: str
     group: str = "simulation"
-    """Group that decides when the array exists. `simulation`: always; `pixels`: after rendering; `sensor`: with a
-    recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with this edit. Imported datasets
+    """Group that decides when the array exists. `simulation`: always; `moving_camera`: if cameras move; `pixels`: after
+    rendering; `sensor`: with a recipe that has a depth sensor; `remove`, `move`, `add`: if the dataset was made with
+    this edit; `flow`, `tracks`, `normals`, `coordinates`, `amodal`: if it was made with this signal. Imported datasets
     list their fields instead, see `datagen.storage.spec.fields_of`."""
 
 
@@ -78,6 +93,8 @@ def _edit(kind: EditKind, edited: str, transform: str | None, ids: str) -> list[
     ]  # fmt: skip
 
 
+_STATES = "0 shown there, 1 hidden there, 2 outside the image, 3 no such frame"
+
 _FIELDS = [
     ("rgb", "uint8", f"{_PIXELS} channel", "sRGB 0-255", "image", "colour, anti-aliased", "pixels"),
     ("depth", "uint16", _PIXELS, "0.1 mm", "camera", "planar z at the pixel's centre, 0 = no return", "pixels"),
@@ -86,6 +103,7 @@ _FIELDS = [
     ("sensor_valid", "uint8", _PIXELS, "bool", "image", "1 where the sensor returned a depth", "sensor"),
     ("camera/K", "float64", "view 3 3", "pixel", "image", "camera matrix, pixel centres at +0.5; every image holds the recipe's frame, see docs/dataset.md", "pixels"),
     ("camera/world_from_camera", "float64", "view 4 4", "m", "world", "pose, OpenCV axes (x right, y down, z forward)", "simulation"),
+    ("camera/world_from_camera_of_frame", "float64", "frame view 4 4", "m", "world", "pose in every frame; camera/world_from_camera is that of frame 0", "moving_camera"),
     ("lights/direction", "float64", "light 3", "1", "world", "unit vector towards each light; row 0 casts the shadow", "simulation"),
     ("lights/radiance", "float64", "light 3", "1", "-", "linear RGB on a surface that faces the light", "simulation"),
     ("lights/ambient", "float64", "3", "1", "-", "linear RGB of the light from everywhere", "simulation"),
@@ -125,11 +143,24 @@ _FIELDS = [
     ("edits/remove/effects", "uint8", f"{_PIXELS} byte", "bits", "image", "objects whose removal changes the pixel's colour although they do not show in it; bit k - 1 (bit 0 the lowest of byte 0) is object k", "remove"),
     *_edit("move", "object that is elsewhere", "where it was to where it is, the same in all frames", "ids of the edited scene, as in the scene itself"),
     *_edit("add", "object that there is a copy of", "where the object is to where its copy is, the same in all frames", "ids of the edited scene; the copy's is objects/count plus 1"),
+    ("flow/forward", "float16", f"{_PIXELS} 2", "pixel", "image", "motion (x right, y down) of the point at the pixel's centre to the next frame; zeros where unknown", "flow"),
+    ("flow/forward_occlusion", "uint8", _PIXELS, "state", "image", f"that point in the next frame: {_STATES}", "flow"),
+    ("flow/backward", "float16", f"{_PIXELS} 2", "pixel", "image", "motion to the frame before", "flow"),
+    ("flow/backward_occlusion", "uint8", _PIXELS, "state", "image", f"that point in the frame before: {_STATES}", "flow"),
+    ("normals", "int16", f"{_PIXELS} 3", "1/32767", "camera", "unit surface normal at the pixel's centre, OpenCV axes; zeros without a surface", "normals"),
+    ("object_coordinates", "uint16", f"{_PIXELS} 3", "1/65535", "object", "position in the object's minimum-volume box along its three axes, 0 to 1; zeros for table and backdrop", "coordinates"),
+    ("amodal/rle", "S", "frame view object", "-", "image", "mask of the object as if alone, COCO's compressed run lengths of an image's columns", "amodal"),
+    ("tracks/object", "uint8", "point", "id", "-", "id of the object that the point is on; 0 = table", "tracks"),
+    ("tracks/query", "float32", "point 3", "frame, pixel", "image", "frame, y and x where the point was chosen, visible there", "tracks"),
+    ("tracks/query_view", "uint16", "point", "view", "-", "view in which it was chosen", "tracks"),
+    ("tracks/position_2d", "float32", "view point frame 2", "pixel", "image", "x and y in every frame, pixel centres at +0.5; zeros behind the camera", "tracks"),
+    ("tracks/occluded", "uint8", "view point frame", "bool", "image", "1 where the point is hidden or outside the image", "tracks"),
+    ("tracks/position_3d", "float32", "point frame 3", "m", "world", "position in every frame", "tracks"),
 ]  # fmt: skip
 
 _LENGTHS = {"3": 3, "4": 4, "8": 8, "2": 2, "channel": 3}
 """Lengths of axes that are the same in every dataset."""
-_MOST = {"object": 255, "light": 255, "byte": 32}
+_MOST = {"object": 255, "light": 255, "byte": 32, "point": 100_000}
 """Greatest lengths of axes whose lengths a spec does not say."""
 
 FIELDS: dict[str, Field] = {

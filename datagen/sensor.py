@@ -9,7 +9,11 @@ The model, in order; every constant is a field of `config.Sensor`:
    error is constant (Khoshelham and Elberink 2012, Sensors 12, eq. 8; its growth with z^2 is measured there and by
    Nguyen, Izadi and Lovell 2012, 3DIMPVT, whose fit has 1.9 mm at 1 m for its quadratic part, our default).
 3. Quantisation. Disparity comes in steps, so inverse depth is rounded to multiples of `quantisation`, which makes depth
-   steps of `quantisation * z^2` (Khoshelham and Elberink 2012, section 3.3).
+   steps of `quantisation * z^2` (Khoshelham and Elberink 2012, section 3.3). Time-of-flight sensors report whole
+   millimetres: depth is rounded to multiples of `depth_step`.
+4. Range. Nothing returns from before `nearest` or beyond `farthest`.
+
+`datagen.sensor_presets` has the constants of some devices.
 
 Left out: noise along the image (a blur of a pixel or less), the shadow between projector and camera, and correlation
 between frames.
@@ -44,7 +48,10 @@ def sense(
     luck = rng.random(depth.shape)
     clean = depth.astype(np.float64)
     measured = _quantised(clean + config.axial_noise * clean**2 * noise, config.quantisation)
+    if config.depth_step:
+        measured = np.rint(measured / config.depth_step) * config.depth_step
     valid = (depth > 0) & (luck >= hole_probability(clean, rgb, k, config)) & (measured > 0) & (measured <= MAX_DEPTH)
+    valid &= (clean >= config.nearest) & (clean <= config.farthest)
     return np.where(valid, measured, 0).astype(np.float32), valid
 
 

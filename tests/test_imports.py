@@ -43,6 +43,7 @@ LAYERS = (
         "config",
         "random_streams",
         "recipe_rules",
+        "sensor_presets",
         "shapes",
         "catalog",
         "storage",
@@ -50,7 +51,7 @@ LAYERS = (
         "rgbd",
     },
     {"sampling", "physics", "render", "sensor"},
-    {"edits", "pipeline", "verify", "inspect", "formats"},
+    {"edits", "pipeline", "signals", "verify", "inspect", "formats"},
     {"tracks", "commands"},
 )
 """Parts of `datagen` from the bottom up; none imports from a layer above its own."""

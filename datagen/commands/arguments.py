@@ -59,6 +59,12 @@ class Generate:
     """Store scenes and trajectories without images, to be rendered later with `render`."""
     edits: str | None = None
     """Counterfactual edits to render for each scene: one or more of remove,move,add, separated by commas."""
+    signals: Annotated[str | None, tyro.conf.arg(name="with")] = None
+    """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
+    cameras: Path | None = None
+    """JSON file with the intrinsics, size and poses of the cameras, which replace those of --rig and --views."""
+    sensor_preset: str | None = None
+    """Depth sensor named after a device: kinect-v1, azure-kinect or realsense-d435; it sets the --sensor constants."""
     shard: str | None = None
     """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False
@@ -94,8 +100,12 @@ class Render:
     """Cameras, 1 to 360; more than one are spread evenly around the world's z axis."""
     edits: str | None = None
     """Counterfactual edits to render for each scene: one or more of remove,move,add, separated by commas."""
+    signals: Annotated[str | None, tyro.conf.arg(name="with")] = None
+    """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
+    cameras: Path | None = None
+    """JSON file with the intrinsics, size and poses of the cameras, which replace those of --rig and --views."""
     shard: str | None = None
     """Part i/n of the shards to make, i from 0 to n-1, so that n jobs (at most 100,000) can share the work."""
     overwrite: _Flag = False

@@ -29,6 +29,7 @@ from datagen.commands.arguments import (
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
+from datagen.sensor_presets import with_sensor
 from datagen.storage.reader import Dataset
 from datagen.storage.spec import CARD_FILE, read_spec, rendered_recipe_of
 
@@ -68,9 +69,12 @@ def _default_generate(arguments: list[str]) -> dict[str, Any]:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--recipe")
     parser.add_argument("--video", action="store_true")
+    parser.add_argument("--sensor-preset")
     known, _ = parser.parse_known_args(arguments)
-    recipe = options.with_overrides(options.choose_recipe(known.recipe, video=known.video), arguments)
-    values = Generate(recipe=known.recipe, constants=Constants.of(recipe))
+    recipe = options.choose_recipe(known.recipe, video=known.video)
+    recipe = with_sensor(recipe, known.sensor_preset) if known.sensor_preset else recipe
+    recipe = options.with_overrides(recipe, arguments)
+    values = Generate(recipe=known.recipe, sensor_preset=known.sensor_preset, constants=Constants.of(recipe))
     return {"default": values, "description": _description(recipe)}
 
 
@@ -107,9 +111,14 @@ def _generate(values: Generate) -> int:
     edits = options.parse_edits(values.edits)
     if values.simulate_only and edits:
         raise UsageError("--simulate-only makes no images, so that there is nothing to edit; give --edits to `render`.")
+    signals = options.parse_signals(values.signals)
+    if values.simulate_only and signals:
+        raise UsageError("--simulate-only makes no images, and signals belong to images; give --with to `render`.")
+    cameras = _cameras(values.cameras)
     size = None
     if not values.simulate_only:
-        size = options.parse_resolution(values.resolution) if values.resolution else recipe.resolution
+        default = cameras.resolution if cameras else recipe.resolution
+        size = options.parse_resolution(values.resolution) if values.resolution else default
     folder = values.out or options.default_folder(recipe.name, size, values.seed)
     run = _how(values)
 
@@ -117,7 +126,8 @@ def _generate(values: Generate) -> int:
 
     renderer = None if values.simulate_only else values.renderer or "raster"
     meshes = _meshes(values, recipe)
-    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits, "meshes": meshes}
+    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits, "signals": signals}
+    settings |= {"cameras": cameras, "meshes": meshes}
     report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
     return EXIT_OK
@@ -150,26 +160,33 @@ def _render(values: Render) -> int:
     wanted = dataclasses.replace(recipe, rig=values.rig, views=values.views)
     size = options.parse_resolution(values.resolution) if values.resolution else None
     edits = options.parse_edits(values.edits)
+    cameras = _cameras(values.cameras)
+    if cameras and wanted != recipe:
+        raise UsageError("--cameras replaces the rig; leave out --rig.* and --views.")
+    size = size or (cameras.resolution if cameras else None)
     folder = values.out or options.default_folder(
-        recipe.name + "-rig" * (wanted != recipe), size or spec["resolution"] or recipe.resolution, spec["seed"]
+        recipe.name + "-rig" * (wanted != recipe or cameras is not None),
+        size or spec["resolution"] or recipe.resolution,
+        spec["seed"],
     )
     run = _how(values)
 
     from datagen.pipeline.generate import render
 
     rig = wanted if wanted != recipe else None
-    report = render(
-        values.source,
-        folder,
-        resolution=size,
-        renderer=values.renderer,
-        rig=rig,
-        edits=edits,
-        assets=values.assets,
-        run=run,
-    )
+    settings: dict[str, Any] = {"renderer": values.renderer, "rig": rig, "edits": edits, "assets": values.assets}
+    settings |= {"signals": options.parse_signals(values.signals), "cameras": cameras}
+    report = render(values.source, folder, resolution=size, **settings, run=run)
     _print_report(folder, report, spec["splits"])
     return EXIT_OK
+
+
+def _cameras(path: Path | None) -> Any:
+    if path is None:
+        return None
+    from datagen.storage.cameras_file import read_cameras
+
+    return read_cameras(path)
 
 
 def _how(values: Generate | Render) -> Any:

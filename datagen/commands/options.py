@@ -7,7 +7,7 @@ from pathlib import Path
 
 from datagen.config import Recipe, constant_names, load_recipe
 from datagen.errors import UsageError
-from datagen.schema import EDITS, SPLITS, EditKind
+from datagen.schema import EDITS, SIGNALS, SPLITS, EditKind, Signal
 from datagen.storage.spec import MOST_SCENES, split_sizes
 
 LEAST_SIDE, MOST_SIDE = 8, 4096
@@ -126,6 +126,18 @@ def parse_shares(text: str | None) -> tuple[float, float, float] | None:
         raise UsageError(f"--assets-split {text:.40}: expected shares of train, val and test, such as 80/10/10.")
     train, val, test = (float(share) for share in match.groups())
     return train, val, test
+
+
+def parse_signals(text: str | None) -> tuple[Signal, ...]:
+    """Parse a list of signals such as `flow,normals`; None gives no signals.
+
+    Raises:
+        UsageError: there is no such signal.
+    """
+    names = [] if text is None else text.split(",")
+    if unknown := [name for name in names if name not in SIGNALS]:
+        raise UsageError(f"--with {text:.80}: unknown {unknown[0]!r:.40}; expected some of {','.join(SIGNALS)}.")
+    return tuple(name for name in SIGNALS if name in names)
 
 
 def parse_share(text: str | None) -> tuple[int, int]:

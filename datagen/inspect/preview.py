@@ -10,7 +10,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from datagen.console.text import counted
 from datagen.errors import UsageError
-from datagen.schema import DEPTH_SCALE, SceneRecord
+from datagen.inspect.signal_pictures import colored_coordinates, colored_normals, flow_picture, tracks_picture
+from datagen.schema import DEPTH_SCALE, FIELDS, SIGNALS, SceneRecord
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.spec import Spec, is_imported, views_of
 
@@ -84,7 +85,8 @@ def run(
 def contact_sheet(records: dict[str, SceneRecord], title: str = "") -> Rgb:
     """One picture of all scenes, with a title and a legend.
 
-    Columns are views of the first, middle and last frame; rows are colour, depth, ids and, if stored, sensor depth.
+    Columns are views of the first, middle and last frame; rows are colour, depth, ids and, if stored, sensor depth
+    and signals.
     """
     span = _depth_span(records)
     return _page(title, [_with_heading(_scene_block(record, span), name) for name, record in records.items()], records)
@@ -182,6 +184,7 @@ def _chosen(scenes: Split, wanted: Sequence[int] | None) -> dict[str, SceneRecor
     if wrong := [index for index in indices if not 0 <= index < len(scenes)]:
         raise UsageError(f"Split {scenes.name} has scenes 0 to {len(scenes) - 1}, but {wrong[0]} was requested.")
     fields = ["rgb", "depth", *(name for name in ("segmentation", "sensor_depth") if scenes.has(name))]
+    fields += [name for name, field in FIELDS.items() if field.group in SIGNALS and scenes.has(name)]
     return {f"{scenes.name} scene {index}": scenes.read(index, fields) for index in indices}
 
 
@@ -214,6 +217,15 @@ def _rows(record: SceneRecord, span: tuple[float, float]) -> dict[str, Callable[
         rows["ids"] = lambda frame, view: colored_labels(record["segmentation"][frame, view])
     if "sensor_depth" in record:
         rows["sensor"] = lambda frame, view: colored_depth(record["sensor_depth"][frame, view], *span)
+    if "flow/forward" in record:
+        rows["flow"] = lambda frame, view: flow_picture(record, "forward", frame, view)
+        rows["back flow"] = lambda frame, view: flow_picture(record, "backward", frame, view)
+    if "normals" in record:
+        rows["normals"] = lambda frame, view: colored_normals(record["normals"][frame, view])
+    if "object_coordinates" in record:
+        rows["coordinates"] = lambda frame, view: colored_coordinates(record["object_coordinates"][frame, view])
+    if "tracks/position_2d" in record:
+        rows["tracks"] = lambda frame, view: tracks_picture(record, frame, view)
     return rows
 
 

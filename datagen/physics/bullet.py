@@ -203,9 +203,11 @@ class World:
     def _frame(self, impulse: Float[np.ndarray, "body body"]) -> tuple[np.ndarray, ...]:
         poses = [self._pose(row) for row in range(len(self._shapes))]
         velocities = [self._call("getBaseVelocity", body_id) for body_id in self._ids[1:]]
-        position = np.array([pose[0] for pose in poses])
-        linear, angular = (np.array([velocity[i] for velocity in velocities]) for i in (0, 1))
-        return position, np.array([pose[1] for pose in poses]), linear, angular, self._gaps(position), impulse
+        # The shapes are those of no object, too.
+        position = np.array([pose[0] for pose in poses]).reshape(-1, 3)
+        linear, angular = (np.array([velocity[i] for velocity in velocities]).reshape(-1, 3) for i in (0, 1))
+        quaternion = np.array([pose[1] for pose in poses]).reshape(-1, 4)
+        return position, quaternion, linear, angular, self._gaps(position), impulse
 
     def _pose(self, row: int) -> tuple[Sequence[float], Float[np.ndarray, "4"]]:
         position, (x, y, z, w) = self._call("getBasePositionAndOrientation", self._ids[row + 1])

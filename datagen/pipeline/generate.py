@@ -1,5 +1,6 @@
 """Make datasets in parallel, shard by shard; interrupted runs resume."""
 
+import dataclasses
 import itertools
 import json
 import time
@@ -15,7 +16,8 @@ from datagen.inspect.dataset_card import write_card
 from datagen.meshes.library import Library, open_library
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
 from datagen.pipeline.parallel import make_all
-from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, array_hash
+from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, Signal, array_hash
+from datagen.storage.cameras_file import CamerasFile
 from datagen.storage.dataset_folder import filling, settle, write_file
 from datagen.storage.manifest import make_manifest
 from datagen.storage.reader import Dataset
@@ -61,6 +63,8 @@ def generate(
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
     meshes: Library | None = None,
+    signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
     run: Run = Run(),
 ) -> Report:
     """Make a dataset, complete it, or extend it.
@@ -74,15 +78,16 @@ def generate(
         renderer: Name of the renderer; None stores scenes and trajectories without images.
         edits: Counterfactual edits that are rendered beside each scene.
         meshes: Meshes that objects are drawn from, instead of the recipe's categories.
+        signals: Optional signals that are stored beside the images.
+        cameras: Cameras that replace the recipe's.
         run: Options that do not change the content.
 
     Raises:
         UsageError: the request contradicts itself or what is in the folder.
         DatagenError: it could not be completed; running it again goes on.
     """
-    spec = dataset_spec(
-        recipe, splits=splits, seed=seed, resolution=resolution, renderer=renderer, edits=edits, meshes=meshes
-    )
+    settings = {"splits": splits, "seed": seed, "resolution": resolution, "renderer": renderer, "cameras": cameras}
+    spec = dataset_spec(recipe, **settings, edits=edits, signals=signals, meshes=meshes)
     return _fill(folder, spec, None, meshes, run)
 
 
@@ -95,17 +100,21 @@ def dataset_spec(
     renderer: str | None = "raster",
     edits: Collection[EditKind] = (),
     meshes: Library | None = None,
+    signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
 ) -> Spec:
     """The spec of the dataset that `generate` makes of these arguments in a new folder.
 
     Raises:
-        UsageError: edits are requested without images, or the recipe needs meshes and there are none.
+        UsageError: edits or signals are requested without images, or the recipe needs meshes and there are none.
     """
     if not meshes and (named := [name for name in recipe.objects.categories if name.startswith(MESH_PREFIX)]):
         raise UsageError(
             f"Recipe {recipe.name!r} needs meshes such as {named[0].removeprefix(MESH_PREFIX)}; give the folder that "
             "holds them with --assets. docs/meshes.md says where to download the YCB objects."
         )
+    if signals and not renderer:
+        raise UsageError("Signals belong to images, and a dataset without images has none; leave one of them out.")
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
     built_in = any(not name.startswith(MESH_PREFIX) for name in recipe.objects.categories)
@@ -117,14 +126,20 @@ def dataset_spec(
         raise UsageError(
             f"Split {bare[0]} has scenes, but no mesh; give it a share in --assets-split, or make no scenes for it."
         )
+    if cameras:
+        cameras.check_frames(recipe.frames)
+        recipe = dataclasses.replace(recipe, views=len(cameras.views))
+        resolution = resolution or cameras.resolution
     return make_spec(
         recipe_to_dict(recipe),
         seed=seed,
         splits=splits,
         resolution=(resolution or recipe.resolution) if renderer else None,
+        cameras=cameras.views if cameras else (),
         renderer=renderer_identity(renderer),
         edits=edits,
         assets=meshes.values() if meshes else (),
+        signals=signals,
     )
 
 
@@ -137,6 +152,8 @@ def render(
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
     assets: Path | None = None,
+    signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
     run: Run = Run(),
 ) -> Report:
     """Make images of the scenes of another dataset, which may have images; needs no physics engine.
@@ -159,7 +176,8 @@ def render(
             f"{DATA_VERSION}; render it with the program that made it, or generate it again."
         )
     dataset.check_complete()
-    spec = render_spec(dataset.spec, resolution=resolution, renderer=renderer, rig=rig, edits=edits)
+    settings = {"resolution": resolution, "renderer": renderer, "rig": rig, "edits": edits, "signals": signals}
+    spec = render_spec(dataset.spec, **settings, cameras=cameras)
     meshes = open_library(dataset.spec.get("assets"), assets)
     if meshes and not edits:
         meshes = meshes.without_hulls()
@@ -173,19 +191,28 @@ def render_spec(
     renderer: str = "raster",
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
+    signals: Collection[Signal] = (),
+    cameras: CamerasFile | None = None,
 ) -> Spec:
     """The spec of a dataset that `render` makes of the scenes of another."""
+    poses = cameras.views if cameras else () if rig else source.get("cameras", ())
+    replaced = {key: recipe_to_dict(rig)[key] for key in ("rig", "views")} if rig else source["rig"]
+    if cameras:
+        cameras.check_frames(source["recipe"]["frames"])
+        replaced = {"rig": (source["rig"] or source["recipe"])["rig"], "views": len(cameras.views)}
+        resolution = resolution or cameras.resolution
     width, height = resolution or source["resolution"] or source["recipe"]["resolution"]
-    cameras = {key: recipe_to_dict(rig)[key] for key in ("rig", "views")} if rig else None
     return make_spec(
         source["recipe"],
         seed=source["seed"],
         splits=source["splits"],
         resolution=(width, height),
         renderer=renderer_identity(renderer),
-        rig=cameras or source["rig"],
+        rig=replaced,
+        cameras=poses,
         edits=edits,
         assets=source.get("assets") or (),
+        signals=signals,
     )
 
 

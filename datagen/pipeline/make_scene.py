@@ -19,14 +19,29 @@ from datagen.random_streams import Stream, scene_rng
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
 from datagen.sampling.cameras import sample_cameras
+from datagen.scene import Camera
 from datagen.schema import FIELDS, SPLITS, SceneRecord
 from datagen.shapes import build
+from datagen.signals import signals_record
+from datagen.storage.cameras_file import cameras_from_values
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import PackedScene, pack
-from datagen.storage.spec import Spec, edits_of, recipe_of, rendered_recipe_of, views_of
+from datagen.storage.spec import (
+    BYTES_PER_SIGNAL_PIXEL,
+    Spec,
+    edits_of,
+    recipe_of,
+    rendered_recipe_of,
+    signals_of,
+    views_of,
+)
 
 MOST_MEMORY = 4 * 2**30
 """Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
+
+
+_SIMULATED = ("simulation", "moving_camera")
+"""Groups of fields that need no images."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +78,7 @@ class SceneMaker:
         if self.source is None:
             return None
         scenes = _source_split(self.source, split)
-        names = [name for name in scenes.fields(index) if name in FIELDS and FIELDS[name].group == "simulation"]
+        names = [name for name in scenes.fields(index) if name in FIELDS and FIELDS[name].group in _SIMULATED]
         record = scenes.read(index, names)
         try:
             scene_and_trajectory(record)
@@ -97,7 +112,7 @@ def check_memory(spec: Spec) -> None:
     if needed > MOST_MEMORY:
         raise UsageError(
             f"A scene would take about {needed / 2**30:.1f} GiB of memory, expected at most {MOST_MEMORY / 2**30:.0f} "
-            "GiB. Lower --frames, --views, --resolution or --objects.maximum, or leave out --edits."
+            "GiB. Lower --frames, --views, --resolution or --objects.maximum, or leave out --edits and --with."
         )
 
 
@@ -108,9 +123,12 @@ def scene_memory(spec: Spec) -> int:
     width, height = spec["resolution"] or (0, 0)
     # Removals are rendered at three times the resolution, and keep a mask for each object.
     finer, masks = (9, 80 + 2 * objects) if "remove" in edits else (1, 0)
-    images = recipe.frames * views_of(spec) * width * height * (40 + 20 * len(edits) + masks)
+    signals = signals_of(spec)
+    maps = 2 * sum(BYTES_PER_SIGNAL_PIXEL.get(name, 0) for name in signals) + 9 * ("tracks" in signals)
+    images = recipe.frames * views_of(spec) * width * height * (40 + 20 * len(edits) + masks + maps)
     tables = recipe.frames * (48 * (objects + 1) ** 2 + 72 * views_of(spec) * objects)
-    return images + 80 * finer * width * height + tables
+    # Signals keep the surface points of some images.
+    return images + (80 * finer + 600 * bool(signals)) * width * height + tables
 
 
 def make_scene(
@@ -121,10 +139,11 @@ def make_scene(
     The scene is simulated unless `source` holds its simulation fields.
     """
     recipe = recipe_of(spec)
-    record = source or _simulate(recipe, spec["seed"], split, index, meshes)
+    given = cameras_from_values(spec.get("cameras", []))
+    record = source or _simulate(recipe, spec["seed"], split, index, meshes, given)
     scene, trajectory = scene_and_trajectory(record)
     if spec["rig"]:
-        cameras = sample_cameras(rendered_recipe_of(spec), _rng(spec, split, index, "rig"))
+        cameras = given or sample_cameras(rendered_recipe_of(spec), _rng(spec, split, index, "rig"))
         scene = dataclasses.replace(scene, cameras=cameras)
         record = with_scene(record, scene)
     if not spec["renderer"]:
@@ -150,19 +169,24 @@ def make_scene(
         renderer,
         {kind: _rng(spec, split, index, kind) for kind in edits_of(spec)},
     )
-    return {**record, **pixels, **edits}
+    signals = signals_record(
+        stage_of(scene, shapes, trajectory), pixels, signals_of(spec), _rng(spec, split, index, "tracks")
+    )
+    return {**record, **pixels, **edits, **signals}
 
 
 def object_rows(recipe: Recipe) -> int:
     """Length of the object axis: the most objects that a scene of the recipe or its parts can have."""
-    return max(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts))))
+    return max(1, *(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts)))))
 
 
-def _simulate(recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None) -> SceneRecord:
+def _simulate(
+    recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None, cameras: tuple[Camera, ...]
+) -> SceneRecord:
     # Imported here so that rendering stored scenes does not need the physics engine.
     from datagen.pipeline.simulate import simulate_scene
 
-    made = simulate_scene(recipe, seed, split, index, meshes)
+    made = simulate_scene(recipe, seed, split, index, meshes, cameras)
     return simulation_record(
         made.scene,
         made.shapes,

@@ -12,12 +12,13 @@ from datagen.errors import UsageError
 from datagen.geometry import transform
 from datagen.render.renderer import Image, Renderer
 from datagen.scene import Body, Scene, Trajectory, scene_from_json, scene_to_json
-from datagen.schema import SceneRecord, encode_depth
+from datagen.schema import FIELDS, SceneRecord, encode_depth
 from datagen.sensor import sense
 from datagen.shapes.shape import Shape
 
 _FARTHEST = 1e6
 """Largest value of a pose or velocity."""
+_PATHS = "camera/world_from_camera_of_frame"
 _POSES = ("position", "quaternion_wxyz", "linear_velocity", "angular_velocity")
 
 
@@ -37,7 +38,7 @@ def simulation_record(
     return {
         **_surroundings(scene),
         "objects/count": np.asarray(len(scene.bodies), np.uint8),
-        **{f"objects/{name}": _padded(array, rows) for name, array in _object_arrays(scene.bodies, shapes).items()},
+        **_object_fields(scene.bodies, shapes, rows),
         **{f"poses/{name}": _padded(getattr(trajectory, name), rows, axes=(1,)) for name in _POSES},
         "contacts/gap": _padded(trajectory.contact_gap, rows + 1, axes=(1, 2), fill=np.inf),
         "contacts/impulse": _padded(trajectory.contact_impulse, rows + 1, axes=(1, 2)),
@@ -59,6 +60,8 @@ def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
             f"it has {rows} objects in {scene.frames} frames, but there are poses of {record['objects/count']} objects "
             f"in {frames} frames"
         )
+    if wrong := [len(camera.path) for camera in scene.cameras if len(camera.path) not in (0, 1, frames)]:
+        raise ValueError(f"a camera has {wrong[0]} poses in {frames} frames")
     poses = {name: record[f"poses/{name}"][:, :rows] for name in _POSES}
     if wrong := [name for name, values in poses.items() if not np.all(np.abs(values) <= _FARTHEST)]:
         raise ValueError(f"poses/{wrong[0]} holds values that are not finite, or beyond {_FARTHEST:g}")
@@ -68,17 +71,31 @@ def scene_and_trajectory(record: SceneRecord) -> tuple[Scene, Trajectory]:
 
 def with_scene(record: SceneRecord, scene: Scene) -> SceneRecord:
     """Copy of `record` whose cameras, lights and description are those of `scene`, which has the same objects."""
-    return {**record, **_surroundings(scene)}
+    return {**{name: array for name, array in record.items() if name != _PATHS}, **_surroundings(scene)}
 
 
 def _surroundings(scene: Scene) -> SceneRecord:
+    moving = any(camera.moves for camera in scene.cameras)
     return {
+        **({_PATHS: _camera_paths(scene)} if moving else {}),
         "camera/world_from_camera": np.stack([camera.world_from_camera for camera in scene.cameras]),
         "lights/direction": np.array([light.direction for light in scene.lights], np.float64),
         "lights/radiance": np.array([light.radiance for light in scene.lights], np.float64),
         "lights/ambient": np.array(scene.ambient, np.float64),
         "scene/description": _text([scene_to_json(scene)])[0, ...],
     }
+
+
+def _camera_paths(scene: Scene) -> Float[np.ndarray, "frame view 4 4"]:
+    frames = range(scene.frames)
+    return np.array([[camera.at(frame).world_from_camera for camera in scene.cameras] for frame in frames])
+
+
+def _object_fields(bodies: Sequence[Body], shapes: Sequence[Shape], rows: int) -> SceneRecord:
+    if bodies:
+        return {f"objects/{name}": _padded(array, rows) for name, array in _object_arrays(bodies, shapes).items()}
+    fields = [field for name, field in FIELDS.items() if name.startswith("objects/") and field.axes]
+    return {f.name: np.zeros((rows, *map(int, f.axes[1:])), "S1" if f.dtype == "S" else f.dtype) for f in fields}
 
 
 def _object_arrays(bodies: Sequence[Body], shapes: Sequence[Shape]) -> dict[str, np.ndarray]:
@@ -151,7 +168,10 @@ def render_clip(
 ) -> list[list[Image]]:
     """Render images of a given (width, height), indexed [frame][view]."""
     renderer.load(scene, shapes)
-    return [[renderer.render(pose, camera, *resolution) for camera in scene.cameras] for pose in world_from_object]
+    return [
+        [renderer.render(pose, camera.at(frame), *resolution) for camera in scene.cameras]
+        for frame, pose in enumerate(world_from_object)
+    ]
 
 
 def stack_images(images: list[list[Image]], name: str) -> np.ndarray:
@@ -183,7 +203,8 @@ def _sensed(images: list[list[Image]], k: np.ndarray, sensor: Sensor, rng: np.ra
 def visible_pixels(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
     """Number of pixels of each object, uint32 [frame view object]."""
     images = segmentation.reshape(*segmentation.shape[:2], -1)
-    return np.stack([np.count_nonzero(images == row + 1, axis=-1) for row in range(objects)], axis=-1).astype(np.uint32)
+    counts = [np.count_nonzero(images == row + 1, axis=-1) for row in range(objects)]
+    return np.array(counts, np.uint32).reshape(objects, *images.shape[:2]).transpose(1, 2, 0)
 
 
 def boxes_2d(segmentation: UInt8[np.ndarray, "frame view height width"], objects: int) -> np.ndarray:
@@ -205,7 +226,8 @@ def _extent(used: np.ndarray) -> np.ndarray:
 def _boxes_3d(shapes: Sequence[Shape], trajectory: Trajectory) -> Float[np.ndarray, "frame object 8 3"]:
     corners = [shape.minimum_box.corners for shape in shapes]
     frames = [zip(poses, corners, strict=True) for poses in trajectory.world_from_object]
-    return np.array([[transform(pose, points) for pose, points in pairs] for pairs in frames], np.float32)
+    boxes = np.array([[transform(pose, points) for pose, points in pairs] for pairs in frames], np.float32)
+    return boxes.reshape(len(trajectory.position), len(shapes), 8, 3)
 
 
 def _padded(array: np.ndarray, rows: int, *, axes: tuple[int, ...] = (0,), fill: float = 0) -> np.ndarray:

@@ -18,7 +18,7 @@ from datagen.render import make_renderer
 from datagen.render.renderer import NEAREST
 from datagen.sampling import Rejected, sample_scene
 from datagen.sampling.cameras import sample_cameras
-from datagen.scene import Scene, Trajectory
+from datagen.scene import Camera, Scene, Trajectory
 from datagen.schema import MAX_DEPTH
 from datagen.shapes.shape import Shape
 
@@ -69,8 +69,17 @@ class Simulated:
     """Number of rejected scenes by the rule that they broke."""
 
 
-def simulate_scene(recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None = None) -> Simulated:
+def simulate_scene(
+    recipe: Recipe,
+    seed: int,
+    split: str,
+    index: int,
+    meshes: Library | None = None,
+    cameras: tuple[Camera, ...] = (),
+) -> Simulated:
     """Scene `index` of a split, a pure function of its arguments, `DATA_VERSION` and the files of `meshes`.
+
+    `cameras` replace the recipe's if there are any.
 
     Raises:
         ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws, or they came nowhere near.
@@ -79,12 +88,12 @@ def simulate_scene(recipe: Recipe, seed: int, split: str, index: int, meshes: Li
     rng = scene_rng(seed, split, index, "scene")
     part = recipe.for_scene(index)
     check_room(part)
-    check_rig(part)
+    check_rig(part, cameras)
     rejections: Counter[str] = Counter()
     fitting: list[int] = []
     for attempt in range(1, recipe.attempts + 1):
         try:
-            scene = sample_scene(part, rng, split, index, meshes)
+            scene = sample_scene(part, rng, split, index, meshes, cameras)
             shapes = tuple(shape_families.build(body.shape, meshes) for body in scene.bodies)
             trajectory = _trajectory(part, scene, shapes)
         except Rejected as rejection:
@@ -133,10 +142,10 @@ def check_start(recipe: Recipe, scene: Scene, shapes: Sequence[Shape], start: Tr
         for row, body in enumerate(scene.bodies):
             if body.touches is not None and start.contact_gap[0, row + 1, body.touches + 1] > 0.001:
                 raise Rejected("unmet")
-    if not recipe.motion.moving and np.max(_surface_speed(start, shapes)) > recipe.motion.rest_speed:
+    if not recipe.motion.moving and np.max(_surface_speed(start, shapes), initial=0) > recipe.motion.rest_speed:
         raise Rejected("restless")
     visible = visible_pixels(recipe, scene, shapes, start.world_from_object[0])
-    if np.min(visible) < recipe.least_visible_pixels:
+    if len(visible) and np.min(visible) < recipe.least_visible_pixels:
         raise Rejected("hidden", fitting=int(np.count_nonzero(visible >= recipe.least_visible_pixels)))
 
 
@@ -149,7 +158,7 @@ def check_course(recipe: Recipe, trajectory: Trajectory) -> None:
     if np.min(trajectory.contact_gap) < -recipe.physics.deepest_in_motion:
         raise Rejected("sank")
     _check_workspace(recipe, trajectory)
-    if recipe.video and recipe.motion.moving:
+    if recipe.video and recipe.motion.moving and trajectory.position.shape[1]:
         travel = np.sqrt(np.sum((trajectory.position[-1] - trajectory.position[0]) ** 2, axis=-1))
         if np.max(travel) < recipe.motion.least_travel:
             raise Rejected("still")
@@ -208,21 +217,27 @@ def check_room(recipe: Recipe) -> None:
         )
 
 
-def check_rig(recipe: Recipe) -> None:
-    """Refuse cameras that cannot show the table; cameras with jitter or ranges are checked scene by scene.
+def check_rig(recipe: Recipe, cameras: tuple[Camera, ...] = ()) -> None:
+    """Refuse cameras that cannot show the table; cameras with random poses are checked scene by scene.
+
+    `cameras` replace the recipe's if there are any.
 
     Raises:
         UsageError: says what would have to change.
     """
     rig = recipe.rig
-    if rig.jitter or rig.distances or rig.elevations or rig.azimuths or rig.fields_of_view:
+    drawn = rig.distances or rig.elevations or rig.azimuths or rig.fields_of_view
+    if not cameras and (rig.jitter or drawn or rig.motion == "handheld"):
         return
-    for view, camera in enumerate(sample_cameras(recipe, np.random.default_rng(0))):
+    remedy = "Change --rig.distance, --rig.elevation, --rig.target or --rig.field-of-view."
+    if recipe.rig.motion != "still":
+        remedy = (
+            f"Change --rig.{'orbit' if recipe.rig.motion == 'orbit' else 'travel'}, --rig.distance or --rig.target."
+        )
+    for view, camera in enumerate(cameras or sample_cameras(recipe, np.random.default_rng(0))):
         if fault := table_fault(camera, recipe.layout.table_size, *recipe.visibility_resolution):
-            raise UsageError(
-                f"Recipe {recipe.name!r}: camera {view} {fault}. Change --rig.distance, --rig.elevation, --rig.target "
-                "or --rig.field-of-view."
-            )
+            where = f"View {view} of the cameras file" if cameras else f"Recipe {recipe.name!r}: camera {view}"
+            raise UsageError(f"{where} {fault}. {'Change its pose.' if cameras else remedy}")
 
 
 def _explain(recipe: Recipe, split: str, index: int, rejections: Counter[str], fitting: Sequence[int]) -> str:

@@ -46,15 +46,22 @@ def check_range(
         if fault:
             raise UsageError(
                 f"{name}Camera {view} {fault}. Move the cameras with --rig.distance, --rig.elevation or --rig.target, "
-                f"or lower --rig.field-of-view or --rig.jitter; images of {resolution[0]}x{resolution[1]} show all of "
+                f"or lower --rig.field-of-view or --rig.jitter, or change the --cameras file; "
+                f"images of {resolution[0]}x{resolution[1]} show all of "
                 "the frame and more."
             )
 
 
 def table_fault(camera: Camera, table_size: float, width: int, height: int) -> str | None:
     """Describe why a camera does not see the table from above and within range; None if it does. Size in pixels."""
-    if camera.position[2] <= 0:
-        return f"stands {100 * abs(camera.position[2]):.1f} cm below the table's top; expected above it"
+    for frame in range(len(camera.path)) if camera.moves else ():
+        if fault := table_fault(camera.at(frame), table_size, width, height):
+            return f"in frame {frame} {fault}"
+    if camera.moves:
+        return None
+    elevation = camera.world_from_camera[2, 3]
+    if elevation <= 0:
+        return f"stands {100 * abs(elevation):.1f} cm below the table's top; expected above it"
     corners = 0.5 * table_size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     corners = transform(invert_rigid(camera.world_from_camera), corners)
     depths = clip(corners, _sides(camera, width, height))[:, 2]
@@ -73,6 +80,11 @@ def near_object(
     height: int,
 ) -> tuple[int, int] | None:
     """Frame and row of the first object that a camera is inside of, or sees from `NEAREST` metres or less."""
+    if camera.moves:
+        for frame in range(len(world_from_object)):
+            if near := near_object(camera.at(frame), shapes, world_from_object[frame : frame + 1], width, height):
+                return frame, near[1]
+        return None
     camera_from_world = invert_rigid(camera.world_from_camera)
     radii = np.array([shape.radius for shape in shapes])
     nearest = (camera_from_world @ world_from_object)[..., 2, 3] - radii
@@ -100,8 +112,9 @@ def _is_near(shape: Shape, camera_from_object: Float[np.ndarray, "4 4"], sides: 
 def _sides(camera: Camera, width: int, height: int) -> Float[np.ndarray, "4 3"]:
     """Outward normals of the four planes through a camera's centre that bound its view, camera frame."""
     k = camera.k(width, height)
-    x, y = 0.5 * width / k[0, 0], 0.5 * height / k[1, 1]
-    return np.array([[1.0, 0.0, -x], [-1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, -1.0, -y]])
+    right, left = (width - k[0, 2]) / k[0, 0], k[0, 2] / k[0, 0]
+    below, above = (height - k[1, 2]) / k[1, 1], k[1, 2] / k[1, 1]
+    return np.array([[1.0, 0.0, -right], [-1.0, 0.0, -left], [0.0, 1.0, -below], [0.0, -1.0, -above]])
 
 
 def clip(polygon: Float[np.ndarray, "corner 3"], planes: Float[np.ndarray, "plane 3"]) -> Float[np.ndarray, "part 3"]:

@@ -13,15 +13,22 @@ from datagen.sampling.cameras import sample_ambient, sample_cameras, sample_ligh
 from datagen.sampling.items import Item, Rejected, sample_item, sample_items
 from datagen.sampling.layout import Spot, cluster, flattest, on_top, place, scatter, try_to_place
 from datagen.sampling.motion import Start, sample_motion, sample_starts
-from datagen.scene import Body, Material, Motion, Scene, Table, rounded, vector
+from datagen.scene import Body, Camera, Material, Motion, Scene, Table, rounded, vector
 
 __all__ = ["Rejected", "sample_scene"]
 
 
 def sample_scene(
-    recipe: Recipe, rng: np.random.Generator, split: str, index: int, meshes: Library | None = None
+    recipe: Recipe,
+    rng: np.random.Generator,
+    split: str,
+    index: int,
+    meshes: Library | None = None,
+    cameras: tuple[Camera, ...] = (),
 ) -> Scene:
     """Draw scene `index` of a split once; the simulation decides whether it obeys the recipe's rules.
+
+    `cameras` replace the recipe's if there are any.
 
     Raises:
         Rejected: the objects that were drawn found no place.
@@ -35,7 +42,7 @@ def sample_scene(
     return Scene(
         bodies=tuple(_body(*row) for row in zip(spots, starts, materials, strict=True)),
         table=Table(_table_size(recipe.layout, rng), sample_table(recipe.appearance, rng)),
-        cameras=sample_cameras(recipe, rng),
+        cameras=cameras or sample_cameras(recipe, rng),
         lights=sample_lights(recipe.lighting, rng),
         ambient=sample_ambient(recipe.lighting, rng),
         backdrop=sample_backdrop(rng),

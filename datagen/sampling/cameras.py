@@ -6,6 +6,7 @@ import numpy as np
 
 from datagen.config import Lighting, Recipe, Rig
 from datagen.recipe_rules import OPTIONAL_RANGES
+from datagen.sampling.camera_paths import camera_path
 from datagen.sampling.poses import about_vertical
 from datagen.scene import Camera, Light, rounded, vector
 
@@ -18,7 +19,12 @@ def sample_cameras(recipe: Recipe, rng: np.random.Generator) -> tuple[Camera, ..
     width, height = recipe.visibility_resolution
     rig = sample_rig(recipe.rig, rng)
     angles = [2 * np.pi * view / recipe.views for view in range(recipe.views)]
-    return tuple(_camera(rig, angle, width / height, rng) for angle in angles)
+    cameras = tuple(_camera(rig, angle, width / height, rng) for angle in angles)
+    if rig.motion == "still" or not recipe.video:
+        return cameras
+    # A child generator, so that scenes with and without motion of the cameras are the same otherwise.
+    (own,) = rng.spawn(1)
+    return tuple(camera_path(camera, recipe, angle, own) for camera, angle in zip(cameras, angles, strict=True))
 
 
 def sample_rig(rig: Rig, rng: np.random.Generator) -> Rig:

@@ -16,18 +16,20 @@ from typing import Any, SupportsIndex, overload
 import numpy as np
 
 from datagen.errors import DatagenError, UsageError
-from datagen.schema import SPLITS, EditKind, SceneRecord, decode_depth
+from datagen.schema import SPLITS, EditKind, SceneRecord, Signal, decode_depth
 from datagen.storage.shard import PackedScene, Shard, scenes_present
 from datagen.storage.spec import (
     Spec,
     edits_of,
     fields_of,
     groups_of,
+    has_moving_cameras,
     is_imported,
     read_spec,
     settings_hash,
     shard_name,
     shard_ranges,
+    signals_of,
     views_of,
 )
 
@@ -55,6 +57,11 @@ class Dataset:
     def edits(self) -> tuple[EditKind, ...]:
         """Counterfactual edits that its scenes have."""
         return edits_of(self.spec)
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Optional signals that its scenes have."""
+        return signals_of(self.spec)
 
     @property
     def views(self) -> int:
@@ -106,6 +113,20 @@ class Dataset:
             )
 
 
+def require_stationary(scenes: "Split", reader: str) -> None:
+    """Check that the cameras of some scenes do not move, for a `reader` that takes one pose for all frames of a clip.
+
+    Raises:
+        UsageError: they do.
+    """
+    if scenes.has_moving_cameras:
+        raise UsageError(
+            f"The cameras of {scenes.folder} move, and {reader} takes one pose for all frames of a clip. Render the "
+            f"scenes with stationary cameras (obpose-datagen render --from {scenes.folder} --rig.motion still, or "
+            "--cameras FILE), or use windows of one frame."
+        )
+
+
 class Split(Sequence[SceneRecord]):
     """The scenes of one split, in order."""
 
@@ -122,6 +143,11 @@ class Split(Sequence[SceneRecord]):
     def views(self) -> int:
         """Number of cameras."""
         return views_of(self.spec)
+
+    @property
+    def has_moving_cameras(self) -> bool:
+        """Whether cameras have a pose for each frame, `camera/world_from_camera_of_frame`."""
+        return has_moving_cameras(self.spec)
 
     @overload
     def __getitem__(self, index: SupportsIndex) -> SceneRecord: ...

@@ -26,6 +26,7 @@ from datagen.schema import (
     FORMAT_VERSION,
     GENERATOR,
     IMPORTER,
+    SIGNALS,
     SceneRecord,
     check_field,
     scene_hash,
@@ -48,7 +49,11 @@ CONVENTIONS = (
     "a_from_b are 4x4 matrices that take points of frame b to frame a; quaternions are (w, x, y, z)."
 )
 
-_HINTS = {"pixels": " Render it first.", **{kind: f" Make them with --edits {kind}." for kind in EDITS}}
+_HINTS = {
+    "pixels": " Render it first.",
+    **{kind: f" Make them with --edits {kind}." for kind in EDITS},
+    **{name: f" Make it with --with {name}, for example with `render --from`." for name in SIGNALS},
+}
 """Advice for a missing field, by the field's group."""
 
 _ADVICE = "Delete it and run the command that made it again."
@@ -224,9 +229,11 @@ class Shard:
     def read(self, row: int, name: str, frames: slice | None = None) -> np.ndarray:
         """One field of one scene, of all frames or some (for fields that have a frame axis)."""
         dataset = self._dataset(name)
-        cut = frames is not None and name in FIELDS and "frame" in FIELDS[name].axes
+        place = (row,)
+        if frames is not None and name in FIELDS and "frame" in FIELDS[name].axes:
+            place = row, *(slice(None),) * FIELDS[name].axes.index("frame"), frames
         with reading_hdf5(self.path, _ADVICE):
-            array = read_hdf5(dataset, (row, frames) if cut else row)
+            array = read_hdf5(dataset, place if len(place) > 1 else row)
             self._check_values(array, name)
         return array
 

@@ -7,8 +7,10 @@ The spec is a plain dict:
     resolution ...... width and height of the images, null if there are none
     renderer ........ name and version, null if there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
+    cameras ......... views of a cameras file that replace the rig's; key missing if there is none
     edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
     assets .......... meshes, see `datagen.meshes.library.MeshEntry`; key missing if there are none
+    with ............ optional signals, in the order of `schema.SIGNALS`; key missing if there are none
     scenes_per_shard
     splits .......... number of scenes of each split
     import .......... format, source and options of an imported dataset; key missing otherwise
@@ -27,7 +29,18 @@ from typing import Any
 
 from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
-from datagen.schema import DATA_VERSION, EDITS, FIELDS, FORMAT_VERSION, GENERATOR, IMPORTER, SPLITS, EditKind
+from datagen.schema import (
+    DATA_VERSION,
+    EDITS,
+    FIELDS,
+    FORMAT_VERSION,
+    GENERATOR,
+    IMPORTER,
+    SIGNALS,
+    SPLITS,
+    EditKind,
+    Signal,
+)
 from datagen.storage.safe_io import MOST_ARRAY_BYTES, read_json
 
 SPEC_FILE = "dataset.json"
@@ -44,6 +57,8 @@ _MOST_PIXELS = MOST_ARRAY_BYTES // 3
 """Largest number of pixels of a scene: its colours are read as one array."""
 _BYTES_PER_PIXEL = 9  # rgb, depth, segmentation, sensor depth and validity
 _BYTES_PER_EDITED_PIXEL = 7  # rgb, depth, segmentation, effects
+BYTES_PER_SIGNAL_PIXEL = {"flow": 10, "normals": 6, "coordinates": 6}
+"""Bytes that each signal stores for a pixel; tracks and amodal masks do not grow with the pixels."""
 
 _LONGEST_NAME = 1000
 _MEND = "Restore it, or delete it and run the command that made the dataset again, which rebuilds it from the shards."
@@ -61,10 +76,13 @@ def make_spec(
     rig: Mapping[str, Any] | None = None,
     edits: Collection[EditKind] = (),
     assets: Sequence[Mapping[str, Any]] = (),
+    signals: Collection[Signal] = (),
+    cameras: Sequence[Mapping[str, Any]] = (),
 ) -> Spec:
     """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
-    scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL)
+    signal_bytes = sum(BYTES_PER_SIGNAL_PIXEL.get(name, 0) for name in signals)
+    scene_bytes = pixels * (_BYTES_PER_PIXEL + len(edits) * _BYTES_PER_EDITED_PIXEL + signal_bytes)
     spec = {
         "format_version": FORMAT_VERSION,
         "data_version": DATA_VERSION,
@@ -82,6 +100,10 @@ def make_spec(
         spec["edits"] = [kind for kind in EDITS if kind in edits]
     if assets:
         spec["assets"] = list(assets)
+    if cameras:
+        spec["cameras"] = list(cameras)
+    if signals:
+        spec["with"] = [name for name in SIGNALS if name in signals]
     return _signed(spec)
 
 
@@ -211,9 +233,22 @@ def edits_of(spec: Spec) -> tuple[EditKind, ...]:
     return tuple(kind for kind in EDITS if kind in spec.get("edits", ()))
 
 
+def signals_of(spec: Spec) -> tuple[Signal, ...]:
+    """The optional signals of a dataset, in the order of `schema.SIGNALS`."""
+    return tuple(name for name in SIGNALS if name in spec.get("with", ()))
+
+
 def views_of(spec: Spec) -> int:
     """Number of cameras of a dataset: that of the rig used for rendering, otherwise that of its recipe."""
     return (spec["rig"] or spec["recipe"])["views"]
+
+
+def has_moving_cameras(spec: Spec) -> bool:
+    """Whether the cameras of a dataset have a pose for each frame."""
+    if cameras := spec.get("cameras"):
+        return any(len(view["poses"]) > 1 for view in cameras)
+    rig = (spec["rig"] or spec["recipe"]).get("rig", {})  # imported datasets have none
+    return spec["recipe"]["frames"] > 1 and rig.get("motion", "still") != "still"
 
 
 def lengths_of(spec: Spec) -> dict[str, int]:
@@ -239,10 +274,11 @@ def groups_of(spec: Spec) -> tuple[str, ...]:
     """Complete groups of fields in a dataset of this spec; an imported one has none, see `fields_of`."""
     if is_imported(spec):
         return ()
+    moving = ("moving_camera",) if has_moving_cameras(spec) else ()
     if not spec["renderer"]:
-        return ("simulation",)
+        return "simulation", *moving
     sensor = ("sensor",) if spec["recipe"]["sensor"]["enabled"] else ()
-    return "simulation", "pixels", *sensor, *edits_of(spec)
+    return "simulation", *moving, "pixels", *sensor, *edits_of(spec), *signals_of(spec)
 
 
 def recipe_of(spec: Spec) -> Recipe:
@@ -308,6 +344,16 @@ def _is_asset(asset: Mapping[str, Any]) -> bool:
     return all(_is_name(asset[key]) for key in texts) and set(asset["splits"]) <= set(SPLITS)
 
 
+def _is_camera(view: Mapping[str, Any]) -> bool:
+    numbers = [view[name] for name in ("fx", "fy", "cx", "cy")] + [x for pose in view["poses"] for x in pose]
+    return (
+        _is_size([view["width"], view["height"]])
+        and all(type(number) in (int, float) for number in numbers)
+        and len(view["poses"]) > 0
+        and all(len(pose) == 7 for pose in view["poses"])
+    )
+
+
 def _is_recipe(recipe: Mapping[str, Any]) -> bool:
     return (
         all(_is_name(name) for name in (recipe["name"], recipe["description"], *recipe["parts"]))
@@ -315,7 +361,8 @@ def _is_recipe(recipe: Mapping[str, Any]) -> bool:
         and _has_views(recipe)
         and _is_size(recipe["resolution"])
         and 0.001 <= recipe["fps"] <= 1e6
-        and _is_number(recipe["objects"]["maximum"], 1, 255)
+        and _is_number(recipe["objects"]["maximum"], 0, 255)
+        and type(recipe.get("rig", {})) is dict
         and type(recipe["sensor"]["enabled"]) is bool
     )
 
@@ -333,6 +380,8 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "fields": lambda fields: fields is None or all(set(fields[split]) <= set(FIELDS) for split in SPLITS),
     "assets": lambda assets: assets is None or (type(assets) is list and all(_is_asset(asset) for asset in assets)),
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
+    "cameras": lambda views: views is None or all(_is_camera(view) for view in views),
+    "with": lambda names: names is None or (type(names) is list and set(names) <= set(SIGNALS)),
 }
 """Check of each key of a spec that readers rely on."""
 

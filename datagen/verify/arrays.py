@@ -75,6 +75,10 @@ def check_description(case: Case) -> Iterator[Finding]:
     record, scene = case.record, case.scene
     yield from _equal(record, "objects/count", case.count)
     yield from _equal(record, "camera/world_from_camera", [camera.world_from_camera for camera in scene.cameras])
+    if "camera/world_from_camera_of_frame" in record:
+        frames = range(scene.frames)
+        paths = [[camera.at(frame).world_from_camera for camera in scene.cameras] for frame in frames]
+        yield from _equal(record, "camera/world_from_camera_of_frame", paths)
     if "camera/K" in record:
         height, width = record["segmentation"].shape[2:]
         yield from _equal(record, "camera/K", [camera.k(width, height) for camera in scene.cameras])
@@ -83,7 +87,7 @@ def check_description(case: Case) -> Iterator[Finding]:
     yield from _equal(record, "lights/ambient", scene.ambient)
     for name, expected in DESCRIBED.items():
         rows = [expected(body, shape) for body, shape in zip(scene.bodies, case.shapes, strict=True)]
-        yield from _equal({name: record[name][: case.count]}, name, rows)
+        yield from _equal({name: record[name][: case.count]}, name, rows) if rows else ()
 
 
 def _equal(record: Mapping[str, np.ndarray], name: str, expected: object) -> Iterator[Finding]:
@@ -135,6 +139,10 @@ def check_sensor(case: Case) -> Iterator[Finding]:
     if np.any(valid & (depth == 0)):
         yield Finding("sensor", "the sensor returns depth where there is nothing")
         return
+    sensor, far = case.allowed.sensor, depth * schema.DEPTH_SCALE
+    beyond = valid & ((far < sensor.nearest - schema.DEPTH_SCALE) | (far > sensor.farthest + schema.DEPTH_SCALE))
+    if np.any(beyond):
+        yield Finding("sensor", f"{np.count_nonzero(beyond)} pixels return a depth from outside of the sensor's range")
     exact, measured = (array[valid & (sensed > 0)] * schema.DEPTH_SCALE for array in (depth, sensed))
     yield from _check_noise(exact, measured, case.allowed.sensor)
     yield from _check_bias(exact, measured, case.allowed.sensor)
@@ -144,7 +152,7 @@ def _check_noise(
     exact: Float[np.ndarray, "pixel"], measured: Float[np.ndarray, "pixel"], sensor: Sensor
 ) -> Iterator[Finding]:
     """Check each pixel: allow 8 standard deviations of noise, quantised inverse depth, and rounding of both depths."""
-    half, step = 0.51 * schema.DEPTH_SCALE, 0.5 * sensor.quantisation
+    half, step = 0.51 * (schema.DEPTH_SCALE + sensor.depth_step), 0.5 * sensor.quantisation
     most = DEVIATIONS * sensor.axial_noise * exact**2 + half
     low = 1 / (1 / (measured - half) + step)
     high = 1 / np.maximum(1 / (measured + half) - step, 1e-9)
@@ -167,7 +175,7 @@ def _check_bias(
     farthest = np.max(exact[whole])
     # The median of n values of this noise deviates less than their mean would with n / 8 standard deviations.
     spread = DEVIATIONS * sensor.axial_noise * farthest / np.sqrt(count)
-    steps = sensor.quantisation * farthest + schema.DEPTH_SCALE / np.min(exact[whole])
+    steps = sensor.quantisation * farthest + (schema.DEPTH_SCALE + sensor.depth_step) / np.min(exact[whole])
     bias = abs(np.median(measured[whole] / exact[whole]) - 1)
     if bias > spread + steps:
         message = f"the median of sensor_depth is {100 * bias:.2f} % off depth (allowed {100 * (spread + steps):.2f} %)"

@@ -20,7 +20,8 @@ from datagen.pipeline.parallel import make_all
 from datagen.storage.manifest import make_manifest, read_manifest
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import Shard
-from datagen.storage.spec import MANIFEST_FILE, groups_of, recipe_of, shard_name, shard_ranges
+from datagen.storage.spec import MANIFEST_FILE, groups_of, recipe_of, rendered_recipe_of, shard_name, shard_ranges
+from datagen.verify.cameras import check_cameras
 from datagen.verify.imported import verify_imported
 from datagen.verify.scene_case import Finding
 from datagen.verify.scene_checks import verify_record
@@ -123,6 +124,9 @@ def _check_scenes(dataset: Dataset, meshes: Library | None, split: str, scenes: 
                 renderer=(dataset.spec["renderer"] or {"name": "raster"})["name"],
                 meshes=meshes,
             )
+            if not found:
+                rendered = rendered_recipe_of(dataset.spec).for_scene(scene)
+                found = list(check_cameras(record, rendered, dataset.spec.get("cameras", ())))
         findings.extend(dataclasses.replace(finding, **place) for finding in found)
         if "scene/description" in record:
             text = bytes(record["scene/description"].item())

@@ -16,7 +16,7 @@ RIGID = 1e-9
 """Allowed deviation of a stored transform from a rotation about the vertical and a translation along the table."""
 
 _IMAGES = ("rgb", "depth", "segmentation")
-_CAMERAS = ("camera/K", "camera/world_from_camera")
+_CAMERAS = ("camera/K", "camera/world_from_camera", "camera/world_from_camera_of_frame")
 
 
 def check_edit(case: Case, kind: EditKind) -> Iterator[Finding]:
@@ -70,7 +70,7 @@ def edited_case(
         places[place if place > case.count else other + 1] = place
     segmentation = places[case.record[f"edits/{kind}/segmentation"]]
     images = {"depth": case.record[f"edits/{kind}/depth"], "segmentation": segmentation}
-    record = {**{name: case.record[name] for name in _CAMERAS}, **images}
+    record = {**{name: case.record[name] for name in _CAMERAS if name in case.record}, **images}
     scene = replace(case.scene, bodies=tuple(case.scene.bodies[other] for other in rows))
     shapes = [case.shapes[other] for other in rows]
     return Case(record, scene, shapes, poses, case.allowed), segmentation == 255

@@ -54,13 +54,13 @@ ORDER_TOLERANCE = 1.0 * DEPTH_SCALE
 def check_surfaces(case: Case) -> Iterator[Finding]:
     """Pixels that carry an object's id lie on that object's surface."""
     for frame, view in case.images:
-        segmentation, depth = case.segmentation(frame, view), case.depth(frame, view)
+        segmentation, depth, moment = case.segmentation(frame, view), case.depth(frame, view), case.at(frame)
         if np.max(segmentation) > case.count:
             message = f"id {np.max(segmentation)}, but the scene has {case.count} objects"
             yield Finding("surface", message, frame=frame, view=view)
         for row in range(case.count):
             pixels = segmentation == row + 1
-            yield from _off_surface(case, row, frame, view, case.rays[view][pixels], depth[pixels])
+            yield from _off_surface(moment, row, frame, view, moment.rays[view][pixels], depth[pixels])
 
 
 def signed_distance(
@@ -149,7 +149,8 @@ def _local_rays(
 def check_table(case: Case) -> Iterator[Finding]:
     """Pixels without an object show the table's top where their ray meets it and nothing where it does not."""
     for frame, view in case.images:
-        depth, rays, center = case.depth(frame, view), case.rays[view], case.center(view)
+        moment = case.at(frame)
+        depth, rays, center = case.depth(frame, view), moment.rays[view], moment.center(view)
         background = case.segmentation(frame, view) == 0
         height = center[2] + depth * rays[..., 2]
         steep = np.maximum(np.abs(rays[..., 2]), 1)
@@ -161,7 +162,7 @@ def check_table(case: Case) -> Iterator[Finding]:
         surface = MESH_TOLERANCE + SURFACE_STEPS * DEPTH_SCALE * steep + error
         below = ~background & (depth > 0) & (height < -surface)
         yield from _pixels(below, "of objects lie below the table", -height, surface, frame, view)
-        inside, border = _distance_to_border(case, view), PLANE_TOLERANCE + _border_error(case, view)
+        inside, border = _distance_to_border(moment, view), PLANE_TOLERANCE + _border_error(moment, view)
         wrong = seen & (inside < -border)
         yield from _pixels(wrong, "return a depth beyond the table", -inside, border, frame, view)
         missing = (depth == 0) & (inside > border)
@@ -283,7 +284,7 @@ def _rays_near(case: Case, row: int) -> Iterator[Rays]:
     """Rays of all images, of many images or part of one at a time."""
     parts: list[tuple[np.ndarray, ...]] = []
     for frame, view in case.images:
-        columns = _rays_in_image(case, row, frame, view)
+        columns = _rays_in_image(case.at(frame), row, frame, view)
         pieces = 1 + len(columns[0]) // MOST_AT_ONCE
         for piece in zip(*(np.array_split(column, pieces) for column in columns), strict=True):
             parts.append(piece)

@@ -5,7 +5,7 @@ Cameras and rays are computed here from the stored arrays alone, by code that th
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -117,6 +117,13 @@ class Case:
     def depth(self, frame: int, view: int) -> Float[np.ndarray, "height width"]:
         """Stored depth of one image, metres."""
         return self.record["depth"][frame, view] * DEPTH_SCALE
+
+    def at(self, frame: int) -> "Case":
+        """The case with the cameras as they are in one frame; the same case if they do not move."""
+        poses = self.record.get("camera/world_from_camera_of_frame")
+        if poses is None:
+            return self
+        return replace(self, record={**self.record, "camera/world_from_camera": poses[frame]})
 
     def center(self, view: int) -> Float[np.ndarray, "3"]:
         """Position of a camera, world frame."""

@@ -10,20 +10,28 @@ from datagen.errors import DatagenError
 from datagen.shapes.shape import MeshSource
 from datagen.verify.arrays import check_counts, check_description, check_schema, check_sensor
 from datagen.verify.bodies import check_boxes, check_overlap, check_poses
+from datagen.verify.cameras import check_paths
 from datagen.verify.edits import check_edit, check_effects
 from datagen.verify.pixels import check_order, check_surfaces, check_table
 from datagen.verify.scene_case import DEFAULT, OPENGL, PRECISION, Allowed, Case, Finding, make_case
+from datagen.verify.signals import check_amodal, check_coordinates, check_flow, check_normals, check_tracks
 from datagen.verify.views import check_views
 
 Check = Callable[[Case], Iterator[Finding]]
 
 CHECKS: dict[str, tuple[Check, ...]] = {
     "simulation": (check_description, check_poses, check_overlap),
+    "moving_camera": (check_paths,),
     "pixels": (check_counts, check_boxes, check_surfaces, check_table, check_order, check_views),
     "sensor": (check_sensor,),
     "remove": (partial(check_edit, kind="remove"), check_effects),
     "move": (partial(check_edit, kind="move"),),
     "add": (partial(check_edit, kind="add"),),
+    "flow": (check_flow,),
+    "tracks": (check_tracks,),
+    "normals": (check_normals,),
+    "coordinates": (check_coordinates,),
+    "amodal": (check_amodal,),
 }
 """Checks by the group of fields that they need."""
 

@@ -78,10 +78,11 @@ def check_views(case: Case) -> Iterator[Finding]:
     """Check that each other view of the same moment shows a view's patches, or something in front of them."""
     frames, views = case.record["segmentation"].shape[:2]
     for frame in range(frames if views > 1 else 0):
+        moment = case.at(frame)
         for a in range(views):
-            patches = find_patches(case, frame, a)
+            patches = find_patches(moment, frame, a)
             for step in range(1, views, -(-(views - 1) // MOST_OTHERS)):
-                yield from _check_pair(case, frame, patches, a, (a + step) % views)
+                yield from _check_pair(moment, frame, patches, a, (a + step) % views)
 
 
 def _check_pair(case: Case, frame: int, patches: Patches, a: int, b: int) -> Iterator[Finding]:

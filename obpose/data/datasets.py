@@ -16,6 +16,8 @@ from datagen.storage import reader
 from datagen.storage.reader import read_depth
 from obpose.data.clips import check_window
 
+_PATHS = "camera/world_from_camera_of_frame"
+
 Window = Literal["first", "random", "all"]
 
 
@@ -28,7 +30,8 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
     - `depth`: Float32 "frame view height width", planar z in metres, 0 where there is no return
     - `valid`: Bool "frame view height width", whether the pixel has a depth
     - `k`: Float32 "view 3 3", camera matrices in pixels, pixel centres at +0.5
-    - `world_from_camera`: Float32 "view 4 4", poses of the cameras with OpenCV axes, metres
+    - `world_from_camera`: Float32 "view 4 4", poses of the cameras with OpenCV axes, metres; if they move, those of the
+      window's first frame
     - each field named in `extra`, under its name, with its axes in `datagen.schema.FIELDS`; depths in metres, other
       integers as int64, floats as float32. Labels are read only by `extra=["segmentation"]`.
 
@@ -72,6 +75,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
             raise UsageError(f"{folder} holds no images; make them with: obpose-datagen render.")
         self._clip_frames: int = spec["recipe"]["frames"]
         self._frames = _window_length(frames, self._clip_frames, folder)
+        self._extra: tuple[str, ...] = ()
         self._window = _one_of(window, ("first", "random", "all"), "window")
         self._views = _chosen_views(views, self._scenes.views, folder)
         self._exact = _one_of(depth, ("observed", "clean"), "depth") == "clean"
@@ -81,6 +85,7 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
             raise UsageError(f"{folder} was imported, and {unknown[0]} is unknown in its split {split}.")
         numeric = [name for name in dataset.fields(split) if schema.FIELDS[name].dtype != "S"]
         self._extra = tuple(_one_of(name, numeric, "field") for name in extra)
+        self._check_cameras(self._frames)
         self._seed = _not_negative(seed, "seed")
         # In shared memory, so that persistent workers see the number of the next epoch.
         self._epoch = torch.zeros((), dtype=torch.int64).share_memory_()
@@ -128,10 +133,14 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
         if not 0 <= index < len(self._scenes):
             raise IndexError(f"Scene {index} of a split with {counted(len(self._scenes), 'scene')}, counted from 0.")
         check_window(start, frames, self._clip_frames)
+        self._check_cameras(frames)
         chosen = slice(start, start + frames)
-        fields = {"rgb", "camera/K", "camera/world_from_camera", *self._extra}
+        moving = (_PATHS,) if self._scenes.has_moving_cameras else ()
+        fields = {"rgb", "camera/K", "camera/world_from_camera", *moving, *self._extra}
         record = self._scenes.read(index, fields, chosen)
         record = {name: self._select_views(name, array) for name, array in record.items()}
+        if moving:
+            record["camera/world_from_camera"] = record[_PATHS][0]
         depth, valid = read_depth(self._scenes, index, chosen, exact=self._exact)
         return {
             "rgb": torch.from_numpy(record["rgb"]).to(torch.float32).mul_(1 / 255),
@@ -141,6 +150,15 @@ class SceneDataset(Dataset[dict[str, Tensor]]):
             "world_from_camera": _tensor("camera/world_from_camera", record["camera/world_from_camera"]),
             **{name: _tensor(name, record[name]) for name in self._extra},
         }
+
+    def _check_cameras(self, frames: int) -> None:
+        """Check that one pose fits all frames of a window, or that the caller reads the pose of each frame.
+
+        Raises:
+            UsageError: the cameras move, and the caller does not read their poses.
+        """
+        if frames > 1 and _PATHS not in self._extra:
+            reader.require_stationary(self._scenes, f"a window without extra=[{_PATHS!r}]")
 
     @property
     def _windows_per_clip(self) -> int:
@@ -163,7 +181,7 @@ def _tensor(name: str, array: np.ndarray) -> Tensor:
     """Convert depths to metres, other integers to int64, floats to float32."""
     if schema.FIELDS[name].unit == "0.1 mm":
         return torch.from_numpy(schema.decode_depth(array))
-    return torch.from_numpy(array.astype(np.int64 if array.dtype.kind == "u" else np.float32))
+    return torch.from_numpy(array.astype(np.int64 if array.dtype.kind in "iu" else np.float32))
 
 
 def _window_length(frames: int | None, clip_frames: int, folder: str | Path) -> int:

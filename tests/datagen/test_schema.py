@@ -4,7 +4,7 @@ import pytest
 from datagen import schema
 from tests.worlds.generated import random_record
 
-ALL = ("simulation", "pixels", "sensor", *schema.EDITS)
+ALL = ("simulation", "pixels", "sensor", "moving_camera", *schema.EDITS, *schema.SIGNALS)
 
 
 def test_a_record_with_every_field_is_valid():

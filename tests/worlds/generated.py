@@ -66,7 +66,16 @@ def random_spec(*, seed: int = 0, **splits: int) -> spec.Spec:
 def random_record(seed: int, *, frames: int = 3, views: int = 2, size: tuple[int, int] = (7, 5)) -> schema.SceneRecord:
     """Noise in every field of the format."""
     rng = np.random.default_rng(seed)
-    lengths = {"frame": frames, "view": views, "height": size[1], "width": size[0], "channel": 3, "light": 2, "byte": 1}
+    lengths = {
+        "frame": frames,
+        "view": views,
+        "height": size[1],
+        "width": size[0],
+        "channel": 3,
+        "light": 2,
+        "byte": 1,
+        "point": 5,
+    }
     lengths |= {"object": 4, "object+1": 5}
     record = {}
     for name, field in schema.FIELDS.items():

@@ -14,7 +14,8 @@ from datagen.edits.edit_context import stage_of
 from datagen.pipeline import records
 from datagen.render import Renderer, make_renderer
 from datagen.scene import Body, Camera, Light, Material, Scene, ShapeSpec, Table, Trajectory
-from datagen.schema import EditKind, SceneRecord
+from datagen.schema import EditKind, SceneRecord, Signal
+from datagen.signals import signals_record
 from datagen.storage import manifest, reader, shard, spec
 
 ROWS = 4
@@ -74,6 +75,7 @@ def record(
     renderer: Renderer | None = None,
     motion: Callable[[Scene], Trajectory] = trajectory,
     edits: Sequence[EditKind] = (),
+    signals: Sequence[Signal] = (),
 ) -> SceneRecord:
     """All arrays of a staged scene."""
     built = [shapes.build(body.shape) for body in world.bodies]
@@ -91,8 +93,9 @@ def record(
         rng=np.random.default_rng(0),
     )
     rngs = {kind: np.random.default_rng(number) for number, kind in enumerate(edits)}
-    edited = edits_record(stage_of(world, tuple(built), path), pixels, RECIPE, renderer, rngs)
-    return {**simulated, **pixels, **edited}
+    stage = stage_of(world, tuple(built), path)
+    edited = edits_record(stage, pixels, RECIPE, renderer, rngs)
+    return {**simulated, **pixels, **edited, **signals_record(stage, pixels, signals, np.random.default_rng(0))}
 
 
 def write_dataset(folder: Path, scenes: Sequence[SceneRecord], *, sensor: bool = False, **settings: Any) -> Path:

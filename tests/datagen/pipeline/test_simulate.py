@@ -48,7 +48,9 @@ def segmentations(made: Simulated, size: tuple[int, int], frame: int = 0) -> lis
     renderer.load(made.scene, made.shapes)
     poses = made.trajectory.world_from_object[frame]
     images = [renderer.render(poses, camera, *size) for camera in made.scene.cameras]
-    assert all(np.min(image.depth) > 0 and np.max(image.depth) < MAX_DEPTH for image in images)
+    # Tables of random sizes, as in desk, leave a part of the picture empty.
+    assert all(np.min(image.depth) > 0 or made.scene.table.size not in (2.0, 4.4) for image in images)
+    assert all(np.max(image.depth) < MAX_DEPTH for image in images)
     return [image.segmentation for image in images]
 
 

@@ -1,6 +1,7 @@
 """Property: settings within the documented bounds are refused, or give scenes in which `verify` finds nothing."""
 
 import copy
+import dataclasses
 import importlib.util
 import tempfile
 from collections.abc import Callable
@@ -25,8 +26,8 @@ from datagen.verify.dataset import find
 
 pytestmark = pytest.mark.skipif(not importlib.util.find_spec("pybullet"), reason="simulation needs PyBullet")
 
-RECIPES = [recipe_to_dict(load_recipe(name)) for name in ("moving", "touching", "cluttered", "noisy")]
-STILLS = [recipe_to_dict(load_recipe(name)) for name in ("static", "clevr3d", "multishape")]
+RECIPES = [dataclasses.asdict(load_recipe(name)) for name in ("moving", "touching", "cluttered", "noisy")]
+STILLS = [dataclasses.asdict(load_recipe(name)) for name in ("static", "clevr3d", "multishape")]
 
 SMALLER = {
     "frames": (1, 4),
