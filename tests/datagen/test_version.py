@@ -16,7 +16,7 @@ from tests.worlds.generated import ROOT
 COMMANDS = {
     "obpose-datagen": "from datagen.commands.entry import main",
     "obpose-train": "from benchmark.commands.train import main",
-    "obpose-segment": "from obpose.commands.entry import segment as main",
+    "obpose-segment": "from benchmark.commands.segment import main",
     "obpose-edit": "from obpose.commands.entry import edit as main",
     "obpose-view": "from obpose.commands.entry import view as main",
     "obpose-bench": "from benchmark.commands.entry import main",
