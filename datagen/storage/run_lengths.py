@@ -1,24 +1,27 @@
-"""Masks as COCO's compressed run lengths."""
+"""Masks as COCO's run lengths, plain and compressed."""
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int64
 
 _ZERO = 48
 """Letter of the number 0."""
 
 
-def encode_mask(mask: Bool[np.ndarray, "height width"]) -> bytes:
-    """Encode a mask as COCO's compressed `counts`; `{"size": [height, width], "counts": counts}` is its dictionary.
-
-    Lengths of runs of zeros and ones alternate, column by column, beginning with zeros. From the fourth on, each is
-    stored as the difference to the one two before. Numbers are written in groups of five bits, the lowest first, with a
-    sixth bit if another group follows, as letters from `0` on.
-    """
+def run_lengths(mask: Bool[np.ndarray, "height width"]) -> Int64[np.ndarray, " run"]:
+    """Lengths of runs of zeros and ones in turn, column by column, beginning with zeros: COCO's plain `counts`."""
     flat = mask.ravel(order="F")
     ends = np.concatenate([np.flatnonzero(flat[1:] != flat[:-1]) + 1, [len(flat)]])
     counts = np.diff(ends, prepend=0)
-    if flat[0]:
-        counts = np.concatenate([[0], counts])
+    return np.concatenate([[0], counts]) if flat[0] else counts
+
+
+def encode_mask(mask: Bool[np.ndarray, "height width"]) -> bytes:
+    """Encode a mask as COCO's compressed `counts`; `{"size": [height, width], "counts": counts}` is its dictionary.
+
+    From the fourth on, each run's length is stored as the difference to the one two before. Numbers are written in
+    groups of five bits, the lowest first, with a sixth bit if another group follows, as letters from `0` on.
+    """
+    counts = run_lengths(mask)
     numbers = counts.copy()
     numbers[3:] -= counts[1:-2]
     return b"".join(_letters(int(number)) for number in numbers)

@@ -14,8 +14,8 @@ from jaxtyping import Bool
 from datagen.catalog import CATEGORIES
 from datagen.formats.exporters.interface import Exporter, Files
 from datagen.formats.images import write_png
-from datagen.formats.rle import encode_rle
 from datagen.formats.scenes import ExportScene, view_name
+from datagen.storage.run_lengths import run_lengths
 
 
 def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
@@ -115,7 +115,8 @@ def _mask_facts(mask: Bool[np.ndarray, "height width"]) -> tuple[dict[str, Any] 
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     left, top = int(columns[0]), int(rows[0])
     box = [left, top, int(columns[-1]) + 1 - left, int(rows[-1]) + 1 - top]
-    return encode_rle(mask), box, int(np.count_nonzero(mask))
+    # Plain counts, which all readers of COCO accept.
+    return {"size": list(mask.shape), "counts": run_lengths(mask).tolist()}, box, int(np.count_nonzero(mask))
 
 
 def _save(path: Path, lists: dict[str, _List], categories: dict[str, int]) -> None:
