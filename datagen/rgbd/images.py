@@ -50,6 +50,7 @@ def depth_size(path: Path) -> Size:
     """
     if _is_array(path):
         shape, dtype = npy_shape(path)
+        shape = shape[:2] if len(shape) == 3 and shape[2] == 1 else shape
         if len(shape) != 2 or dtype.kind not in "uif":
             raise UsageError(
                 f"{path} holds no depth: it has shape {shape} and type {dtype}; expected an array of numbers with "
@@ -120,7 +121,7 @@ def _read_values(path: Path) -> tuple[np.ndarray, np.dtype]:
     """Read values and their stored type; Pillow widens signed 16-bit integers."""
     if _is_array(path):
         values = read_npy(path)
-        return values, values.dtype
+        return (values[..., 0] if values.ndim == 3 else values), values.dtype
     with open_image(path) as image:
         tags = getattr(image, "tag_v2", {})
         signed = tags.get(_BITS) == (16,) and tags.get(_SAMPLE_FORMAT) == (_SIGNED,)

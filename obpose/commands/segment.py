@@ -11,10 +11,9 @@ from pathlib import Path
 
 from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
-from datagen.storage.atomic import check_new_folder
 from obpose.errors import EXIT_OK, UsageError
 from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames
-from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, write_results
+from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
 from obpose.rgbd.segment import UNTRAINED, Method, segment_frames
 from obpose.rgbd.weights import DEFAULT, method_of
 
@@ -54,8 +53,7 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     """Segment the frames and write all files."""
     name, method, trained = _method(values, find_method)
     frames = prepare_frames(values, trained)
-    if not (values.overwrite and (values.out / OBJECTS_FILE).is_file()):
-        check_new_folder(values.out)
+    check_target(values.out, overwrite=values.overwrite)
     labels = segment_frames(frames, method)
     facts = {
         "method": name,
@@ -86,7 +84,7 @@ def _method(values: Arguments, find_method: FindMethod) -> tuple[str, Method, Tr
 def _print_objects(frames: PreparedFrames, objects: list) -> None:
     """Print the objects of the first frame that has any."""
     if not objects:
-        print("No object was found.")
+        print("No object was found: is the white outline in the picture that of your table? See docs/own_frames.md.")
         return
     print("Object   pixels   sides (cm)          centre x, y, z (m)")
     for each in objects[0]:

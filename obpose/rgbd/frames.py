@@ -72,6 +72,8 @@ class Trained:
     """Median distance in metres between the surface points of neighbouring pixels."""
     center: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Middle of the table, world frame, metres."""
+    learned: bool = True
+    """Whether these are facts about a training; otherwise the spacing is only recommended."""
     cube: tuple[tuple[float, float, float], float] | None = None
     """Centre and edge of the cube that holds all objects, metres; None if the model has no such bound."""
 
@@ -83,7 +85,7 @@ def trained_on(config: Configuration) -> Trained:
             # The point of the table nearest to the origin in the middle half of the workspace, usually the origin.
             quarter = model.workspace_size / 4
             x, y, z = (min(max(0.0, middle - quarter), middle + quarter) for middle in model.workspace_center)
-            return Trained(model.spacing, (x, y, z), (model.workspace_center, model.workspace_size))
+            return Trained(model.spacing, (x, y, z), cube=(model.workspace_center, model.workspace_size))
         case ContactConfig(model=model):
             x, y, _ = model.workspace_center
             return Trained(model.spacing, (x, y, 0.0))
@@ -148,7 +150,7 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
         )
     every = frames.every or _step(spacing, trained.spacing, recording)
     observation = observe(recording.every(every), pose, workspace, trained)
-    note = _resolution_note(observation, every, trained.spacing)
+    note = _resolution_note(observation, every, trained)
     return PreparedFrames(recording, observation, pose, workspace, every, world, note)
 
 
@@ -226,7 +228,7 @@ def world_note(points: Float64[np.ndarray, "point 3"], camera: Float64[np.ndarra
     return f"{GIVEN}; {fault}; results may be poor" if fault else GIVEN
 
 
-def _resolution_note(observation: Observation, every: int, trained: float) -> str:
+def _resolution_note(observation: Observation, every: int, trained: Trained) -> str:
     """Compare the pixel spacing to the training."""
     height, width = observation.depth.shape[-2:]
     spacing = surface_spacing(observation)
@@ -234,6 +236,6 @@ def _resolution_note(observation: Observation, every: int, trained: float) -> st
         return f"{width}x{height} pixels (--every {every}); no neighbouring pixels have a depth"
     note = (
         f"{width}x{height} pixels (--every {every}); neighbouring pixels are {1000 * spacing:.1f} mm apart on the "
-        f"surfaces, in training {1000 * trained:.1f} mm"
+        f"surfaces, {'in training' if trained.learned else 'recommended'} {1000 * trained.spacing:.1f} mm"
     )
-    return f"{note}; is --depth-scale right?" if spacing > _COARSE * trained * every else note
+    return f"{note}; is --depth-scale right?" if spacing > _COARSE * trained.spacing * every else note

@@ -51,7 +51,7 @@ class Recording:
         """
         height, width = self.depth.shape[1:]
         if not 1 <= step <= min(height, width):
-            raise UsageError(f"--every {step}: the images are {width}x{height}; expected 1 or a little more.")
+            raise UsageError(f"--every {step}: the images are {width}x{height}; expected 1 to {min(height, width)}.")
         offset = step // 2
         k = self.k.copy()
         k[:2, 2] -= offset + 0.5
@@ -154,7 +154,8 @@ def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path
     known = depth[depth > 0]
     if not len(known):
         raise UsageError(
-            f"No pixel has a depth: {example} and the others hold only zeros, or the largest value of their type."
+            f"No pixel has a depth: {example} and the others hold only zeros, negative numbers, NaN or infinity, or the "
+            "largest value of their type."
         )
     median, (low, high) = float(np.median(known, overwrite_input=True)), PLAUSIBLE_DEPTH
     if not low < median < high:

@@ -1,7 +1,8 @@
 """Files of a segmented recording: label images, overlays, point clouds, and boxes as JSON."""
 
 import json
-import shutil
+import re
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from datagen.geometry import invert_rigid, transform
 from datagen.rgbd.camera_pose import Pose
-from datagen.storage.atomic import new_folder
+from datagen.storage.atomic import check_new_folder, new_folder
+from obpose.errors import UsageError
 from obpose.pictures import PALETTE, Picture, box_edges, draw_box, png, tint
 from obpose.rgbd.boxes import Box, upright_box
 from obpose.rgbd.frames import PreparedFrames
@@ -28,6 +30,9 @@ LEAST_POINTS = 4
 """Objects with fewer pixels in a frame have no box and no point cloud there."""
 FPS = 10.0
 """Frames per second of the animation."""
+
+_OWN = re.compile(rf"\d{{4,}}_(labels|overlay)\.png|{SUMMARY}|{ANIMATION}|{OBJECTS_FILE}|{CLOUDS}")
+"""Names of the files and of the folder of a result."""
 
 Labels = Integer[np.ndarray, "height width"]
 
@@ -71,17 +76,38 @@ def write_results(
     the new one is complete.
 
     Raises:
-        UsageError: the folder is not empty, and holds no earlier result that may be replaced.
+        UsageError: the folder is not empty, and holds other things than an earlier result.
         DatagenError: it cannot be written.
     """
-    earlier = overwrite and (out / OBJECTS_FILE).is_file()
-    target = out.with_name(f"{out.name}.new") if earlier else out
-    with new_folder(target) as folder:
-        objects = _write(folder, frames, labels, facts)
-    if earlier:
-        shutil.rmtree(out)
-        target.rename(out)
+    check_target(out, overwrite=overwrite)
+    if not out.exists() or not any(out.iterdir()):
+        with new_folder(out) as folder:
+            return _write(folder, frames, labels, facts)
+    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.resolve().parent) as temporary:
+        new, old = Path(temporary) / "new", Path(temporary) / "old"
+        new.mkdir()
+        objects = _write(new, frames, labels, facts)
+        out.rename(old)
+        new.rename(out)
     return objects
+
+
+def check_target(out: Path, *, overwrite: bool) -> None:
+    """Check that results may be written to a folder.
+
+    Raises:
+        UsageError: it is not empty, and `overwrite` is not set, or it holds other things than an earlier result.
+    """
+    if not overwrite or not out.is_dir() or not any(out.iterdir()):
+        check_new_folder(out)
+        return
+    foreign = sorted(path.name for path in out.iterdir() if not _OWN.fullmatch(path.name))
+    if foreign or not (out / OBJECTS_FILE).is_file():
+        what = f"also holds {foreign[0]}" if foreign else f"holds no {OBJECTS_FILE}"
+        raise UsageError(
+            f"--overwrite replaces earlier results of obpose-segment only, and {out} {what}; give another --out, "
+            "nothing was changed."
+        )
 
 
 def _write(

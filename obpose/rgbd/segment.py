@@ -16,7 +16,7 @@ Method = Callable[[Observation], Labels]
 """Function that labels the objects of a batch of one clip with one view; 0 is the background."""
 MOST_OBJECTS = 255
 """Label images have 8 bits."""
-UNTRAINED = Trained(spacing=0.006)
+UNTRAINED = Trained(spacing=0.006, learned=False)
 """Pixel spacing that methods without training get."""
 LEAST_SHARE = 4e-4
 """Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""

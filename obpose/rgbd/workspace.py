@@ -32,6 +32,8 @@ class Workspace:
     """Corners of its convex outline on the table, counter-clockwise, metres."""
     floor: float
     """Height in metres from which points belong to objects."""
+    rim: float = RIM
+    """Distance in metres by which objects may overhang the outline."""
 
     def holds(self, points: Float[np.ndarray, "*shape 3"]) -> Bool[np.ndarray, "*shape"]:
         """Whether points are on the table or above it, within the outline."""
@@ -39,7 +41,7 @@ class Workspace:
         for corner, after in zip(self.outline, np.roll(self.outline, -1, axis=0), strict=True):
             along = (after - corner) / np.linalg.norm(after - corner)
             distance = (points[..., 0] - corner[0]) * along[1] - (points[..., 1] - corner[1]) * along[0]
-            inside &= distance < RIM
+            inside &= distance < self.rim
         return inside & (points[..., 2] > -MOST_FLOOR)
 
     def standing(self, points: Float[np.ndarray, "*shape 3"], *, share: float = 1.0) -> Bool[np.ndarray, "*shape"]:
@@ -77,7 +79,7 @@ def find_workspace(points: Float[np.ndarray, "point 3"]) -> Workspace:
 def rectangle(corners: tuple[float, float, float, float], floor: float) -> Workspace:
     """Build a workspace from its least and greatest x, then y, metres."""
     (x0, x1, y0, y1) = corners
-    return Workspace(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), floor)
+    return Workspace(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), floor, rim=0.0)
 
 
 def _outline(cells: np.ndarray) -> np.ndarray | None:

@@ -193,7 +193,13 @@ def test_other_modes_are_no_depth_images(tmp_path: Path, name: str, image: Image
         depth_size(save(tmp_path, name, image))
 
 
-@pytest.mark.parametrize("values", [np.ones((2, 3, 1)), np.ones(3), np.ones((2, 3), bool), np.ones((2, 3), complex)])
+def test_arrays_may_have_an_axis_of_one_channel(tmp_path: Path):
+    np.save(tmp_path / "a.npy", np.arange(6.0).reshape(2, 3, 1))
+    assert depth_size(tmp_path / "a.npy") == (3, 2)
+    np.testing.assert_array_equal(read_depth(tmp_path / "a.npy", 1.0), np.arange(6.0).reshape(2, 3))
+
+
+@pytest.mark.parametrize("values", [np.ones((2, 3, 2)), np.ones(3), np.ones((2, 3), bool), np.ones((2, 3), complex)])
 def test_other_arrays_are_no_depth(tmp_path: Path, values: np.ndarray):
     np.save(tmp_path / "a.npy", values)
     with pytest.raises(UsageError, match=r"holds no depth: it has shape .* and type"):

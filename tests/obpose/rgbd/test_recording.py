@@ -128,7 +128,7 @@ def test_implausible_depths_are_missing(tmp_path: Path, pair: tuple[Path, Path],
 
 
 def test_saturated_depth_is_missing_depth(tmp_path: Path, pair: tuple[Path, Path]):
-    with pytest.raises(UsageError, match=r"No pixel has a depth: .* hold only zeros, or the largest value"):
+    with pytest.raises(UsageError, match=r"No pixel has a depth: .* hold only zeros, negative numbers, NaN"):
         read_recording([pair[0]], [write_depth(tmp_path / "d.png", 65535)], K, depth_scale=0.001)
 
 

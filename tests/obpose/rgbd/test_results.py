@@ -84,12 +84,15 @@ def test_only_an_earlier_result_is_replaced(tmp_path: Path):
     write_results(out, frames(), LABELS, {"run": 1})
     with pytest.raises(UsageError, match="not empty"):
         write_results(out, frames(), LABELS, {"run": 2})
-    (out / "mine").write_text("old")
     write_results(out, frames(), LABELS, {"run": 2}, overwrite=True)
     assert json.loads((out / "objects.json").read_text())["run"] == 2
-    assert not (out / "mine").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    (out / "mine").write_text("kept")
+    with pytest.raises(UsageError, match="also holds mine"):
+        write_results(out, frames(), LABELS, {"run": 3}, overwrite=True)
+    assert (out / "mine").read_text() == "kept"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine").write_text("kept")
-    with pytest.raises(UsageError, match="not empty"):
+    with pytest.raises(UsageError, match="also holds mine"):
         write_results(tmp_path / "other", frames(), LABELS, {}, overwrite=True)
     assert (tmp_path / "other" / "mine").read_text() == "kept"

@@ -48,7 +48,7 @@ def test_objects_begin_above_the_noise(noise: float, floor: float):
 
 def test_a_rectangle_is_given_by_its_bounds():
     space = rectangle((-0.1, 0.3, -0.2, 0.2), 0.004)
-    np.testing.assert_array_equal(space.holds(np.array([(0.0, 0.0, 0.1), (-0.2, 0.0, 0.1)])), [True, False])
+    np.testing.assert_array_equal(space.holds(np.array([(0.0, 0.0, 0.1), (-0.101, 0.0, 0.1)])), [True, False])
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((9, 3), 0.5), np.zeros((2, 3))])
