@@ -21,7 +21,9 @@ from obpose.rgbd.segment import UNTRAINED, segment_frames
 from obpose.rgbd.weights import DEFAULT, method_of
 from obpose.scenes.pictures import write_png
 
-METRICS = ("ari_fg", "msc_fg", "miou_bg")
+METRICS = ("ari_fg", "msc_fg", "miou_bg", "false_objects")
+FALSE = 0.1
+"""Segments with a smaller share of object pixels are false objects."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,4 +82,6 @@ def _scores(mask: Path, labels: np.ndarray) -> Line:
     if truth.max() < 2:
         return dict.fromkeys(METRICS, nan)
     found = score(truth, labels.astype(np.int64), 0)
-    return {name: float(found[name]) for name in METRICS}
+    sizes, hits = (np.bincount(values.ravel(), minlength=256)[1:] for values in (labels, labels[truth > 0]))
+    false = int(np.count_nonzero(hits < FALSE * sizes))
+    return {**{name: float(found[name]) for name in METRICS[:3]}, "false_objects": false}

@@ -154,8 +154,8 @@ def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path
     known = depth[depth > 0]
     if not len(known):
         raise UsageError(
-            f"No pixel has a depth: {example} and the others hold only zeros, negative numbers, NaN or infinity, or the "
-            "largest value of their type."
+            f"No pixel has a depth: {example} and the others hold only zeros, negative numbers, NaN or infinity, or "
+            "the largest value of their type."
         )
     median, (low, high) = float(np.median(known, overwrite_input=True)), PLAUSIBLE_DEPTH
     if not low < median < high:
