@@ -39,9 +39,10 @@ def _train(arguments: list[str]) -> int:
 
 
 def _segment(arguments: list[str]) -> int:
+    from benchmark.commands.segment import find_method
     from obpose.commands.segment import main
 
-    return main(arguments)
+    return main(arguments, find_method=find_method)
 
 
 def _edit(arguments: list[str]) -> int:
