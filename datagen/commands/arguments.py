@@ -200,7 +200,7 @@ class Assets:
     """Check a folder of meshes: a table of units, sizes, hulls and problems, and a sheet of thumbnails."""
 
     action: Annotated[Literal["check"], tyro.conf.Positional]
-    """What to do."""
+    """Action on the folder."""
     folder: _FOLDER
     unit: Literal["m", "cm", "mm", "in"] | None = None
     """Unit of all meshes; default guessed for each from its size."""

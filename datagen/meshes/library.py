@@ -135,7 +135,7 @@ class Library:
         return [dataclasses.asdict(entry) for entry in self.entries]
 
     def without_hulls(self) -> "Library":
-        """The same meshes for rendering and verification, which need no CoACD."""
+        """Copy without convex hulls, for rendering and verification: they need no CoACD."""
         return dataclasses.replace(self, hulls=False)
 
 

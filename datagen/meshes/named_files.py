@@ -105,7 +105,7 @@ class NamedFiles:
         return []
 
     def namespaced(self, _namespace: str) -> "NamedFiles":
-        """The same files, for formats with several namespaces."""
+        """Give this reader itself: there is one namespace, while some formats have several."""
         return self
 
 

@@ -16,7 +16,7 @@ _FAR = 1e30
 def first_hits(
     solid: MeshSolid, origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
 ) -> tuple[Float[np.ndarray, "ray"], Int[np.ndarray, "ray"]]:
-    """Where rays first meet a mesh, from either side.
+    """Find where rays first meet a mesh, from either side.
 
     Embree finds the triangle in single precision; the position on its plane is computed in double precision.
 

@@ -47,7 +47,7 @@ def bounds(
     directions: Float[np.ndarray, "ray 3"],
     sideways: Float[np.ndarray, "ray"],
 ) -> tuple[Float[np.ndarray, "ray"], Bool[np.ndarray, "ray"]]:
-    """What rays surely and possibly meet, if the mesh may have moved sideways by some metres.
+    """Find what rays surely and possibly meet, if the mesh may have moved sideways by some metres.
 
     Returns:
         Position of the farthest hit among the ray and its neighbours, inf if one of them misses.

@@ -9,7 +9,7 @@ from obpose.config_bounds import TRAINING, Rule, check_values, expect, not_negat
 LEAST_FLOOR = 0.0015
 """Height in metres above the table from which points belong to objects, for exact depth."""
 FLOOR_NOISE = 4.0
-"""The same height for noisy depth, in standard deviations of the noise."""
+"""Height above the table from which points belong to objects, for noisy depth, in standard deviations of the noise."""
 
 
 @dataclass(frozen=True)

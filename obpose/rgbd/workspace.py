@@ -17,7 +17,7 @@ CLOSING = 5
 LEAST_FLOOR, MOST_FLOOR = 0.004, 0.02
 """Bounds of the height from which points belong to objects, metres."""
 FLOOR_NOISE = 4.0
-"""The same height in standard deviations of the table's points."""
+"""Height from which points belong to objects, in standard deviations of the table's points."""
 CEILING = 0.6
 """Greatest height of objects, metres."""
 RIM = 0.03

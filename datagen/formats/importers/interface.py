@@ -50,7 +50,7 @@ class Facts:
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """Some images of a recording."""
+    """Images of a recording that belong to one scene."""
 
     rgb: UInt8[np.ndarray, "image view height width 3"]
     """sRGB."""
