@@ -1,56 +1,95 @@
-"""Objects of a clip from the groups of its single images: those of one frame, followed through the others."""
+"""Objects of a clip from the affinities of all its images and from the motion of their parts.
+
+Groups of key frames are followed through the clip, some of them too coarse and some too fine. Parts that all of them
+leave whole are fragments. Fragments belong to one object if the network joins them on average over the clip, and if
+they move together.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64
-from sklearn.metrics import adjusted_rand_score
 
+from obpose.contact.fragments import Evidence, fragments_of, gather
+from obpose.contact.grouping import Pairs, group
+from obpose.contact.rigidity import divergences
 from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
 
 KEY_FRAMES = 5
-"""Number of frames, evenly spread, whose objects are followed."""
+"""Number of images, evenly spread, whose groups are followed."""
+FINER = 1.5
+"""Subtracted from the bias for the finer of the two groupings of key frames."""
+CAUTION = 0.5
+"""Subtracted from the bias for joining parts before motion is considered, and added to it afterwards: errors of single
+images cancel, so that fewer divisions are wrong."""
+TOGETHER, TEARING = 0.0015, 4000.0
+"""Excess residual in metres up to which fragments move together, and loss of attraction per metre beyond it."""
+MOST_TORN = 12.0
+"""Largest loss of attraction by different motion."""
 
 
-class Frame(NamedTuple):
+class Image(NamedTuple):
     """One image of a clip."""
 
     mask: Bool[np.ndarray, "height width"]
     """Foreground."""
-    groups: Int64[np.ndarray, "height width"]
-    """Objects of this image, from 1; 0 outside the mask."""
     points: Float[np.ndarray, "height width 3"]
     """Metres, in the same frame of reference for all images."""
     rgb: Float[np.ndarray, "height width 3"]
     """0 to 1."""
+    pairs: Pairs
+    """Affinities of foreground pixels."""
+    embedding: Float[np.ndarray, "pixel channel"]
+    """Embedding of each foreground pixel."""
+
+    def groups(self, bias: float) -> Int64[np.ndarray, "pixel"]:
+        """Label the objects of the foreground pixels, from 0, by this image alone."""
+        return group(self.pairs, self.embedding, bias=bias)
+
+    def label_map(self, labels: Int64[np.ndarray, "pixel"]) -> Int64[np.ndarray, "height width"]:
+        """Arrange labels of foreground pixels, from 0, as an image with labels from 1; 0 is the background."""
+        found = np.zeros(self.mask.shape, np.int64)
+        found[self.mask] = labels + 1
+        return found
 
 
-def segment_frames(images: Sequence[Frame], *, gap: float) -> Int64[np.ndarray, "frame height width"]:
-    """Follow the groups of several key frames, and keep the labels that agree best with the groups of all frames.
-
-    Agreement is the mean adjusted Rand index. Groups of single images err independently; a frame in which the objects
-    are clearly apart agrees with most of the others.
+def segment_clip(
+    images: Sequence[Image], *, bias: float, gap: float, views: int = 1
+) -> Int64[np.ndarray, "image height width"]:
+    """Label the objects of a clip.
 
     Args:
-        images: Images in the order of time.
+        images: Images in the order of time; those of one time, one per view, follow each other.
+        bias: Added to the logits of affinities in single images; larger values divide less.
         gap: Points that belong to no followed object start new ones, connected if at most so many metres apart.
+        views: Number of views.
 
     Returns:
         Labels from 1, one for an object over time; 0 outside the masks.
     """
+    seen = [index for index, image in enumerate(images) if image.mask.any()]
+    if len(seen) < 2:
+        return np.stack([image.label_map(image.groups(bias)) for image in images])
     clouds = [Cloud(image.points[image.mask], COLOUR_SCALE * image.rgb[image.mask]) for image in images]
-    groups = [image.groups[image.mask] for image in images]
-    seen = [frame for frame, cloud in enumerate(clouds) if len(cloud.points)]
-    labels = np.zeros((len(images), *images[0].mask.shape), np.int64)
-    if not seen:
-        return labels
     keys = np.unique(np.linspace(0, len(seen) - 1, min(KEY_FRAMES, len(seen))).round().astype(int))
-    candidates = [track(clouds, seen[key], groups[seen[key]] - 1, gap) for key in keys]
+    candidates = [
+        track(clouds, seen[key], images[seen[key]].groups(bias - finer), gap) for finer in (0, FINER) for key in keys
+    ]
+    # Join fragments that the network joins in most images.
+    labels, shared = fragments_of(candidates)
+    evidence = gather(labels, shared, [image.pairs for image in images])
+    labels, evidence = _join(labels, evidence, bias - CAUTION)
+    # Join larger parts unless they move apart.
+    excess = divergences(clouds, labels, views=views) - TOGETHER
+    torn = np.clip(TEARING * excess, 0, MOST_TORN)
+    labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + CAUTION)
+    return np.stack([image.label_map(found) for image, found in zip(images, labels, strict=True)])
 
-    def agreement(found: list[np.ndarray]) -> float:
-        return float(np.mean([adjusted_rand_score(groups[frame], found[frame]) for frame in seen]))
 
-    for frame, found in enumerate(max(candidates, key=agreement)):
-        labels[frame, images[frame].mask] = found + 1
-    return labels
+def _join(
+    labels: list[Int64[np.ndarray, "_"]], evidence: Evidence, bias: float
+) -> tuple[list[Int64[np.ndarray, "_"]], Evidence]:
+    """Join fragments, and their evidence."""
+    segments = evidence.segments(bias)
+    return [segments[found] for found in labels], evidence.joined(segments)

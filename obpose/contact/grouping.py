@@ -1,5 +1,7 @@
 """Grouping of an image's foreground pixels into objects, from affinities and embeddings."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Int64, Integer
 from scipy.spatial import KDTree
@@ -12,43 +14,52 @@ LEAST = 3
 """Segments of fewer pixels join the nearest larger one."""
 
 
-def group(
+class Pairs(NamedTuple):
+    """Pairs of foreground pixels of an image."""
+
+    pixels: Int64[np.ndarray, "2 pair"]
+    """The two pixels, numbered along the rows of the foreground."""
+    logits: Float[np.ndarray, "pair"]
+    """Logits of whether the two belong to the same object."""
+
+
+def foreground_pairs(
     mask: Bool[np.ndarray, "height width"],
     affinities: Float[np.ndarray, "offset height width"],
-    embedding: Float[np.ndarray, "channel height width"],
     *,
-    bias: float,
     scale: int = 1,
     components: Integer[np.ndarray, "height width"] | None = None,
-) -> Int64[np.ndarray, "height width"]:
-    """Label objects from 1 by average linkage of signed pixel pairs; 0 outside the mask.
+) -> Pairs:
+    """Collect the pairs of foreground pixels whose affinity is known.
 
     Args:
         mask: Foreground.
         affinities: Logits of whether a pixel and its partner at each of `offsets(scale)` belong to the same object.
-        embedding: Embedding of each pixel.
-        bias: Added to the logits; larger values divide less.
         scale: Width of the image in units of 64 pixels.
         components: Parts of the foreground that share no object; None: one part.
     """
-    labels = np.zeros(mask.shape, np.int64)
-    count = int(np.count_nonzero(mask))
-    if not count:
-        return labels
     index = np.full(mask.shape, -1)
-    index[mask] = np.arange(count)
-    pairs, attractions = [], []
+    index[mask] = np.arange(np.count_nonzero(mask))
+    pairs, logits = [], []
     for channel, offset in enumerate(offsets(scale)):
         here, there = shifted(mask.shape, offset)
         both = mask[here] & mask[there]
         if components is not None:
             both &= components[here] == components[there]
-        one, other = index[here][both], index[there][both]
-        pairs.append(np.stack([one, other]))
-        attractions.append(affinities[channel][here][both] + bias)
-    segments = average_linkage(count, np.hstack(pairs), np.hstack(attractions).astype(np.float64))
-    labels[mask] = _join_small(embedding[:, mask].T, segments) + 1
-    return labels
+        pairs.append(np.stack([index[here][both], index[there][both]]))
+        logits.append(affinities[channel][here][both])
+    return Pairs(np.hstack(pairs), np.hstack(logits).astype(np.float64))
+
+
+def group(pairs: Pairs, embedding: Float[np.ndarray, "pixel channel"], *, bias: float) -> Int64[np.ndarray, "pixel"]:
+    """Label the objects of an image, from 0, by average linkage of signed pixel pairs.
+
+    Args:
+        pairs: Pairs of foreground pixels.
+        embedding: Embedding of each foreground pixel.
+        bias: Added to the logits; larger values divide less.
+    """
+    return _join_small(embedding, average_linkage(len(embedding), pairs.pixels, pairs.logits + bias))
 
 
 def _join_small(

@@ -3,7 +3,7 @@
 A network gives every pixel of an image a foreground logit, an embedding, and affinities with its neighbours
 (`obpose.contact.network`). It is trained on pseudo-objects that were pasted next to each other
 (`obpose.contact.pasting`), without labels. At evaluation the pixels of each image are grouped by their affinities
-(`obpose.contact.grouping`), and the groups of the most consistent frame are followed through the clip
+(`obpose.contact.grouping`); over a clip, affinities of all images and the motion of parts decide
 (`obpose.contact.clip`).
 """
 
@@ -15,16 +15,18 @@ from einops import rearrange
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from obpose.contact.clip import Frame, segment_frames
+from obpose.contact.clip import Image as ClipImage
+from obpose.contact.clip import segment_clip
 from obpose.contact.components import image_components
 from obpose.contact.config import ContactConfig
-from obpose.contact.grouping import group
+from obpose.contact.grouping import foreground_pairs
 from obpose.contact.images import CHANNELS, Images, augmented, cropped, images_of
 from obpose.contact.losses import affinity_loss, embedding_loss, foreground_loss
 from obpose.contact.network import UNet
 from obpose.contact.offsets import OFFSETS
 from obpose.contact.pasting import PastedClips
 from obpose.data.clips import ClipSource
+from obpose.geometry import unproject
 from obpose.trainable import Trainable
 from obpose.types import Observation, PastedObservation, Segmentation
 
@@ -102,37 +104,46 @@ class ContactModel(Trainable):
 
         `attention` holds the groups of single images, whose labels differ between images.
         """
-        images, scale = self.images(observation), scale_of(observation)
-        outputs = self.outputs(images)
-        mask = ((outputs.foreground > 0) & images.valid).cpu().numpy()
-        arrays = zip(mask, outputs.affinities.cpu().numpy(), outputs.embedding.cpu().numpy(), strict=True)
-        settings = self.config.model
-        singles = np.stack(
-            [
-                group(*each, bias=settings.bias, scale=scale, components=parts)
-                for each, parts in zip(arrays, self._parts(images, mask), strict=True)
-            ]
-        )
         batch, frames, views = observation.depth.shape[:3]
-        clips = [rearrange(value, "(b i) h w -> b i h w", b=batch) for value in (mask, singles)]
-        points = rearrange(images.points.cpu().numpy(), "(b i) c h w -> b i h w c", b=batch)
-        colours = rearrange(images.rgb.cpu().numpy(), "(b i) c h w -> b i h w c", b=batch)
-        labels = [
-            segment_frames([Frame(*each) for each in zip(*clip, strict=True)], gap=self.config.model.gap)
-            for clip in zip(*clips, points, colours, strict=True)
-        ]
-        shape, device = "b (f v) h w -> b f v h w", observation.depth.device
+        bias, gap = self.config.model.bias, self.config.model.gap
+        images = self.clip_images(observation)
+        clips = [images[first : first + frames * views] for first in range(0, len(images), frames * views)]
+        labels = [segment_clip(clip, bias=bias, gap=gap, views=views) for clip in clips]
+        singles = [image.label_map(image.groups(bias)) for image in images]
         over_time, single = (
-            torch.from_numpy(rearrange(np.stack(value), shape, f=frames, v=views)).to(device)
-            for value in (labels, list(clips[1]))
+            torch.from_numpy(rearrange(value, "(b f v) h w -> b f v h w", b=batch, f=frames)).to(
+                observation.depth.device
+            )
+            for value in (np.concatenate(labels), np.stack(singles))
         )
         return Segmentation(labels=over_time, attention=single)
 
-    def _parts(self, images: Images, masks: Bool[np.ndarray, "image height width"]) -> list[np.ndarray] | list[None]:
+    @torch.no_grad()
+    def clip_images(self, observation: Observation) -> list[ClipImage]:
+        """Run the network, and prepare its outputs for inference: batch, then frame, then view."""
+        images, scale = self.images(observation), scale_of(observation)
+        outputs = self.outputs(images)
+        masks = ((outputs.foreground > 0) & images.valid).cpu().numpy()
+        embeddings = rearrange(outputs.embedding.cpu().numpy(), "i c h w -> i h w c")
+        points = rearrange(unproject(observation).cpu().numpy(), "b f v h w c -> (b f v) h w c")
+        colours = rearrange(images.rgb.cpu().numpy(), "i c h w -> i h w c")
+        pairs = [
+            foreground_pairs(mask, affinities, scale=scale, components=parts)
+            for mask, affinities, parts in zip(
+                masks, outputs.affinities.cpu().numpy(), self._parts(points, masks), strict=True
+            )
+        ]
+        return [
+            ClipImage(mask, place, colour, pair, embedding[mask])
+            for mask, place, colour, pair, embedding in zip(masks, points, colours, pairs, embeddings, strict=True)
+        ]
+
+    def _parts(
+        self, points: Float[np.ndarray, "image height width 3"], masks: Bool[np.ndarray, "image height width"]
+    ) -> list[np.ndarray] | list[None]:
         """Parts of the foreground of each image that are too far apart to share an object."""
         if (gap := self.config.model.division_gap) is None:
             return [None] * len(masks)
-        points = rearrange(images.points.cpu().numpy(), "i c h w -> i h w c")
         return [image_components(*each, gap=gap, least=1) for each in zip(points, masks, strict=True)]
 
 

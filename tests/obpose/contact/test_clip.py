@@ -1,27 +1,42 @@
 import numpy as np
 import pytest
+from sklearn.metrics import adjusted_rand_score
 
-from obpose.contact.clip import Frame, segment_frames
+from obpose.contact.clip import Image, segment_clip
+from obpose.contact.grouping import foreground_pairs
+from tests.obpose.contact.test_grouping import affinities
 from tests.worlds.sphere_clips import balls
 
+X = np.linspace(-0.15, 0.15, 6)
+HEIGHT = 0 * X + 0.045
 
-def frames(groups: dict[int, np.ndarray] | None = None) -> tuple[list[Frame], np.ndarray]:
-    """Two balls that pass each other, as images whose groups are the truth except where given."""
-    x = np.linspace(-0.15, 0.15, 6)
-    paths = np.stack(
-        [np.stack([x, 0 * x - 0.05, 0 * x + 0.045], -1), np.stack([-x, 0 * x + 0.05, 0 * x + 0.045], -1)], 1
-    )
-    clip, truth = balls(paths)
+
+def paths(*objects: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Centres of balls on the table, by frames and objects, from their x and y."""
+    return np.stack([np.stack([x, y, HEIGHT], -1) for x, y in objects], 1)
+
+
+PASSING = paths((X, 0 * X - 0.05), (-X, 0 * X + 0.05))
+
+
+def clip_of(centres: np.ndarray, wrong: dict[int, np.ndarray] | None = None) -> tuple[list[Image], np.ndarray]:
+    """Images of balls, and their objects; affinities follow the truth except in the frames of `wrong`."""
+    clip, truth = balls(centres)
     k, pose = clip.k[0], clip.world_from_camera[0]
     v, u = np.mgrid[: truth.shape[2], : truth.shape[3]] + 0.5
     rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones_like(u)], -1)
     points = (rays * clip.depth[:, 0, ..., None]) @ pose[:3, :3].T + pose[:3, 3]
     labels = truth[:, 0].astype(np.int64)
-    shown = {**dict(enumerate(labels)), **(groups or {})}
-    images = [
-        Frame(labels[frame] > 0, shown[frame], points[frame], clip.rgb[frame, 0] / 255) for frame in range(len(labels))
-    ]
+    believed = {**dict(enumerate(labels)), **(wrong or {})}
+    images = []
+    for frame, mask in enumerate(labels > 0):
+        pairs = foreground_pairs(mask, affinities(believed[frame], 2.0))
+        images.append(Image(mask, points[frame], clip.rgb[frame, 0] / 255, pairs, np.zeros((mask.sum(), 1))))
     return images, labels
+
+
+def segmented(images: list[Image], **options: int) -> np.ndarray:
+    return segment_clip(images, bias=0.0, gap=0.03, **options)
 
 
 def same(found: np.ndarray, truth: np.ndarray) -> bool:
@@ -30,28 +45,44 @@ def same(found: np.ndarray, truth: np.ndarray) -> bool:
     return pairs.shape[1] == len(np.unique(found)) == len(np.unique(truth))
 
 
-def test_objects_keep_their_labels_whatever_the_names_in_single_images():
-    _, truth = frames()
-    swapped = {frame: np.where(truth[frame] > 0, 3 - truth[frame], 0) for frame in (1, 4)}
-    images, truth = frames(swapped)
-    assert same(segment_frames(images, gap=0.03), truth)
+@pytest.mark.parametrize("bad", [(), (0,), (2, 3)])
+def test_errors_of_single_images_are_outvoted(bad: tuple[int, ...]):
+    _, truth = clip_of(PASSING)
+    images, truth = clip_of(PASSING, {frame: (truth[frame] > 0).astype(np.int64) for frame in bad})
+    assert same(segmented(images), truth)
 
 
-@pytest.mark.parametrize("bad", [0, 2])
-def test_errors_of_a_single_image_are_outvoted(bad: int):
-    _, truth = frames()
-    images, truth = frames({bad: (truth[bad] > 0).astype(np.int64)})
-    assert same(segment_frames(images, gap=0.03), truth)
+@pytest.mark.parametrize("rigid", [True, False])
+def test_motion_decides_where_the_network_is_undecided(rigid: bool):
+    # Two balls in contact in the image; they move as one body, or the second overtakes the first.
+    centres = paths((X if rigid else X / 2, 0 * X - 0.04), (X, 0 * X + 0.04))
+    images, truth = clip_of(centres)
+    undecided = [
+        image._replace(pairs=image.pairs._replace(logits=np.where(image.pairs.logits < 0, 0.1, image.pairs.logits)))
+        for image in images[1:]
+    ]
+    found, expected = segmented([images[0], *undecided]), truth > 0 if rigid else truth
+    assert len(np.unique(found)) == len(np.unique(expected))
+    assert adjusted_rand_score(found[truth > 0], expected[truth > 0]) > 0.95
+
+
+def test_views_of_the_same_time_are_no_motion():
+    images, truth = clip_of(PASSING)
+    doubled = [image for image in images for _ in range(2)]
+    assert same(segmented(doubled, views=2), np.repeat(truth, 2, axis=0))
 
 
 def test_a_clip_without_foreground_has_no_labels():
-    images, _ = frames()
-    empty = [image._replace(mask=np.zeros_like(image.mask)) for image in images]
-    assert not segment_frames(empty, gap=0.03).any()
+    images, _ = clip_of(PASSING)
+    empty = [clip_image._replace(mask=np.zeros_like(clip_image.mask)) for clip_image in images[:1]]
+    nothing = foreground_pairs(empty[0].mask, affinities(np.zeros((64, 64), int)))
+    assert not segmented([empty[0]._replace(pairs=nothing, embedding=np.zeros((0, 1)))] * 3).any()
 
 
 def test_empty_frames_are_skipped():
-    images, truth = frames()
-    images[0] = images[0]._replace(mask=np.zeros_like(images[0].mask))
+    images, truth = clip_of(PASSING)
+    mask = np.zeros_like(images[0].mask)
+    nothing = foreground_pairs(mask, affinities(np.zeros(mask.shape, int)))
+    images[0] = images[0]._replace(mask=mask, pairs=nothing, embedding=np.zeros((0, 1)))
     truth[0] = 0
-    assert same(segment_frames(images, gap=0.03), truth)
+    assert same(segmented(images), truth)

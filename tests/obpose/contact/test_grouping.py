@@ -3,7 +3,7 @@ import pytest
 from sklearn.metrics import adjusted_rand_score
 
 from obpose.contact.components import shifted
-from obpose.contact.grouping import LEAST, group
+from obpose.contact.grouping import LEAST, foreground_pairs, group
 from obpose.contact.offsets import OFFSETS, offsets
 
 
@@ -13,6 +13,17 @@ def affinities(truth: np.ndarray, strength: float = 4.0, scale: int = 1) -> np.n
         here, there = shifted(truth.shape, offset)
         logits[channel][here] = np.where(truth[here] == truth[there], strength, -strength)
     return logits
+
+
+def grouped(
+    truth: np.ndarray, logits: np.ndarray, *, bias: float = 0.0, embedding: np.ndarray | None = None, **options
+):
+    """Group the pixels of an image whose foreground is that of `truth`."""
+    mask = truth > 0
+    vectors = np.zeros((*truth.shape, 2)) if embedding is None else embedding
+    found = np.zeros(truth.shape, np.int64)
+    found[mask] = 1 + group(foreground_pairs(mask, logits, **options), vectors[mask], bias=bias)
+    return found
 
 
 def three(size: int = 24) -> np.ndarray:
@@ -25,7 +36,7 @@ def three(size: int = 24) -> np.ndarray:
 @pytest.mark.parametrize("scale", [1, 2])
 def test_true_affinities_give_the_objects(scale: int):
     truth = three()
-    found = group(truth > 0, affinities(truth, scale=scale), np.zeros((2, *truth.shape)), bias=0.0, scale=scale)
+    found = grouped(truth, affinities(truth, scale=scale), scale=scale)
     assert adjusted_rand_score(truth.ravel(), found.ravel()) == 1
     assert np.array_equal(found > 0, truth > 0)
     assert np.unique(found).tolist() == [0, 1, 2, 3]
@@ -34,30 +45,30 @@ def test_true_affinities_give_the_objects(scale: int):
 def test_noise_is_averaged_out():
     truth = three()
     noisy = affinities(truth, 2.0) + np.random.default_rng(0).normal(0, 1, (OFFSETS, *truth.shape))
-    found = group(truth > 0, noisy, np.zeros((2, *truth.shape)), bias=0.0)
+    found = grouped(truth, noisy)
     assert adjusted_rand_score(truth[truth > 0], found[truth > 0]) > 0.9
 
 
 def test_a_large_bias_joins_all_that_is_within_reach():
     truth = three()
-    assert group(truth > 0, affinities(truth), np.zeros((2, *truth.shape)), bias=9.0).max() == 1
+    assert grouped(truth, affinities(truth), bias=9.0).max() == 1
 
 
 def test_parts_share_no_object_whatever_the_affinities():
     truth = three()
     parts = np.where(truth == 1, 1, 2)
-    found = group(truth > 0, affinities(0 * truth), np.zeros((2, *truth.shape)), bias=0.0, components=parts)
+    found = grouped(truth, affinities(0 * truth), components=parts)
     assert adjusted_rand_score(parts[truth > 0], found[truth > 0]) == 1
 
 
 def test_specks_join_the_object_with_the_nearest_embedding():
     truth = three()
     truth[5, 4 : 4 + LEAST - 1] = 4
-    embedding = np.where(truth == 3, 0.0, np.where(truth == 4, 0.2, 5.0))[None]
-    found = group(truth > 0, affinities(truth), embedding, bias=0.0)
+    embedding = np.where(truth == 3, 0.0, np.where(truth == 4, 0.2, 5.0))[..., None]
+    found = grouped(truth, affinities(truth), embedding=embedding)
     assert np.unique(found[(truth == 4) | (truth == 3)]).size == 1
     assert found.max() == 3
 
 
 def test_an_empty_mask_has_no_groups():
-    assert not group(np.zeros((8, 8), bool), np.zeros((OFFSETS, 8, 8)), np.zeros((2, 8, 8)), bias=0.0).any()
+    assert not grouped(np.zeros((8, 8), int), np.zeros((OFFSETS, 8, 8))).any()

@@ -1,0 +1,46 @@
+import numpy as np
+
+from obpose.contact.fragments import MOST_FRAGMENTS, Evidence, fragments_of, gather
+from obpose.contact.grouping import Pairs
+from tests.obpose.contact.test_linkage import by_hand
+
+
+def test_fragments_are_what_no_labelling_divides():
+    labels, shared = fragments_of([[np.array([0, 0, 1]), np.array([1])], [np.array([0, 1, 1]), np.array([1])]])
+    assert [found.tolist() for found in labels] == [[0, 1, 2], [2]]
+    assert shared.tolist() == [[0, 0], [0, 1], [1, 1]]
+
+
+def test_the_smallest_of_too_many_fragments_join_similar_ones():
+    first = np.concatenate([np.repeat(np.arange(MOST_FRAGMENTS), 2), [7]])
+    second = np.concatenate([np.zeros(2 * MOST_FRAGMENTS, int), [1]])
+    (labels,), shared = fragments_of([[first], [second]])
+    assert len(shared) == MOST_FRAGMENTS
+    assert labels[-1] == labels[14]
+
+
+def test_evidence_is_the_mean_over_all_images():
+    shared = np.array([[0, 0], [0, 1]])
+    images = [Pairs(np.array([[0], [1]]), np.array([value])) for value in (3.0, -2.0)]
+    evidence = gather([np.array([0, 1]), np.array([1, 0])], shared, images)
+    # Two pairs of pixels with mean 0.5; the labellings disagree with each other.
+    assert evidence.weight[0, 1] * evidence.attraction[0, 1] == 1.0
+    assert np.array_equal(evidence.attraction, evidence.attraction.T)
+    assert evidence.segments(0.0).tolist() == [0, 0]
+    assert evidence.segments(-1.0).tolist() == [0, 1]
+
+
+def test_joined_evidence_is_that_of_the_members():
+    rng = np.random.default_rng(0)
+    weight, attraction = (value + value.T for value in np.triu(rng.uniform(0.5, 2, (2, 6, 6)), 1))
+    evidence = Evidence(attraction - 1, weight)
+    segments = np.array([0, 0, 1, 1, 2, 2])
+    joined = evidence.joined(segments)
+    between = np.ix_([0, 1], [2, 3])
+    assert np.isclose(joined.weight[0, 1], weight[between].sum())
+    assert np.isclose(joined.attraction[0, 1], np.average(attraction[between] - 1, weights=weight[between]))
+    # Equal weights: average linkage by its definition.
+    pairs = np.stack(np.nonzero(np.triu(np.ones((6, 6)), 1)))
+    found = Evidence(attraction - 2, np.ones((6, 6)) - np.eye(6)).segments(0.0)
+    expected = by_hand(6, pairs, attraction[tuple(pairs)] - 2)
+    assert np.array_equal(found[:, None] == found, expected[:, None] == expected)

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from obpose.contact.rigidity import divergences, register
+from obpose.contact.tracking import Cloud
+
+
+def box(seed: int, middle: float, count: int = 60) -> np.ndarray:
+    """Points in a box of 6 x 4 x 3 cm, metres."""
+    return np.random.default_rng(seed).uniform(-1, 1, (count, 3)) * [0.03, 0.02, 0.015] + [middle, 0, 0]
+
+
+def shift(time: float, aside: float = 0.0) -> np.ndarray:
+    return np.array([0.004 * time, aside, 0])
+
+
+def cloud(*parts: np.ndarray) -> Cloud:
+    points = np.concatenate(parts)
+    return Cloud(points, np.zeros_like(points))
+
+
+@pytest.mark.parametrize("degrees", [0, 5, 15])
+def test_registration_finds_rigid_motions(degrees: float):
+    points = box(0, 0.0)
+    rotation = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    motion = register(cloud(points), cloud(points @ rotation.T + [0.05, 0.01, 0]), None, rounds=20)
+    np.testing.assert_allclose(motion.moved(cloud(points)).points, points @ rotation.T + [0.05, 0.01, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.01, 0.02])
+def test_joint_residuals_grow_with_relative_motion(slip: float):
+    one, other = box(0, 0.0), box(1, 0.06)
+    frames = [cloud(one + shift(t), other + shift(t, slip * t)) for t in range(5)]
+    labels = [np.repeat([0, 1], 60)] * 5
+    found = divergences(frames, labels)
+    assert np.array_equal(found, found.T)
+    assert found[0, 1] < 1e-6 if slip == 0 else found[0, 1] > 0.003
+
+
+def test_parts_that_are_far_apart_or_seen_once_are_not_compared():
+    one, other = box(0, 0.0), box(1, 0.3)
+    far = [cloud(one, other + shift(0, 0.01 * t)) for t in range(4)]
+    assert not divergences(far, [np.repeat([0, 1], 60)] * 4).any()
+    once = [cloud(one), cloud(one, box(1, 0.06)), cloud(one)]
+    labels = [np.zeros(60, int), np.repeat([0, 1], 60), np.zeros(60, int)]
+    assert not divergences(once, labels).any()
