@@ -180,7 +180,7 @@ SYSTEMS: dict[str, System] = {
         {},
         DESCRIPTIONS["supervised"],
         ("background slot", "camera pose", "plane"),
-        version=3,
+        version=4,
         uses_labels=True,
     ),
     "obpose-contact": System(
@@ -188,6 +188,7 @@ SYSTEMS: dict[str, System] = {
         {},
         DESCRIPTIONS["obpose-contact"],
         ("background slot", "camera pose", "plane"),
+        version=2,
     ),
 }
 """Systems by the names of the benchmark's models and of `obpose-train --variant`."""

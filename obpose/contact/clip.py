@@ -20,7 +20,7 @@ KEY_FRAMES = 5
 """Number of images, evenly spread, whose groups are followed."""
 FINER = 1.5
 """Subtracted from the bias for the finer of the two groupings of key frames."""
-CAUTION = 0.5
+CAUTION = 0.75
 """Subtracted from the bias for joining parts before motion is considered, and added to it afterwards: errors of single
 images cancel, so that fewer divisions are wrong."""
 TOGETHER, TEARING = 0.0015, 4000.0

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int64
-from scipy.spatial import KDTree
+from scipy.spatial import cKDTree as KDTree
 
-from obpose.contact.tracking import LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, kabsch
+from obpose.contact.tracking import LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, kabsch, median
 
 STEPS = (1, 3)
 """Frames between which motion is measured."""
@@ -119,7 +119,7 @@ def _union(clouds: list[Cloud]) -> Cloud:
 
 
 def _visible(distances: Float[np.ndarray, "point"]) -> np.ndarray:
-    return distances <= max(OUTLIER_FACTOR * np.median(distances), LEAST_OUTLIER)
+    return distances <= max(OUTLIER_FACTOR * median(distances), LEAST_OUTLIER)
 
 
 def _residual(source: Cloud, target: Cloud, motion: Motion) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
+from scipy.spatial import cKDTree as KDTree
 
 LEAST_POINTS = 6
 """Components of fewer points are not objects."""
@@ -146,11 +146,17 @@ def register(
 def correspondences(model: Cloud, seen: Cloud, nearest: Int64[np.ndarray, "seen"]) -> Pairs:
     """Pairs of points of an object and of what is seen of it, in both directions, without its hidden points."""
     distances, back = KDTree(seen.features).query(model.features)
-    visible = distances < max(OUTLIER_FACTOR * np.median(distances), LEAST_OUTLIER)
+    visible = distances < max(OUTLIER_FACTOR * median(distances), LEAST_OUTLIER)
     return (
         np.concatenate([model.points[nearest], model.points[visible]]),
         np.concatenate([seen.points, seen.points[np.asarray(back)[visible]]]),
     )
+
+
+def median(values: Float[np.ndarray, "_"]) -> float:
+    """Median; ten times as fast as `numpy.median` for some dozen values."""
+    ordered, middle = np.sort(values), len(values) // 2
+    return float(ordered[middle] if len(values) % 2 else (ordered[middle - 1] + ordered[middle]) / 2)
 
 
 def move(points: Points, pairs: Pairs, *, turning: bool) -> Points:
