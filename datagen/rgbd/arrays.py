@@ -1,4 +1,4 @@
-"""Images in array files: NPY, EXR, and frames of NPZ files, whose paths are `FILE.npz/NAME` or `FILE.npz/NAME/NUMBER`."""
+"""Images in array files: NPY, EXR, and frames of NPZ files, with paths `FILE.npz/NAME` or `FILE.npz/NAME/NUMBER`."""
 
 from functools import lru_cache
 from pathlib import Path

@@ -99,7 +99,7 @@ def _folders(place: Path) -> FrameFiles | None:
     if not colour:
         return None
     found = paired(place, colour, _entry(place, DEPTH, DEPTH_ENDINGS), _entry(place, MASK, MASK_ENDINGS))
-    return replace(found, poses=pose_files(place, len(found.colour)))
+    return replace(found, poses=_pose_files(place, len(found.colour)))
 
 
 def _entry(folder: Path, names: Sequence[str], endings: Sequence[str]) -> list[Path]:
@@ -110,14 +110,30 @@ def _entry(folder: Path, names: Sequence[str], endings: Sequence[str]) -> list[P
     return [path for path in files if path.exists()][:1]
 
 
-def pose_files(folder: Path, images: int) -> list[Path]:
+def read_poses(path: Path, images: int) -> list[Pose]:
+    """Read world_from_camera from one file for all images, or from a folder with a file for each.
+
+    Raises:
+        UsageError: files are missing, hold no rigid pose, or differ in number from the images.
+        CorruptFile: one cannot be read.
+    """
+    if not path.is_dir():
+        return [read_pose(path)]
+    return [read_pose(each) for each in _pose_folder(path, images)]
+
+
+def _pose_files(folder: Path, images: int) -> list[Path]:
     """Find `world_from_camera.*`, or the files of `poses/`, one for each image."""
     single = [folder / f"world_from_camera{ending}" for ending in POSE_ENDINGS]
     if found := [path for path in single if path.exists()]:
         return found[:1]
-    poses = list_frames([folder / "poses"], POSE_ENDINGS, "In") if (folder / "poses").is_dir() else []
-    if poses and len(poses) != images:
-        raise UsageError(f"{folder / 'poses'} has {len(poses)} files for {images} images; expected one for each image.")
+    return _pose_folder(folder / "poses", images) if (folder / "poses").is_dir() else []
+
+
+def _pose_folder(folder: Path, images: int) -> list[Path]:
+    poses = list_frames([folder], POSE_ENDINGS, "In")
+    if len(poses) != images:
+        raise UsageError(f"{folder} has {len(poses)} files for {images} images; expected one for each image.")
     return poses
 
 
@@ -142,7 +158,7 @@ def _mixed(place: Path) -> FrameFiles | None:
                 raise UsageError(f"{path} has no {kind} beside it; expected one for each colour image.")
         chosen = [[files[name] for name in colour] for files in (colour, depth, masks) if files]
         found = FrameFiles(place, chosen[0], chosen[1], chosen[2] if masks else [])
-    return replace(found, poses=pose_files(place, len(found.colour)))
+    return replace(found, poses=_pose_files(place, len(found.colour)))
 
 
 def _listed(place: Path) -> FrameFiles:

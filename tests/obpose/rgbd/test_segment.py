@@ -7,6 +7,7 @@ from obpose.rgbd.frames import PreparedFrames, Trained, observe
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.segment import segment_frames
 from obpose.rgbd.workspace import find_workspace
+from obpose.rgbd.world import World
 from obpose.types import Observation
 from tests.worlds.sphere_clips import clip_and_truth
 
@@ -18,10 +19,10 @@ def world() -> tuple[PreparedFrames, np.ndarray]:
     """Two frames of spheres on a table, and the labels of their pixels."""
     clip, truth = clip_and_truth(frames=2, resolution=(160, 120))
     recording = Recording((Path("a.png"), Path("b.png")), clip.rgb[:, 0], clip.depth[:, 0], clip.k[0])
-    pose = clip.world_from_camera[0]
+    world = World(np.repeat(clip.world_from_camera, 2, axis=0), "")
     workspace = find_workspace(clip.points()[0, 0][clip.valid[0, 0]])
-    observation = observe(recording.every(EVERY), pose, workspace, Trained(0.01))
-    return PreparedFrames(recording, observation, pose, workspace, EVERY, "", ""), truth[:, 0]
+    observation = observe(recording.every(EVERY), world.poses, workspace, Trained(0.01))
+    return PreparedFrames(recording, observation, world, workspace, EVERY, ""), truth[:, 0]
 
 
 def knows(truth: np.ndarray):
@@ -76,10 +77,10 @@ def test_nothing_is_found_where_nothing_is_labelled(world: tuple[PreparedFrames,
 def test_pixels_outside_of_the_workspace_have_no_depth(world: tuple[PreparedFrames, np.ndarray]):
     frames, _ = world
     small = Trained(0.01, cube=((0.0, 0.0, 0.0), 0.2))
-    observation = observe(frames.recording, frames.pose, frames.workspace, small)
+    observation = observe(frames.recording, frames.world.poses, frames.workspace, small)
     assert (
         0
         < observation.valid.sum()
-        < observe(frames.recording, frames.pose, frames.workspace, Trained(0.01)).valid.sum()
+        < observe(frames.recording, frames.world.poses, frames.workspace, Trained(0.01)).valid.sum()
     )
     assert ((observation.depth > 0) == observation.valid).all()
