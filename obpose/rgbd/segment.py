@@ -51,8 +51,8 @@ def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarra
     images = []
     for frame, places in enumerate(points):
         still = frames.still(frame)
-        found = np.where(still.valid[0, 0, 0].numpy(), method(still)[0], 0)
-        images.append(Frame(found > 0, found.astype(np.int64), places, still.rgb[0, 0, 0].numpy()))
+        found = _largest(np.where(still.valid[:, 0, 0].numpy(), method(still), 0), MOST_OBJECTS)[0].astype(np.int64)
+        images.append(Frame(found > 0, found, places, still.rgb[0, 0, 0].numpy()))
     return follow_objects(images, gap=GAP)
 
 
