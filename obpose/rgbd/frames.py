@@ -14,7 +14,7 @@ from obpose.data.resolution import surface_spacing
 from obpose.errors import UsageError
 from obpose.rgbd.flags import Frames, parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.recording import Recording
-from obpose.rgbd.workspace import Workspace, doubts, find_workspace, rectangle
+from obpose.rgbd.workspace import UNSUPPORTED, Workspace, doubts, find_workspace, rectangle
 from obpose.rgbd.world import World, choose_world
 from obpose.systems import architecture_of
 from obpose.trainable import Configuration
@@ -107,7 +107,8 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
     shown = np.unique(np.linspace(0, len(recording.depth) - 1, _TABLE_FRAMES).round().astype(int))
     clouds = [unproject(recording.depth[i], recording.k, world.poses[i])[recording.depth[i] > 0] for i in shown]
     workspace = find_workspace(np.concatenate(clouds), world.table)
-    warnings = (*world.warnings, *doubts(clouds[0], workspace)) if world.table is None else ()
+    reasons = (*world.warnings, *doubts(clouds[0], workspace)) if world.table is None else ()
+    warnings = (*reasons, UNSUPPORTED) if reasons else ()
     if frames.workspace is not None:
         workspace = rectangle(parse_rectangle(frames.workspace), workspace.floor)
     first = replace(recording, rgb=recording.rgb[:1], depth=recording.depth[:1], poses=None)

@@ -106,7 +106,7 @@ def doubts(points: Float[np.ndarray, "point 3"], workspace: Workspace) -> tuple[
         found.append(f"Something rises beside {100 * share:.0f} % of the table's outline, as in a bin or a shelf.")
     if below > _MOST_BELOW:
         found.append(f"{100 * below:.0f} % of the points within the table's outline are below it, as in a bin.")
-    return tuple(f"{reason} {UNSUPPORTED}" for reason in found)
+    return tuple(found)
 
 
 def _rim_places(workspace: Workspace) -> Float[np.ndarray, "place 2"]:

@@ -11,7 +11,6 @@ from datagen.rgbd.plane import Plane
 from datagen.rgbd.table import find_table, is_wall, pose_over_table, table_points
 from obpose.errors import UsageError
 from obpose.rgbd.recording import Recording
-from obpose.rgbd.workspace import UNSUPPORTED
 
 GIVEN = "as given by the camera's pose"
 FITTED = (
@@ -22,7 +21,7 @@ FOUND = "the largest plane near the camera in the first frame"
 _MOST_TILT, _MOST_HEIGHT, _MOST_DISTANCE = 10.0, 0.02, 0.5
 """Largest tilt in degrees, height and distance from the middle in metres of the table in a given world. Models expect
 objects to stand on z = 0 and ignore everything below."""
-WALL = f"The largest plane faces down or sideways in the image, as a wall does. {UNSUPPORTED}"
+WALL = "The largest plane faces down or sideways in the image, as a wall does."
 
 
 @dataclass(frozen=True, eq=False)
