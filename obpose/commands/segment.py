@@ -5,12 +5,14 @@ obpose-segment --rgb a.png --depth a_depth.png --intrinsics 525,525,320,240
 obpose-segment recording/ --video
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from datagen.console.command_line import Command, run_command
@@ -21,11 +23,16 @@ from obpose.rgbd.frames import PreparedFrames, prepare_frames
 from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
 from obpose.rgbd.segment import MOST_OBJECTS, UNTRAINED, Method, segment_frames
 from obpose.rgbd.weights import DEFAULT, method_of
+from obpose.rgbd.world import World
 
 PROGRAM = "obpose-segment"
 FindMethod = Callable[[str, int], Method]
 """Function that finds a method without training by name, for so many objects; raises UsageError if there is none."""
 AUTO = "auto"
+UNTRAINED_CHOICE = "plane-hdbscan"
+FARTHEST, LOWEST = 1.65, 21.0
+"""Greatest distance (metres) and least elevation (degrees) of cameras for which `auto` takes the weights. The recipe
+`desk`, on which they were trained, has 0.5 to 1.3 m and 25 to 85 degrees; docs/own_frames.md has scores beyond."""
 OBJECTS = 16
 """Most objects that are looked for if the user does not say."""
 
@@ -99,14 +106,30 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
 
 def _prepared(values: Arguments, find_method: FindMethod, most: int) -> tuple[str, Method, PreparedFrames]:
     """Name and function of the chosen method, and the frames as it needs them."""
+    if values.method == AUTO and values.checkpoint is None:
+        method, trained = method_of(DEFAULT, most)
+        frames = prepare_frames(values, trained)
+        if not (unlike := _unlike_training(frames.world)):
+            return f"weights {DEFAULT}, chosen because the camera is as in their training", method, frames
+        name = f"{UNTRAINED_CHOICE}, without training, chosen because {unlike} the weights were trained for"
+        return name, find_method(UNTRAINED_CHOICE, most), prepare_frames(values, UNTRAINED)
     if values.method != AUTO:
         if values.checkpoint is not None:
             raise UsageError("--method and --checkpoint exclude each other; give one of them.")
         method = find_method(values.method, most)
         return f"{values.method}, without training", method, prepare_frames(values, UNTRAINED)
-    checkpoint = values.checkpoint or DEFAULT
-    method, trained = method_of(checkpoint, most)
-    return f"weights {checkpoint}", method, prepare_frames(values, trained)
+    assert values.checkpoint is not None
+    method, trained = method_of(values.checkpoint, most)
+    return f"weights {values.checkpoint}", method, prepare_frames(values, trained)
+
+
+def _unlike_training(world: World) -> str:
+    """Say how the first camera differs from those of the training; empty if it does not."""
+    distance = float(np.linalg.norm(world.poses[0, :3, 3]))
+    elevation = math.degrees(math.asin(min(1.0, float(world.poses[0, 2, 3]) / distance)))
+    if distance > FARTHEST:
+        return f"the camera is {distance:.1f} m away, farther than"
+    return f"the camera is {elevation:.0f} degrees above the table, lower than" if elevation < LOWEST else ""
 
 
 def _print_objects(frames: PreparedFrames, objects: list) -> None:

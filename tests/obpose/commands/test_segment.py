@@ -8,11 +8,12 @@ import torch
 from PIL import Image
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
-from datagen.geometry import pixel_rays
-from obpose.commands.segment import DEFAULT, main
+from datagen.geometry import look_at, pixel_rays
+from obpose.commands.segment import DEFAULT, Arguments, _prepared, _unlike_training, main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
+from obpose.rgbd.world import World
 from obpose.storage.checkpoint import save_model
 from obpose.systems import find_system
 from obpose.types import Observation
@@ -139,9 +140,31 @@ def test_the_workspace_can_be_given(scene: Path, tmp_path: Path):
     assert run(scene, tmp_path / "near", *pose, "--depth-max", 0.01, **flags) == EXIT_USAGE
 
 
-def test_the_default_weights_are_shipped(scene: Path, tmp_path: Path):
-    assert run(scene, tmp_path / "out", checkpoint=None) == EXIT_OK
-    assert facts_of(tmp_path / "out")["method"] == f"weights {DEFAULT}"
+def test_the_choice_depends_on_the_camera_and_is_named(scene: Path, tmp_path: Path):
+    def chosen(name: str, pose: np.ndarray) -> str:
+        method, _, _ = _prepared(Arguments(**files, camera_pose=save(name, pose)), find_method, 16)
+        return method
+
+    def save(name: str, pose: np.ndarray) -> Path:
+        np.savetxt(tmp_path / name, pose)
+        return tmp_path / name
+
+    places = {"rgb": (scene / "rgb",), "depth": (scene / "depth",)}
+    files = {**places, "intrinsics": (scene / "intrinsics").read_text()}
+    assert chosen("near", np.loadtxt(scene / "pose.txt")).startswith(f"weights {DEFAULT}, chosen because")
+    for position, said in (((2.0, 0.0, 2.0), "2.8 m away, farther"), ((1.0, 0.0, 0.2), "11 degrees above the table")):
+        pose = look_at(np.array(position), np.zeros(3))
+        assert said in _unlike_training(World(pose[None], ""))
+
+
+def test_weights_of_obpose_look_for_more_objects_than_in_training(scene: Path, tmp_path: Path):
+    counts = []
+    for number in (1, 3):
+        assert run(scene, tmp_path / str(number), "--objects", number) == EXIT_OK
+        counts.append(labels_of(tmp_path / str(number)).max())
+        full = any("As many objects were found" in warning for warning in facts_of(tmp_path / str(number))["warnings"])
+        assert full == (counts[-1] == number)
+    assert counts == [1, 3]
 
 
 @pytest.mark.parametrize(
