@@ -13,8 +13,9 @@ from obpose.commands.segment import DEFAULT, Arguments, _prepared, _unlike_train
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
+from obpose.rgbd.weights import method_of
 from obpose.rgbd.world import World
-from obpose.storage.checkpoint import save_model
+from obpose.storage.checkpoint import load, save_model
 from obpose.systems import find_system
 from obpose.types import Observation
 from tests.worlds.sphere_clips import clip_and_truth
@@ -157,14 +158,18 @@ def test_the_choice_depends_on_the_camera_and_is_named(scene: Path, tmp_path: Pa
         assert said in _unlike_training(World(pose[None], ""))
 
 
-def test_weights_of_obpose_look_for_more_objects_than_in_training(scene: Path, tmp_path: Path):
-    counts = []
-    for number in (1, 3):
-        assert run(scene, tmp_path / str(number), "--objects", number) == EXIT_OK
-        counts.append(labels_of(tmp_path / str(number)).max())
-        full = any("As many objects were found" in warning for warning in facts_of(tmp_path / str(number))["warnings"])
-        assert full == (counts[-1] == number)
-    assert counts == [1, 3]
+def test_weights_of_obpose_look_for_as_many_objects_as_wanted(scene: Path):
+    assert load(scene / "model")[0].attention.slots == 2
+    method, _ = method_of(scene / "model", 5)
+    assert method.args[0].attention.slots == 5
+
+
+def test_a_full_number_of_objects_is_reported(scene: Path, tmp_path: Path, capsys):
+    flags = {"checkpoint": None, "method": "one-object"}
+    for number in (1, 2):
+        assert run(scene, tmp_path / str(number), "--objects", number, **flags) == EXIT_OK
+        said = "Warning: As many objects were found as were looked for, 1" in capsys.readouterr().out
+        assert said == bool(facts_of(tmp_path / str(number))["warnings"]) == (number == 1)
 
 
 @pytest.mark.parametrize(
