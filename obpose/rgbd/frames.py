@@ -107,7 +107,7 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
     shown = np.unique(np.linspace(0, len(recording.depth) - 1, _TABLE_FRAMES).round().astype(int))
     clouds = [unproject(recording.depth[i], recording.k, world.poses[i])[recording.depth[i] > 0] for i in shown]
     workspace = find_workspace(np.concatenate(clouds), world.table)
-    reasons = (*world.warnings, *doubts(clouds[0], workspace)) if world.table is None else ()
+    reasons = (*world.warnings, *doubts(clouds[0], workspace, world.poses[0, :3, 3])) if world.table is None else ()
     warnings = (*reasons, UNSUPPORTED) if reasons else ()
     if frames.workspace is not None:
         workspace = rectangle(parse_rectangle(frames.workspace), workspace.floor)

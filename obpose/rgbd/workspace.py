@@ -88,24 +88,29 @@ def find_workspace(points: Float[np.ndarray, "point 3"], at: Float[np.ndarray, "
     return Workspace(outline, float(np.clip(FLOOR_NOISE * spread, LEAST_FLOOR, MOST_FLOOR)))
 
 
-def doubts(points: Float[np.ndarray, "point 3"], workspace: Workspace) -> tuple[str, ...]:
-    """Say why the table is probably none: it has walls around it, or parts of the scene are seen below it.
+def doubts(
+    points: Float[np.ndarray, "point 3"], workspace: Workspace, camera: Float[np.ndarray, "3"]
+) -> tuple[str, ...]:
+    """Say why the table is probably none: it has walls around it, or parts of the scene are seen through it.
 
     Args:
         points: World frame, metres.
         workspace: The visible part of the table.
+        camera: Position of the camera, world frame, metres.
     """
     inner = replace(workspace, rim=-_INSIDE)
     within = inner.holds(points * (1, 1, 0))
     walls = points[(points[:, 2] > _WALL_HEIGHT) & ~within]
     share = float(np.mean(KDTree(walls[:, :2]).query(_rim_places(workspace))[0] < _BESIDE)) if len(walls) else 0.0
-    heights = points[within & (np.abs(points[:, 2]) < CEILING), 2]
-    below = float(np.mean(heights < -_INSIDE)) if len(heights) else 0.0
+    low = points[(points[:, 2] < -_INSIDE) & (points[:, 2] > -CEILING)]
+    crossed = camera + (low - camera) * (camera[2] / (camera[2] - low[:, 2:]))
+    through = int(inner.holds(crossed * (1, 1, 0)).sum())
+    below = through / max(1, through + int((within & (points[:, 2] > -_INSIDE)).sum()))
     found = []
     if share > _MOST_WALLED:
         found.append(f"Something rises beside {100 * share:.0f} % of the table's outline, as in a bin or a shelf.")
     if below > _MOST_BELOW:
-        found.append(f"{100 * below:.0f} % of the points within the table's outline are below it, as in a bin.")
+        found.append(f"{100 * below:.0f} % of what is seen within the table's outline is below it, as in a bin.")
     return tuple(found)
 
 

@@ -28,7 +28,7 @@ def recording(boxes: list[Box], position: tuple[float, ...], **changes) -> tuple
 
 def reasons(frame: Recording, world: World) -> list[str]:
     points = unproject(frame.depth[0], K, world.poses[0])[frame.depth[0] > 0]
-    return [*world.warnings, *doubts(points, find_workspace(points))]
+    return [*world.warnings, *doubts(points, find_workspace(points), world.poses[0, :3, 3])]
 
 
 def is_on_table(world: World, pose: np.ndarray) -> bool:
@@ -71,6 +71,15 @@ def test_bins_shelves_and_walls_are_reported(boxes: list[Box], position, target,
     found = reasons(frame, choose_world(frame, None, CENTER))
     assert found
     assert said in found[0]
+
+
+def test_the_floor_that_is_seen_under_a_table_makes_no_bin_of_it():
+    stool: Box = ((-0.3, -0.4, -0.02), (0.3, 0.4, 0))
+    ground: Box = ((-4, -4, -0.45), (4, 4, -0.4))
+    frame, pose = recording([stool, ground, *THINGS], (0.8, 0.2, 0.7))
+    world = choose_world(frame, None, CENTER)
+    assert is_on_table(world, pose)
+    assert reasons(frame, world) == []
 
 
 def test_the_user_can_name_the_table():
