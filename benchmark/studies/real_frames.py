@@ -1,7 +1,7 @@
 """How well are a user's own frames segmented, with weights and with methods without training?"""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import nan
 from pathlib import Path
@@ -12,7 +12,7 @@ import tyro
 
 from benchmark.commands.segment import find_method
 from benchmark.metrics import score
-from benchmark.ranking.leaderboard import Line
+from benchmark.ranking.leaderboard import Cell, Line
 from benchmark.studies.inputs import TableFlags
 from datagen.errors import DatagenError, UsageError
 from datagen.rgbd.camera_file import CAMERA, read_camera
@@ -65,9 +65,13 @@ def run(flags: Flags) -> Iterator[Line]:
             yield lines[-1]
     for masks, name in itertools.product(("ground truth", "predicted"), found):
         rows = [line for line in lines if (line["masks"], line["method"]) == (masks, Path(name).name)]
-        scores = {metric: float(np.nanmean([row[metric] for row in rows])) for metric in METRICS if rows}
         if rows:
-            yield {**rows[0], "frame": f"mean of {len(rows)}", "objects": nan, "note": "", **scores}
+            means: Line = {metric: _mean([row[metric] for row in rows]) for metric in METRICS}
+            yield {**rows[0], "frame": f"mean of {len(rows)}", "objects": nan, "note": "", **means}
+
+
+def _mean(values: Sequence[Cell]) -> float:
+    return float(np.nanmean(np.array(values, np.float64)))
 
 
 def _segmented(folder: Path, name: str, method: Method, trained: Trained, pictures: Path | None) -> Line:
@@ -88,11 +92,12 @@ def _segmented(folder: Path, name: str, method: Method, trained: Trained, pictur
         objects = objects_of(labels[0], frames.points(0))
         picture = overlay(frames.recording.rgb[0], labels[0], objects, frames, 0)
         write_png(pictures / f"{folder.name}--{line['method']}.png", picture)
-    scores = dict.fromkeys(METRICS, nan) if line["masks"] == "none" else _scores(truth, labels[0])
+    scores: Line = dict.fromkeys(METRICS, nan) if line["masks"] == "none" else _scores(truth, labels[0])
     return {**line, "objects": int(labels.max()), **scores, "note": " ".join(frames.warnings)}
 
 
 def _scores(truth: np.ndarray, labels: np.ndarray) -> Line:
     found = score(truth[None], labels[None].astype(np.int64), 0)
     sizes, hits = (np.bincount(values.ravel(), minlength=256)[1:] for values in (labels, labels[truth > 0]))
-    return {**{name: float(found[name]) for name in METRICS[:3]}, "false_objects": int(np.sum(hits < FALSE * sizes))}
+    scores: Line = {name: float(found[name]) for name in METRICS[:3]}
+    return scores | {"false_objects": int(np.sum(hits < FALSE * sizes))}

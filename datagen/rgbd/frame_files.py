@@ -87,12 +87,11 @@ def nearest_times(times: Sequence[float], others: Sequence[float]) -> list[int |
     Pairs are at most half the median interval of `times` apart.
     """
     own, other = (np.array(values, np.float64)[:, None] for values in (times, others))
-    distance, near = KDTree(other).query(own)
-    back = KDTree(own).query(other)[1]
+    distance, near = (np.asarray(found) for found in KDTree(other).query(own))
+    back = np.asarray(KDTree(own).query(other)[1])
     most = np.median(np.diff(np.sort(own[:, 0]))) / 2 if len(own) > 1 else np.inf
-    return [
-        int(place) if back[place] == number and distance[number] <= most else None for number, place in enumerate(near)
-    ]
+    mutual = (back[near] == np.arange(len(own))) & (distance <= most)
+    return [int(place) if paired else None for place, paired in zip(near, mutual, strict=True)]
 
 
 def _times(paths: Sequence[Path]) -> list[float] | None:

@@ -89,8 +89,8 @@ def paired(place: Path, colour: list[Path], depth: list[Path], masks: list[Path]
     kept = [row for row in zip(colour, partners, labels, strict=True) if row[1] and (row[2] or not masks)]
     if not kept:
         raise UsageError(f"{place}: no colour image has a depth image of about the same time.")
-    lists = [[path for path in column if path] for column in zip(*kept, strict=True)]
-    return FrameFiles(place, *lists, left_out=len(colour) - len(kept))
+    images, depths, labelled = ([path for path in column if path] for column in zip(*kept, strict=True))
+    return FrameFiles(place, images, depths, labelled, left_out=len(colour) - len(kept))
 
 
 def _folders(place: Path) -> FrameFiles | None:
@@ -169,13 +169,17 @@ def _listed(place: Path) -> FrameFiles:
     path = place / "groundtruth.txt"
     known = _rows(path, 8) if path.exists() else []
     placed = nearest_times(times, [time for time, *_ in known]) if known else [0] * len(times)
-    rows = [row for row in zip(colour, partners, placed, strict=True) if row[1] is not None and row[2] is not None]
+    rows = [
+        (image[1], depth[partner][1], pose)
+        for image, partner, pose in zip(colour, partners, placed, strict=True)
+        if partner is not None and pose is not None
+    ]
     if not rows:
         raise UsageError(f"{place}: no image of rgb.txt has a depth image of about the same time in depth.txt.")
     return FrameFiles(
         place,
-        colour=[place / image[1] for image, _, _ in rows],
-        depth=[place / depth[partner][1] for _, partner, _ in rows],
+        colour=[place / image for image, _, _ in rows],
+        depth=[place / partner for _, partner, _ in rows],
         masks=[],
         poses=[_trajectory_pose(known[pose], path) for _, _, pose in rows] if known else [],
         depth_scale=TUM_SCALE,
