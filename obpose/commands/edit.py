@@ -99,6 +99,8 @@ def _infer(values: Infer) -> None:
         if frames.moves:
             raise UsageError("The camera moves in these frames; expected frames of a static camera, or a single one.")
         print(f"World: {frames.world.note}.\nResolution: {frames.resolution}.")
+        for warning in frames.warnings:
+            print(f"Warning: {warning}")
         labels = None if values.masks == OWN else segment_reduced(values.masks or DEFAULT, values, frames)
         scene = infer_scene(origin, frames.observation, refinements=values.refine, labels=labels)
         for name in objects_outside(scene, origin.model):
