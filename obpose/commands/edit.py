@@ -77,7 +77,7 @@ def _infer(values: Infer) -> None:
     framed = any((values.source, values.rgb, values.depth, values.intrinsics, values.camera_pose))
     if framed == (values.data is not None):
         raise UsageError(
-            "Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own, or their folder."
+            "Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own, or a folder."
         )
     if not 0 <= values.refine <= MOST_REFINEMENTS:
         raise UsageError(f"--refine {values.refine}: expected 0 to {MOST_REFINEMENTS}.")
