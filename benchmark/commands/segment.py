@@ -15,8 +15,8 @@ def main() -> int:
     return start("obpose-segment", "obpose.commands.segment", find_method=find_method)
 
 
-def find_method(name: str) -> "Method":
-    """Find a model without training by name, with its default options.
+def find_method(name: str, objects: int = 16) -> "Method":
+    """Find a model without training by name, with its default options, for at most so many objects.
 
     Raises:
         UsageError: there is none.
@@ -35,7 +35,7 @@ def find_method(name: str) -> "Method":
             key: getattr(observation, key)[0].numpy() for key in ("rgb", "depth", "valid", "k", "world_from_camera")
         }
         clip = Clip(**{**arrays, "rgb": (255 * arrays["rgb"]).round().astype("uint8")})
-        segmenter = spec.build({"slots": 17, **spec.default})
+        segmenter = spec.build({"slots": objects + 1, **spec.default})
         segmenter.fit([], [], seed=0, budget=0.0)
         prediction = segmenter.segment(clip)
         labels = prediction.labels + 1

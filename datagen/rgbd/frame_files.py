@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 
+import numpy as np
+from scipy.spatial import KDTree
+
 from datagen.errors import UsageError
 
 _SIGN = r"(?:(?<![^\W_])(?<!-)[-+])?"
@@ -16,6 +19,9 @@ _EXPONENT = r"(?:[eE][-+][0-9]{1,3}(?![^\W_]))?"
 """Optional exponent, always with a sign, as Python prints it: 1e-05."""
 _NUMBER = re.compile(f"({_SIGN}(?:{_DECIMAL}|{_INTEGER}){_EXPONENT})")
 _SIGNED_INTEGER = re.compile(f"({_SIGN}{_INTEGER})")
+
+_STAMP = re.compile(r"(?<![0-9.])[0-9]{9,19}(?:\.[0-9]+)?(?![0-9.])")
+"""Time since 1970 in a unit between seconds and nanoseconds."""
 
 _Key = tuple[str | Decimal, ...]
 """Sort key: alternating text and numbers of a file name, starting with text."""
@@ -52,6 +58,46 @@ def sort_frames(paths: Sequence[Path]) -> list[Path]:
     """
     split = _splitter(paths)
     return sorted(paths, key=lambda path: (_key(path, split), path.name))
+
+
+def pair_frames(colours: Sequence[Path], partners: Sequence[Path], kind: str, place: Path) -> list[Path | None]:
+    """Find the partner of each colour image: by time if all names are time stamps, otherwise in order.
+
+    Images without a partner of about their time get None. `kind` names the partners in messages.
+
+    Raises:
+        UsageError: the numbers of images differ, or as `check_pairs`.
+    """
+    times, others = _times(colours), _times(partners)
+    if times and others:
+        return [None if near is None else partners[near] for near in nearest_times(times, others)]
+    if len(colours) != len(partners):
+        raise UsageError(
+            f"{place} has {len(colours)} colour images but {len(partners)} {kind}; expected one for each. Add the "
+            "missing ones, or remove the images without a partner."
+        )
+    if len(colours) > 1:
+        check_pairs(colours, partners)
+    return list(partners)
+
+
+def nearest_times(times: Sequence[float], others: Sequence[float]) -> list[int | None]:
+    """Find the other time that is nearest to each time; None where that is nearer to another one of `times`.
+
+    Pairs are at most half the median interval of `times` apart.
+    """
+    own, other = (np.array(values, np.float64)[:, None] for values in (times, others))
+    distance, near = (np.asarray(found) for found in KDTree(other).query(own))
+    back = np.asarray(KDTree(own).query(other)[1])
+    most = np.median(np.diff(np.sort(own[:, 0]))) / 2 if len(own) > 1 else np.inf
+    mutual = (back[near] == np.arange(len(own))) & (distance <= most)
+    return [int(place) if paired else None for place, paired in zip(near, mutual, strict=True)]
+
+
+def _times(paths: Sequence[Path]) -> list[float] | None:
+    """Times in the names of files; None if a name has none."""
+    found = [_STAMP.findall(path.stem) for path in paths]
+    return [float(each[0]) for each in found] if all(len(each) == 1 for each in found) else None
 
 
 def check_pairs(colours: Sequence[Path], depths: Sequence[Path]) -> None:

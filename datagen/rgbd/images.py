@@ -10,7 +10,8 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from datagen.errors import UsageError
-from datagen.storage.safe_io import npy_shape, open_image, read_npy
+from datagen.rgbd.arrays import array_header, is_array, read_array
+from datagen.storage.safe_io import open_image
 
 Size = tuple[int, int]
 """Width and height in pixels."""
@@ -32,6 +33,13 @@ def colour_size(path: Path) -> Size:
         UsageError: it is no upright 8-bit or 16-bit colour image with one page.
         CorruptFile: it is damaged, of another format, or too large.
     """
+    if is_array(path):
+        shape, dtype = array_header(path)
+        if len(shape) != 3 or shape[2] != 3 or dtype != np.uint8:
+            raise UsageError(
+                f"{path} holds no colours: shape {shape}, type {dtype}; expected height, width, 3 of uint8."
+            )
+        return shape[1], shape[0]
     with open_image(path) as image:
         if _is_depth(image):
             raise UsageError(f"{path} is no colour image (mode {image.mode}); are colour and depth swapped?")
@@ -42,14 +50,14 @@ def colour_size(path: Path) -> Size:
 
 
 def depth_size(path: Path) -> Size:
-    """Read the size of a depth image or NPY array from its header.
+    """Read the size of a depth image or array from its header.
 
     Raises:
         UsageError: it is no upright image with one page and one channel of 16 bits or floats, or no 2D number array.
         CorruptFile: it is damaged, of another format, or too large.
     """
-    if _is_array(path):
-        shape, dtype = npy_shape(path)
+    if is_array(path):
+        shape, dtype = array_header(path)
         shape = shape[:2] if len(shape) == 3 and shape[2] == 1 else shape
         if len(shape) != 2 or dtype.kind not in "uif":
             raise UsageError(
@@ -68,6 +76,8 @@ def depth_size(path: Path) -> Size:
 
 def read_colour(path: Path) -> UInt8[np.ndarray, "height width 3"]:
     """Read a colour image as sRGB; raises as `colour_size`, and UsageError if parts of it are transparent."""
+    if is_array(path):
+        return read_array(path)
     with open_image(path) as image:
         image.load()
         _check_orientation(image, path)
@@ -103,14 +113,10 @@ def read_depth(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
 
 def holds_floats(path: Path) -> bool:
     """Whether a depth image or array holds floats; raises as `depth_size`."""
-    if _is_array(path):
-        return npy_shape(path)[1].kind == "f"
+    if is_array(path):
+        return array_header(path)[1].kind == "f"
     with open_image(path) as image:
         return image.mode.startswith("F")
-
-
-def _is_array(path: Path) -> bool:
-    return path.suffix.lower() == ".npy"
 
 
 def _is_depth(image: Image.Image) -> bool:
@@ -119,8 +125,8 @@ def _is_depth(image: Image.Image) -> bool:
 
 def _read_values(path: Path) -> tuple[np.ndarray, np.dtype]:
     """Read values and their stored type; Pillow widens signed 16-bit integers."""
-    if _is_array(path):
-        values = read_npy(path)
+    if is_array(path):
+        values = read_array(path)
         return (values[..., 0] if values.ndim == 3 else values), values.dtype
     with open_image(path) as image:
         tags = getattr(image, "tag_v2", {})

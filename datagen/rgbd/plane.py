@@ -54,9 +54,13 @@ def fit_plane(points: Float[np.ndarray, "point 3"], rng: np.random.Generator) ->
     best = int(np.argmax(votes))
     if votes[best] == 0:
         return None
-    plane = Plane(normals[best], float(offsets[best] + normals[best] @ center), TOLERANCE)
+    return refine_plane(Plane(normals[best], float(offsets[best] + normals[best] @ center), TOLERANCE), sample)
+
+
+def refine_plane(plane: Plane, points: Float[np.ndarray, "point 3"]) -> Plane:
+    """Fit a plane to those of the points that are near it."""
     for _ in range(REFINEMENTS):
-        plane = _refine(plane, sample)
+        plane = _refine(plane, points)
     return plane
 
 

@@ -509,3 +509,44 @@ def open_image(path: Path, formats: Sequence[str] = ("PNG", "JPEG", "TIFF")) -> 
         raise
     except _IMAGE_ERRORS as error:
         raise CorruptFile(f"{path} is damaged or no image ({brief_reason(error)}).") from None
+
+
+def exr_header(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of the depth in an EXR image from its header; raises as `read_exr`."""
+    corners = _open_exr(path, header_only=True).header()["dataWindow"]
+    width, height = (int(side) for side in corners[1] - corners[0] + 1)
+    if not 0 < width * height <= MOST_IMAGE_PIXELS:
+        raise CorruptFile(
+            f"{path} has {width} x {height} pixels; expected 1 to {MOST_IMAGE_PIXELS:,}. Make it smaller."
+        )
+    return (height, width), np.dtype(np.float32)
+
+
+def read_exr(path: Path) -> np.ndarray:
+    """Read the depth of an EXR image: channel Z, the only channel, or the first of three equal ones.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        UsageError: it is no regular file, or the package `OpenEXR` is missing.
+        CorruptFile: it is damaged, too large, or has several channels of which none is called Z.
+    """
+    exr_header(path)
+    channels = {name: channel.pixels for name, channel in _open_exr(path, header_only=False).channels().items()}
+    values = channels["Z"] if "Z" in channels else next(iter(channels.values()), None)
+    if values is None or not ("Z" in channels or len(channels) == 1) or values.dtype.kind not in "uif":
+        raise CorruptFile(f"{path} has the channels {', '.join(channels)}; expected depth in one channel, such as Z.")
+    return (values if values.ndim == 2 else values[..., 0]).astype(np.float32)
+
+
+def _open_exr(path: Path, *, header_only: bool) -> Any:
+    check_file(path, 16 * MOST_IMAGE_PIXELS)
+    try:
+        import OpenEXR
+    except ImportError:
+        raise UsageError(
+            f"{path}: EXR images need the package OpenEXR; install it with `pip install OpenEXR`."
+        ) from None
+    try:
+        return OpenEXR.File(str(path), header_only=header_only)
+    except (*_NPY_ERRORS, *_IMAGE_ERRORS) as error:
+        raise CorruptFile(f"{path} is damaged or no EXR image ({brief_reason(error)}).") from None

@@ -74,9 +74,11 @@ OWN = "own"
 
 
 def _infer(values: Infer) -> None:
-    framed = any((values.rgb, values.depth, values.intrinsics, values.camera_pose))
+    framed = any((values.source, values.rgb, values.depth, values.intrinsics, values.camera_pose))
     if framed == (values.data is not None):
-        raise UsageError("Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own.")
+        raise UsageError(
+            "Say what to infer from: either --data DIR, or --rgb, --depth and --intrinsics of your own, or a folder."
+        )
     if not 0 <= values.refine <= MOST_REFINEMENTS:
         raise UsageError(f"--refine {values.refine}: expected 0 to {MOST_REFINEMENTS}.")
     _size(values.resolution)
@@ -94,7 +96,11 @@ def _infer(values: Infer) -> None:
     else:
         frames = prepare_frames(values, trained_on(origin.model.config))
         check_new_folder(values.out)
-        print(f"World: {frames.world}.\nResolution: {frames.resolution}.")
+        if frames.moves:
+            raise UsageError("The camera moves in these frames; expected frames of a static camera, or a single one.")
+        print(f"World: {frames.world.note}.\nResolution: {frames.resolution}.")
+        for warning in frames.warnings:
+            print(f"Warning: {warning}")
         labels = None if values.masks == OWN else segment_reduced(values.masks or DEFAULT, values, frames)
         scene = infer_scene(origin, frames.observation, refinements=values.refine, labels=labels)
         for name in objects_outside(scene, origin.model):

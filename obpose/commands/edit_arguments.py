@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from obpose.rgbd.frames import Frames
+from obpose.rgbd.flags import Frames
 from obpose.scenes.priors import PriorName
 from obpose.scenes.refine import STEPS
 

@@ -1,25 +1,40 @@
-"""The command `obpose-segment`: segment RGB-D frames of one static camera.
+"""The command `obpose-segment`: segment RGB-D frames of a table.
 
+obpose-segment recording/
 obpose-segment --rgb a.png --depth a_depth.png --intrinsics 525,525,320,240
-obpose-segment --method plane-hdbscan --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240
+obpose-segment recording/ --video
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
 
 from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
 from obpose.errors import EXIT_OK, UsageError
-from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames
+from obpose.rgbd.flags import Frames
+from obpose.rgbd.frames import PreparedFrames, prepare_frames
 from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
-from obpose.rgbd.segment import UNTRAINED, Method, segment_frames
+from obpose.rgbd.segment import MOST_OBJECTS, UNTRAINED, Method, segment_frames
 from obpose.rgbd.weights import DEFAULT, method_of
+from obpose.rgbd.world import World
 
 PROGRAM = "obpose-segment"
-FindMethod = Callable[[str], Method]
-"""Function that finds a method without training by name; raises UsageError if there is none."""
+FindMethod = Callable[[str, int], Method]
+"""Function that finds a method without training by name, for so many objects; raises UsageError if there is none."""
+AUTO = "auto"
+UNTRAINED_CHOICE = "plane-hdbscan"
+FARTHEST, LOWEST = 1.65, 21.0
+"""Greatest distance (metres) and least elevation (degrees) of cameras for which `auto` takes the weights. The recipe
+`desk`, on which they were trained, has 0.5 to 1.3 m and 25 to 85 degrees; docs/own_frames.md has scores beyond."""
+OBJECTS = 16
+"""Most objects that are looked for if the user does not say."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,11 +42,15 @@ class Arguments(Frames):
     """Segment RGB-D frames, and find boxes of the objects."""
 
     checkpoint: Path | None = None
-    """Folder of a trained model, or the name of shipped weights; default supervised--desk--128x96, which were
-    trained with labels of synthetic scenes."""
-    method: str | None = None
-    """Name of a method without training, in place of weights: plane-components, plane-dbscan, plane-hdbscan, convexity
-    or clip-tracker."""
+    """Folder of a trained model, or the name of shipped weights, in place of --method."""
+    method: str = AUTO
+    """`auto`, which says what it chose, or a method without training: plane-components, plane-dbscan, plane-hdbscan,
+    convexity or clip-tracker."""
+    objects: int | None = None
+    """Most objects, the largest ones first. Default: as many as there are, up to 16."""
+    video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """The frames are a video, in which objects, and with known poses the camera, may move: each frame is segmented on
+    its own, and objects keep their labels over time."""
     out: Path = Path("segmented")
     """Folder for label images, overlays, point clouds and objects.json."""
     overwrite: bool = False
@@ -51,34 +70,66 @@ def main(arguments: Sequence[str] | None = None, *, find_method: FindMethod) -> 
 
 def run(values: Arguments, *, find_method: FindMethod) -> int:
     """Segment the frames and write all files."""
-    name, method, trained = _method(values, find_method)
-    frames = prepare_frames(values, trained)
+    if values.objects is not None and not 1 <= values.objects <= MOST_OBJECTS:
+        raise UsageError(f"--objects {values.objects}: expected 1 to {MOST_OBJECTS}.")
+    most = values.objects or OBJECTS
+    name, method, frames = _prepared(values, find_method, most)
+    if frames.moves and not values.video:
+        raise UsageError("The camera moves, and only --video follows objects through its frames; add --video.")
     check_target(values.out, overwrite=values.overwrite)
-    labels = segment_frames(frames, method)
+    labels = segment_frames(frames, method, video=values.video, most=most)
+    warnings = list(frames.warnings)
+    if labels.max() == most:
+        warnings.append(f"As many objects were found as were looked for, {most}: there may be more; see --objects.")
     facts = {
         "method": name,
-        "world": frames.world,
+        "world": frames.world.note,
+        "camera": frames.world.camera,
+        "warnings": warnings,
         "units": "metres; rotations are world_from_object; size holds the sides of the box",
         "resolution": frames.resolution,
     }
     objects = write_results(values.out, frames, labels, facts, overwrite=values.overwrite)
     print(f"Method: {name}.")
-    print(f"World: {frames.world}.")
+    print(f"World: {frames.world.note}.")
+    print(f"Camera: {frames.world.camera}.")
     print(f"Resolution: {frames.resolution}.")
+    for warning in warnings:
+        print(f"Warning: {warning}")
+    if frames.recording.left_out:
+        print(f"{counted(frames.recording.left_out, 'image')} without depth or pose at their time left out.")
     _print_objects(frames, [each for each in objects if each][:1])
     print(f"Labels, overlays, boxes and point clouds of {counted(len(labels), 'frame')}: {values.out / OBJECTS_FILE}")
     print(f"Picture: {values.out / SUMMARY}")
     return EXIT_OK
 
 
-def _method(values: Arguments, find_method: FindMethod) -> tuple[str, Method, Trained]:
-    """Name and function of the chosen method, and what it was trained on."""
-    if values.method is not None:
+def _prepared(values: Arguments, find_method: FindMethod, most: int) -> tuple[str, Method, PreparedFrames]:
+    """Name and function of the chosen method, and the frames as it needs them."""
+    if values.method == AUTO and values.checkpoint is None:
+        method, trained = method_of(DEFAULT, most)
+        frames = prepare_frames(values, trained)
+        if not (unlike := _unlike_training(frames.world)):
+            return f"weights {DEFAULT}, chosen because the camera is as in their training", method, frames
+        name = f"{UNTRAINED_CHOICE}, without training, chosen because {unlike} the weights were trained for"
+        return name, find_method(UNTRAINED_CHOICE, most), prepare_frames(values, UNTRAINED)
+    if values.method != AUTO:
         if values.checkpoint is not None:
             raise UsageError("--method and --checkpoint exclude each other; give one of them.")
-        return f"{values.method}, without training", find_method(values.method), UNTRAINED
-    checkpoint = values.checkpoint or DEFAULT
-    return f"weights {checkpoint}", *method_of(checkpoint)
+        method = find_method(values.method, most)
+        return f"{values.method}, without training", method, prepare_frames(values, UNTRAINED)
+    assert values.checkpoint is not None
+    method, trained = method_of(values.checkpoint, most)
+    return f"weights {values.checkpoint}", method, prepare_frames(values, trained)
+
+
+def _unlike_training(world: World) -> str:
+    """Say how the first camera differs from those of the training; empty if it does not."""
+    distance = float(np.linalg.norm(world.poses[0, :3, 3]))
+    elevation = math.degrees(math.asin(min(1.0, float(world.poses[0, 2, 3]) / distance)))
+    if distance > FARTHEST:
+        return f"the camera is {distance:.1f} m away, farther than"
+    return f"the camera is {elevation:.0f} degrees above the table, lower than" if elevation < LOWEST else ""
 
 
 def _print_objects(frames: PreparedFrames, objects: list) -> None:

@@ -1,8 +1,6 @@
-"""RGB-D frames of a user as model input: command-line flags, world frame, table, and resolution."""
+"""RGB-D frames of a user as model input: world frame, table, and resolution."""
 
-import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,58 +8,26 @@ from einops import rearrange
 from jaxtyping import Float64
 
 from datagen.geometry import unproject
-from datagen.rgbd.camera_pose import Pose, read_pose
-from datagen.rgbd.table import find_table, pose_over_table, table_points
 from obpose.config import Config
 from obpose.contact.config import ContactConfig
 from obpose.data.resolution import surface_spacing
 from obpose.errors import UsageError
-from obpose.rgbd.recording import Recording, parse_intrinsics, read_recording
-from obpose.rgbd.workspace import Workspace, find_workspace, rectangle
+from obpose.rgbd.flags import Frames, parse_pixel, parse_rectangle, read_frames
+from obpose.rgbd.recording import Recording
+from obpose.rgbd.workspace import UNSUPPORTED, Workspace, doubts, find_workspace, rectangle
+from obpose.rgbd.world import World, choose_world
 from obpose.systems import architecture_of
 from obpose.trainable import Configuration
 from obpose.types import Observation
 
-GIVEN = "as given with --camera-pose"
-FITTED = (
-    "stands on the largest plane near the camera in the first frame, most likely the table: z = 0 is the plane and z "
-    "points up, x points horizontally towards the camera, and the origin is the median of the plane's points"
-)
 _COARSE = 5.0
 """Pixel spacing relative to the training above which the unit of depth is most likely wrong."""
 _LEAST_EDGE = 24
 """Least height and width in pixels of the images that a model gets, unless the frames are smaller."""
-_MOST_TILT, _MOST_HEIGHT = 10.0, 0.02
-"""Largest tilt in degrees and height in metres of the table without a warning. Models expect objects to stand on z = 0
-and ignore everything below."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frames:
-    """Flags that describe frames of one static camera."""
-
-    rgb: tuple[Path, ...] = ()
-    """Colour images in time order, or one folder of them, sorted by the numbers in their names: PNG or JPEG with
-    upright pixels (EXIF orientation 1)."""
-    depth: tuple[Path, ...] = ()
-    """Depth images, aligned with them, or one folder: PNG or TIFF of 16 bits, or TIFF or NPY of floats in metres.
-    Missing depth: 0, values that are not finite, and the largest value of the type, such as 65535."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels; the centre of the first pixel is at 0.5, 0.5, so add 0.5 to OpenCV's cx and cy."""
-    camera_pose: Path | None = None
-    """File with world_from_camera, 4x4, metres, as text, JSON or NPY: camera axes x right, y down, z forward, world z
-    up from the table at z = 0. Default: a world on the largest plane near the camera."""
-    depth_scale: float = 0.001
-    """Metres per unit of integer depth images."""
-    euclidean: bool = False
-    """Depth is the distance from the camera's centre, not along its axis."""
-    depth_max: float | None = None
-    """Ignore points that are farther from the camera, metres along its axis."""
-    workspace: str | None = None
-    """x0,x1,y0,y1: ignore points outside of this rectangle on the table, world frame, metres. Default: the visible
-    part of the table."""
-    every: int | None = None
-    """Use one pixel of each square of N x N. Default: such that pixels are as far apart on the table as in training."""
+_TABLE_FRAMES = 5
+"""Number of frames in which the visible part of the table is looked for."""
+_STILL = 2e-3
+"""Largest difference between poses, metres and radians, that counts as a static camera."""
 
 
 @dataclass(frozen=True)
@@ -102,19 +68,30 @@ class PreparedFrames:
     """The frames in full resolution."""
     observation: Observation
     """A batch of one clip with one pixel of each square of `every` x `every`; pixels outside the workspace are not
-    valid."""
-    pose: Pose
-    """world_from_camera."""
+    valid. If the camera moves, its pose is that of the first frame."""
+    world: World
     workspace: Workspace
     every: int
-    world: str
-    """Note on the origin of the world frame."""
     resolution: str
     """Note on the pixel spacing."""
+    warnings: tuple[str, ...] = ()
+    """Reasons why the results may be wrong."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether the camera moves."""
+        return bool(np.abs(self.world.poses - self.world.poses[0]).max() > _STILL)
 
     def points(self, frame: int) -> Float64[np.ndarray, "height width 3"]:
         """Unproject a frame in full resolution, world frame, metres."""
-        return unproject(self.recording.depth[frame], self.recording.k, self.pose)
+        return unproject(self.recording.depth[frame], self.recording.k, self.world.poses[frame])
+
+    def still(self, frame: int) -> Observation:
+        """Give one frame as a batch of one clip, with its own pose of the camera."""
+        clip, pick = self.observation, slice(frame, frame + 1)
+        pose = torch.from_numpy(self.world.poses[frame]).to(torch.float32)[None, None]
+        images = {name: getattr(clip, name)[:, pick] for name in ("rgb", "depth", "valid")}
+        return replace(clip, **images, world_from_camera=pose)
 
 
 def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
@@ -124,62 +101,27 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
         UsageError: flags or files are missing or wrong, contradict each other, hold no depth, or show no table.
         CorruptFile: a file cannot be read.
     """
-    recording = _read(frames)
-    given = None if frames.camera_pose is None else read_pose(frames.camera_pose)
-    first = recording.depth[0] > 0
-    if not first.any():
-        raise UsageError(
-            "The first frame has no depth, and objects are looked for there: leave out its image and its depth."
-        )
-    points = unproject(recording.depth[0], recording.k, np.eye(4))[first]
-    pose = pose_over_table(points, center=trained.center) if given is None else given
-    world = FITTED if given is None else world_note(points @ pose[:3, :3].T, pose[:3, 3])
-    points = points @ pose[:3, :3].T + pose[:3, 3]
-    try:
-        workspace = find_workspace(points)
-    except UsageError as error:
-        raise error if given is None else UsageError(f"{error} World: {world}.") from None
+    recording = read_frames(frames)
+    table = None if frames.table is None else parse_pixel(frames.table)
+    world = choose_world(recording, table, trained.center)
+    shown = np.unique(np.linspace(0, len(recording.depth) - 1, _TABLE_FRAMES).round().astype(int))
+    clouds = [unproject(recording.depth[i], recording.k, world.poses[i])[recording.depth[i] > 0] for i in shown]
+    workspace = find_workspace(np.concatenate(clouds), world.table)
+    reasons = (*world.warnings, *doubts(clouds[0], workspace, world.poses[0, :3, 3])) if world.table is None else ()
+    warnings = (*reasons, UNSUPPORTED) if reasons else ()
     if frames.workspace is not None:
-        workspace = rectangle(_corners(frames.workspace), workspace.floor)
-    whole = observe(replace(recording, rgb=recording.rgb[:1], depth=recording.depth[:1]), pose, workspace, trained)
-    spacing = surface_spacing(whole)
+        workspace = rectangle(parse_rectangle(frames.workspace), workspace.floor)
+    first = replace(recording, rgb=recording.rgb[:1], depth=recording.depth[:1], poses=None)
+    spacing = surface_spacing(observe(first, world.poses, workspace, trained))
     if spacing is None:
         raise UsageError(
-            "The workspace shows no points in the first frame; give another --workspace or --depth-max, or move the "
-            "origin of --camera-pose to the middle of the table."
+            "The workspace shows no points in the first frame; give another --workspace or --depth-max, or the table "
+            "with --table."
         )
     every = frames.every or _step(spacing, trained.spacing, recording)
-    observation = observe(recording.every(every), pose, workspace, trained)
+    observation = observe(recording.every(every), world.poses, workspace, trained)
     note = _resolution_note(observation, every, trained)
-    return PreparedFrames(recording, observation, pose, workspace, every, world, note)
-
-
-def _read(frames: Frames) -> Recording:
-    if not 0 < frames.depth_scale < math.inf:
-        raise UsageError(f"--depth-scale is {frames.depth_scale:g}; expected more than 0, and finite.")
-    if frames.every is not None and frames.every < 1:
-        raise UsageError(f"--every {frames.every}: expected 1 or a little more.")
-    if frames.depth_max is not None and not frames.depth_max > 0:
-        raise UsageError(f"--depth-max is {frames.depth_max:g}; expected metres, more than 0.")
-    k = parse_intrinsics(frames.intrinsics)
-    recording = read_recording(frames.rgb, frames.depth, k, depth_scale=frames.depth_scale)
-    if frames.euclidean:
-        recording = recording.planar()
-    if frames.depth_max is not None:
-        recording = replace(recording, depth=np.where(recording.depth > frames.depth_max, 0, recording.depth))
-    if frames.every is not None:
-        recording.every(frames.every)  # raises an error if the images are too small
-    return recording
-
-
-def _corners(text: str) -> tuple[float, float, float, float]:
-    try:
-        x0, x1, y0, y1 = (float(part) for part in text.split(","))
-    except ValueError:
-        x0, x1, y0, y1 = (math.nan,) * 4
-    if not (x0 < x1 and y0 < y1 and np.isfinite([x0, x1, y0, y1]).all()):
-        raise UsageError(f"--workspace {text}: expected x0,x1,y0,y1 in metres with x0 < x1 and y0 < y1.")
-    return x0, x1, y0, y1
+    return PreparedFrames(recording, observation, world, workspace, every, note, warnings)
 
 
 def _step(spacing: float, trained: float, recording: Recording) -> int:
@@ -188,10 +130,12 @@ def _step(spacing: float, trained: float, recording: Recording) -> int:
     return min(max(1, round(trained / spacing)), most)
 
 
-def observe(recording: Recording, pose: Pose, workspace: Workspace, trained: Trained) -> Observation:
+def observe(
+    recording: Recording, poses: Float64[np.ndarray, "frame 4 4"], workspace: Workspace, trained: Trained
+) -> Observation:
     """Give the frames as a batch of one clip; pixels outside of the workspace have no depth."""
     depth = recording.depth.copy()
-    for frame in depth:
+    for frame, pose in zip(depth, poses, strict=False):
         points = unproject(frame, recording.k, pose)
         outside = ~workspace.holds(points)
         if trained.cube is not None:
@@ -204,28 +148,8 @@ def observe(recording: Recording, pose: Pose, workspace: Workspace, trained: Tra
         depth=batch,
         valid=batch > 0,
         k=torch.from_numpy(recording.k).to(torch.float32)[None, None],
-        world_from_camera=torch.from_numpy(pose).to(torch.float32)[None, None],
+        world_from_camera=torch.from_numpy(poses[0]).to(torch.float32)[None, None],
     )
-
-
-def world_note(points: Float64[np.ndarray, "point 3"], camera: Float64[np.ndarray, "3"]) -> str:
-    """Describe whether the table is level at z = 0 in a given world frame.
-
-    Args:
-        points: Relative to the camera, with the axes of the world, metres.
-        camera: World frame, metres.
-    """
-    plane = find_table(points)
-    if plane is None:
-        return GIVEN
-    tilt = math.degrees(math.acos(min(1.0, abs(float(plane.normal[2])))))
-    height = float(np.median(table_points(points, plane)[:, 2]) + camera[2])
-    fault = ""
-    if tilt > _MOST_TILT:
-        fault = f"the table in view is tilted by {tilt:.0f} degrees: let the world's z axis point up from the table"
-    elif abs(height) > _MOST_HEIGHT:
-        fault = f"the table in view lies at z = {height:.2f} m: move the world's origin onto the table"
-    return f"{GIVEN}; {fault}; results may be poor" if fault else GIVEN
 
 
 def _resolution_note(observation: Observation, every: int, trained: Trained) -> str:

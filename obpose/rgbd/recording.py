@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from datagen.geometry import pixel_rays
-from datagen.rgbd.frame_files import check_pairs, list_frames
-from datagen.rgbd.images import Size, colour_size, depth_size, read_colour, read_depth
+from datagen.rgbd.camera_file import Camera
+from datagen.rgbd.files import check_intrinsics, common_size
+from datagen.rgbd.frame_files import list_frames
+from datagen.rgbd.images import Size, read_colour
+from datagen.rgbd.layouts import COLOUR_ENDINGS, DEPTH_ENDINGS, FrameFiles, paired
 from obpose.errors import UsageError
 
-COLOUR_ENDINGS = (".png", ".jpg", ".jpeg")
-DEPTH_ENDINGS = (".png", ".tif", ".tiff", ".npy")
 PLAUSIBLE_DEPTH = (0.05, 50.0)
 """Range of the median depth in metres; other medians indicate a wrong scale. Single pixels outside count as missing."""
-PLAUSIBLE_FOCAL = (0.1, 50.0)
-"""Range of focal lengths, relative to the longer side of the image; others indicate wrong units."""
 MAX_BYTES = 2**30
 """Largest size of a recording in memory."""
 _PIXEL_BYTES = 7
@@ -26,7 +24,7 @@ _PIXEL_BYTES = 7
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Frames of one static camera, in time order."""
+    """Frames of one camera, in time order."""
 
     files: tuple[Path, ...]
     """Paths of the colour images."""
@@ -36,12 +34,10 @@ class Recording:
     """Planar depth in metres, 0 = missing."""
     k: Float64[np.ndarray, "3 3"]
     """Camera matrix in pixels, pixel centres at +0.5."""
-
-    def planar(self) -> "Recording":
-        """Convert depth from distances from the camera's centre to distances along its axis."""
-        height, width = self.depth.shape[1:]
-        lengths = np.linalg.norm(pixel_rays(self.k, width, height), axis=-1)
-        return replace(self, depth=(self.depth / lengths).astype(np.float32))
+    poses: Float64[np.ndarray, "frame 4 4"] | None = None
+    """world_from_camera, metres; None if unknown."""
+    left_out: int = 0
+    """Number of colour images without depth or pose at their time."""
 
     def every(self, step: int) -> "Recording":
         """Take the centre pixel of each square of `step` x `step` pixels, because averages of depth are invalid.
@@ -58,45 +54,43 @@ class Recording:
         k[:2] /= step
         k[:2, 2] += 0.5
         pick = np.s_[:, offset::step, offset::step]
-        return Recording(self.files, self.rgb[pick], self.depth[pick], k)
+        return replace(self, rgb=self.rgb[pick], depth=self.depth[pick], k=k)
 
 
-def read_recording(
-    rgb: Sequence[Path],
-    depth: Sequence[Path],
-    k: Float64[np.ndarray, "3 3"],
-    *,
-    depth_scale: float,
-    max_bytes: int = MAX_BYTES,
-) -> Recording:
-    """Read frames, after a check of all file headers.
-
-    Colour and depth images are files in time order, or a folder each, sorted by name. `k` is the camera matrix in
-    pixels, with pixel centres at +0.5. `depth_scale` is in metres per unit of integer depth images; floats are metres.
+def named_files(rgb: Sequence[Path], depth: Sequence[Path]) -> FrameFiles:
+    """List frames by their files in time order, or by a folder each, sorted by name or paired by time.
 
     Raises:
-        UsageError: files are missing, do not belong together, hold no colours or no depth, or are too large; or the
-            camera matrix belongs to images of another size.
-        CorruptFile: a file cannot be read.
+        UsageError: files are missing, or do not belong together.
     """
     colours, depths = list_frames(rgb, COLOUR_ENDINGS, "--rgb"), list_frames(depth, DEPTH_ENDINGS, "--depth")
+    if rgb[0].is_dir() and depth[0].is_dir():
+        return paired(rgb[0], colours, depths, [])
     if len(colours) != len(depths):
         raise UsageError(
             f"--rgb names {len(colours)} images and --depth {len(depths)}; expected a pair for each frame."
         )
-    if rgb[0].is_dir() and depth[0].is_dir():
-        check_pairs(colours, depths)
-    width, height = size = _common_size(colours, depths)
-    _check_memory(len(colours), size, max_bytes)
-    _check_intrinsics(k, size)
-    images = np.empty((len(colours), height, width, 3), np.uint8)
-    maps = np.empty((len(colours), height, width), np.float32)
-    for frame, (colour_path, depth_path) in enumerate(zip(colours, depths, strict=True)):
-        images[frame] = read_colour(colour_path)
-        maps[frame] = read_depth(depth_path, depth_scale)
-    _check_depth(maps, depths[0])
-    maps[(maps < PLAUSIBLE_DEPTH[0]) | (maps > PLAUSIBLE_DEPTH[1])] = 0
-    return Recording(tuple(colours), images, maps, k)
+    return FrameFiles(colours[0].parent, colours, depths, [])
+
+
+def read_recording(files: FrameFiles, camera: Camera, *, max_bytes: int = MAX_BYTES) -> Recording:
+    """Read frames, after a check of all file headers.
+
+    Raises:
+        UsageError: files hold no colours or no depth, differ in size, or are too large; or the camera matrix belongs to
+            images of another size.
+        CorruptFile: a file cannot be read.
+    """
+    size = common_size(files.colour, files.depth)
+    _check_memory(len(files.colour), size, max_bytes)
+    check_intrinsics(camera.k, size, "--intrinsics" if camera.file is None else str(camera.file))
+    rgb = np.stack([read_colour(path) for path in files.colour])
+    depth = np.stack([camera.depth(path) for path in files.depth])
+    _check_depth(depth, files.depth[0])
+    depth[(depth < PLAUSIBLE_DEPTH[0]) | (depth > PLAUSIBLE_DEPTH[1])] = 0
+    poses = [files.pose(number, camera) for number in range(len(rgb))]
+    known = None if any(pose is None for pose in poses) else np.array(poses, np.float64)
+    return Recording(tuple(files.colour), rgb, depth, camera.k, known, files.left_out)
 
 
 def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:
@@ -116,37 +110,12 @@ def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
 
-def _common_size(colours: Sequence[Path], depths: Sequence[Path]) -> Size:
-    """Check by the headers that all images have one size."""
-    first = colour_size(colours[0])
-    for paths, size_of in ((colours, colour_size), (depths, depth_size)):
-        for path in paths:
-            if (size := size_of(path)) != first:
-                raise UsageError(
-                    f"{path} is {_text(size)}, but {colours[0]} is {_text(first)}; all images must have one size, and "
-                    "depth must be aligned with colour."
-                )
-    return first
-
-
 def _check_memory(frames: int, size: Size, max_bytes: int) -> None:
     needed = frames * size[0] * size[1] * _PIXEL_BYTES
     if needed > max_bytes:
         raise UsageError(
-            f"{frames} frames of {_text(size)} pixels need {needed / 2**30:.1f} GiB of memory; expected at most "
+            f"{frames} frames of {size[0]}x{size[1]} pixels need {needed / 2**30:.1f} GiB of memory; expected at most "
             f"{max_bytes / 2**30:g} GiB. Give fewer frames at a time, or smaller images."
-        )
-
-
-def _check_intrinsics(k: Float64[np.ndarray, "3 3"], size: Size) -> None:
-    """Refuse implausible intrinsics; the principal point of a cropped image may lie outside of it."""
-    (width, height), (low, high) = size, PLAUSIBLE_FOCAL
-    (fx, _, cx), (_, fy, cy), _ = k
-    is_plausible = all(low < value / max(height, width) < high for value in (fx, fy))
-    if not is_plausible or not (-width < cx < 2 * width and -height < cy < 2 * height):
-        raise UsageError(
-            f"--intrinsics {fx:g},{fy:g},{cx:g},{cy:g} cannot be those of images of {_text(size)}; expected "
-            "fx,fy,cx,cy in pixels of these images. If the images were resized, scale all four alike."
         )
 
 
@@ -163,7 +132,3 @@ def _check_depth(depth: Float32[np.ndarray, "frame height width"], example: Path
             f"The median depth is {median:.3g} m; expected {low:g} to {high:g}. Floats have to be metres; for "
             "integers, give the metres per unit with --depth-scale, such as 0.001 for millimetres."
         )
-
-
-def _text(size: Size) -> str:
-    return f"{size[0]}x{size[1]}"

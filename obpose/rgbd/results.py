@@ -118,7 +118,7 @@ def _write(
     for i, (image, frame_labels) in enumerate(zip(recording.rgb, labels, strict=True)):
         points = frames.points(i)
         objects.append(objects_of(frame_labels, points))
-        overlays.append(overlay(image, frame_labels, objects[-1], frames))
+        overlays.append(overlay(image, frame_labels, objects[-1], frames, i))
         names = {"labels": f"{i:04d}_labels.png", "overlay": f"{i:04d}_overlay.png"}
         (folder / names["labels"]).write_bytes(png(label_image(frame_labels)))
         write_png(folder / names["overlay"], overlays[-1])
@@ -127,12 +127,13 @@ def _write(
             mask, cloud = frame_labels == each.label, f"{CLOUDS}/{i:04d}_{each.label:02d}.ply"
             trimesh.PointCloud(points[mask], colors=image[mask]).export(folder / cloud)
             plain.append({**each.to_json(), "cloud": cloud})
-        entries.append({"rgb": str(recording.files[i]), **names, "objects": plain})
+        pose = frames.world.poses[i].round(6).tolist()
+        entries.append({"rgb": str(recording.files[i]), "world_from_camera": pose, **names, "objects": plain})
     write_png(folder / SUMMARY, np.concatenate([recording.rgb[0], overlays[0]], axis=1))
     if len(overlays) > 1:
         write_gif(folder / ANIMATION, overlays, fps=FPS)
     table = {"outline": frames.workspace.outline.round(4).tolist(), "least_height": round(frames.workspace.floor, 5)}
-    page = {**facts, "world_from_camera": frames.pose.round(6).tolist(), "table": table, "frames": entries}
+    page = {**facts, "table": table, "frames": entries}
     (folder / OBJECTS_FILE).write_text(json.dumps(page, indent=1) + "\n")
     return objects
 
@@ -145,11 +146,15 @@ def label_image(labels: Labels) -> Image.Image:
 
 
 def overlay(
-    rgb: UInt8[np.ndarray, "height width 3"], labels: Labels, objects: Sequence[SegmentedObject], frames: PreparedFrames
+    rgb: UInt8[np.ndarray, "height width 3"],
+    labels: Labels,
+    objects: Sequence[SegmentedObject],
+    frames: PreparedFrames,
+    number: int,
 ) -> Picture:
     """Draw the labels over the image, the outline of the table in white, and the edges of the objects' boxes."""
     image = Image.fromarray(tint(rgb, labels, OPACITY))
-    k, pose, width = frames.recording.k, frames.pose, max(1, rgb.shape[1] // 320)
+    k, pose, width = frames.recording.k, frames.world.poses[number], max(1, rgb.shape[1] // 320)
     outline = np.pad(frames.workspace.outline, ((0, 0), (0, 1)))
     _draw_outline(image, outline, k, pose, width)
     pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(10, rgb.shape[0] // 32))

@@ -1,12 +1,13 @@
 """Segmentation of a user's frames in full resolution."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from einops import rearrange
 from jaxtyping import Int, Integer, UInt8
 from scipy.spatial import KDTree
 
+from obpose.contact.clip import Frame
+from obpose.contact.clip import segment_frames as follow_objects
 from obpose.geometry import unproject
 from obpose.rgbd.frames import PreparedFrames, Trained
 from obpose.types import Observation
@@ -18,6 +19,8 @@ MOST_OBJECTS = 255
 """Label images have 8 bits."""
 UNTRAINED = Trained(spacing=0.006, learned=False)
 """Pixel spacing that methods without training get."""
+GAP = 0.06
+"""Points of a video that belong to no object so far start new ones, connected if at most so many metres apart."""
 LEAST_SHARE = 4e-4
 """Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
 NEAR = 3.0
@@ -28,16 +31,29 @@ LEAST_STANDING = 0.25
 """Segments with a smaller share of pixels above the floor are noise of the table."""
 
 
-def segment_frames(frames: PreparedFrames, method: Method) -> UInt8[np.ndarray, "frame height width"]:
-    """Label the objects of all frames in full resolution.
+def segment_frames(
+    frames: PreparedFrames, method: Method, *, video: bool = False, most: int = MOST_OBJECTS
+) -> UInt8[np.ndarray, "frame height width"]:
+    """Label the objects of all frames in full resolution, at most `most` of them, from 1 by decreasing size.
 
-    The method sees the reduced frames. Each pixel of the full frames above the table then gets the label of the nearest
-    reduced point in space. So the outlines are those of the depth image.
+    The method sees the reduced frames; with `video`, one by one. Each pixel of the full frames above the table then
+    gets the label of the nearest reduced point in space. So the outlines are those of the depth image.
     """
-    labels = _largest(method(frames.observation))
-    points = rearrange(unproject(frames.observation).numpy(), "1 f 1 h w c -> f h w c")
+    points = [unproject(frames.still(frame)).numpy()[0, 0, 0] for frame in range(len(frames.recording.depth))]
+    labels = _followed(frames, method, points) if video else method(frames.observation)
+    labels = _largest(labels, MOST_OBJECTS)
     refined = [_refined(frames, frame, *pair) for frame, pair in enumerate(zip(labels, points, strict=True))]
-    return _largest(np.stack(refined))
+    return _largest(np.stack(refined), most)
+
+
+def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarray]) -> Labels:
+    """Label each frame on its own, and follow the objects through the video in the world frame."""
+    images = []
+    for frame, places in enumerate(points):
+        still = frames.still(frame)
+        found = _largest(np.where(still.valid[:, 0, 0].numpy(), method(still), 0), MOST_OBJECTS)[0].astype(np.int64)
+        images.append(Frame(found > 0, found, places, still.rgb[0, 0, 0].numpy()))
+    return follow_objects(images, gap=GAP)
 
 
 def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -57,11 +73,11 @@ def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.
     return np.where((high >= LEAST_STANDING * sizes)[found], found, 0).astype(np.uint8)
 
 
-def _largest(labels: Integer[np.ndarray, "frame height width"]) -> UInt8[np.ndarray, "frame height width"]:
+def _largest(labels: Integer[np.ndarray, "frame height width"], most: int) -> UInt8[np.ndarray, "frame height width"]:
     """Number objects from 1 by decreasing size; specks lose their label, and so do all but the largest ones."""
     names, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
     large = (names > 0) & (counts >= LEAST_SHARE * labels.size)
-    order = [place for place in np.argsort(-counts, kind="stable") if large[place]][:MOST_OBJECTS]
+    order = [place for place in np.argsort(-counts, kind="stable") if large[place]][:most]
     new = np.zeros(len(names), np.uint8)
     new[order] = np.arange(1, len(order) + 1)
     return new[inverse].reshape(labels.shape)

@@ -10,8 +10,10 @@ from torch import Tensor
 from obpose.contact.model import ContactModel
 from obpose.data.resolution import fitting_model
 from obpose.errors import UsageError
+from obpose.model.attention.icsbp import ICSBP
 from obpose.model.obpose import ObPose
-from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames, trained_on
+from obpose.rgbd.flags import Frames
+from obpose.rgbd.frames import PreparedFrames, Trained, prepare_frames, trained_on
 from obpose.rgbd.segment import Labels, Method, segment_frames
 from obpose.storage.checkpoint import load
 from obpose.storage.pretrained import find_checkpoint
@@ -22,14 +24,19 @@ DEFAULT = "supervised--desk--128x96"
 """Name of the shipped weights for frames of a user's own."""
 
 
-def method_of(checkpoint: str | Path) -> tuple[Method, Trained]:
+def method_of(checkpoint: str | Path, objects: int | None = None) -> tuple[Method, Trained]:
     """Load weights as a method, and describe the scenes that they were trained on.
+
+    The IC-SBP of ObPose looks for so many `objects`, by default for as many as in training; other weights have no
+    limit.
 
     Raises:
         UsageError: there are none, or their system cannot segment frames of a user.
         CorruptFile: a file is damaged.
     """
     model, config, _ = load(find_checkpoint(Path(checkpoint)))
+    if objects is not None and isinstance(model, ObPose) and isinstance(model.attention, ICSBP):
+        model.attention.slots = objects
     return partial(_segment, model), trained_on(config)
 
 

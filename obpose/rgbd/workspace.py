@@ -1,11 +1,11 @@
 """The part of a recording that is segmented: what stands on the visible table."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, label
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from datagen.rgbd.plane import TOLERANCE
 from obpose.errors import UsageError
@@ -22,6 +22,17 @@ CEILING = 0.6
 """Greatest height of objects, metres."""
 RIM = 0.03
 """Distance in metres by which objects may overhang the table."""
+
+
+_WALL_HEIGHT, _BESIDE, _INSIDE = 0.04, 0.06, 0.03
+"""Least height of the points of walls above the table, and greatest distances from its outline, metres."""
+_MOST_WALLED, _MOST_BELOW = 0.5, 0.1
+"""Greatest share of the outline with something beside it, and of points below the table; set on boxes that
+`tests.worlds.rooms` draws, where one wall behind a table takes less."""
+UNSUPPORTED = (
+    "Bins, shelves and walls are not supported, and the results are most likely wrong; if there is a table, name a "
+    "pixel on it with --table."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +60,7 @@ class Workspace:
         return self.holds(points) & (points[..., 2] > share * self.floor)
 
 
-def find_workspace(points: Float[np.ndarray, "point 3"]) -> Workspace:
+def find_workspace(points: Float[np.ndarray, "point 3"], at: Float[np.ndarray, "2"] | None = None) -> Workspace:
     """Find the visible part of the table at z = 0, and the noise of its points.
 
     The table's points are counted in cells. The largest region of occupied cells is the table, and its outline is the
@@ -57,13 +68,14 @@ def find_workspace(points: Float[np.ndarray, "point 3"]) -> Workspace:
 
     Args:
         points: World frame, metres.
+        at: Place on the table; None for the largest region.
 
     Raises:
         UsageError: too few points are near z = 0.
     """
     on_table = points[np.abs(points[:, 2]) < TOLERANCE]
     cells = np.floor(on_table[:, :2] / CELL).astype(np.int64)
-    outline = _outline(cells) if len(cells) else None
+    outline = _outline(cells, at) if len(cells) else None
     if outline is None:
         raise UsageError(
             "No table is visible at z = 0 in the first frame; expected a camera that looks down at a table, depth in "
@@ -76,14 +88,48 @@ def find_workspace(points: Float[np.ndarray, "point 3"]) -> Workspace:
     return Workspace(outline, float(np.clip(FLOOR_NOISE * spread, LEAST_FLOOR, MOST_FLOOR)))
 
 
+def doubts(
+    points: Float[np.ndarray, "point 3"], workspace: Workspace, camera: Float[np.ndarray, "3"]
+) -> tuple[str, ...]:
+    """Say why the table is probably none: it has walls around it, or parts of the scene are seen through it.
+
+    Args:
+        points: World frame, metres.
+        workspace: The visible part of the table.
+        camera: Position of the camera, world frame, metres.
+    """
+    inner = replace(workspace, rim=-_INSIDE)
+    within = inner.holds(points * (1, 1, 0))
+    walls = points[(points[:, 2] > _WALL_HEIGHT) & ~within]
+    share = float(np.mean(KDTree(walls[:, :2]).query(_rim_places(workspace))[0] < _BESIDE)) if len(walls) else 0.0
+    low = points[(points[:, 2] < -_INSIDE) & (points[:, 2] > -CEILING)]
+    crossed = camera + (low - camera) * (camera[2] / (camera[2] - low[:, 2:]))
+    through = int(inner.holds(crossed * (1, 1, 0)).sum())
+    below = through / max(1, through + int((within & (points[:, 2] > -_INSIDE)).sum()))
+    found = []
+    if share > _MOST_WALLED:
+        found.append(f"Something rises beside {100 * share:.0f} % of the table's outline, as in a bin or a shelf.")
+    if below > _MOST_BELOW:
+        found.append(f"{100 * below:.0f} % of what is seen within the table's outline is below it, as in a bin.")
+    return tuple(found)
+
+
+def _rim_places(workspace: Workspace) -> Float[np.ndarray, "place 2"]:
+    """Spread places along the outline, one in each cell."""
+    corners, after = workspace.outline, np.roll(workspace.outline, -1, axis=0)
+    counts = np.maximum(1, np.round(np.linalg.norm(after - corners, axis=1) / CELL)).astype(int)
+    share = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
+    return np.repeat(corners, counts, axis=0) + share[:, None] * np.repeat(after - corners, counts, axis=0)
+
+
 def rectangle(corners: tuple[float, float, float, float], floor: float) -> Workspace:
     """Build a workspace from its least and greatest x, then y, metres."""
     (x0, x1, y0, y1) = corners
     return Workspace(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), floor, rim=0.0)
 
 
-def _outline(cells: np.ndarray) -> np.ndarray | None:
-    """Convex hull of the largest region of occupied cells; None if it has no area."""
+def _outline(cells: np.ndarray, at: np.ndarray | None) -> np.ndarray | None:
+    """Convex hull of the largest region of occupied cells, or of the one at a place; None if it has no area."""
     first = cells.min(axis=0) - CLOSING
     grid = np.zeros(cells.max(axis=0) - first + 1 + CLOSING, bool)
     grid[tuple((cells - first).T)] = True
@@ -91,8 +137,12 @@ def _outline(cells: np.ndarray) -> np.ndarray | None:
     label(binary_closing(grid, np.ones((CLOSING, CLOSING))), np.ones((3, 3)), output=regions)
     weight = np.bincount(regions[tuple((cells - first).T)])
     weight[0] = 0
-    corners = np.argwhere(regions == weight.argmax()) + first
-    if weight.max() < 3:
+    chosen = weight.argmax()
+    if at is not None:
+        places = np.argwhere(regions) + first
+        chosen = regions[tuple(places[np.argmin(np.abs(CELL * places - at).sum(axis=1))] - first)]
+    corners = np.argwhere(regions == chosen) + first
+    if weight[chosen] < 3:
         return None
     places = CELL * np.concatenate([corners + offset for offset in ((0, 0), (1, 0), (0, 1), (1, 1))])
     try:

@@ -19,7 +19,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.files import (
+from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.geometry import invert_rigid
+from datagen.rgbd.camera_pose import check_pose
+from datagen.rgbd.files import (
     HALF_PIXEL,
     check_intrinsics,
     check_unit,
@@ -29,9 +32,6 @@ from datagen.formats.importers.files import (
     read_ids,
     read_object,
 )
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
-from datagen.geometry import invert_rigid
-from datagen.rgbd.camera_pose import check_pose
 from datagen.rgbd.images import read_colour, read_depth
 from datagen.schema import SPLITS
 

@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.files import HALF_PIXEL, check_intrinsics, check_unit
 from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
 from datagen.formats.importers.restricted_pickle import read_pickled_npy
 from datagen.rgbd.camera_pose import check_pose
+from datagen.rgbd.files import HALF_PIXEL, check_intrinsics, check_unit
 from datagen.schema import SPLITS
 
 CAMERA = "camera_info.npy"

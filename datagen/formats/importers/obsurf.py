@@ -18,17 +18,9 @@ from jaxtyping import Float64, Integer
 
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.files import (
-    camera_matrix,
-    check_unit,
-    common_size,
-    missing_file,
-    planar_depth,
-    read_ids,
-    read_opaque,
-)
 from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
 from datagen.geometry import look_at
+from datagen.rgbd.files import camera_matrix, check_unit, common_size, missing_file, planar_depth, read_ids, read_opaque
 from datagen.rgbd.images import read_depth
 from datagen.storage.safe_io import npz_headers, read_npz
 

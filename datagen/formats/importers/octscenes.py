@@ -19,16 +19,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.files import (
-    HALF_PIXEL,
-    check_intrinsics,
-    check_unit,
-    common_size,
-    missing_file,
-    read_ids,
-)
 from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
 from datagen.rgbd.camera_pose import read_pose
+from datagen.rgbd.files import HALF_PIXEL, check_intrinsics, check_unit, common_size, missing_file, read_ids
 from datagen.rgbd.images import read_colour, read_depth
 from datagen.storage.safe_io import read_text
 

@@ -1,232 +1,119 @@
 """RGB-D recordings in plain image files: colour, depth, a camera, and optional poses and masks.
 
-SRC is a recording, or holds recordings, or train/, val/ and test/ with recordings. A recording is a folder:
+SRC is a recording, or holds recordings, or train/, val/ and test/ with recordings. A recording is a folder or an NPZ
+file with the frames of a camera (`datagen.rgbd.layouts`), and:
 
-    rgb/*.png or rgb.png          colour; also called color or image; PNG or JPEG
-    depth/*.png or depth.png      PNG or TIFF of 16 bits, or TIFF or NPY of floats, usually metres
-    camera.json                   intrinsics, unit of depth; here or in the folder above
-    masks/*.png or mask.png       optional object ids, 0 = background
-    objects.json                  optional names, [{"id": 1, "category": "mug"}, ...]
-    poses/*.txt                   optional world_from_camera of each image, 4x4; or one world_from_camera.txt
+    camera.json       intrinsics, unit of depth; here or in the folder above
+    objects.json      optional names, [{"id": 1, "category": "mug"}, ...]
 
 or it holds folders view*, each such a recording, of cameras that took the same frames.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
+from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.files import (
-    HALF_PIXEL,
-    camera_matrix,
-    check_intrinsics,
-    check_unit,
-    common_size,
-    numbers,
-    planar_depth,
-    read_ids,
-    read_object,
-)
 from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
-from datagen.rgbd.camera_pose import check_pose, pose_matrix, read_pose
-from datagen.rgbd.frame_files import check_pairs, list_frames
-from datagen.rgbd.images import holds_floats, read_colour, read_depth
+from datagen.rgbd.camera_file import CAMERA, Camera, read_camera
+from datagen.rgbd.files import check_intrinsics, check_unit, common_size, read_ids
+from datagen.rgbd.images import holds_floats, read_colour
+from datagen.rgbd.layouts import FrameFiles, find_frames
 from datagen.schema import SPLITS
 from datagen.storage.safe_io import read_json
 
-CAMERA, OBJECTS = "camera.json", "objects.json"
-_COLOUR, _DEPTH, _MASK = ("rgb", "color", "colour", "image", "images"), ("depth",), ("mask", "masks", "segmentation")
-_COLOUR_ENDINGS, _DEPTH_ENDINGS, _MASK_ENDINGS = (".png", ".jpg", ".jpeg"), (".png", ".tif", ".tiff", ".npy"), (".png",)
-_POSE_ENDINGS = (".txt", ".json", ".npy")
-_MILLIMETRE = 0.001
-
-
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """Content of a camera.json."""
-
-    k: Float64[np.ndarray, "3 3"]
-    depth_scale: float
-    """Metres per unit of integer depth."""
-    float_scale: float
-    """Metres per unit of depth in floats."""
-    euclidean: bool
-    poses: Any
-    """world_from_camera as JSON values: one matrix, or one for each image; None if missing."""
-    fps: float | None
-
-
-@dataclass(frozen=True)
-class _View:
-    """Files of one camera."""
-
-    folder: Path
-    colour: list[Path]
-    depth: list[Path]
-    masks: list[Path]
-    poses: list[Path]
-    """None, one for all images, or one for each."""
-    camera: Path
+OBJECTS = "objects.json"
 
 
 def find_rgbd(source: Path, options: ReadOptions) -> Found:
     """Find recordings of RGB-D image files; see `interface.Importer`."""
-    found = [
-        Recording(str(folder), split, reader.survey, reader.read, _read_camera(views[0].camera, options).fps)
-        for split, folder in _recording_folders(source)
-        for views in [_views(folder, source, options)]
-        for reader in [_Reader(views, options)]
-    ]
+    found, left_out = [], 0
+    for split, name, views in _recordings(source):
+        views = [_view(view, source, options) for view in views]
+        left_out += sum(view.left_out for view in views)
+        reader = _Reader(views, [_camera(view, options) for view in views])
+        found.append(Recording(str(name), split, reader.survey, reader.read, reader.cameras[0].fps))
     if not found:
         raise UsageError(
-            f"{source} holds no recording: expected rgb/*.png, depth/*.png and {CAMERA}, in it or in folders below it."
+            f"{source} holds no recording: expected rgb/*.png, depth/*.png and {CAMERA}, in it or in folders below it, "
+            "or another layout of docs/import.md."
         )
-    return Found(found, "clip")
+    notes = (f"{counted(left_out, 'image')} without depth or pose at their time left out.",) if left_out else ()
+    return Found(found, "clip", notes)
 
 
-def _recording_folders(source: Path) -> list[tuple[str | None, Path]]:
-    if not source.is_dir():
-        raise UsageError(f"{source} is no folder; expected one with recordings.")
-    if _is_recording(source):
-        return [(None, source)]
+def _recordings(source: Path) -> list[tuple[str | None, Path, list[FrameFiles]]]:
+    """Find split, place and views of all recordings."""
+    if not source.exists():
+        raise UsageError(f"{source} does not exist; expected a folder with recordings.")
+    if views := _views(source):
+        return [(None, source, views)]
     places = [(name, source / name) for name in SPLITS if (source / name).is_dir()] or [(None, source)]
-    return [(split, folder) for split, place in places for folder in sorted(place.iterdir()) if _is_recording(folder)]
+    inside = [(split, path) for split, place in places if place.is_dir() for path in sorted(place.iterdir())]
+    return [(split, path, views) for split, path in inside if (views := _views(path))]
 
 
-def _is_recording(folder: Path) -> bool:
-    if not folder.is_dir() or folder.name.startswith("."):
-        return False
-    return bool(_entry(folder, _COLOUR, _COLOUR_ENDINGS) or _view_folders(folder))
-
-
-def _view_folders(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob("view*") if path.is_dir())
-
-
-def _entry(folder: Path, names: Sequence[str], endings: Sequence[str]) -> Path | None:
-    """Find the folder or the single file of one of these names."""
-    candidates = [folder / f"{name}{ending}" for name in names for ending in ("", *endings)]
-    return next((path for path in candidates if path.exists()), None)
-
-
-def _views(folder: Path, source: Path, options: ReadOptions) -> list[_View]:
-    return [_view(place, source, options) for place in _view_folders(folder) or [folder]]
-
-
-def _view(folder: Path, source: Path, options: ReadOptions) -> _View:
-    colour = _files(folder, _COLOUR, _COLOUR_ENDINGS)
-    depth = _files(folder, _DEPTH, _DEPTH_ENDINGS)
-    masks = _files(folder, _MASK, _MASK_ENDINGS) if options.masks else []
-    if not depth:
-        raise UsageError(f"{folder} has colour but no depth; expected depth/*.png or depth.png.")
-    for kind, files in (("depth images", depth), ("masks", masks)):
-        if files and len(files) != len(colour):
-            raise UsageError(
-                f"{folder} has {len(colour)} colour images but {len(files)} {kind}; expected one for each. Add the "
-                "missing ones, or remove the images without a partner."
-            )
-        if len(files) > 1:
-            check_pairs(colour, files)
-    camera = next((path / CAMERA for path in (folder, folder.parent, source) if (path / CAMERA).exists()), None)
-    if camera is None and options.camera is None:
-        raise UsageError(f"{folder / CAMERA} is missing; it holds fx, fy, cx, cy and depth_scale, see docs/import.md.")
-    return _View(folder, colour, depth, masks, _pose_files(folder, len(colour)), options.camera or camera or folder)
-
-
-def _files(folder: Path, names: Sequence[str], endings: Sequence[str]) -> list[Path]:
-    entry = _entry(folder, names, endings)
-    if entry is None:
+def _views(place: Path) -> list[FrameFiles]:
+    """Find the views of a recording; none if it is no recording."""
+    if place.name.startswith("."):
         return []
-    return list_frames([entry], endings, "In") if entry.is_dir() else [entry]
+    if views := sorted(path for path in place.glob("view*") if path.is_dir()):
+        found = [find_frames(view) for view in views]
+        if None in found:
+            raise UsageError(f"{views[found.index(None)]} holds no colour images; expected rgb/*.png or rgb.png.")
+        return [view for view in found if view is not None]
+    found = find_frames(place)
+    return [] if found is None else [found]
 
 
-def _pose_files(folder: Path, images: int) -> list[Path]:
-    single = next((folder / f"world_from_camera{ending}" for ending in _POSE_ENDINGS
-                   if (folder / f"world_from_camera{ending}").exists()), None)  # fmt: skip
-    if single:
-        return [single]
-    poses = list_frames([folder / "poses"], _POSE_ENDINGS, "In") if (folder / "poses").is_dir() else []
-    if poses and len(poses) != images:
-        raise UsageError(f"{folder / 'poses'} has {len(poses)} files for {images} images; expected one for each image.")
-    return poses
+def _view(view: FrameFiles, source: Path, options: ReadOptions) -> FrameFiles:
+    camera = view.camera or next((path for path in (source / CAMERA,) if path.exists()), None)
+    if camera is None and options.camera is None:
+        raise UsageError(
+            f"{view.place / CAMERA} is missing; it holds fx, fy, cx, cy and depth_scale, see docs/import.md."
+        )
+    return replace(view, masks=view.masks if options.masks else [], camera=options.camera or camera)
 
 
-def _read_camera(path: Path, options: ReadOptions) -> _Camera:
-    values = read_object(path)
-    bop = "cam_K" in values  # BOP gives depth_scale in millimetres per unit
-    scale = values.get("depth_scale", values.get("depth_scale_m", 1.0 if bop else _MILLIMETRE))
-    scale = options.depth_scale or _positive(scale, f"{path}: depth_scale") * (_MILLIMETRE if bop else 1)
-    kind = options.depth_type or values.get("depth_type", "planar")
-    if kind not in ("planar", "euclidean"):
-        raise UsageError(f"{path}: depth_type is {kind!r:.40}; expected planar or euclidean.")
-    fps = values.get("fps")
-    return _Camera(
-        k=_intrinsics(values, path),
-        depth_scale=scale,
-        float_scale=options.depth_scale or 1.0,
-        euclidean=kind == "euclidean",
-        poses=values.get("world_from_camera"),
-        fps=None if fps is None else _positive(fps, f"{path}: fps"),
-    )
-
-
-def _intrinsics(values: dict[str, Any], path: Path) -> Float64[np.ndarray, "3 3"]:
-    """Read fx, fy, cx, cy or a 3x3 matrix K; `pixel_center` says where the first pixel's centre is."""
-    matrix = next((values[name] for name in ("K", "cam_K", "intrinsics") if name in values), None)
-    if matrix is not None:
-        k = numbers(matrix, 9, f"{path}: K").reshape(3, 3)
-    elif missing := [name for name in ("fx", "fy", "cx", "cy") if name not in values]:
-        raise UsageError(f"{path} has no {missing[0]}; expected fx, fy, cx and cy in pixels, or a 3x3 matrix K.")
-    else:
-        k = camera_matrix(*numbers([values[name] for name in ("fx", "fy", "cx", "cy")], 4, f"{path}: fx, fy, cx, cy"))
-    center = values.get("pixel_center", 0)
-    if center not in (0, 0.5):
-        raise UsageError(f"{path}: pixel_center is {center!r:.20}; expected 0 (OpenCV) or 0.5.")
-    return k + HALF_PIXEL * (1 if center == 0 else 0)
-
-
-def _positive(value: Any, place: str) -> float:
-    if type(value) not in (int, float) or not 0 < value < 1e6:
-        raise UsageError(f"{place} is {value!r:.40}; expected a number above 0.")
-    return float(value)
+def _camera(view: FrameFiles, options: ReadOptions) -> Camera:
+    assert view.camera is not None
+    scale, kind = options.depth_scale, options.depth_type
+    return read_camera(view.camera, depth_scale=scale, depth_type=kind, default_scale=view.depth_scale)
 
 
 class _Reader:
     """Images of one recording."""
 
-    def __init__(self, views: list[_View], options: ReadOptions):
-        self._views = views
-        self._cameras = [_read_camera(view.camera, options) for view in views]
+    def __init__(self, views: list[FrameFiles], cameras: list[Camera]):
+        self._views, self.cameras = views, cameras
 
     def survey(self) -> Facts:
-        sizes = {view.folder: common_size(view.colour, view.depth, view.masks) for view in self._views}
+        sizes = {view.place: common_size(view.colour, view.depth, view.masks) for view in self._views}
         first = self._views[0]
-        for view, camera in zip(self._views, self._cameras, strict=True):
-            if len(view.colour) != len(first.colour) or sizes[view.folder] != sizes[first.folder]:
+        for view, camera in zip(self._views, self.cameras, strict=True):
+            if len(view.colour) != len(first.colour) or sizes[view.place] != sizes[first.place]:
                 raise UsageError(
-                    f"{view.folder} has {len(view.colour)} images of {sizes[view.folder]} pixels, but {first.folder} "
-                    f"has {len(first.colour)} of {sizes[first.folder]}; expected equal numbers and sizes in all views."
+                    f"{view.place} has {len(view.colour)} images of {sizes[view.place]} pixels, but {first.place} "
+                    f"has {len(first.colour)} of {sizes[first.place]}; expected equal numbers and sizes in all views."
                 )
             if bool(view.masks) != bool(first.masks):
-                raise UsageError(f"{view.folder} and {first.folder} differ in having masks; give masks for both.")
-            check_intrinsics(camera.k, sizes[view.folder], str(view.camera))
+                raise UsageError(f"{view.place} and {first.place} differ in having masks; give masks for both.")
+            check_intrinsics(camera.k, sizes[view.place], str(view.camera))
         masks = [path for view in self._views for path in view.masks]
         ids = {int(one) for path in masks for one in np.unique(read_ids(path))} - {0}
-        posed = bool(first.poses) or self._cameras[0].poses is not None
+        posed = bool(first.poses) or self.cameras[0].poses is not None
         objects = len(ids) if masks else None
-        return Facts(len(first.colour), len(self._views), sizes[first.folder], objects, posed)
+        return Facts(len(first.colour), len(self._views), sizes[first.place], objects, posed)
 
     def read(self, images: Sequence[int]) -> Images:
-        views = list(zip(self._views, self._cameras, strict=True))
-        poses = [[_pose(view, camera, number) for view, camera in views] for number in images]
+        views = list(zip(self._views, self.cameras, strict=True))
+        poses = [[view.pose(number, camera) for view, camera in views] for number in images]
         known = [pose is not None for row in poses for pose in row]
         if any(known) and not all(known):
-            raise UsageError(f"{self._views[0].folder}: some views have poses and some have none; give all or none.")
+            raise UsageError(f"{self._views[0].place}: some views have poses and some have none; give all or none.")
         return Images(
             rgb=np.stack([[read_colour(view.colour[number]) for view, _ in views] for number in images]),
             depth=np.stack([[_depth(view.depth[number], camera) for view, camera in views] for number in images]),
@@ -235,7 +122,7 @@ class _Reader:
             ids=np.stack([[read_ids(view.masks[number]) for view, _ in views] for number in images])
             if self._views[0].masks
             else None,
-            categories=_categories(self._views[0].folder) if self._views[0].masks else None,
+            categories=_categories(self._views[0].place) if self._views[0].masks else None,
         )
 
 
@@ -250,27 +137,7 @@ def _categories(folder: Path) -> dict[int, str] | None:
     return {each["id"]: str(each.get("category", "")) for each in values}
 
 
-def _depth(path: Path, camera: _Camera) -> np.ndarray:
-    depth, scale = read_depth(path, camera.depth_scale), camera.depth_scale
-    if holds_floats(path):
-        scale = camera.float_scale
-        depth = depth * np.float32(scale)
-    check_unit(depth, scale, str(path))
-    return planar_depth(depth, camera.k) if camera.euclidean else depth
-
-
-def _pose(view: _View, camera: _Camera, number: int) -> Float64[np.ndarray, "4 4"] | None:
-    if view.poses:
-        return read_pose(view.poses[number if len(view.poses) > 1 else 0], "")
-    if camera.poses is None:
-        return None
-    try:
-        listed = camera.poses if np.ndim(camera.poses) == 2 else camera.poses[number]
-    except (ValueError, TypeError, LookupError):
-        raise CorruptFile(
-            f"{view.camera}: world_from_camera holds no pose for image {number}; expected one 4x4 matrix, or one for "
-            "each image."
-        ) from None
-    pose = pose_matrix(listed)
-    check_pose(pose, f"{view.camera}: world_from_camera")
-    return pose
+def _depth(path: Path, camera: Camera) -> np.ndarray:
+    depth = camera.depth(path)
+    check_unit(depth, camera.float_scale if holds_floats(path) else camera.depth_scale, str(path))
+    return depth

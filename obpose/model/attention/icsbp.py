@@ -94,7 +94,7 @@ class ICSBP(Attention):
     def __init__(self, config: ModelConfig):
         """Initialise the bandwidth of the kernel."""
         super().__init__()
-        self.config, self._slots, self._has_background = config.attention, config.slots, config.has_background
+        self.config, self.slots, self._has_background = config.attention, config.slots, config.has_background
         self.log_sigma = nn.Parameter(torch.tensor(math.log(initial_sigma(config.slots))))
 
     def forward(self, embeddings: Embeddings, generator: torch.Generator | None) -> Attended:
@@ -102,7 +102,7 @@ class ICSBP(Attention):
         rules = training_rules(self.config) if self.training else evaluation_rules(self.config)
         prescope = whole_scope(embeddings.valid) if embeddings.log_prescope is None else embeddings.log_prescope
         found = (embeddings.colour, embeddings.valid, prescope)
-        masks = self.masks(*found, slots=self._slots, rules=rules, generator=generator)
+        masks = self.masks(*found, slots=self.slots, rules=rules, generator=generator)
         if not self._has_background:
             masks = add_remainder_slot(masks)
         return Attended(masks, slot_codes=None, background_code=embeddings.scene)

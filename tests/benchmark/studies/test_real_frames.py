@@ -16,7 +16,7 @@ def frames(tmp_path: Path) -> Path:
     """A frame with a mask, and one that shows no table."""
     clip, truth = clip_and_truth(frames=1, resolution=(160, 120))
     k = clip.k[0]
-    facts = {"intrinsics_for_obpose": f"{k[0, 0]},{k[1, 1]},{k[0, 2]},{k[1, 2]}", "depth_scale_m": 0.0001}
+    facts = {"K": k.tolist(), "pixel_center": 0.5, "depth_scale_m": 0.0001, "mask": "PREDICTED by a model"}
     depth = (clip.depth[0, 0] * 10_000).round().astype(np.uint16)
     noise = np.random.default_rng(0).integers(8000, 30_000, depth.shape, dtype=np.uint16)
     for name, values in (("balls", depth), ("noise", noise)):
@@ -33,8 +33,12 @@ def test_frames_are_scored_and_drawn(frames: Path, capsys: pytest.CaptureFixture
     assert main(["real_frames", str(frames), *flags, "--pictures", str(frames / "drawn")]) == EXIT_OK
     lines = list(csv.DictReader((frames / "a.csv").read_text().splitlines()))
     assert [(line["frame"], line["method"]) for line in lines] == [
-        (frame, method) for frame in ("balls", "noise") for method in ("plane-hdbscan", "supervised--desk--128x96")
+        (frame, method)
+        for frame in ("balls", "noise", "mean of 1")
+        for method in ("plane-hdbscan", "supervised--desk--128x96")
     ]
+    assert [line["masks"] for line in lines] == ["predicted"] * 2 + ["none"] * 2 + ["predicted"] * 2
+    assert [line["ari_fg"] for line in lines[:2]] == [line["ari_fg"] for line in lines[4:]]
     for line in lines[:2]:
         assert float(line["ari_fg"]) > 0.9
         assert float(line["miou_bg"]) > 0.9

@@ -8,12 +8,14 @@ import torch
 from PIL import Image
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
-from datagen.geometry import pixel_rays
-from obpose.commands.segment import DEFAULT, main
+from datagen.geometry import look_at, pixel_rays
+from obpose.commands.segment import DEFAULT, Arguments, _prepared, _unlike_training, main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
-from obpose.storage.checkpoint import save_model
+from obpose.rgbd.weights import method_of
+from obpose.rgbd.world import World
+from obpose.storage.checkpoint import load, save_model
 from obpose.systems import find_system
 from obpose.types import Observation
 from tests.worlds.sphere_clips import clip_and_truth
@@ -49,7 +51,7 @@ def one_object(observation: Observation) -> np.ndarray:
     return np.ones(observation.depth[0, :, 0].shape, np.int64)
 
 
-def find_method(name: str):
+def find_method(name: str, objects: int):
     if name != "one-object":
         raise UsageError(f"Unknown method {name!r}; expected one-object.")
     return one_object
@@ -73,8 +75,8 @@ def labels_of(out: Path) -> np.ndarray:
 def test_frames_become_labels_overlays_and_boxes(scene: Path, tmp_path: Path, capsys):
     assert run(scene, tmp_path, "--camera-pose", scene / "pose.txt") == EXIT_OK
     facts = facts_of(tmp_path)
-    assert facts["world"] == "as given with --camera-pose"
-    np.testing.assert_allclose(facts["world_from_camera"], np.loadtxt(scene / "pose.txt"), atol=1e-6)
+    assert facts["world"] == "as given by the camera's pose"
+    np.testing.assert_allclose(facts["frames"][0]["world_from_camera"], np.loadtxt(scene / "pose.txt"), atol=1e-6)
     assert len(facts["frames"]) == FRAMES
     for frame, labels in zip(facts["frames"], labels_of(tmp_path), strict=True):
         assert labels.shape == (HEIGHT, WIDTH)
@@ -84,9 +86,9 @@ def test_frames_become_labels_overlays_and_boxes(scene: Path, tmp_path: Path, ca
 
 def test_without_a_pose_the_world_stands_on_the_table(scene: Path, tmp_path: Path, capsys):
     assert run(scene, tmp_path) == EXIT_OK
-    assert "stands on the largest plane" in str(facts_of(tmp_path)["world"])
-    assert "stands on the largest plane" in capsys.readouterr().out
-    height = np.array(facts_of(tmp_path)["world_from_camera"])[2, 3]
+    assert "stands on the table" in str(facts_of(tmp_path)["world"])
+    assert "stands on the table" in capsys.readouterr().out
+    height = np.array(facts_of(tmp_path)["frames"][0]["world_from_camera"])[2, 3]
     assert height == pytest.approx(np.loadtxt(scene / "pose.txt")[2, 3], abs=0.01)
 
 
@@ -139,9 +141,35 @@ def test_the_workspace_can_be_given(scene: Path, tmp_path: Path):
     assert run(scene, tmp_path / "near", *pose, "--depth-max", 0.01, **flags) == EXIT_USAGE
 
 
-def test_the_default_weights_are_shipped(scene: Path, tmp_path: Path):
-    assert run(scene, tmp_path / "out", checkpoint=None) == EXIT_OK
-    assert facts_of(tmp_path / "out")["method"] == f"weights {DEFAULT}"
+def test_the_choice_depends_on_the_camera_and_is_named(scene: Path, tmp_path: Path):
+    def chosen(name: str, pose: np.ndarray) -> str:
+        method, _, _ = _prepared(Arguments(**files, camera_pose=save(name, pose)), find_method, 16)
+        return method
+
+    def save(name: str, pose: np.ndarray) -> Path:
+        np.savetxt(tmp_path / name, pose)
+        return tmp_path / name
+
+    places = {"rgb": (scene / "rgb",), "depth": (scene / "depth",)}
+    files = {**places, "intrinsics": (scene / "intrinsics").read_text()}
+    assert chosen("near", np.loadtxt(scene / "pose.txt")).startswith(f"weights {DEFAULT}, chosen because")
+    for position, said in (((2.0, 0.0, 2.0), "2.8 m away, farther"), ((1.0, 0.0, 0.2), "11 degrees above the table")):
+        pose = look_at(np.array(position), np.zeros(3))
+        assert said in _unlike_training(World(pose[None], ""))
+
+
+def test_weights_of_obpose_look_for_as_many_objects_as_wanted(scene: Path):
+    assert load(scene / "model")[0].attention.slots == 2
+    method, _ = method_of(scene / "model", 5)
+    assert method.args[0].attention.slots == 5
+
+
+def test_a_full_number_of_objects_is_reported(scene: Path, tmp_path: Path, capsys):
+    flags = {"checkpoint": None, "method": "one-object"}
+    for number in (1, 2):
+        assert run(scene, tmp_path / str(number), "--objects", number, **flags) == EXIT_OK
+        said = "Warning: As many objects were found as were looked for, 1" in capsys.readouterr().out
+        assert said == bool(facts_of(tmp_path / str(number))["warnings"]) == (number == 1)
 
 
 @pytest.mark.parametrize(
@@ -164,13 +192,18 @@ def test_the_default_weights_are_shipped(scene: Path, tmp_path: Path):
         ({}, ("--depth-max", 0), EXIT_USAGE, "--depth-max is 0"),
         ({}, ("--workspace", "1,0,0,1"), EXIT_USAGE, "expected x0,x1,y0,y1"),
         ({}, ("--workspace", "5,6,5,6"), EXIT_USAGE, "The workspace shows no points"),
+        ({}, ("--table", "5"), EXIT_USAGE, "--table 5: expected column,row of a pixel"),
+        ({}, ("--objects", 0), EXIT_USAGE, "--objects 0: expected 1 to 255"),
+        ({}, ("{scene}",), EXIT_USAGE, "and --rgb or --depth exclude each other"),
+        ({"rgb": None, "depth": None}, ("{scene}/model",), EXIT_USAGE, "model holds no frames"),
         ({}, ("--method", "one-object"), EXIT_USAGE, "--method and --checkpoint exclude each other"),
         ({"checkpoint": None}, ("--method", "magic"), EXIT_USAGE, "Unknown method 'magic'"),
     ],
 )
 def test_bad_requests_end_with_one_line(scene: Path, tmp_path: Path, capsys, changes, flags, code: int, message: str):
     places = {name: value and value.format(scene=scene) for name, value in changes.items()}
-    assert run(scene, tmp_path / "out", *flags, **places) == code
+    given = [flag.format(scene=scene) if isinstance(flag, str) else flag for flag in flags]
+    assert run(scene, tmp_path / "out", *given, **places) == code
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1
     assert message in errors
@@ -197,7 +230,7 @@ def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path:
             depth[:3] = value
             Image.fromarray(depth).save(tmp_path / name / path.name)
         assert run(scene, tmp_path / f"{name}_out", depth=tmp_path / name) == EXIT_OK
-        return np.array(facts_of(tmp_path / f"{name}_out")["world_from_camera"])
+        return np.array(facts_of(tmp_path / f"{name}_out")["frames"][0]["world_from_camera"])
 
     without = place("without", 0)
     np.testing.assert_array_equal(place("saturated", 65535), without)

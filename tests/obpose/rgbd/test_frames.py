@@ -1,53 +1,10 @@
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from obpose.config import Config, override
 from obpose.contact.config import ContactConfig
 from obpose.errors import UsageError
-from obpose.rgbd.frames import GIVEN, trained_on, world_note
+from obpose.rgbd.frames import trained_on
 from obpose.systems import find_system
-from tests.worlds.sphere_clips import clip_and_truth
-
-CLIP = clip_and_truth(frames=1, resolution=(32, 24))[0]
-
-
-def note(*, z: float = 0.0, degrees: float = 0.0, wall: bool = False) -> str:
-    """Describe the clip in a world that is moved along z and rotated about x."""
-    pose, angle = np.eye(4), np.radians(degrees)
-    pose[1:3, 1:3] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    pose[2, 3] = z
-    pose = pose @ CLIP.world_from_camera[0]
-    depth = CLIP.depth[0, 0].copy()
-    if wall:
-        depth[:16] = np.where(depth[:16] > 0, depth[:16], 6)
-    points = replace(CLIP, depth=depth[None, None]).points(pose[None])[0, 0][depth > 0]
-    return world_note(points - pose[:3, 3], pose[:3, 3])
-
-
-def test_a_table_at_z_0_needs_no_warning():
-    assert note() == GIVEN
-    assert note(z=0.01) == GIVEN
-
-
-def test_a_wall_behind_the_table_is_not_taken_for_it():
-    assert note(wall=True) == GIVEN
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"z": -0.1}, "the table in view lies at z = -0.10 m: move the world's origin onto the table"),
-        ({"z": 0.05}, "lies at z = 0.05 m"),
-        ({"degrees": 30}, "the table in view is tilted by 30 degrees"),
-    ],
-)
-def test_faults_of_another_world_are_named(changes: dict[str, float], said: str):
-    found = note(**changes)
-    assert found.startswith(GIVEN)
-    assert said in found
-    assert found.endswith("results may be poor")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from obpose.rgbd.frames import PreparedFrames, Trained, observe
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.results import label_image, objects_of, overlay, write_results
 from obpose.rgbd.workspace import Workspace, rectangle
+from obpose.rgbd.world import World
 
 WIDTH, HEIGHT = 64, 48
 K = intrinsics(1.0, WIDTH, HEIGHT)
@@ -30,8 +31,9 @@ def frames(workspace: Workspace = SQUARE) -> PreparedFrames:
     recording = Recording(
         (Path("a.png"), Path("b.png")), np.stack([RGB, RGB]), np.full((2, HEIGHT, WIDTH), 0.8, np.float32), K
     )
-    observation = observe(recording, POSE, workspace, Trained(0.01))
-    return PreparedFrames(recording, observation, POSE, workspace, 1, "", "")
+    world = World(np.stack([POSE, POSE]), "")
+    observation = observe(recording, world.poses, workspace, Trained(0.01))
+    return PreparedFrames(recording, observation, world, workspace, 1, "")
 
 
 def test_a_label_image_holds_labels():
@@ -51,19 +53,21 @@ def test_objects_have_the_boxes_of_their_points():
 def test_an_overlay_shows_labels_boxes_and_the_table():
     prepared = frames()
     objects = objects_of(LABELS[0], prepared.points(0))
-    image = overlay(RGB, LABELS[0], objects, prepared)
+    image = overlay(RGB, LABELS[0], objects, prepared, 0)
     assert (image == (100 + PALETTE[2].astype(int)) // 2).all(axis=-1).sum() > 10
     assert (image == 255).all(axis=-1).sum() > 20
     changed = np.argwhere((image != RGB).any(axis=-1) & ~(image == 255).all(axis=-1))
     assert np.ptp(changed, axis=0).min() >= 10
-    np.testing.assert_array_equal(overlay(RGB, 0 * LABELS[0], [], frames(rectangle((2.0, 3.0, 2.0, 3.0), 0.004))), RGB)
+    np.testing.assert_array_equal(
+        overlay(RGB, 0 * LABELS[0], [], frames(rectangle((2.0, 3.0, 2.0, 3.0), 0.004)), 0), RGB
+    )
 
 
 def test_every_frame_gets_all_its_files(tmp_path: Path):
     objects = write_results(tmp_path / "out", frames(), LABELS, {"world": "here"})
     facts = json.loads((tmp_path / "out" / "objects.json").read_text())
     assert facts["world"] == "here"
-    np.testing.assert_allclose(facts["world_from_camera"], POSE, atol=1e-6)
+    np.testing.assert_allclose(facts["frames"][1]["world_from_camera"], POSE, atol=1e-6)
     assert [frame["rgb"] for frame in facts["frames"]] == ["a.png", "b.png"]
     assert np.shape(facts["table"]["outline"]) == (4, 2)
     for frame, labels, found in zip(facts["frames"], LABELS, objects, strict=True):

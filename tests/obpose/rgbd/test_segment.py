@@ -2,13 +2,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from datagen.geometry import intrinsics, look_at, unproject
 from obpose.rgbd.frames import PreparedFrames, Trained, observe
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.segment import segment_frames
 from obpose.rgbd.workspace import find_workspace
+from obpose.rgbd.world import World
 from obpose.types import Observation
 from tests.worlds.sphere_clips import clip_and_truth
+from tests.worlds.traced import trace
 
 EVERY = 4
 
@@ -18,10 +22,10 @@ def world() -> tuple[PreparedFrames, np.ndarray]:
     """Two frames of spheres on a table, and the labels of their pixels."""
     clip, truth = clip_and_truth(frames=2, resolution=(160, 120))
     recording = Recording((Path("a.png"), Path("b.png")), clip.rgb[:, 0], clip.depth[:, 0], clip.k[0])
-    pose = clip.world_from_camera[0]
+    world = World(np.repeat(clip.world_from_camera, 2, axis=0), "")
     workspace = find_workspace(clip.points()[0, 0][clip.valid[0, 0]])
-    observation = observe(recording.every(EVERY), pose, workspace, Trained(0.01))
-    return PreparedFrames(recording, observation, pose, workspace, EVERY, "", ""), truth[:, 0]
+    observation = observe(recording.every(EVERY), world.poses, workspace, Trained(0.01))
+    return PreparedFrames(recording, observation, world, workspace, EVERY, ""), truth[:, 0]
 
 
 def knows(truth: np.ndarray):
@@ -76,10 +80,39 @@ def test_nothing_is_found_where_nothing_is_labelled(world: tuple[PreparedFrames,
 def test_pixels_outside_of_the_workspace_have_no_depth(world: tuple[PreparedFrames, np.ndarray]):
     frames, _ = world
     small = Trained(0.01, cube=((0.0, 0.0, 0.0), 0.2))
-    observation = observe(frames.recording, frames.pose, frames.workspace, small)
+    observation = observe(frames.recording, frames.world.poses, frames.workspace, small)
     assert (
         0
         < observation.valid.sum()
-        < observe(frames.recording, frames.pose, frames.workspace, Trained(0.01)).valid.sum()
+        < observe(frames.recording, frames.world.poses, frames.workspace, Trained(0.01)).valid.sum()
     )
     assert ((observation.depth > 0) == observation.valid).all()
+
+
+def test_objects_of_a_video_keep_their_labels_though_the_camera_moves():
+    """Two balls, one of which rolls, seen by a camera on a circle; the method numbers them anew in each frame."""
+    k, size, count = intrinsics(np.radians(60), 96, 72), (96, 72), 4
+    angles = np.linspace(0, 0.8, count)
+    poses = np.stack([look_at(np.array([0.7 * np.cos(a), 0.7 * np.sin(a), 0.7]), np.zeros(3)) for a in angles])
+    places = [np.array([(-0.12, 0.0, 0.05), (0.1, 0.03 * frame, 0.05)]) for frame in range(count)]
+    images = [trace(centers, k, pose, *size) for centers, pose in zip(places, poses, strict=True)]
+    depth, truth = (np.stack([image[part] for image in images]) for part in (0, 1))
+    rgb = np.array([(90, 90, 90), (200, 40, 40), (40, 40, 200)], np.uint8)[truth]
+    recording = Recording(tuple(Path(f"{i}.png") for i in range(count)), rgb, depth.astype(np.float32), k)
+    workspace = find_workspace(unproject(recording.depth[0], k, poses[0]).reshape(-1, 3))
+    observation = observe(recording, poses, workspace, Trained(0.01))
+    frames = PreparedFrames(recording, observation, World(poses, ""), workspace, 1, "")
+    calls = iter(range(count))
+
+    def method(still: Observation) -> np.ndarray:
+        frame = next(calls)
+        assert torch.equal(still.world_from_camera[0, 0], torch.from_numpy(poses[frame]).float())
+        return np.where(truth[frame] > 0, (truth[frame] + frame) % 2 + 1, 0)[None]
+
+    assert frames.moves
+    labels = segment_frames(frames, method, video=True)
+    for ball in (1, 2):
+        names, counts = np.unique(labels[truth == ball], return_counts=True)
+        assert counts.max() > 0.9 * counts.sum()
+        assert names[counts.argmax()] > 0
+    assert segment_frames(frames, lambda _: truth, most=1).max() == 1

@@ -200,11 +200,11 @@ def test_a_bad_recording_is_named_and_nothing_is_written(change, message: str, t
 def test_a_file_that_the_system_refuses_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     source = write_rgbd(tmp_path / "source", [shoot()])
 
-    def refuse(path: Path, scale: float) -> None:
+    def refuse(path: Path) -> None:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(rgbd, "read_depth", refuse)
-    with pytest.raises(UsageError, match=r"depth/0\.png cannot be read: Permission denied"):
+    monkeypatch.setattr(rgbd, "read_colour", refuse)
+    with pytest.raises(UsageError, match=r"rgb/0\.png cannot be read: Permission denied"):
         take(source, tmp_path / "out", format="rgbd")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
 from datagen.errors import CorruptFile, UsageError
+from datagen.rgbd.arrays import archive_of, array_header, is_array, read_array
 from datagen.rgbd.images import Size, colour_size, depth_size
 from datagen.storage.safe_io import open_image, read_json
 
@@ -41,20 +42,31 @@ def read_ids(path: Path) -> Int64[np.ndarray, "height width"]:
         UsageError: there is no such file, or it has several channels.
         CorruptFile: it is damaged.
     """
+    if is_array(path):
+        mask_size(path)
+        return _checked_ids(read_array(path), path)
     with _opening(path) as image:
         if image.mode not in _MASK_MODES:
             raise UsageError(
                 f"{path} is no mask: it has mode {image.mode}; expected one channel with an object's id in each pixel, "
                 "0 = background. Convert it, or leave masks out with --ignore-masks."
             )
-        ids = np.asarray(image).astype(np.int64)
-    if ids.min() < 0:
-        raise UsageError(f"{path} has the id {ids.min()}; expected 0 for the background and positive ids.")
-    return ids
+        return _checked_ids(np.asarray(image), path)
+
+
+def _checked_ids(values: np.ndarray, path: Path) -> Int64[np.ndarray, "height width"]:
+    if values.min() < 0 or values.max() >= 2**62:
+        raise UsageError(f"{path} has the id {values.min()}; expected 0 for the background and positive ids.")
+    return values.astype(np.int64)
 
 
 def mask_size(path: Path) -> Size:
     """Read the size of a mask from its header; raises as `read_ids`."""
+    if is_array(path):
+        shape, dtype = array_header(path)
+        if len(shape) != 2 or dtype.kind not in "biu":
+            raise UsageError(f"{path} is no mask: shape {shape}, type {dtype}; expected integers, height and width.")
+        return shape[1], shape[0]
     with _opening(path) as image:
         return image.size
 
@@ -78,7 +90,7 @@ def common_size(colours: Sequence[Path], depths: Sequence[Path], masks: Sequence
         CorruptFile: a file is damaged.
     """
     for path in (*colours, *depths, *masks):
-        if not path.exists():
+        if not (archive_of(path) or path).exists():
             raise missing_file(path)
     size = colour_size(colours[0])
     for paths, size_of in ((colours, colour_size), (depths, depth_size), (masks, mask_size)):

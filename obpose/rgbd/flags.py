@@ -1,0 +1,119 @@
+"""Command-line flags that describe RGB-D frames of a user."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from datagen.rgbd.camera_file import Camera, read_camera
+from datagen.rgbd.layouts import FrameFiles, find_frames, read_poses
+from obpose.errors import UsageError
+from obpose.rgbd.recording import Recording, named_files, parse_intrinsics, read_recording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frames:
+    """Flags that describe frames of one camera."""
+
+    source: Annotated[Path | None, tyro.conf.Positional] = None
+    """Folder or .npz file with colour, depth and their camera.json, in place of --rgb, --depth and --intrinsics; see
+    docs/import.md for the layouts."""
+    rgb: tuple[Path, ...] = ()
+    """Colour images in time order, or one folder of them, sorted by the numbers in their names: PNG or JPEG with
+    upright pixels (EXIF orientation 1)."""
+    depth: tuple[Path, ...] = ()
+    """Depth images, aligned with them, or one folder: PNG or TIFF of 16 bits, or TIFF, NPY or EXR of floats in metres.
+    Missing depth: 0, values that are not finite, and the largest value of the type, such as 65535."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels; the centre of the first pixel is at 0.5, 0.5, so add 0.5 to OpenCV's cx and cy."""
+    camera_pose: Path | None = None
+    """File with world_from_camera, 4x4, metres, as text, JSON or NPY, or a folder with one for each frame: camera axes
+    x right, y down, z forward, world z up. The world is kept if the table is at z = 0 there. Default: the poses in the
+    source, or a world on the table."""
+    depth_scale: float | None = None
+    """Metres per unit of integer depth images; default that of camera.json, or 0.001."""
+    euclidean: bool = False
+    """Depth is the distance from the camera's centre, not along its axis."""
+    depth_max: float | None = None
+    """Ignore points that are farther from the camera, metres along its axis."""
+    workspace: str | None = None
+    """x0,x1,y0,y1: ignore points outside of this rectangle on the table, world frame, metres. Default: the visible
+    part of the table."""
+    table: str | None = None
+    """x,y: column and row of a pixel of the first frame that shows the table. Default: the largest plane near the
+    camera, and not a wall."""
+    every: int | None = None
+    """Use one pixel of each square of N x N. Default: such that pixels are as far apart on the table as in training."""
+
+
+def read_frames(frames: Frames) -> Recording:
+    """Read the frames that the flags describe.
+
+    Raises:
+        UsageError: flags or files are missing or wrong, or contradict each other.
+        CorruptFile: a file cannot be read.
+    """
+    if frames.depth_scale is not None and not 0 < frames.depth_scale < math.inf:
+        raise UsageError(f"--depth-scale is {frames.depth_scale:g}; expected more than 0, and finite.")
+    if frames.every is not None and frames.every < 1:
+        raise UsageError(f"--every {frames.every}: expected 1 or a little more.")
+    if frames.depth_max is not None and not frames.depth_max > 0:
+        raise UsageError(f"--depth-max is {frames.depth_max:g}; expected metres, more than 0.")
+    files, camera = _files(frames)
+    recording = read_recording(files, camera)
+    if frames.depth_max is not None:
+        recording = replace(recording, depth=np.where(recording.depth > frames.depth_max, 0, recording.depth))
+    if frames.every is not None:
+        recording.every(frames.every)  # raises an error if the images are too small
+    return recording
+
+
+def _files(frames: Frames) -> tuple[FrameFiles, Camera]:
+    """Find the files of the frames, and their camera."""
+    k = None if frames.intrinsics is None else parse_intrinsics(frames.intrinsics)
+    if frames.source is None:
+        files = named_files(frames.rgb, frames.depth)
+    elif frames.rgb or frames.depth:
+        raise UsageError(f"{frames.source} and --rgb or --depth exclude each other; give one of them.")
+    elif (found := find_frames(frames.source)) is None:
+        raise UsageError(
+            f"{frames.source} holds no frames; expected a folder or .npz file with colour and depth of one camera, "
+            "such as rgb/*.png and depth/*.png, or color.png and depth.png."
+        )
+    else:
+        files = found
+    if frames.camera_pose is not None:
+        files = replace(files, poses=read_poses(frames.camera_pose, len(files.colour)))
+    if files.camera is None:
+        k = parse_intrinsics(None) if k is None else k
+        camera = Camera(k, frames.depth_scale or files.depth_scale, euclidean=frames.euclidean)
+    else:
+        kind = "euclidean" if frames.euclidean else None
+        camera = read_camera(files.camera, depth_type=kind, k=k, default_scale=files.depth_scale)
+        camera = replace(camera, depth_scale=frames.depth_scale or camera.depth_scale)
+    return files, camera
+
+
+def parse_pixel(text: str) -> tuple[int, int]:
+    """Parse column and row of a pixel; raises UsageError."""
+    try:
+        column, row = (int(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(
+            f"--table {text}: expected column,row of a pixel of the first frame, such as 320,400."
+        ) from None
+    return column, row
+
+
+def parse_rectangle(text: str) -> tuple[float, float, float, float]:
+    """Parse a rectangle on the table; raises UsageError."""
+    try:
+        x0, x1, y0, y1 = (float(part) for part in text.split(","))
+    except ValueError:
+        x0, x1, y0, y1 = (math.nan,) * 4
+    if not (x0 < x1 and y0 < y1 and np.isfinite([x0, x1, y0, y1]).all()):
+        raise UsageError(f"--workspace {text}: expected x0,x1,y0,y1 in metres with x0 < x1 and y0 < y1.")
+    return x0, x1, y0, y1
