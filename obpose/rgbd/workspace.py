@@ -27,8 +27,8 @@ RIM = 0.03
 _WALL_HEIGHT, _BESIDE, _INSIDE = 0.04, 0.06, 0.03
 """Least height of the points of walls above the table, and greatest distances from its outline, metres."""
 _MOST_WALLED, _MOST_BELOW = 0.5, 0.1
-"""Greatest share of the outline with something beside it, and of points below the table; set on boxes that
-`tests.worlds.rooms` draws, where one wall behind a table takes less."""
+"""Greatest share of the outline with something beside it, and of points below the table. They suit the boxes that
+`tests.worlds.rooms` draws, where one wall behind a table takes less; they were lowered after real frames were seen."""
 UNSUPPORTED = (
     "Bins, shelves and walls are not supported, and the results are most likely wrong; if there is a table, name a "
     "pixel on it with --table."
