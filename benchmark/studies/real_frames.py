@@ -15,7 +15,8 @@ from benchmark.ranking.leaderboard import Line
 from benchmark.studies.inputs import TableFlags
 from datagen.errors import DatagenError, UsageError
 from datagen.storage.safe_io import open_image, read_json
-from obpose.rgbd.frames import Frames, prepare_frames
+from obpose.rgbd.frame_arguments import Frames
+from obpose.rgbd.frames import prepare_frames
 from obpose.rgbd.results import objects_of, overlay
 from obpose.rgbd.segment import UNTRAINED, segment_frames
 from obpose.rgbd.weights import DEFAULT, method_of

@@ -8,17 +8,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from datagen.console.command_line import Command, run_command
+from datagen.console.interrupts import interruptible_imports
 from datagen.console.text import counted
 from obpose.errors import EXIT_OK, UsageError
-from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames
-from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
-from obpose.rgbd.segment import UNTRAINED, Method, segment_frames
-from obpose.rgbd.weights import DEFAULT, method_of
+from obpose.rgbd.frame_arguments import Frames
+
+if TYPE_CHECKING:
+    from obpose.rgbd.frames import PreparedFrames, Trained
+    from obpose.rgbd.segment import Method
 
 PROGRAM = "obpose-segment"
-FindMethod = Callable[[str], Method]
+FindMethod = Callable[[str], "Method"]
 """Function that finds a method without training by name; raises UsageError if there is none."""
 
 
@@ -51,6 +54,12 @@ def main(arguments: Sequence[str] | None = None, *, find_method: FindMethod) -> 
 
 def run(values: Arguments, *, find_method: FindMethod) -> int:
     """Segment the frames and write all files."""
+    # Late, because PyTorch takes seconds to import.
+    with interruptible_imports(PROGRAM):
+        from obpose.rgbd.frames import prepare_frames
+        from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
+        from obpose.rgbd.segment import segment_frames
+
     name, method, trained = _method(values, find_method)
     frames = prepare_frames(values, trained)
     check_target(values.out, overwrite=values.overwrite)
@@ -71,8 +80,11 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     return EXIT_OK
 
 
-def _method(values: Arguments, find_method: FindMethod) -> tuple[str, Method, Trained]:
+def _method(values: Arguments, find_method: FindMethod) -> "tuple[str, Method, Trained]":
     """Name and function of the chosen method, and what it was trained on."""
+    from obpose.rgbd.segment import UNTRAINED
+    from obpose.rgbd.weights import DEFAULT, method_of
+
     if values.method is not None:
         if values.checkpoint is not None:
             raise UsageError("--method and --checkpoint exclude each other; give one of them.")
@@ -81,7 +93,7 @@ def _method(values: Arguments, find_method: FindMethod) -> tuple[str, Method, Tr
     return f"weights {checkpoint}", *method_of(checkpoint)
 
 
-def _print_objects(frames: PreparedFrames, objects: list) -> None:
+def _print_objects(frames: "PreparedFrames", objects: list) -> None:
     """Print the objects of the first frame that has any."""
     if not objects:
         print("No object was found: is the white outline in the picture that of your table? See docs/own_frames.md.")

@@ -11,7 +11,8 @@ from obpose.contact.model import ContactModel
 from obpose.data.resolution import fitting_model
 from obpose.errors import UsageError
 from obpose.model.obpose import ObPose
-from obpose.rgbd.frames import Frames, PreparedFrames, Trained, prepare_frames, trained_on
+from obpose.rgbd.frame_arguments import Frames
+from obpose.rgbd.frames import PreparedFrames, Trained, prepare_frames, trained_on
 from obpose.rgbd.segment import Labels, Method, segment_frames
 from obpose.storage.checkpoint import load
 from obpose.storage.pretrained import find_checkpoint

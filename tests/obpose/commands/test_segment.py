@@ -9,10 +9,11 @@ from PIL import Image
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
 from datagen.geometry import pixel_rays
-from obpose.commands.segment import DEFAULT, main
+from obpose.commands.segment import main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
+from obpose.rgbd.weights import DEFAULT
 from obpose.storage.checkpoint import save_model
 from obpose.systems import find_system
 from obpose.types import Observation
