@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -14,6 +15,11 @@ from datagen.shapes.shape import Shape
 
 OCCLUSION_SIZE = 64
 """Texels along each side of the map that darkens the ambient light around objects."""
+
+
+def is_compiled() -> bool:
+    """Whether an earlier run left its compiled kernels on this machine, possibly those of an earlier version."""
+    return any(Path(kernels.shade.stats.cache_path).glob("kernels.shade-*.nbi"))
 
 
 class RasterRenderer:
