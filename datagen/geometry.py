@@ -27,10 +27,18 @@ def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) ->
     right = right / horizontal
     pose = np.eye(4)
     pose[:3, 0] = right
-    pose[:3, 1] = np.cross(forward, right)
+    pose[:3, 1] = cross(forward, right)
     pose[:3, 2] = forward
     pose[:3, 3] = position
     return pose
+
+
+def cross(a: Float[np.ndarray, "*batch 3"], b: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """Cross product along the last axis: `np.cross` without its overhead for few vectors."""
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        product[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return product
 
 
 def intrinsics(field_of_view: float, width: int, height: int) -> Float[np.ndarray, "3 3"]:
@@ -60,13 +68,17 @@ def rotation_from_quaternion(quaternion_wxyz: Float[np.ndarray, "*batch 4"]) -> 
     """Rotation matrix of a quaternion (w, x, y, z), which need not have unit length; in float64."""
     quaternion = np.asarray(quaternion_wxyz, np.float64)
     quaternion = quaternion / np.sqrt(np.sum(quaternion * quaternion, axis=-1, keepdims=True))
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    w, x, y, z = (quaternion[..., axis] for axis in range(4))
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    rotation = np.empty((*quaternion.shape[:-1], 3, 3))
+    for i, row in enumerate(rows):
+        for j, value in enumerate(row):
+            rotation[..., i, j] = value
+    return rotation
 
 
 def quaternion_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:

@@ -234,13 +234,22 @@ class Trajectory:
 
 def scene_to_json(scene: Scene) -> str:
     """Serialise a scene to canonical JSON: equal scenes give equal text, and reading it back gives an equal scene."""
-    values = dataclasses.asdict(scene)
+    values = plain(scene)
     for camera in values["cameras"]:
         # Descriptions of cameras without a lens or a path keep the text that they had before there were any.
         for name in ("lens", "path"):
             if not camera[name]:
                 del camera[name]
     return json.dumps(values, separators=(",", ":"), allow_nan=False)
+
+
+def plain(value: Any) -> Any:
+    """Dicts of the fields of a dataclass and of those in it: `dataclasses.asdict` without copies of the values."""
+    if isinstance(value, tuple):
+        return [plain(item) for item in value]
+    if dataclasses.is_dataclass(value):
+        return {name: plain(item) for name, item in vars(value).items()}
+    return value
 
 
 def scene_from_json(text: str) -> Scene:

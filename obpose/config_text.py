@@ -8,7 +8,6 @@ from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from datagen.console.text import counted
-from datagen.storage.safe_io import parse_json
 from obpose.config import Config, override
 from obpose.errors import UsageError
 
@@ -119,6 +118,8 @@ def _conform_items(values: list[Any] | tuple[Any, ...], kinds: tuple[Any, ...], 
 
 def _read(text: str, kind: Any) -> Any:
     """Parse a text: JSON, a list without brackets, `none`, or else the text itself."""
+    from datagen.storage.safe_io import parse_json  # late: --help needs no NumPy
+
     if get_origin(kind) is tuple and not text.startswith("["):
         text = f"[{text}]"
     if text.lower() in ("none", "null") and type(None) in get_args(kind):

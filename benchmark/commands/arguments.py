@@ -6,8 +6,6 @@ from typing import Annotated, Literal
 
 import tyro
 
-from datagen.tracks import Profile
-
 Task = Literal["segmentation", "editing"]
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 DEFAULT_OUT = Path("results")
@@ -29,7 +27,7 @@ class Run:
     refine: int = 0
     """Number of steps that fit inferred scenes to their frames before editing; obpose-edit infer uses 100. 0: score
     scenes as inferred."""
-    profile: Profile = "cpu"
+    profile: Literal["cpu", "gpu"] = "cpu"
     """Size of the tracks' images and of the learned models' networks, for a CPU core or a GPU."""
     slots: tuple[int, ...] = ()
     """Numbers of slots for objects, without the background. Each number N other than the track's largest object count,

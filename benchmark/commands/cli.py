@@ -16,7 +16,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from benchmark.commands import actions
 from benchmark.commands.arguments import Compare, Pack, Report, Rescore, Run, Selftest
 from datagen.console.command_line import Command, run_command
 
@@ -41,12 +40,12 @@ def _termination_is_an_interrupt() -> Iterator[None]:
 
 
 COMMANDS = {
-    "run": Command(Run, actions.run),
-    "rescore": Command(Rescore, actions.rescore),
-    "compare": Command(Compare, actions.compare),
-    "report": Command(Report, actions.report),
-    "pack": Command(Pack, actions.pack),
-    "selftest": Command(Selftest, actions.selftest),
+    "run": Command(Run, "benchmark.commands.actions:run"),
+    "rescore": Command(Rescore, "benchmark.commands.actions:rescore"),
+    "compare": Command(Compare, "benchmark.commands.actions:compare"),
+    "report": Command(Report, "benchmark.commands.actions:report"),
+    "pack": Command(Pack, "benchmark.commands.actions:pack"),
+    "selftest": Command(Selftest, "benchmark.commands.actions:selftest"),
 }
 
 if __name__ == "__main__":

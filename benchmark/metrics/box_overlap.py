@@ -3,8 +3,8 @@
 import itertools
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 _UNIT = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 """Corners of the box with sides of 1 around the origin."""
@@ -68,6 +68,6 @@ def _hull_volume(points: Float[np.ndarray, "point 3"]) -> float:
     if len(points) < 4:
         return 0.0
     try:
-        return float(ConvexHull(points).volume)
-    except QhullError:
+        return float(scipy.spatial.ConvexHull(points).volume)
+    except scipy.spatial.QhullError:
         return 0.0

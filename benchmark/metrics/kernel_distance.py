@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Integer
-from scipy.spatial.distance import cdist
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def squared_discrepancies(
 
 
 def _gaussian(points: Float[np.ndarray, "n feature"]) -> Float[np.ndarray, "n n"]:
-    squares = cdist(points, points, "sqeuclidean")
+    squares = scipy.spatial.distance.cdist(points, points, "sqeuclidean")
     width = np.median(squares[np.triu_indices(len(points), 1)])
     return np.exp(-squares / (width if width > 0 else 1.0))
 

@@ -1,8 +1,8 @@
 """Metrics of overlap: how well predicted segments cover objects and background, as intersection over union."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float64, Int64
-from scipy.optimize import linear_sum_assignment
 
 
 def intersection_over_union(tables: Int64[np.ndarray, "frame truth slot"]) -> Float64[np.ndarray, "frame truth slot"]:
@@ -67,7 +67,7 @@ def _best_matching(overlaps: Float64[np.ndarray, "object slot"]) -> float:
     best = overlaps.argmax(axis=1)
     if len(set(best.tolist())) == len(best):  # No two objects want the same slot: nothing can be better.
         return float(overlaps.max(axis=1).sum())
-    return float(overlaps[linear_sum_assignment(overlaps, maximize=True)].sum())
+    return float(overlaps[scipy.optimize.linear_sum_assignment(overlaps, maximize=True)].sum())
 
 
 def _mean_over_objects(

@@ -5,9 +5,9 @@ import io
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int64, Integer, UInt8
 from PIL import Image, ImageDraw
-from scipy.optimize import linear_sum_assignment
 
 from datagen.geometry import project
 from datagen.inspect.preview import colored_depth, label_colors
@@ -37,7 +37,7 @@ def slot_colors(tables: Int64[np.ndarray, "frame truth slot"], background_slot: 
     """
     truths, slots = tables.shape[1:]
     names = np.arange(slots) + truths
-    rows, columns = linear_sum_assignment(-tables.sum(axis=0)[1:])
+    rows, columns = scipy.optimize.linear_sum_assignment(-tables.sum(axis=0)[1:])
     names[columns] = rows + 1
     names[background_slot] = 0
     return label_colors(truths + slots)[names]

@@ -199,7 +199,9 @@ def _columns(names: Sequence[str], lines: list[list[str]]) -> Columns:
     """Parse the scores of one row; columns without values, and without counts of values in NAME_n, are left out."""
     if any(len(cells) != len(names) for cells in lines):
         raise ValueError(f"a line has another number of columns than the header, {len(names)}")
-    values = np.array([[cell or "nan" for cell in cells] for cells in lines], np.float64)
+    # `float` parses texts several times as fast as NumPy does.
+    numbers = [float(cell) if cell else math.nan for cells in lines for cell in cells]
+    values = np.array(numbers).reshape(len(lines), len(names))
     filled = {name for name, column in zip(names, values.T, strict=True) if not np.isnan(column).all()}
     return {name: values[:, place] for place, name in enumerate(names) if {name, f"{name}_n"} & filled}
 

@@ -19,7 +19,7 @@ from datagen.rgbd.camera_file import CAMERA, read_camera
 from datagen.rgbd.files import read_ids
 from datagen.rgbd.layouts import find_frames
 from obpose.commands.segment import OBJECTS
-from obpose.rgbd.flags import Frames
+from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.frames import Trained, prepare_frames
 from obpose.rgbd.results import objects_of, overlay
 from obpose.rgbd.segment import UNTRAINED, Method, segment_frames

@@ -124,6 +124,7 @@ def _generate(values: Generate) -> int:
 
     from datagen.pipeline.generate import generate
 
+    _announce_compilation()
     renderer = None if values.simulate_only else values.renderer or "raster"
     meshes = _meshes(values, recipe)
     settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits, "signals": signals}
@@ -131,6 +132,14 @@ def _generate(values: Generate) -> int:
     report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
     return EXIT_OK
+
+
+def _announce_compilation() -> None:
+    from datagen.console.progress import status_console
+    from datagen.render.raster import is_compiled
+
+    if not is_compiled():
+        status_console().print("Compiling the renderer, once on this machine: about 15 s on one core.")
 
 
 def _meshes(values: Generate, recipe: Recipe) -> "Library | None":
@@ -173,6 +182,8 @@ def _render(values: Render) -> int:
 
     from datagen.pipeline.generate import render
 
+    if values.renderer == "raster":
+        _announce_compilation()
     rig = wanted if wanted != recipe else None
     settings: dict[str, Any] = {"renderer": values.renderer, "rig": rig, "edits": edits, "assets": values.assets}
     settings |= {"signals": options.parse_signals(values.signals), "cameras": cameras}

@@ -19,8 +19,9 @@ class Command:
 
     arguments: type
     """Dataclass from which the flags are derived."""
-    run: Callable[[Any], int | None]
-    """Function of the parsed arguments; returns the exit code, or None for success."""
+    run: Callable[[Any], int | None] | str
+    """Function of the parsed arguments; returns the exit code, or None for success. As text, "module:function", it is
+    imported after the arguments are parsed, so that --help and wrong flags need no slow libraries."""
     options: Callable[[list[str]], dict[str, Any]] = lambda _arguments: {}
     """Further options of `tyro.cli`, as a function of the unparsed arguments."""
 
@@ -93,7 +94,16 @@ def _dispatch(
     text = "\n\n".join(filter(None, description.split("\n"))) if description and name == default else None
     options = {"description": text, **command.options(given)}
     values = tyro.cli(command.arguments, prog=called, args=given, **options)
-    return command.run(values) or EXIT_OK
+    return _function(program, command.run)(values) or EXIT_OK
+
+
+def _function(program: str, run: Callable[[Any], int | None] | str) -> Callable[[Any], int | None]:
+    """Import the function of a command if it is given as text."""
+    if not isinstance(run, str):
+        return run
+    module, name = run.split(":")
+    with interrupts.interruptible_imports(program):
+        return getattr(import_module(module), name)
 
 
 def run_program(

@@ -47,8 +47,10 @@ def interruptible_imports(program: str) -> Iterator[None]:
         os._exit(EXIT_INTERRUPTED)
 
     before = signal.signal(signal.SIGINT, leave)
-    yield
-    signal.signal(signal.SIGINT, before)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _note(_signal: int, _frame: FrameType | None) -> None:

@@ -79,7 +79,7 @@ class World:
             if body.touches is not None:
                 self._bring_together(row, body.touches + 1)
         for _ in range(round(self._physics.settle_seconds / self._dt)):
-            self._call("stepSimulation")
+            self._bullet.stepSimulation(physicsClientId=self._client)
         for row, body in enumerate(self._scene.bodies, 1):
             if any(body.linear_velocity) or any(body.angular_velocity):
                 self._call("resetBaseVelocity", self._ids[row], body.linear_velocity, body.angular_velocity)
@@ -185,13 +185,20 @@ class World:
 
     def _advance(self, now: float) -> Float[np.ndarray, "body body"]:
         """Simulate one frame interval from `now` (seconds); normal impulses exchanged in it."""
-        impulse = np.zeros((len(self._ids),) * 2)
-        for step in range(self._steps):
-            self._push(now + step * self._dt)
-            self._call("stepSimulation")
-            for contact in self._call("getContactPoints"):
+        step, contacts, client = self._bullet.stepSimulation, self._bullet.getContactPoints, self._client
+        impulses: dict[tuple[int, int], float] = {}  # plain numbers: most of the loop's time is not the engine's
+        pushed = any(body.push for body in self._scene.bodies)
+        for number in range(self._steps):
+            if pushed:
+                self._push(now + number * self._dt)
+            step(physicsClientId=client)
+            for contact in contacts(physicsClientId=client):
                 if contact[9] > 0:
-                    impulse[self._rows[contact[1]], self._rows[contact[2]]] += contact[9] * self._dt
+                    pair = contact[1], contact[2]
+                    impulses[pair] = impulses.get(pair, 0.0) + contact[9] * self._dt
+        impulse = np.zeros((len(self._ids),) * 2)
+        for (one, other), value in impulses.items():
+            impulse[self._rows[one], self._rows[other]] = value
         return impulse + impulse.T
 
     def _push(self, time: float) -> None:

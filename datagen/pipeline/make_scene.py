@@ -19,7 +19,7 @@ from datagen.random_streams import Stream, scene_rng
 from datagen.render import make_renderer
 from datagen.render.renderer import Renderer
 from datagen.sampling.cameras import sample_cameras
-from datagen.scene import Camera
+from datagen.scene import Camera, Scene, Trajectory
 from datagen.schema import FIELDS, SPLITS, SceneRecord
 from datagen.shapes import build
 from datagen.signals import signals_record
@@ -140,8 +140,10 @@ def make_scene(
     """
     recipe = recipe_of(spec)
     given = cameras_from_values(spec.get("cameras", []))
-    record = source or _simulate(recipe, spec["seed"], split, index, meshes, given)
-    scene, trajectory = scene_and_trajectory(record)
+    if source:
+        record, (scene, trajectory) = source, scene_and_trajectory(source)
+    else:
+        record, scene, trajectory = _simulate(recipe, spec["seed"], split, index, meshes, given)
     if spec["rig"]:
         cameras = given or sample_cameras(rendered_recipe_of(spec), _rng(spec, split, index, "rig"))
         scene = dataclasses.replace(scene, cameras=cameras)
@@ -182,19 +184,14 @@ def object_rows(recipe: Recipe) -> int:
 
 def _simulate(
     recipe: Recipe, seed: int, split: str, index: int, meshes: Library | None, cameras: tuple[Camera, ...]
-) -> SceneRecord:
+) -> tuple[SceneRecord, Scene, Trajectory]:
     # Imported here so that rendering stored scenes does not need the physics engine.
     from datagen.pipeline.simulate import simulate_scene
 
     made = simulate_scene(recipe, seed, split, index, meshes, cameras)
-    return simulation_record(
-        made.scene,
-        made.shapes,
-        made.trajectory,
-        rows=object_rows(recipe),
-        attempts=made.attempts,
-        rejections=made.rejections,
-    )
+    tries = {"attempts": made.attempts, "rejections": made.rejections}
+    record = simulation_record(made.scene, made.shapes, made.trajectory, rows=object_rows(recipe), **tries)
+    return record, made.scene, made.trajectory
 
 
 def _rng(spec: Spec, split: str, index: int, stream: Stream) -> np.random.Generator:

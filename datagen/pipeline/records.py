@@ -1,6 +1,5 @@
 """Convert simulated and rendered scenes to the arrays of the format, and back."""
 
-import dataclasses
 import json
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -11,7 +10,7 @@ from datagen.config import Sensor
 from datagen.errors import UsageError
 from datagen.geometry import transform
 from datagen.render.renderer import Image, Renderer
-from datagen.scene import Body, Scene, Trajectory, scene_from_json, scene_to_json
+from datagen.scene import Body, Scene, Trajectory, plain, scene_from_json, scene_to_json
 from datagen.schema import FIELDS, SceneRecord, encode_depth
 from datagen.sensor import sense
 from datagen.shapes.shape import Shape
@@ -102,7 +101,7 @@ def _object_arrays(bodies: Sequence[Body], shapes: Sequence[Shape]) -> dict[str,
     boxes = [shape.minimum_box for shape in shapes]
     return {
         "category": _text(body.category for body in bodies),
-        "parameters": _text(json.dumps(dataclasses.asdict(body.shape)) for body in bodies),
+        "parameters": _text(json.dumps(plain(body.shape)) for body in bodies),
         "motion": _text(body.motion for body in bodies),
         "size": _floats(shape.size for shape in shapes),
         "color": _floats((body.material.color, body.material.color2) for body in bodies),

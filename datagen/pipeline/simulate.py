@@ -1,5 +1,6 @@
 """Draw and simulate scenes until one obeys all rules of its recipe."""
 
+import functools
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from datagen.meshes.library import Library
 from datagen.physics.bullet import World
 from datagen.pipeline.visible_range import near_object, table_fault
 from datagen.random_streams import scene_rng
-from datagen.render import make_renderer
+from datagen.render.raster import RasterRenderer
 from datagen.render.renderer import NEAREST
 from datagen.sampling import Rejected, sample_scene
 from datagen.sampling.cameras import sample_cameras
@@ -187,16 +188,22 @@ def visible_pixels(
     recipe: Recipe, scene: Scene, shapes: Sequence[Shape], world_from_object: Float[np.ndarray, "object 4 4"]
 ) -> Int[np.ndarray, "object"]:
     """Pixels that each object shows at these poses in its worst view."""
-    renderer = make_renderer("raster")
+    renderer = _rasteriser()
     renderer.load(scene, shapes)
     width, height = recipe.visibility_resolution
     counts = []
     for camera in scene.cameras:
-        image = renderer.render(world_from_object, camera, width, height)
-        counts.append(np.bincount(image.segmentation.ravel(), minlength=len(shapes) + 1)[1:])
+        ids = renderer.segment(world_from_object, camera, width, height)
+        counts.append(np.bincount(ids.ravel(), minlength=len(shapes) + 1)[1:])
     return np.min(counts, axis=0)
 
 
+@functools.cache
+def _rasteriser() -> RasterRenderer:
+    return RasterRenderer()
+
+
+@functools.lru_cache(maxsize=8)
 def check_room(recipe: Recipe) -> None:
     """Refuse recipes with more objects than the region has room for.
 
@@ -217,6 +224,7 @@ def check_room(recipe: Recipe) -> None:
         )
 
 
+@functools.lru_cache(maxsize=8)
 def check_rig(recipe: Recipe, cameras: tuple[Camera, ...] = ()) -> None:
     """Refuse cameras that cannot show the table; cameras with random poses are checked scene by scene.
 

@@ -2,11 +2,12 @@
 
 import functools
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
-from datagen.geometry import invert_rigid
+from datagen.geometry import cross, invert_rigid
 from datagen.render import kernels
 from datagen.render.renderer import Image, light_axes, linear
 from datagen.scene import Camera, Light, Material, Scene
@@ -14,6 +15,11 @@ from datagen.shapes.shape import Shape
 
 OCCLUSION_SIZE = 64
 """Texels along each side of the map that darkens the ambient light around objects."""
+
+
+def is_compiled() -> bool:
+    """Whether an earlier run left its compiled kernels on this machine, possibly those of an earlier version."""
+    return any(Path(kernels.shade.stats.cache_path).glob("kernels.shade-*.nbi"))
 
 
 class RasterRenderer:
@@ -47,13 +53,8 @@ class RasterRenderer:
         self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int
     ) -> Image:
         """Render the loaded scene with its objects at the given poses."""
-        poses = np.ascontiguousarray(world_from_object, np.float64)
-        if (width, height) not in self._buffers:
-            self._buffers[width, height] = _Buffers(width, height)
-        buffers = self._buffers[width, height]
-        view, samples_from_world = _view(camera, width, height, self._table_half)
-        kernels.place_vertices(self._mesh.vertices, self._vertex_start, poses, self._world)
-        amodal = self._visibility(view, samples_from_world, buffers)
+        poses, buffers, view = self._place(world_from_object, camera, width, height)
+        amodal = self._visibility(view, buffers)
         image = Image(
             rgb=np.empty((height, width, 3), np.uint8),
             depth=np.empty((height, width), np.float32),
@@ -77,10 +78,30 @@ class RasterRenderer:
         )
         return image
 
-    def _visibility(self, view: np.ndarray, samples_from_world: np.ndarray, buffers: "_Buffers") -> np.ndarray:
+    def segment(
+        self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int
+    ) -> UInt8[np.ndarray, "height width"]:
+        """Render object ids alone, those of `render`."""
+        _, buffers, view = self._place(world_from_object, camera, width, height)
+        self._visibility(view, buffers)
+        faces = buffers.triangle[kernels.SUB // 2 :: kernels.SUB, kernels.SUB // 2 :: kernels.SUB]
+        return np.append(self._mesh.owners + 1, 0).astype(np.uint8)[faces]
+
+    def _place(
+        self, world_from_object: np.ndarray, camera: Camera, width: int, height: int
+    ) -> tuple[np.ndarray, "_Buffers", np.ndarray]:
+        """Move and project the vertices; returns poses, buffers and view."""
+        poses = np.ascontiguousarray(world_from_object, np.float64)
+        if (width, height) not in self._buffers:
+            self._buffers[width, height] = _Buffers(width, height)
+        view, samples_from_world = _view(camera, width, height, self._table_half)
+        kernels.place_vertices(self._mesh.vertices, self._vertex_start, poses, self._world)
+        kernels.project_vertices(self._world, samples_from_world, self._homogeneous, self._screen)
+        return poses, self._buffers[width, height], view
+
+    def _visibility(self, view: np.ndarray, buffers: "_Buffers") -> np.ndarray:
         buffers.clear()
         amodal = np.zeros(len(self._face_start) - 1, np.int64)
-        kernels.project_vertices(self._world, samples_from_world, self._homogeneous, self._screen)
         kernels.rasterise(
             self._world,
             self._homogeneous,
@@ -186,7 +207,7 @@ def _pack_mesh(shapes: Sequence[Shape]) -> tuple[kernels.Mesh, np.ndarray, np.nd
     normals = np.concatenate([np.zeros((0, 3, 3)), *(s.normals for s in shapes)])
     faces = faces.astype(np.int32)
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    across = np.cross(b - a, c - a)
+    across = cross(b - a, c - a)
     length = np.sqrt(np.sum(across * across, axis=1, keepdims=True))
     mesh = kernels.Mesh(
         vertices=vertices,

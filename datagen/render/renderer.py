@@ -7,6 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
+from datagen.geometry import cross
 from datagen.scene import Camera, Scene, Vector
 from datagen.shapes.shape import Shape
 
@@ -60,4 +61,4 @@ def light_axes(direction: Vector) -> Float[np.ndarray, "3 3"]:
     side = np.array([1.0, 0.0, 0.0]) if abs(toward[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     u = side - np.sum(side * toward) * toward
     u = u / np.sqrt(np.sum(u * u))
-    return np.stack([u, np.cross(toward, u), toward])
+    return np.stack([u, cross(toward, u), toward])

@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from datagen.geometry import rotation_from_quaternion
+from datagen.geometry import cross, rotation_from_quaternion
 from datagen.shapes.shape import Shape
 
 _SUPPORT_DEPTH = 3e-4
@@ -143,6 +143,6 @@ def _tilted(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 def _with_up(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """A rotation that brings a unit vector of the object frame to world z."""
     helper = np.eye(3)[np.argmin(np.abs(axis))]
-    first = np.cross(helper, axis)
+    first = cross(helper, axis)
     first /= np.sqrt(np.sum(first**2))
-    return np.stack([first, np.cross(axis, first), axis])
+    return np.stack([first, cross(axis, first), axis])

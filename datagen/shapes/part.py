@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from datagen.geometry import cross
 from datagen.shapes.geometry import mass as masses
 from datagen.shapes.geometry import mesh as meshes
 from datagen.shapes.geometry import round_mesh, sdf
@@ -178,7 +179,7 @@ def extrusion(polygon: Corners, pieces: Sequence[Sequence[int]], height: float) 
 def polyhedron(mesh: Mesh) -> Part:
     """The inside of a closed convex mesh; its planes are those of the faces, equal ones counted once."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    normals = meshes.unit(np.cross(b - a, c - a))
+    normals = meshes.unit(cross(b - a, c - a))
     planes = np.hstack([normals, np.einsum("ij,ij->i", normals, a)[:, None]])
     _, kept = np.unique(np.round(planes, 9), axis=0, return_index=True)
     planes = planes[np.sort(kept)]

@@ -1,16 +1,7 @@
-"""The command `obpose-edit`: infer, sample, change and render scenes of a trained model.
-
-obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what is in test scene 0
-obpose-edit infer --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --out a
-obpose-edit sample --checkpoint obpose-sharp--moving--64x64 --out b         a new scene
-obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
-obpose-edit render c --turntable 24 --out turn.gif
-obpose-edit mesh c --object 2 --out object.glb
-"""
+"""Subcommands of `obpose-edit`: infer, sample, change and render scenes of a trained model."""
 
 import math
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +12,9 @@ from joblib import cpu_count
 from torch import Tensor
 
 import assets
-from datagen.console.command_line import Command, run_command
 from datagen.console.text import counted
 from datagen.storage.atomic import check_new_file, check_new_folder, new_file
-from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Remove, Render, Rotate, Sample, Swap
+from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Render, Rotate, Sample
 from obpose.data.datasets import SceneDataset
 from obpose.data.resolution import spacing_note
 from obpose.errors import Interrupted, UsageError
@@ -45,7 +35,6 @@ from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Camera, Scene, axis_rotation
 from obpose.scenes.storage import load_scene, save_scene
 
-PROGRAM = "obpose-edit"
 FPS = 8.0
 MOST_OBJECTS = 100
 MOST_CELLS = 256
@@ -57,23 +46,12 @@ LARGEST = 2048
 """Largest width and height of a picture, pixels."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one subcommand and give its exit code."""
-    return run_command(
-        PROGRAM,
-        COMMANDS,
-        description=__doc__,
-        arguments=arguments,
-        interrupted="Interrupted; nothing was changed.",
-        out_of_memory="Out of memory; give a smaller --resolution.",
-    )
-
-
 OWN = "own"
 """Value of --masks with which the model finds the objects itself."""
 
 
-def _infer(values: Infer) -> None:
+def infer(values: Infer) -> None:
+    """Infer a scene and write it."""
     framed = any((values.source, values.rgb, values.depth, values.intrinsics, values.camera_pose))
     if framed == (values.data is not None):
         raise UsageError(
@@ -113,7 +91,8 @@ def _infer(values: Infer) -> None:
         print("No light was found by its shadows: the scene is drawn without any.")
 
 
-def _sample(values: Sample) -> None:
+def sample(values: Sample) -> None:
+    """Sample a scene and write it."""
     if not 0 <= values.objects <= MOST_OBJECTS:
         raise UsageError(f"--objects {values.objects}: expected 0 to {MOST_OBJECTS}.")
     if not 0 <= values.seed < 2**63:
@@ -126,7 +105,8 @@ def _sample(values: Sample) -> None:
     _show(scene, origin, values.out, values.resolution)
 
 
-def _fit_prior(values: FitPrior) -> None:
+def fit_prior(values: FitPrior) -> None:
+    """Fit a prior and write it beside the weights."""
     kind, origin = PRIORS[values.kind], _own(values.checkpoint)
     assert kind.fit is not None
     assert kind.file is not None
@@ -174,7 +154,8 @@ def _clips(values: FitPrior, default: int) -> int:
     return min(wanted, number)
 
 
-def _render(values: Render) -> None:
+def render(values: Render) -> None:
+    """Render a scene into a picture or an animation."""
     if values.turntable is not None and not 0 < values.turntable <= MOST_TURNS:
         raise UsageError(f"--turntable {values.turntable}: expected 1 to {MOST_TURNS}.")
     if values.clip and (values.turntable is not None or values.frame is not None):
@@ -213,7 +194,8 @@ def _tell_of_fog(images: list[Image], distance: float) -> None:
         )
 
 
-def _mesh(values: Mesh) -> None:
+def mesh(values: Mesh) -> None:
+    """Write the surface of an object."""
     if values.out.suffix not in FORMATS:
         raise UsageError(f"--out {values.out}: expected a name that ends with {' or '.join(FORMATS)}.")
     if not 2 <= values.cells <= MOST_CELLS:
@@ -313,18 +295,8 @@ def _size(resolution: str | None) -> tuple[int, int] | None:
     return width, height
 
 
-COMMANDS = {
-    "infer": Command(Infer, _infer),
-    "sample": Command(Sample, _sample),
-    "fit-prior": Command(FitPrior, _fit_prior),
-    "render": Command(Render, _render),
-    "mesh": Command(Mesh, _mesh),
-    "remove": Command(Remove, _edited(lambda values, scene: edit.remove(scene, values.object))),
-    "move": Command(Move, _edited(_move)),
-    "rotate": Command(Rotate, _edited(_rotate)),
-    "swap": Command(Swap, _edited(lambda values, scene: edit.swap(scene, *values.objects))),
-    "add": Command(Add, _edited(_add)),
-}
-
-if __name__ == "__main__":
-    sys.exit(main())
+remove = _edited(lambda values, scene: edit.remove(scene, values.object))
+move = _edited(_move)
+rotate = _edited(_rotate)
+swap = _edited(lambda values, scene: edit.swap(scene, *values.objects))
+add = _edited(_add)

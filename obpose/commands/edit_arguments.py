@@ -1,14 +1,25 @@
-"""Flags of `obpose-edit`."""
+"""The command `obpose-edit`: infer, sample, change and render scenes of a trained model.
 
+obpose-edit infer --checkpoint obpose--moving--64x64 --data DIR --out a     what is in test scene 0
+obpose-edit infer --checkpoint obpose--moving--64x64 --rgb rgb/ --depth depth/ --intrinsics 525,525,320,240 --out a
+obpose-edit sample --checkpoint obpose-sharp--moving--64x64 --out b         a new scene
+obpose-edit move a --object 2 --by 0.1,0,0 --out c                          add, remove, rotate and swap likewise
+obpose-edit render c --turntable 24 --out turn.gif
+obpose-edit mesh c --object 2 --out object.glb
+"""
+
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from obpose.rgbd.flags import Frames
-from obpose.scenes.priors import PriorName
-from obpose.scenes.refine import STEPS
+from datagen.console.command_line import Command, run_command
+from obpose.rgbd.frame_arguments import Frames
+
+PROGRAM = "obpose-edit"
 
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 SceneFolder = Annotated[Path, tyro.conf.Positional]
@@ -66,7 +77,7 @@ class Infer(Frames, _Shown):
     masks: str | None = None
     """Weights of obpose-contact or supervised, a folder or a shipped name, that find the objects; `own`: the model
     finds them. Default: supervised--desk--128x96 for frames of your own, the model for clips of a dataset."""
-    refine: int = STEPS
+    refine: int = 100
     """Steps in which the scene is fitted to the frames, which takes seconds; 0: codes as inferred, without details."""
 
 
@@ -83,7 +94,7 @@ class Sample(_Shown):
     """Number of objects."""
     seed: int = 0
     """Random seed."""
-    prior: PriorName | None = None
+    prior: Literal["flow", "gaussian", "learned"] | None = None
     """`flow`: whole objects with details; `gaussian`: mixtures of Gaussians of inferred codes; `learned`: the priors
     that the model learned. `obpose-edit fit-prior` makes the first two. Default: the first of these that the weights
     have."""
@@ -176,3 +187,33 @@ class Add(_OfScene, _OfObject, _Placed, _Shown):
 
     source: Annotated[Path | None, tyro.conf.arg(name="from")] = None
     """Folder of the scene that it comes from; default the same scene."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one subcommand and give its exit code."""
+    return run_command(
+        PROGRAM,
+        COMMANDS,
+        description=__doc__,
+        arguments=arguments,
+        interrupted="Interrupted; nothing was changed.",
+        out_of_memory="Out of memory; give a smaller --resolution.",
+    )
+
+
+_ACTIONS = "obpose.commands.edit:"
+COMMANDS = {
+    "infer": Command(Infer, _ACTIONS + "infer"),
+    "sample": Command(Sample, _ACTIONS + "sample"),
+    "fit-prior": Command(FitPrior, _ACTIONS + "fit_prior"),
+    "render": Command(Render, _ACTIONS + "render"),
+    "mesh": Command(Mesh, _ACTIONS + "mesh"),
+    "remove": Command(Remove, _ACTIONS + "remove"),
+    "move": Command(Move, _ACTIONS + "move"),
+    "rotate": Command(Rotate, _ACTIONS + "rotate"),
+    "swap": Command(Swap, _ACTIONS + "swap"),
+    "add": Command(Add, _ACTIONS + "add"),
+}
+
+if __name__ == "__main__":
+    sys.exit(main())

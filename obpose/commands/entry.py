@@ -5,7 +5,7 @@ from datagen.console.command_line import start
 
 def edit() -> int:
     """Run `obpose-edit` and return its exit code."""
-    return start("obpose-edit", "obpose.commands.edit")
+    return start("obpose-edit", "obpose.commands.edit_arguments")
 
 
 def view() -> int:

@@ -10,23 +10,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import tyro
 
 from datagen.console.command_line import Command, run_command
+from datagen.console.interrupts import interruptible_imports
 from datagen.console.text import counted
 from obpose.errors import EXIT_OK, UsageError
-from obpose.rgbd.flags import Frames
-from obpose.rgbd.frames import PreparedFrames, prepare_frames
-from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
-from obpose.rgbd.segment import MOST_OBJECTS, UNTRAINED, Method, segment_frames
-from obpose.rgbd.weights import DEFAULT, method_of
-from obpose.rgbd.world import World
+from obpose.rgbd.frame_arguments import Frames
+
+if TYPE_CHECKING:
+    from obpose.rgbd.frames import PreparedFrames
+    from obpose.rgbd.segment import Method
+    from obpose.rgbd.world import World
 
 PROGRAM = "obpose-segment"
-FindMethod = Callable[[str, int], Method]
+FindMethod = Callable[[str, int], "Method"]
 """Function that finds a method without training by name, for so many objects; raises UsageError if there is none."""
 AUTO = "auto"
 UNTRAINED_CHOICE = "plane-hdbscan"
@@ -70,6 +70,11 @@ def main(arguments: Sequence[str] | None = None, *, find_method: FindMethod) -> 
 
 def run(values: Arguments, *, find_method: FindMethod) -> int:
     """Segment the frames and write all files."""
+    # Late, because PyTorch takes seconds to import.
+    with interruptible_imports(PROGRAM):
+        from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
+        from obpose.rgbd.segment import MOST_OBJECTS, segment_frames
+
     if values.objects is not None and not 1 <= values.objects <= MOST_OBJECTS:
         raise UsageError(f"--objects {values.objects}: expected 1 to {MOST_OBJECTS}.")
     most = values.objects or OBJECTS
@@ -104,8 +109,12 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     return EXIT_OK
 
 
-def _prepared(values: Arguments, find_method: FindMethod, most: int) -> tuple[str, Method, PreparedFrames]:
+def _prepared(values: Arguments, find_method: FindMethod, most: int) -> "tuple[str, Method, PreparedFrames]":
     """Name and function of the chosen method, and the frames as it needs them."""
+    from obpose.rgbd.frames import prepare_frames
+    from obpose.rgbd.segment import UNTRAINED
+    from obpose.rgbd.weights import DEFAULT, method_of
+
     if values.method == AUTO and values.checkpoint is None:
         method, trained = method_of(DEFAULT, most)
         frames = prepare_frames(values, trained)
@@ -123,16 +132,16 @@ def _prepared(values: Arguments, find_method: FindMethod, most: int) -> tuple[st
     return f"weights {values.checkpoint}", method, prepare_frames(values, trained)
 
 
-def _unlike_training(world: World) -> str:
+def _unlike_training(world: "World") -> str:
     """Say how the first camera differs from those of the training; empty if it does not."""
-    distance = float(np.linalg.norm(world.poses[0, :3, 3]))
+    distance = math.dist(world.poses[0, :3, 3], (0, 0, 0))
     elevation = math.degrees(math.asin(min(1.0, float(world.poses[0, 2, 3]) / distance)))
     if distance > FARTHEST:
         return f"the camera is {distance:.1f} m away, farther than"
     return f"the camera is {elevation:.0f} degrees above the table, lower than" if elevation < LOWEST else ""
 
 
-def _print_objects(frames: PreparedFrames, objects: list) -> None:
+def _print_objects(frames: "PreparedFrames", objects: list) -> None:
     """Print the objects of the first frame that has any."""
     if not objects:
         print("No object was found: is the white outline in the picture that of your table? See docs/own_frames.md.")

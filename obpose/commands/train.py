@@ -21,15 +21,13 @@ from datagen.console.command_line import Command, run_command
 from datagen.console.interrupts import interruptible_imports
 from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
-from datagen.storage.atomic import check_no_dataset
-from datagen.storage.reader import Dataset
-from datagen.tracks import DataFolder, Track, find_track
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_OK, UsageError, unknown_name
 from obpose.systems import System, find_system, slots_for
 
 if TYPE_CHECKING:
+    from datagen.tracks import DataFolder, Track
     from obpose.training.validation import Score
 
 Switch = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -88,6 +86,12 @@ def main(arguments: Sequence[str] | None = None, *, score: "Score | None" = None
 
 def run(values: Train, score: "Score | None" = None) -> int:
     """Prepare the data, train, and say where everything is."""
+    # Late, because --help and wrong flags need no NumPy.
+    with interruptible_imports(PROGRAM):
+        from datagen.storage.atomic import check_no_dataset
+        from datagen.storage.reader import Dataset
+        from datagen.tracks import DataFolder, find_track
+
     system = find_system(values.variant)
     _check(values, system)
     changes = parse_changes(values.set, system.architecture.config)
@@ -160,7 +164,7 @@ def _check(values: Train, system: System) -> None:
         raise UsageError(f"--seed {values.seed}: expected 0 or more, and less than 2^63.")
 
 
-def _prepare(data: Track | DataFolder, values: Train, console: Console) -> Path:
+def _prepare(data: "Track | DataFolder", values: Train, console: Console) -> Path:
     """Prepare the dataset and give its folder. The first process makes it, the others wait until it is complete."""
     splits = [split for split in ("train", "val") if data.size(split)]
     while _process() > 0 and data.missing(splits):

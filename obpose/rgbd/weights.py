@@ -12,7 +12,7 @@ from obpose.data.resolution import fitting_model
 from obpose.errors import UsageError
 from obpose.model.attention.icsbp import ICSBP
 from obpose.model.obpose import ObPose
-from obpose.rgbd.flags import Frames
+from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.frames import PreparedFrames, Trained, prepare_frames, trained_on
 from obpose.rgbd.segment import Labels, Method, segment_frames
 from obpose.storage.checkpoint import load

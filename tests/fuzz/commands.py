@@ -46,7 +46,7 @@ def _segment(arguments: list[str]) -> int:
 
 
 def _edit(arguments: list[str]) -> int:
-    from obpose.commands.edit import main
+    from obpose.commands.edit_arguments import main
 
     return main(arguments)
 

@@ -16,6 +16,7 @@ from obpose.scenes.infer import Inferred, infer_labelled
 from obpose.scenes.model_ref import load_origin
 from obpose.scenes.rendering import Image, Renderer
 from obpose.scenes.scene import Scene
+from obpose.training.devices import keep_memory
 
 
 class SceneEditor:
@@ -24,6 +25,7 @@ class SceneEditor:
     def __init__(self, checkpoint: Path, *, refinements: int = 0):
         """Load a model; `refinements` is the number of steps that fit inferred scenes to their frames."""
         torch.set_num_threads(1)
+        keep_memory()
         self._refinements = refinements
         self._origin = load_origin(str(checkpoint))
 

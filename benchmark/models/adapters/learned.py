@@ -20,6 +20,7 @@ from obpose.model.obpose import ObPose
 from obpose.storage.checkpoint import load
 from obpose.systems import find_system, slots_for
 from obpose.trainable import Trainable
+from obpose.training.devices import keep_memory
 from obpose.training.loop import CurvePoint, train
 
 ATTENTION = "att"
@@ -57,6 +58,7 @@ class LearnedSegmenter:
     def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
         """Train for `budget` seconds of one core, or resume the training in the folder."""
         torch.set_num_threads(1)
+        keep_memory()
         if self._checkpoint:
             model, config, _ = load(self._checkpoint)
             self._model, self._views, self.fitted_settings = model, config.train.views, settings_of(config)

@@ -8,8 +8,8 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int64
-from scipy.spatial import ConvexHull, QhullError
 
 from benchmark.clips import visible_centers
 from benchmark.metrics.box_overlap import Box
@@ -81,8 +81,8 @@ def visible_boxes(
 def smallest_box(points: Float[np.ndarray, "point 3"]) -> Box:
     """Centre, rotation and sides of the smallest box around points; axis-aligned if there are too few."""
     try:
-        outermost = points[ConvexHull(points).vertices]
-    except (QhullError, ValueError):  # there is no hull, such as in a plane
+        outermost = points[scipy.spatial.ConvexHull(points).vertices]
+    except (scipy.spatial.QhullError, ValueError):  # there is no hull, such as in a plane
         outermost = points
     if len(outermost) < LEAST_POINTS:
         return (points.min(axis=0) + points.max(axis=0)) / 2, np.eye(3), np.ptp(points, axis=0)

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int64
-from sklearn.cluster import KMeans
 
 from benchmark.models.classical.points import scene_points
 from benchmark.models.classical.untrained import Untrained
@@ -46,6 +45,8 @@ def _move(
     features: Float[np.ndarray, "point feature"], slots: int, centres: Centres | None, rng: np.random.Generator
 ) -> Centres:
     """Find the centres of a frame, from those of the previous frame or from scratch."""
+    from sklearn.cluster import KMeans  # late: scikit-learn takes a second to import
+
     sample = features if len(features) <= SAMPLE else features[rng.integers(len(features), size=SAMPLE)]
     start: dict[str, Any] = (
         {"init": "k-means++", "n_init": STARTS} if centres is None else {"init": centres, "n_init": 1}

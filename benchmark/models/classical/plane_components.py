@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float32, Int64
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from benchmark.models.classical.above_plane import standing
 from benchmark.models.classical.points import pixel_width, scene_points
@@ -44,8 +43,8 @@ def components(
     index = np.arange(mask.size).reshape(mask.shape)
     edges = [_edges(depth, mask, index, step, *offset) for offset in HALF_NEIGHBOURHOOD]
     here, there = np.hstack(edges)
-    graph = coo_array((np.ones(len(here), np.int8), (here, there)), (mask.size, mask.size))
-    component = connected_components(graph, directed=False)[1].reshape(mask.shape).astype(np.int64)
+    graph = scipy.sparse.coo_array((np.ones(len(here), np.int8), (here, there)), (mask.size, mask.size))
+    component = scipy.sparse.csgraph.connected_components(graph, directed=False)[1].reshape(mask.shape).astype(np.int64)
     large = np.bincount(component[mask], minlength=mask.size)[component] >= LEAST_PIXELS
     return np.where(mask & large, component + 1, 0)
 

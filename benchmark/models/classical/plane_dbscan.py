@@ -3,10 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int64, UInt8
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.distance import cdist
-from sklearn.cluster import DBSCAN
 
 from benchmark.models.classical.above_plane import PlaneClustering
 from benchmark.models.classical.points import VOXEL_PIXELS, scene_points, voxels
@@ -30,6 +28,8 @@ class PlaneDbscan(PlaneClustering):
         self, points: Float[np.ndarray, "point 3"], rgb: UInt8[np.ndarray, "point 3"], pixel: float
     ) -> Int64[np.ndarray, "point"]:
         """Cluster the points, one per voxel and weighted by the points in it."""
+        from sklearn.cluster import DBSCAN  # late: scikit-learn takes a second to import
+
         reach = self.reach * pixel
         features = np.hstack([points, self.colour * reach / 255 * rgb]) if self.colour else points
         first, cell, counts = voxels(points, VOXEL_PIXELS * pixel)
@@ -82,8 +82,8 @@ def _match(
     tracks: Float[np.ndarray, "track 3"], centroids: Float[np.ndarray, "cluster 3"]
 ) -> tuple[Int64[np.ndarray, "cluster"], Float[np.ndarray, "track_or_new 3"]]:
     """Assign clusters to tracks; also returns the last centroids of all tracks, new ones at the end."""
-    distances = np.minimum(cdist(centroids, tracks), LARGEST_MOVE)
-    clusters, known = linear_sum_assignment(distances)
+    distances = np.minimum(scipy.spatial.distance.cdist(centroids, tracks), LARGEST_MOVE)
+    clusters, known = scipy.optimize.linear_sum_assignment(distances)
     near = distances[clusters, known] < LARGEST_MOVE
     ids = np.full(len(centroids), -1)
     ids[clusters[near]] = known[near]

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int64, UInt8
-from scipy.spatial import KDTree
-from sklearn.cluster import HDBSCAN
 
 from benchmark.models.classical.above_plane import PlaneClustering
 from benchmark.models.classical.points import VOXEL_PIXELS, voxels
@@ -37,6 +36,8 @@ class PlaneHdbscan(PlaneClustering):
         return adopt_lone(points[first], clusters, ADOPTION_PIXELS * pixel)[cell]
 
     def _hdbscan(self, points: Float[np.ndarray, "point 3"], *, one_cluster: bool) -> Int64[np.ndarray, "point"]:
+        from sklearn.cluster import HDBSCAN  # late: scikit-learn takes a second to import
+
         hdbscan = HDBSCAN(
             min_cluster_size=self.least_cells,
             min_samples=LEAST_NEIGHBOURS,
@@ -54,7 +55,7 @@ def adopt_lone(
     if np.all(lone):
         return labels
     # Beyond the distance the query returns the number of points, where the label is 0.
-    nearest = KDTree(points[~lone]).query(points[lone], distance_upper_bound=distance)[1]
+    nearest = scipy.spatial.KDTree(points[~lone]).query(points[lone], distance_upper_bound=distance)[1]
     adopted = labels.copy()
     adopted[lone] = np.append(labels[~lone], 0)[nearest]
     return adopted

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from datagen.geometry import cross
 from datagen.shapes.shape import Numbers
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
@@ -82,7 +83,7 @@ def of_ball_slice(radius: float, low: float, high: float) -> Mass:
 def of_mesh(vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> Mass:
     """Mass of the inside of a closed triangle mesh, a signed sum of tetrahedra with the origin."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+    volumes = np.einsum("ij,ij->i", a, cross(b, c)) / 6
     volume = float(volumes.sum())
     corner_sum = a + b + c
     center = volumes @ corner_sum / (4 * volume)

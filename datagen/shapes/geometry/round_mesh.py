@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
+from datagen.geometry import cross
 from datagen.shapes.geometry.mesh import CHORD_ERROR, Mesh, segments_of_circle, unit
 from datagen.shapes.shape import Numbers
 
@@ -84,7 +85,7 @@ def unit_dome(order: int) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray
     faces = np.concatenate([faces, below[faces[:, ::-1]]])
     vertices = np.concatenate([vertices, vertices[:inner] * np.array([1.0, 1.0, -1.0])])
     a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return vertices, faces, float(np.einsum("ij,ij->i", a, unit(np.cross(b - a, c - a))).min())
+    return vertices, faces, float(np.einsum("ij,ij->i", a, unit(cross(b - a, c - a))).min())
 
 
 def _dome_ring(ring: int) -> list[tuple[int, int, int]]:

@@ -5,10 +5,12 @@ import hashlib
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from datagen.commands import cli
 from datagen.geometry import pixel_rays, rigid
 from datagen.render.kernels import NEAR as NEAREST
 from datagen.render.raster import RasterRenderer
@@ -37,6 +39,23 @@ def interior(mask: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def raster() -> RasterRenderer:
     return RasterRenderer()
+
+
+@pytest.mark.parametrize(("camera", "width", "height"), VIEWS)
+def test_ids_alone_are_those_of_the_image(raster, camera, width, height):
+    made = six_objects()
+    image = render(raster, made, camera, width, height)
+    assert np.array_equal(raster.segment(poses(made), camera, width, height), image.segmentation)
+
+
+def test_compilation_is_announced_where_no_earlier_run_left_its_kernels(raster, tmp_path, monkeypatch, capsys):
+    render(raster, six_objects(), FRONT, 8, 8)
+    cli._announce_compilation()
+    assert capsys.readouterr().err == ""
+    nowhere = SimpleNamespace(shade=SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
+    monkeypatch.setattr("datagen.render.raster.kernels", nowhere)
+    cli._announce_compilation()
+    assert capsys.readouterr().err.startswith("Compiling the renderer, once on this machine")
 
 
 @pytest.mark.parametrize(("camera", "width", "height"), VIEWS)

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import EXIT_OK
-from obpose.commands.edit import main
+from obpose.commands.edit_arguments import main
 from tests.obpose.commands.test_edit import MODEL
 
 

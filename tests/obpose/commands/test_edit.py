@@ -13,7 +13,7 @@ from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.schema import decode_depth
 from datagen.storage.reader import Dataset
 from obpose.commands import edit as edit_cli
-from obpose.commands.edit import main
+from obpose.commands.edit_arguments import main
 from obpose.data.clips import observation_of
 from obpose.data.datasets import SceneDataset
 from obpose.geometry import unproject

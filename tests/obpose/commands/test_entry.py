@@ -1,5 +1,6 @@
-"""Where the commands that take seconds to import begin."""
+"""Entry points of the commands: what they import before they need it, and Ctrl-C while they do."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -8,31 +9,66 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import EXIT_INTERRUPTED, EXIT_OK
+from obpose.commands.edit_arguments import Infer
+from obpose.scenes.refine import STEPS
 from tests.processes import wait_until
 
 COMMANDS = {
+    "obpose-datagen": "from datagen.commands.entry import main",
     "obpose-train": "from benchmark.commands.train import main",
     "obpose-segment": "from benchmark.commands.segment import main",
     "obpose-edit": "from obpose.commands.entry import edit as main",
     "obpose-view": "from obpose.commands.entry import view as main",
     "obpose-bench": "from benchmark.commands.entry import main",
 }
-
-
-def command_of(program: str) -> list[str]:
-    return [sys.executable, "-c", f"import sys; {COMMANDS[program]}; sys.exit(main())", "--help"]
+SUBCOMMANDS = {
+    "obpose-datagen": ["render", "import", "verify", "stats", "preview", "export", "push", "regenerate", "assets"],
+    "obpose-edit": ["infer", "sample", "fit-prior", "render", "mesh", "remove", "move", "rotate", "swap", "add"],
+    "obpose-bench": ["rescore", "compare", "report", "pack", "selftest"],
+}
+SLOW = ["torch", "numba", "scipy", "sklearn", "pandas", "matplotlib", "pybullet", "PIL"]
+INTERRUPTED = {
+    "obpose-train": ["--data", "missing"],
+    "obpose-segment": ["--rgb", "missing"],
+    "obpose-edit": ["mesh", "missing", "--object", "1", "--out", "new.ply"],
+    "obpose-bench": ["--list"],
+}
+"""Arguments with which the libraries are imported."""
+LIST_MODULES = """
+import contextlib, io, json, sys
+{start}
+codes = []
+for arguments in json.loads(sys.argv[1]):
+    sys.argv[1:] = arguments
+    with contextlib.redirect_stdout(io.StringIO()) as output, contextlib.redirect_stderr(io.StringIO()) as errors:
+        codes.append(main())
+    assert (output if codes[-1] == 0 else errors).getvalue()
+json.dump([codes, [*sys.modules]], sys.stdout)
+"""
 
 
 @pytest.mark.parametrize("program", COMMANDS)
-def test_it_runs_the_command(program: str):
-    done = subprocess.run(command_of(program), capture_output=True, text=True, timeout=120)
-    assert (done.returncode, done.stderr) == (EXIT_OK, "")
-    assert program in done.stdout
+def test_help_and_wrong_flags_import_nothing_slow(program: str):
+    subcommands = SUBCOMMANDS.get(program, [])
+    calls = [["--help"], *([name, "--help"] for name in subcommands), ["--nonsense"]]
+    code = LIST_MODULES.format(start=COMMANDS[program])
+    done = subprocess.run([sys.executable, "-c", code, json.dumps(calls)], capture_output=True, text=True, timeout=120)
+    codes, modules = json.loads(done.stdout)
+    assert codes[:-1] == [EXIT_OK] * (len(calls) - 1)
+    assert codes[-1] != EXIT_OK
+    unwanted = SLOW if program == "obpose-datagen" else [*SLOW, "numpy"]
+    assert [name for name in unwanted if name in modules] == []
 
 
-@pytest.mark.parametrize("program", sorted({*COMMANDS} - {"obpose-view"}))  # its help needs no NumPy
+def test_the_default_of_a_flag_is_that_of_the_function():
+    assert Infer(checkpoint="any", out=Path("out")).refine == STEPS
+
+
+@pytest.mark.parametrize("program", INTERRUPTED)
 def test_ctrl_c_during_the_imports_is_one_line(program: str):
-    with subprocess.Popen(command_of(program), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    code = f"import sys; {COMMANDS[program]}; sys.exit(main())"
+    command = [sys.executable, "-c", code, *INTERRUPTED[program]]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         # NumPy's libraries are mapped early while everything is being imported.
         maps = Path(f"/proc/{process.pid}/maps")
         found = lambda: "_multiarray_umath" in maps.read_text() or process.poll() is not None  # noqa: E731
