@@ -119,7 +119,8 @@ def summary(folder: Path, report: "Report") -> list[str]:
     missing = sum(each.missing for each in measured) / len(measured)
     far = sum(each.too_far for each in measured) / len(measured)
     on_table = sum(each.estimated_world for each in measured)
-    labelled = [split for split, fields in spec["fields"].items() if "segmentation" in fields]
+    fields = ("segmentation", "poses/position", "boxes/box_3d")
+    labelled, posed, boxed = (", ".join(s for s, names in spec["fields"].items() if name in names) for name in fields)
     worlds = {0: "as given by the poses", len(measured): "on the largest plane near the camera, most likely the table"}
     return [
         f"{folder.resolve()}: {counts} scenes of {frames} x {views} images (frames x views) of {width}x{height} "
@@ -128,6 +129,7 @@ def summary(folder: Path, report: "Report") -> list[str]:
         f"{100 * missing:.0f} % missing"
         + (f", {100 * far:.1f} % dropped beyond the format's 6.55 m." if far > 0 else "."),
         f"World: {worlds.get(on_table, 'given in some scenes, on the table in others')}.",
-        f"Masks: {', '.join(labelled) or 'none; models can be trained on it but not scored'}.",
+        f"Masks: {labelled or 'none; models can be trained on it but not scored'}.",
+        *([f"Poses of objects: {posed}; boxes: {boxed or 'none, because there is no models/'}."] if posed else []),
         *report.notes,
     ]

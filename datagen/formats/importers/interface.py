@@ -8,6 +8,8 @@ from typing import Literal, Protocol
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
+from datagen.shapes.shape import OrientedBox
+
 Grouping = Literal["clip", "views", "stills"]
 """Meaning of the images of a recording: frames of a clip, views of a still scene, or a scene each."""
 DepthType = Literal["planar", "euclidean"]
@@ -49,6 +51,18 @@ class Facts:
 
 
 @dataclass(frozen=True, eq=False)
+class Model:
+    """Geometry of an object in its own frame."""
+
+    size: Float64[np.ndarray, "3"]
+    """Extents along its axes, metres."""
+    box: OrientedBox
+    """Box of least volume."""
+    symmetry: str
+    """Name of its rotation group, see `datagen.shapes.symmetry`."""
+
+
+@dataclass(frozen=True, eq=False)
 class Images:
     """Images of a recording that belong to one scene."""
 
@@ -64,6 +78,10 @@ class Images:
     """Objects by any positive numbers that are constant over the recording; 0 = background; None without masks."""
     categories: Mapping[int, str] | None = None
     """Name of each object by its id; None if unknown."""
+    camera_from_object: Float64[np.ndarray, "image view object 4 4"] | None = None
+    """Poses of the objects with ids 1, 2 and so on, metres; None if unknown."""
+    models: Sequence[Model] | None = None
+    """Models of these objects; None if unknown."""
 
 
 @dataclass(frozen=True)

@@ -73,11 +73,6 @@ class Plan:
     """Upper bound of the number of objects."""
     notes: tuple[str, ...]
 
-    def has_masks(self, split: str) -> bool:
-        """Whether all scenes of a split have masks."""
-        units = self.units[split]
-        return bool(units) and all(unit.facts.objects is not None for unit in units)
-
 
 def enough(recordings: Sequence[Recording], scenes: int | None) -> list[Recording]:
     """As many recordings as a number of scenes in each split needs, so that large datasets are not read in vain."""

@@ -13,7 +13,7 @@ import numpy as np
 from datagen.console.progress import Progress, no_progress
 from datagen.errors import UsageError
 from datagen.formats.importers import IMPORTERS, Format
-from datagen.formats.importers.convert import ALWAYS, WITH_MASKS, WITH_NAMES, Measured, Target, convert
+from datagen.formats.importers.convert import Measured, Target, convert, fields_of
 from datagen.formats.importers.interface import Grouping, ReadOptions, World
 from datagen.formats.importers.plan import Choices, Plan, Unit, enough, plan_scenes
 from datagen.inspect.dataset_card import write_card
@@ -112,15 +112,12 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
 
 
 def _fields(plan: Plan, split: str) -> tuple[str, ...]:
-    """Fields of the scenes of a split; names of objects are known if those of its first scene are."""
+    """Fields of the scenes of a split, which are those of its first scene."""
     if not plan.units[split]:
         return ()
-    if not plan.has_masks(split):
-        return ALWAYS
     first = plan.units[split][0]
     with _reading():
-        named = first.recording.read(first.images[:1]).categories is not None
-    return (*ALWAYS, *WITH_MASKS, *(WITH_NAMES if named else ()))
+        return fields_of(first.recording.read(first.images[:1]))
 
 
 def _spec(request: Request, plan: Plan, fields: Mapping[str, tuple[str, ...]], fps: float | None) -> Spec:
@@ -182,8 +179,6 @@ def _write_split(
 def _read(unit: Unit, target: Target, fields: frozenset[str]) -> tuple[dict[str, np.ndarray], Measured]:
     with _reading():
         images = unit.recording.read(unit.images)
-    if WITH_NAMES[0] in fields and images.categories is None:
-        raise UsageError(f"{unit.name} has no names of objects, but other scenes do; import them into two datasets.")
     return convert(images, target, unit.name, fields)
 
 
