@@ -181,8 +181,13 @@ def _turn(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "16"]:
 
 
 def _write_ply(path: Path, shape: Shape) -> None:
-    """Write a mesh in millimetres; corners with different normals become different vertices."""
-    corners = np.concatenate([MILLIMETRES * shape.vertices[shape.faces], shape.normals], axis=-1).reshape(-1, 6)
+    """Write a mesh in millimetres; corners with different normals become different vertices.
+
+    Surfaces with holes are written once, although they are drawn from both sides.
+    """
+    front = len(shape.faces) - shape.backs
+    positions, normals = MILLIMETRES * shape.vertices[shape.faces[:front]], shape.normals[:front]
+    corners = np.concatenate([positions, normals], axis=-1).reshape(-1, 6)
     vertices, places = np.unique(np.round(corners, 5), axis=0, return_inverse=True)
     faces = places.reshape(-1, 3)
     properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
