@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, UInt8, UInt16
 
 from datagen.schema import SceneRecord
 from datagen.shapes.shape import MeshSource
-from datagen.storage.reader import Split, read_depth
+from datagen.storage.reader import Split, read_camera_poses, read_depth
 
 UNKNOWN_CATEGORY = "object"
 """Category of objects in datasets that name none."""
@@ -88,17 +88,12 @@ class ExportScene:
     @cached_property
     def k(self) -> Float[np.ndarray, "frame view 3 3"]:
         """Camera matrices in pixels, pixel centres at +0.5."""
-        return self._for_each_frame(self.read("camera/K"))
+        return np.broadcast_to(self.read("camera/K"), (self.frames, self.views, 3, 3))
 
     @cached_property
     def world_from_camera(self) -> Float[np.ndarray, "frame view 4 4"]:
         """Camera poses, OpenCV axes, metres."""
-        moving = "camera/world_from_camera_of_frame"
-        return self._for_each_frame(self.read(moving if self.has(moving) else "camera/world_from_camera"))
-
-    def _for_each_frame(self, matrices: np.ndarray) -> np.ndarray:
-        """Repeat the matrices of static cameras, which have no frame axis."""
-        return np.broadcast_to(matrices, (self.frames, *matrices.shape[-3:]))
+        return read_camera_poses(self._scenes, self.index)
 
     @cached_property
     def frames(self) -> int:
