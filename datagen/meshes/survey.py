@@ -116,8 +116,8 @@ def find_files(folder: Path) -> list[str]:
     found = [name for name in found if _is_wanted(name, coarse)]
     if not found:
         raise UsageError(
-            f"{folder} holds no mesh; expected files that end in {', '.join(SUFFIXES)}, also in folders below it. Links to "
-            "folders are not followed."
+            f"{folder} holds no mesh; expected files that end in {', '.join(SUFFIXES)}. Links to folders are not "
+            "followed."
         )
     if len(found) > MOST_MESHES:
         raise UsageError(f"{folder} holds {len(found):,} meshes; expected at most {MOST_MESHES:,}. Give a subfolder.")

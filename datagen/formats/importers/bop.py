@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from datagen.errors import CorruptFile, UsageError
+from datagen.formats.import_request import ReadOptions
 from datagen.formats.importers.bop_models import METRES, Models, find_models
 from datagen.formats.importers.files import (
     HALF_PIXEL,
@@ -31,7 +32,7 @@ from datagen.formats.importers.files import (
     read_ids,
     read_object,
 )
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.geometry import invert_rigid
 from datagen.rgbd.camera_pose import check_pose
 from datagen.rgbd.images import read_colour, read_depth
@@ -109,7 +110,7 @@ class _Reader:
     def __init__(self, folder: Path, models: Models | None, options: ReadOptions):
         self.folder, self._models, self._options = folder, models, options
         cameras = _by_number(read_object(folder / CAMERA), folder / CAMERA)
-        has_masks = options.masks and (folder / TRUTH).exists() and (folder / "mask_visib").is_dir()
+        has_masks = not options.ignore_masks and (folder / TRUTH).exists() and (folder / "mask_visib").is_dir()
         truth = _by_number(read_object(folder / TRUTH), folder / TRUTH) if has_masks else {}
         self._images = [_image(folder, number, cameras[number], truth.get(number)) for number in sorted(cameras)]
         self._has_masks = has_masks

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from datagen.errors import UsageError
-from datagen.formats.importers.interface import Grouping, Images, World
+from datagen.formats.import_request import Grouping, World
+from datagen.formats.importers.interface import Images
 from datagen.formats.importers.plan import MOST_OBJECTS
 from datagen.formats.importers.resample import resampled
 from datagen.geometry import invert_rigid, quaternion_from_rotation, rigid

@@ -3,35 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
+from datagen.formats.import_request import Grouping, ReadOptions
 from datagen.shapes.shape import OrientedBox
-
-Grouping = Literal["clip", "views", "stills"]
-"""Meaning of the images of a recording: frames of a clip, views of a still scene, or a scene each."""
-DepthType = Literal["planar", "euclidean"]
-"""Depth along the optical axis, or along the ray."""
-World = Literal["auto", "given", "table"]
-"""World frame: that of the given poses, or one that stands on the table; `auto` is `given` if there are poses."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReadOptions:
-    """Choices of the user about how files are read."""
-
-    depth_scale: float | None = None
-    """Metres per unit of integer depth, or per unit of a synthetic scene; None for the format's own."""
-    depth_type: DepthType | None = None
-    """None for the format's own."""
-    masks: bool = True
-    """Whether to read masks."""
-    most_objects: int | None = None
-    """Scenes with more objects are left out; None for the format's own limit."""
-    camera: Path | None = None
-    """File with the camera, for formats that keep it elsewhere."""
 
 
 @dataclass(frozen=True)

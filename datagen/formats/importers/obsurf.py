@@ -18,6 +18,7 @@ from jaxtyping import Float64, Integer
 
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
+from datagen.formats.import_request import ReadOptions
 from datagen.formats.importers.files import (
     camera_matrix,
     check_unit,
@@ -27,7 +28,7 @@ from datagen.formats.importers.files import (
     read_ids,
     read_opaque,
 )
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.geometry import look_at
 from datagen.rgbd.images import read_depth
 from datagen.storage.safe_io import npz_headers, read_npz
@@ -111,7 +112,7 @@ def _read_metadata(source: Path, options: ReadOptions) -> tuple[_Scenes, bool]:
     objects = np.count_nonzero(arrays["shape"] > 0, axis=1)
     unit = options.depth_scale or UNIT
     camera_pos = arrays["camera_pos"].astype(np.float64)
-    return _Scenes(source, objects, camera_pos, planar, unit, options.masks), multishapenet
+    return _Scenes(source, objects, camera_pos, planar, unit, not options.ignore_masks), multishapenet
 
 
 class _Reader:

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from datagen.errors import CorruptFile, UsageError
+from datagen.formats.import_request import ReadOptions
 from datagen.formats.importers.files import (
     HALF_PIXEL,
     check_intrinsics,
@@ -27,7 +28,7 @@ from datagen.formats.importers.files import (
     missing_file,
     read_ids,
 )
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.rgbd.camera_pose import read_pose
 from datagen.rgbd.images import read_colour, read_depth
 from datagen.storage.safe_io import read_text
@@ -80,7 +81,7 @@ def _folders(source: Path, options: ReadOptions) -> _Folders:
     intrinsic = options.camera or next(iter(sorted(source.glob("intrinsic*"))), None)
     if intrinsic is None:
         raise UsageError(f"{source} has no intrinsic*.txt; unpack it there, or name such a file with --camera.")
-    segment = _folder(source, "segment") if options.masks else None
+    segment = _folder(source, "segment") if not options.ignore_masks else None
     return _Folders(image, depth, segment, _folder(source, "pose"), intrinsic)
 
 

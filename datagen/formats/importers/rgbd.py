@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from datagen.errors import CorruptFile, UsageError
+from datagen.formats.import_request import ReadOptions
 from datagen.formats.importers.files import (
     HALF_PIXEL,
     camera_matrix,
@@ -32,7 +33,7 @@ from datagen.formats.importers.files import (
     read_ids,
     read_object,
 )
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.rgbd.camera_pose import check_pose, pose_matrix, read_pose
 from datagen.rgbd.frame_files import check_pairs, list_frames
 from datagen.rgbd.images import holds_floats, read_colour, read_depth
@@ -121,7 +122,7 @@ def _views(folder: Path, source: Path, options: ReadOptions) -> list[_View]:
 def _view(folder: Path, source: Path, options: ReadOptions) -> _View:
     colour = _files(folder, _COLOUR, _COLOUR_ENDINGS)
     depth = _files(folder, _DEPTH, _DEPTH_ENDINGS)
-    masks = _files(folder, _MASK, _MASK_ENDINGS) if options.masks else []
+    masks = _files(folder, _MASK, _MASK_ENDINGS) if not options.ignore_masks else []
     if not depth:
         raise UsageError(f"{folder} has colour but no depth; expected depth/*.png or depth.png.")
     for kind, files in (("depth images", depth), ("masks", masks)):

@@ -9,9 +9,10 @@ import pytest
 
 from benchmark.clips import has_true_poses
 from datagen.errors import CorruptFile, UsageError
+from datagen.formats.import_request import Request
 from datagen.formats.importers.bop_models import Models
 from datagen.formats.importers.convert import WITH_MODELS, WITH_POSES
-from datagen.formats.importers.write import Report, Request, import_dataset
+from datagen.formats.importers.write import Report, import_dataset
 from datagen.storage.reader import Dataset
 from datagen.verify.dataset import find
 from tests.datagen.formats.conftest import Export
@@ -27,7 +28,7 @@ def test_poses_boxes_and_symmetries_come_back(
     dataset: str, grouping: str, exported: Export, tmp_path: Path, request: pytest.FixtureRequest
 ):
     source: Path = request.getfixturevalue(dataset)
-    take(exported(source, "bop"), tmp_path / "back", grouping=grouping)
+    take(exported(source, "bop"), tmp_path / "back", group=grouping)
     scenes, back = (Dataset(folder).split("train") for folder in (source, tmp_path / "back"))
     assert has_true_poses(back)
     assert find(tmp_path / "back") == []
@@ -59,7 +60,7 @@ def test_objects_that_move_between_views_are_refused(clips: Path, exported: Expo
     truth["2"][1]["cam_t_m2c"][0] += 30
     (folder / "scene_gt.json").write_text(json.dumps(truth))
     with pytest.raises(UsageError, match=r"differ by 0\.03\d* m between the views"):
-        take(folder, tmp_path / "back", grouping="views")
+        take(folder, tmp_path / "back", group="views")
     assert not (tmp_path / "back").exists()
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from datagen.errors import DatagenError, UsageError
+from datagen.formats.import_request import ReadOptions, Request
 from datagen.formats.importers import rgbd
-from datagen.formats.importers.interface import ReadOptions
-from datagen.formats.importers.write import Report, Request, import_dataset
+from datagen.formats.importers.write import Report, import_dataset
 from datagen.storage.reader import Dataset
 from datagen.verify.dataset import find
 from tests.worlds import recordings
@@ -54,7 +54,7 @@ CASES: dict[str, tuple[str, Callable[[Path], Path], dict[str, object], dict[str,
     "multishapenet": ("obsurf", multishapenet, {}, {"train": 2}, (1, 3)),
     "obpose": ("obpose", recordings.write_authors, {}, {"train": 2, "test": 1}, (3, 1)),
     "bop": ("bop", bop_test, {}, {"test": 3}, (1, 1)),
-    "bop views": ("bop", bop_test, {"grouping": "views"}, {"test": 1}, (1, 3)),
+    "bop views": ("bop", bop_test, {"group": "views"}, {"test": 1}, (1, 3)),
     "octscenes": ("octscenes", recordings.write_octscenes, {"views": 2}, {"train": 1, "test": 1}, (1, 2)),
 }
 
@@ -129,8 +129,8 @@ def test_given_poses_can_be_moved_onto_the_table(tmp_path: Path):
     shots = [shoot(position) for position in CAMERAS]
     lifted = [shot.pose + np.eye(4)[2][:, None] * np.array([0, 0, 0, 1.0]) for shot in shots]
     source = write_rgbd(tmp_path / "a", shots, world_from_camera=[pose.tolist() for pose in lifted])
-    take(source, tmp_path / "given", format="rgbd", grouping="views")
-    take(source, tmp_path / "table", format="rgbd", grouping="views", world="table")
+    take(source, tmp_path / "given", format="rgbd", group="views")
+    take(source, tmp_path / "table", format="rgbd", group="views", world="table")
     given, table = (Dataset(tmp_path / name).split("train")[0] for name in ("given", "table"))
     worlds = [Dataset(tmp_path / name).spec["import"]["world"] for name in ("given", "table")]
     assert worlds == ["given", "table"]
