@@ -124,7 +124,10 @@ def _as_views(images: Images, place: str) -> Images:
 
 def _check_static(images: Images, place: str) -> None:
     if np.max(np.abs(images.k - images.k[:1])) > _STILL_PIXELS:
-        raise UsageError(f"{place}: the camera matrix changes in the clip; import with --group stills.")
+        raise UsageError(
+            f"{place}: the camera matrix changes in the clip, but each camera has one. Import with --group stills, or "
+            "with --group views if nothing moves."
+        )
     if images.world_from_camera is None:
         return
     poses, first = images.world_from_camera, images.world_from_camera[:1]

@@ -15,25 +15,15 @@ or it holds folders view*, each such a recording, of cameras that took the same 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from datagen.errors import CorruptFile, UsageError
 from datagen.formats.import_request import ReadOptions
-from datagen.formats.importers.files import (
-    HALF_PIXEL,
-    camera_matrix,
-    check_intrinsics,
-    check_unit,
-    common_size,
-    numbers,
-    planar_depth,
-    read_ids,
-    read_object,
-)
+from datagen.formats.importers.files import check_intrinsics, check_unit, common_size, planar_depth, read_ids
 from datagen.formats.importers.interface import Facts, Found, Images, Recording
+from datagen.formats.importers.rgbd_camera import RgbdCamera, read_camera
 from datagen.rgbd.camera_pose import check_pose, pose_matrix, read_pose
 from datagen.rgbd.frame_files import check_pairs, list_frames
 from datagen.rgbd.images import holds_floats, read_colour, read_depth
@@ -44,22 +34,6 @@ CAMERA, OBJECTS = "camera.json", "objects.json"
 _COLOUR, _DEPTH, _MASK = ("rgb", "color", "colour", "image", "images"), ("depth",), ("mask", "masks", "segmentation")
 _COLOUR_ENDINGS, _DEPTH_ENDINGS, _MASK_ENDINGS = (".png", ".jpg", ".jpeg"), (".png", ".tif", ".tiff", ".npy"), (".png",)
 _POSE_ENDINGS = (".txt", ".json", ".npy")
-_MILLIMETRE = 0.001
-
-
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """Content of a camera.json."""
-
-    k: Float64[np.ndarray, "3 3"]
-    depth_scale: float
-    """Metres per unit of integer depth."""
-    float_scale: float
-    """Metres per unit of depth in floats."""
-    euclidean: bool
-    poses: Any
-    """world_from_camera as JSON values: one matrix, or one for each image; None if missing."""
-    fps: float | None
 
 
 @dataclass(frozen=True)
@@ -78,7 +52,7 @@ class _View:
 def find_rgbd(source: Path, options: ReadOptions) -> Found:
     """Find recordings of RGB-D image files; see `interface.Importer`."""
     found = [
-        Recording(str(folder), split, reader.survey, reader.read, _read_camera(views[0].camera, options).fps)
+        Recording(str(folder), split, reader.survey, reader.read, read_camera(views[0].camera, options).fps)
         for split, folder in _recording_folders(source)
         for views in [_views(folder, source, options)]
         for reader in [_Reader(views, options)]
@@ -157,52 +131,12 @@ def _pose_files(folder: Path, images: int) -> list[Path]:
     return poses
 
 
-def _read_camera(path: Path, options: ReadOptions) -> _Camera:
-    values = read_object(path)
-    bop = "cam_K" in values  # BOP gives depth_scale in millimetres per unit
-    scale = values.get("depth_scale", values.get("depth_scale_m", 1.0 if bop else _MILLIMETRE))
-    scale = options.depth_scale or _positive(scale, f"{path}: depth_scale") * (_MILLIMETRE if bop else 1)
-    kind = options.depth_type or values.get("depth_type", "planar")
-    if kind not in ("planar", "euclidean"):
-        raise UsageError(f"{path}: depth_type is {kind!r:.40}; expected planar or euclidean.")
-    fps = values.get("fps")
-    return _Camera(
-        k=_intrinsics(values, path),
-        depth_scale=scale,
-        float_scale=options.depth_scale or 1.0,
-        euclidean=kind == "euclidean",
-        poses=values.get("world_from_camera"),
-        fps=None if fps is None else _positive(fps, f"{path}: fps"),
-    )
-
-
-def _intrinsics(values: dict[str, Any], path: Path) -> Float64[np.ndarray, "3 3"]:
-    """Read fx, fy, cx, cy or a 3x3 matrix K; `pixel_center` says where the first pixel's centre is."""
-    matrix = next((values[name] for name in ("K", "cam_K", "intrinsics") if name in values), None)
-    if matrix is not None:
-        k = numbers(matrix, 9, f"{path}: K").reshape(3, 3)
-    elif missing := [name for name in ("fx", "fy", "cx", "cy") if name not in values]:
-        raise UsageError(f"{path} has no {missing[0]}; expected fx, fy, cx and cy in pixels, or a 3x3 matrix K.")
-    else:
-        k = camera_matrix(*numbers([values[name] for name in ("fx", "fy", "cx", "cy")], 4, f"{path}: fx, fy, cx, cy"))
-    center = values.get("pixel_center", 0)
-    if center not in (0, 0.5):
-        raise UsageError(f"{path}: pixel_center is {center!r:.20}; expected 0 (OpenCV) or 0.5.")
-    return k + HALF_PIXEL * (1 if center == 0 else 0)
-
-
-def _positive(value: Any, place: str) -> float:
-    if type(value) not in (int, float) or not 0 < value < 1e6:
-        raise UsageError(f"{place} is {value!r:.40}; expected a number above 0.")
-    return float(value)
-
-
 class _Reader:
     """Images of one recording."""
 
     def __init__(self, views: list[_View], options: ReadOptions):
         self._views = views
-        self._cameras = [_read_camera(view.camera, options) for view in views]
+        self._cameras = [read_camera(view.camera, options) for view in views]
 
     def survey(self) -> Facts:
         sizes = {view.folder: common_size(view.colour, view.depth, view.masks) for view in self._views}
@@ -215,7 +149,13 @@ class _Reader:
                 )
             if bool(view.masks) != bool(first.masks):
                 raise UsageError(f"{view.folder} and {first.folder} differ in having masks; give masks for both.")
-            check_intrinsics(camera.k, sizes[view.folder], str(view.camera))
+            if len(camera.k) not in (1, len(view.colour)):
+                raise UsageError(
+                    f"{view.camera}: K holds {len(camera.k)} matrices for {len(view.colour)} images; expected one for "
+                    "all images, or one for each."
+                )
+            for k in camera.k:
+                check_intrinsics(k, sizes[view.folder], str(view.camera))
         masks = [path for view in self._views for path in view.masks]
         ids = {int(one) for path in masks for one in np.unique(read_ids(path))} - {0}
         posed = bool(first.poses) or self._cameras[0].poses is not None
@@ -230,8 +170,10 @@ class _Reader:
             raise UsageError(f"{self._views[0].folder}: some views have poses and some have none; give all or none.")
         return Images(
             rgb=np.stack([[read_colour(view.colour[number]) for view, _ in views] for number in images]),
-            depth=np.stack([[_depth(view.depth[number], camera) for view, camera in views] for number in images]),
-            k=np.stack([[camera.k for _, camera in views] for _ in images]),
+            depth=np.stack(
+                [[_depth(view.depth[number], camera, number) for view, camera in views] for number in images]
+            ),
+            k=np.stack([[camera.k_of(number) for _, camera in views] for number in images]),
             world_from_camera=np.array(poses, np.float64) if all(known) else None,
             ids=np.stack([[read_ids(view.masks[number]) for view, _ in views] for number in images])
             if self._views[0].masks
@@ -251,16 +193,16 @@ def _categories(folder: Path) -> dict[int, str] | None:
     return {each["id"]: str(each.get("category", "")) for each in values}
 
 
-def _depth(path: Path, camera: _Camera) -> np.ndarray:
+def _depth(path: Path, camera: RgbdCamera, image: int) -> np.ndarray:
     depth, scale = read_depth(path, camera.depth_scale), camera.depth_scale
     if holds_floats(path):
         scale = camera.float_scale
         depth = depth * np.float32(scale)
     check_unit(depth, scale, str(path))
-    return planar_depth(depth, camera.k) if camera.euclidean else depth
+    return planar_depth(depth, camera.k_of(image)) if camera.euclidean else depth
 
 
-def _pose(view: _View, camera: _Camera, number: int) -> Float64[np.ndarray, "4 4"] | None:
+def _pose(view: _View, camera: RgbdCamera, number: int) -> Float64[np.ndarray, "4 4"] | None:
     if view.poses:
         return read_pose(view.poses[number if len(view.poses) > 1 else 0], "")
     if camera.poses is None:

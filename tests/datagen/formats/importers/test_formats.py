@@ -1,11 +1,13 @@
 """Every format, read from a small source in exactly its layout: points of all pixels lie on the surfaces they show."""
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from imageio.v3 import imread
 
 from datagen.errors import DatagenError, UsageError
 from datagen.formats.import_request import ReadOptions, Request
@@ -31,6 +33,19 @@ def multishapenet(folder: Path) -> Path:
 def rgbd_with_poses(folder: Path) -> Path:
     shot = shoot()
     return write_rgbd(folder, [shot, shot], world_from_camera=shot.pose.tolist())
+
+
+def rgbd_with_two_lenses(folder: Path) -> Path:
+    """The second image shows another part of what the camera sees, which moves its principal point."""
+    shot, k = shoot(), [shoot().k.copy() for _ in range(2)]
+    folder = write_rgbd(folder, [shot, shot], world_from_camera=shot.pose.tolist(), pixel_center=0.5)
+    for name, array in (("rgb", shot.rgb), ("depth", recordings.units(shot.depth, 1e-4)), ("masks", shot.ids)):
+        recordings.save(folder / name / "1.png", np.roll(array, (-3, -5), (0, 1)))
+        for path in (folder / name).glob("*.png"):
+            recordings.save(path, imread(path)[:-3, :-5])
+    k[1][:2, 2] -= [5, 3]
+    write_json(folder / "camera.json", {**json.loads((folder / "camera.json").read_text()), "K": np.array(k).tolist()})
+    return folder
 
 
 def rgbd_euclidean_views(folder: Path) -> Path:
@@ -72,6 +87,16 @@ def test_points_lie_on_the_surfaces_that_their_pixels_show(case, tmp_path: Path)
     assert max(errors(record).values()) < MILLIMETRE
     assert np.array_equal(record["rgb"][0, 0], shoot().rgb)
     assert np.array_equal(record["segmentation"][0, 0], shoot().ids)
+
+
+def test_each_image_may_have_its_own_lens_except_in_a_clip(tmp_path: Path):
+    source = rgbd_with_two_lenses(tmp_path / "source")
+    for group in ("stills", "views"):
+        take(source, tmp_path / group, format="rgbd", group=group, split="test")
+        assert all(max(errors(scene).values()) < MILLIMETRE for scene in Dataset(tmp_path / group).split("test"))
+    with pytest.raises(UsageError, match=r"the camera matrix changes in the clip.*--group stills"):
+        take(source, tmp_path / "clip", format="rgbd")
+    assert not (tmp_path / "clip").exists()
 
 
 def test_names_of_objects_are_kept(tmp_path: Path):
@@ -179,6 +204,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no unit": (edit_camera(depth_scale=0), "depth_scale is 0"),
     "no focal length": (edit_camera(fx="wide"), "fx, fy, cx, cy is"),
     "other size": (edit_camera(fx=5e5), "cannot be those of images of 48x36"),
+    "too many lenses": (edit_camera(K=[shoot().k.tolist()] * 3), "K holds 3 matrices for 2 images"),
     "infinite": (lambda folder: (folder / "camera.json").write_text('{"fx": NaN}'), "NaN"),
     "no object": (lambda folder: (folder / "camera.json").write_text("[]"), "expected an object"),
     "mirrored pose": (edit_camera(world_from_camera=np.diag([1, 1, -1, 1.0]).tolist()), "no rigid pose"),
