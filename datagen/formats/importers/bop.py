@@ -34,7 +34,7 @@ from datagen.formats.importers.files import (
 )
 from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.geometry import invert_rigid
-from datagen.rgbd.camera_pose import check_pose
+from datagen.rgbd.camera_pose import check_pose, is_rigid
 from datagen.rgbd.images import read_colour, read_depth
 from datagen.schema import SPLITS
 
@@ -188,7 +188,12 @@ class _Reader:
         pose = np.eye(4)
         pose[:3, :3] = numbers(values.get(f"cam_R_{frames}"), 9, f"{place}R_{frames}").reshape(3, 3)
         pose[:3, 3] = METRES * numbers(values.get(f"cam_t_{frames}"), 3, f"{place}t_{frames}")
-        check_pose(pose, f"{place}R_{frames}")
+        if not is_rigid(pose):
+            raise UsageError(
+                f"{place}R_{frames} is no rotation matrix; expected nine numbers, row by row: orthonormal rows and "
+                "determinant 1. Remove scale and shear."
+            )
+        check_pose(pose, f"{place}t_{frames}")
         return pose
 
 

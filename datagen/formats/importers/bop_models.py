@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import QhullError
 
-from datagen.errors import CorruptFile
-from datagen.formats.importers.files import missing_file, numbers, read_object
+from datagen.errors import CorruptFile, UsageError
+from datagen.formats.importers.files import numbers, read_object
 from datagen.formats.importers.interface import Model
 from datagen.meshes.hulls import convex_corners
 from datagen.meshes.read import read_mesh
@@ -41,13 +42,20 @@ class Models:
 
         Raises:
             UsageError: its mesh is missing.
-            CorruptFile: its mesh or its entry in models_info.json is damaged.
+            CorruptFile: its mesh is damaged or flat, or its entry in models_info.json is damaged.
         """
         if number not in self._models:
             path = self._folder / f"obj_{number:06d}.ply"
             if not path.exists():
-                raise missing_file(path)
-            points = METRES * convex_corners(read_mesh(self._folder, path.name).vertices)
+                raise UsageError(
+                    f"{path} is missing, but scene_gt.json names its object. Complete the models, or take the folder "
+                    "away to import poses without boxes."
+                )
+            mesh = read_mesh(self._folder, path.name)
+            try:
+                points = METRES * convex_corners(mesh.vertices)
+            except QhullError:
+                raise CorruptFile(f"{path} is flat; expected a solid object. Restore the original.") from None
             box = minimum_box(Outline.of_points(points))
             self._models[number] = Model(np.ptp(points, axis=0), box, self.symmetry(number) or "C1")
         return self._models[number]

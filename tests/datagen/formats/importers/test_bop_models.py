@@ -17,6 +17,7 @@ from datagen.storage.reader import Dataset
 from datagen.verify.dataset import find
 from tests.datagen.formats.conftest import Export
 from tests.worlds import rendered
+from tests.worlds.meshes import write_ply
 
 
 def take(source: Path, out: Path, **changes: object) -> Report:
@@ -54,13 +55,17 @@ def test_without_models_poses_are_kept_and_boxes_unknown(stills: Path, exported:
     assert not set(WITH_MODELS) & set(fields)
 
 
-def test_objects_that_move_between_views_are_refused(clips: Path, exported: Export, tmp_path: Path):
+def test_objects_that_move_between_views_and_wrong_rotations_are_refused(clips: Path, exported: Export, tmp_path: Path):
     folder = exported(clips, "bop") / "train" / "000000"
     truth = json.loads((folder / "scene_gt.json").read_text())
+    wrong = json.loads(json.dumps(truth))
+    wrong["2"][1]["cam_R_m2c"][0] += 0.1
     truth["2"][1]["cam_t_m2c"][0] += 30
-    (folder / "scene_gt.json").write_text(json.dumps(truth))
-    with pytest.raises(UsageError, match=r"differ by 0\.03\d* m between the views"):
-        take(folder, tmp_path / "back", group="views")
+    cases = ((truth, r"differ by 0\.03\d* m between the views"), (wrong, "image 2: cam_R_m2c is no rotation"))
+    for values, message in cases:
+        (folder / "scene_gt.json").write_text(json.dumps(values))
+        with pytest.raises(UsageError, match=message):
+            take(folder, tmp_path / "back", group="views")
     assert not (tmp_path / "back").exists()
 
 
@@ -70,6 +75,15 @@ def test_a_wrong_pose_is_found_by_verify(stills: Path, exported: Export, tmp_pat
     messages = [finding.message for finding in find(tmp_path / "back")]
     assert any("not its minimum box" in message for message in messages)
     assert any("outside of its box" in message for message in messages)
+
+
+def test_a_missing_or_flat_model_is_named(tmp_path: Path):
+    (tmp_path / "models_info.json").write_text("{}")
+    with pytest.raises(UsageError, match=r"obj_000001\.ply is missing"):
+        Models(tmp_path).model(1)
+    write_ply(tmp_path / "obj_000001.ply", np.eye(3), np.array([[0, 1, 2]]))
+    with pytest.raises(CorruptFile, match=r"obj_000001\.ply is flat"):
+        Models(tmp_path).model(1)
 
 
 @pytest.mark.parametrize(
