@@ -25,17 +25,17 @@ from datagen.formats.importers.bop_models import METRES, Models, find_models
 from datagen.formats.importers.files import (
     HALF_PIXEL,
     check_intrinsics,
-    check_unit,
     common_size,
     missing_file,
     numbers,
     read_ids,
+    read_metres,
     read_object,
 )
 from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.geometry import invert_rigid
 from datagen.rgbd.camera_pose import check_pose, is_rigid
-from datagen.rgbd.images import read_colour, read_depth
+from datagen.rgbd.images import read_colour
 from datagen.schema import SPLITS
 
 CAMERA, TRUTH = "scene_camera.json", "scene_gt.json"
@@ -136,7 +136,7 @@ class _Reader:
         cameras = [self._camera_from_world(image) for image in chosen]
         found = Images(
             rgb=rgb,
-            depth=np.stack([self._depth(image)[None] for image in chosen]),
+            depth=np.stack([read_metres(image.depth, self._scale(image))[None] for image in chosen]),
             k=np.stack([self._k(image)[None] for image in chosen]),
             world_from_camera=None
             if any(pose is None for pose in cameras)
@@ -155,11 +155,6 @@ class _Reader:
         poses = [[self._pose(image, each, "m2c") for each in image.objects] for image in chosen]
         models = [self._models.model(number) for number in obj_ids] if self._models else None
         return replace(found, camera_from_object=np.reshape(poses, (len(chosen), 1, len(obj_ids), 4, 4)), models=models)
-
-    def _depth(self, image: _Image) -> np.ndarray:
-        depth, scale = read_depth(image.depth, self._scale(image)), self._scale(image)
-        check_unit(depth, scale, str(image.depth))
-        return depth
 
     def _obj_ids(self, chosen: Sequence[_Image]) -> list[int]:
         """The objects of several images, which must be the same in the same order to have ids over time."""

@@ -1,9 +1,8 @@
 """From recordings to scenes: which images form a scene, and in which split it goes."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from datagen.console.text import counted
 from datagen.errors import UsageError
@@ -23,7 +22,6 @@ _SHARES = 10
 _FEW = 3
 """Recordings from which on whole recordings are assigned to splits."""
 
-Value = TypeVar("Value")
 Surveyed = tuple[Recording, Facts]
 
 
@@ -78,18 +76,30 @@ def plan_scenes(recordings: Iterable[Surveyed], request: Request) -> Plan:
             split.
     """
     surveyed = list(recordings)
-    size = request.size or _common(surveyed, lambda facts: facts.size, _size_error)
+    (first, facts), *others = surveyed
+    for other, more in others:
+        if more.size != facts.size and not request.size:
+            raise UsageError(
+                f"{other.name} has images of {more.size[0]}x{more.size[1]} pixels, {first.name} of {facts.size[0]}x"
+                f"{facts.size[1]}; all scenes need one size. Give --resolution, such as 160x120: images are cropped to "
+                "its aspect and scaled."
+            )
+        if more.views != facts.views:
+            raise UsageError(
+                f"{other.name} has {counted(more.views, 'view')}, {first.name} {facts.views}; all scenes need equal "
+                "numbers. Import them into several datasets."
+            )
+    size, cameras = request.size or facts.size, facts.views
     groups = {recording: _groups(recording, facts, request) for recording, facts in surveyed}
     lengths = {len(images): recording for recording, parts in groups.items() for images in parts}
     if len(lengths) > 1:
-        (one, first), (other, second) = sorted(lengths.items(), key=lambda item: item[0])[:2]
+        (one, shorter), (other, longer) = sorted(lengths.items(), key=lambda item: item[0])[:2]
         flag = "--views" if request.group == "views" else "--frames"
         raise UsageError(
-            f"{first.name} has {counted(one, 'image')} and {second.name} {other}; all scenes need equal numbers. Give "
-            f"{flag} {one} to take as many of each, or --group stills for a scene an image."
+            f"{shorter.name} has {counted(one, 'image')} and {longer.name} {other}; all scenes need equal numbers. "
+            f"Give {flag} {one} to take as many of each, or --group stills for a scene an image."
         )
     length = next(iter(lengths))
-    cameras = _common(surveyed, lambda facts: facts.views, _views_error)
     frames, views = (1, length) if request.group == "views" else (length, cameras)
     if frames * views * size[0] * size[1] > _MOST_PIXELS:
         raise UsageError(
@@ -106,29 +116,6 @@ def plan_scenes(recordings: Iterable[Surveyed], request: Request) -> Plan:
     # A recording with many objects may show few of them at a time; scenes with too many are refused when they are read.
     objects = min(max(1, wanted, *bounds), MOST_OBJECTS)
     return Plan(units, frames, views, size, objects, notes)
-
-
-def _common(surveyed: Sequence[Surveyed], value: Callable[[Facts], Value], error: Callable[..., UsageError]) -> Value:
-    first, facts = surveyed[0]
-    for recording, others in surveyed:
-        if value(others) != value(facts):
-            raise error(recording, others, first, facts)
-    return value(facts)
-
-
-def _size_error(one: Recording, facts: Facts, two: Recording, others: Facts) -> UsageError:
-    sizes = [f"{size[0]}x{size[1]}" for size in (facts.size, others.size)]
-    return UsageError(
-        f"{one.name} has images of {sizes[0]} pixels, {two.name} of {sizes[1]}; all scenes need one size. Give "
-        "--resolution, such as 160x120: images are cropped to its aspect and scaled."
-    )
-
-
-def _views_error(one: Recording, facts: Facts, two: Recording, others: Facts) -> UsageError:
-    return UsageError(
-        f"{one.name} has {counted(facts.views, 'view')}, {two.name} {others.views}; all scenes need equal numbers. "
-        "Import them into several datasets."
-    )
 
 
 def _groups(recording: Recording, facts: Facts, request: Request) -> list[tuple[int, ...]]:
