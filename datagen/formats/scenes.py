@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, UInt8, UInt16
 
 from datagen.schema import SceneRecord
 from datagen.shapes.shape import MeshSource
-from datagen.storage.reader import Split, read_camera_poses, read_depth
+from datagen.storage.reader import Split, read_depth
 
 UNKNOWN_CATEGORY = "object"
 """Category of objects in datasets that name none."""
@@ -93,7 +93,9 @@ class ExportScene:
     @cached_property
     def world_from_camera(self) -> Float[np.ndarray, "frame view 4 4"]:
         """Camera poses, OpenCV axes, metres."""
-        return read_camera_poses(self._scenes, self.index)
+        moving = "camera/world_from_camera_of_frame"
+        poses = self.read(moving if self.has(moving) else "camera/world_from_camera")
+        return np.broadcast_to(poses, (self.frames, *poses.shape[-3:]))
 
     @cached_property
     def frames(self) -> int:
