@@ -22,6 +22,7 @@ from benchmark.report.pictures import (
     subsampled,
 )
 from datagen.inspect.preview import label_colors
+from datagen.storage.reader import read_camera_poses
 
 MOST_IMAGES = 8
 """Images of a clip; longer clips are sampled evenly."""
@@ -196,7 +197,7 @@ class Painter:
 
     def _record(self, scene: int) -> Mapping[str, np.ndarray]:
         if scene not in self._records:
-            fields = ["rgb", "depth", "segmentation", "camera/K", "camera/world_from_camera"]
+            fields = ["rgb", "depth", "segmentation", "camera/K"]
             self._records[scene] = self._analysis.scenes.read(scene, fields)
         return self._records[scene]
 
@@ -224,8 +225,8 @@ class Painter:
         record, poses = self._record(scene), self._maps[model][scene].boxes
         assert poses is not None
         center, rotation, size = poses
-        k, camera = record["camera/K"], record["camera/world_from_camera"]
-        corners = [box_corners(center[i], rotation[i], size[i], k[i[1]], camera[i[1]]) for i in images]
+        k, cameras = record["camera/K"], read_camera_poses(self._analysis.scenes, scene)
+        corners = [box_corners(center[i], rotation[i], size[i], k[i[1]], cameras[i]) for i in images]
         name, colors = f"boxes {self._analysis.rows[model].key.name}", self._slot_colors(model, scene)
         return self._place(
             name, scene, images, lambda: boxes_picture([record["rgb"][image] for image in images], corners, colors)

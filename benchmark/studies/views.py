@@ -18,12 +18,13 @@ from benchmark.ranking.statistics import draw, summarise
 from benchmark.studies.inputs import ModelFlags, TableFlags
 from datagen.geometry import project, unproject
 from datagen.schema import decode_depth
-from datagen.storage.reader import Dataset, Split
+from datagen.storage.reader import Dataset, Split, read_camera_poses
 from obpose.data.clips import select_part
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import cameras_of, infer_scene
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.rendering import Renderer
+from obpose.types import Observation
 
 MODEL, CARRIED, COPIED, MEAN = "the model", "its points carried over", "the input image itself", "mean of other scenes"
 FLAT = "true masks, each in one colour"
@@ -103,29 +104,44 @@ def measure_views(
 ) -> Iterator[Similarity]:
     """Score pictures of all views, for each view as the input.
 
-    The mean images are of as many training scenes, if there are other views.
+    The mean images are of as many training scenes, if there are other views. If cameras move, the model sees one frame
+    at a time.
     """
     records, renderer = Dataset(folder).split(split), Renderer(origin.model)
-    means = mean_pictures(Dataset(folder).split("train"), scenes) if records.views > 1 else []
+    train = Dataset(folder).split("train") if records.views > 1 else None
+    chosen = evenly_spaced(records.labels_shape[1], frames)
+    moving = records.has_moving_cameras
+    means = {frame: mean_pictures(train, scenes, frame) for frame in (chosen if moving else (0,)) if train}
     for index in range(min(scenes, len(records))):
-        observation = read_clip(folder, split, index)
-        cameras = cameras_of(observation)
-        for seen in range(records.views):
-            one = select_part(observation, views=slice(seen, seen + 1))
-            scene = infer_scene(origin, one, refinements=refinements)
-            for frame in evenly_spaced(observation.depth.shape[1], frames):
-                truth = read_views(records, index, frame)
-                for view, camera in enumerate(cameras):
-                    rendered = renderer.render(scene, frame, camera)
-                    rgb, depth = (values.numpy().astype(np.float64) for values in (rendered.rgb, rendered.depth))
-                    pictures = {MODEL: Picture(rgb, depth)}
-                    if view == seen:
-                        pictures[FLAT] = flatten_masks(truth[seen])
-                    else:
-                        pictures[CARRIED] = carry_points(truth[seen], truth[view], means[view])
-                        pictures |= {COPIED: truth[seen].picture, MEAN: means[view]}
-                    for maker, picture in pictures.items():
-                        yield compare(picture, truth[view], scene=index, maker=maker, same_view=seen == view)
+        for observation, places in _inputs(folder, split, index, chosen, moving=moving):
+            cameras = cameras_of(observation)
+            for seen in range(records.views):
+                one = select_part(observation, views=slice(seen, seen + 1))
+                scene = infer_scene(origin, one, refinements=refinements)
+                for frame, place in places.items():
+                    truth = read_views(records, index, frame)
+                    for view, camera in enumerate(cameras):
+                        rendered = renderer.render(scene, place, camera)
+                        rgb, depth = (values.numpy().astype(np.float64) for values in (rendered.rgb, rendered.depth))
+                        pictures = {MODEL: Picture(rgb, depth)}
+                        if view == seen:
+                            pictures[FLAT] = flatten_masks(truth[seen])
+                        else:
+                            mean = means[frame if moving else 0][view]
+                            pictures[CARRIED] = carry_points(truth[seen], truth[view], mean)
+                            pictures |= {COPIED: truth[seen].picture, MEAN: mean}
+                        for maker, picture in pictures.items():
+                            yield compare(picture, truth[view], scene=index, maker=maker, same_view=seen == view)
+
+
+def _inputs(
+    folder: Path, split: str, index: int, frames: Sequence[int], *, moving: bool
+) -> Iterator[tuple[Observation, dict[int, int]]]:
+    """Read the model's inputs with the chosen frames and their places in it: a clip, or frames if cameras move."""
+    if moving:
+        yield from ((read_clip(folder, split, index, frame), {frame: 0}) for frame in frames)
+    else:
+        yield read_clip(folder, split, index), {frame: frame for frame in frames}
 
 
 def compare(picture: Picture, truth: View, *, scene: int, maker: str, same_view: bool) -> Similarity:
@@ -145,22 +161,22 @@ def compare(picture: Picture, truth: View, *, scene: int, maker: str, same_view:
 
 def read_views(records: Split, index: int, frame: int) -> list[View]:
     """Read all views of a frame, with exact depth."""
-    names = ("rgb", "depth", "segmentation", "camera/K", "camera/world_from_camera")
-    record = records.read(index, names, slice(frame, frame + 1))
+    record = records.read(index, ("rgb", "depth", "segmentation", "camera/K"), slice(frame, frame + 1))
+    poses = read_camera_poses(records, index, slice(frame, frame + 1))
     return [
         View(
             Picture(record["rgb"][0, view] / 255.0, decode_depth(record["depth"][0, view]).astype(np.float64)),
             record["segmentation"][0, view],
             record["camera/K"][view],
-            record["camera/world_from_camera"][view],
+            poses[0, view],
         )
         for view in range(record["rgb"].shape[1])
     ]
 
 
-def mean_pictures(records: Split, scenes: int) -> list[Picture]:
-    """Mean colour and median depth of each view, over the first frames of scenes."""
-    views = [[view.picture for view in read_views(records, i, 0)] for i in range(min(scenes, len(records)))]
+def mean_pictures(records: Split, scenes: int, frame: int = 0) -> list[Picture]:
+    """Mean colour and median depth of each view, over one frame of scenes."""
+    views = [[view.picture for view in read_views(records, i, frame)] for i in range(min(scenes, len(records)))]
     return [
         Picture(np.mean([p.rgb for p in same], axis=0), np.median([p.depth for p in same], axis=0))
         for same in zip(*views, strict=True)

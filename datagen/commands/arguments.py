@@ -191,6 +191,8 @@ class Export:
     """New folder for the export."""
     splits: str = "train,val,test"
     """Splits to export, separated by commas; those without scenes are left out."""
+    assets: Path | None = None
+    """Folder of the meshes that the dataset was made with; only `bop` needs it, for its models."""
     overwrite: _Flag = False
     """Replace an export in the same folder."""
 

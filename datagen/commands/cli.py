@@ -274,8 +274,8 @@ def _export(values: Export) -> int:
     from datagen.formats.export import export
 
     splits = options.parse_split_names(values.splits)
-    settings = {"splits": splits, "overwrite": values.overwrite, "progress": scene_progress}
-    counts = export(values.folder, values.out, values.format, **settings)
+    settings: dict[str, Any] = {"assets": values.assets, "overwrite": values.overwrite, "progress": scene_progress}
+    counts = export(values.folder, values.out, values.format, splits=splits, **settings)
     print(f"{values.out.resolve()}: {', '.join(f'{number} {split}' for split, number in counts.items())} scenes.")
     print(f"How to load them, and what the format leaves out: {values.out / CARD_FILE}")
     return EXIT_OK

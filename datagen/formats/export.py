@@ -12,6 +12,7 @@ from datagen.formats.exporters.interface import Exporter
 from datagen.formats.scenes import ExportScene, scenes_of
 from datagen.inspect.croissant import croissant
 from datagen.inspect.dataset_card import description_of, license_of
+from datagen.meshes.library import Library, open_library
 from datagen.schema import GENERATOR, SPLITS
 from datagen.storage.atomic import check_new_folder, new_folder, write_atomically
 from datagen.storage.reader import Dataset
@@ -29,6 +30,7 @@ def export(
     name: Format,
     *,
     splits: tuple[str, ...] = SPLITS,
+    assets: Path | None = None,
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, int]:
@@ -39,11 +41,13 @@ def export(
         folder: The new folder.
         name: Name of the format.
         splits: Splits to export; those without scenes are left out.
+        assets: Folder of the dataset's meshes; only formats with models of the objects need it.
         overwrite: Replace an export in the same folder.
         progress: Shows the progress.
 
     Raises:
-        UsageError: the folder is in use, or the dataset does not have what the format needs.
+        UsageError: the folder is in use, the dataset does not have what the format needs, or its meshes are missing or
+            have changed.
         DatagenError: the dataset is incomplete or damaged, or the folder cannot be written.
     """
     dataset, exporter = Dataset(source), EXPORTERS[name]
@@ -51,15 +55,19 @@ def export(
     _check_request(dataset, exporter, counts, splits)
     _check_folder(source, folder, overwrite=overwrite)
     dataset.check_complete()
+    library = open_library(dataset.spec.get("assets"), assets) if assets else None
+    meshes = library.without_hulls() if library else None
     with new_folder(folder, replace=overwrite) as temporary, progress(sum(counts.values())) as advance:
-        exporter.write(temporary, _counted(dataset, counts, advance))
+        exporter.write(temporary, _counted(dataset, counts, meshes, advance))
         _write_metadata(temporary, dataset, exporter, name, counts)
     return counts
 
 
-def _counted(dataset: Dataset, splits: Mapping[str, int], advance: Callable[[], None]) -> Iterator[ExportScene]:
+def _counted(
+    dataset: Dataset, splits: Mapping[str, int], meshes: Library | None, advance: Callable[[], None]
+) -> Iterator[ExportScene]:
     for split in splits:
-        for scene in scenes_of(dataset.split(split)):
+        for scene in scenes_of(dataset.split(split), meshes):
             yield scene
             advance()
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt16
 
 from datagen.schema import SceneRecord
+from datagen.shapes.shape import MeshSource
 from datagen.storage.reader import Split, read_depth
 
 UNKNOWN_CATEGORY = "object"
@@ -23,8 +24,8 @@ Direction = Literal["forward", "backward"]
 class ExportScene:
     """One scene of a dataset; arrays are read when they are first used and kept as long as the scene."""
 
-    def __init__(self, scenes: Split, index: int):
-        self.split, self.index = scenes.name, index
+    def __init__(self, scenes: Split, index: int, meshes: MeshSource | None = None):
+        self.split, self.index, self.meshes = scenes.name, index, meshes
         self._scenes, self._fields = scenes, frozenset(scenes.fields(index))
         self._arrays: SceneRecord = {}
 
@@ -87,17 +88,14 @@ class ExportScene:
     @cached_property
     def k(self) -> Float[np.ndarray, "frame view 3 3"]:
         """Camera matrices in pixels, pixel centres at +0.5."""
-        return self._for_each_frame(self.read("camera/K"))
+        return np.broadcast_to(self.read("camera/K"), (self.frames, self.views, 3, 3))
 
     @cached_property
     def world_from_camera(self) -> Float[np.ndarray, "frame view 4 4"]:
         """Camera poses, OpenCV axes, metres."""
         moving = "camera/world_from_camera_of_frame"
-        return self._for_each_frame(self.read(moving if self.has(moving) else "camera/world_from_camera"))
-
-    def _for_each_frame(self, matrices: np.ndarray) -> np.ndarray:
-        """Repeat the matrices of static cameras, which have no frame axis."""
-        return np.broadcast_to(matrices, (self.frames, *matrices.shape[-3:]))
+        poses = self.read(moving if self.has(moving) else "camera/world_from_camera")
+        return np.broadcast_to(poses, (self.frames, *poses.shape[-3:]))
 
     @cached_property
     def frames(self) -> int:
@@ -172,11 +170,14 @@ class ExportScene:
 _SIMULATED = ("objects/", "poses/", "contacts/", "lights/", "scene/", "camera/")
 
 
-def scenes_of(scenes: Split) -> Iterator[ExportScene]:
-    """Iterate over the scenes of a split; memory holds one scene, and the file that it is in, at a time."""
+def scenes_of(scenes: Split, meshes: MeshSource | None = None) -> Iterator[ExportScene]:
+    """Iterate over the scenes of a split; memory holds one scene, and the file that it is in, at a time.
+
+    `meshes` holds the geometry of a user's meshes, which only some formats need.
+    """
     for indices in scenes.shards:
         for index in indices:
-            yield ExportScene(scenes, index)
+            yield ExportScene(scenes, index, meshes)
         scenes.close()
 
 

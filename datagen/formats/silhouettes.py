@@ -18,7 +18,7 @@ def stage_of_scene(scene: ExportScene) -> Stage:
     """The scene's shapes and poses.
 
     Raises:
-        UsageError: it holds meshes of a user, whose files an export does not have.
+        UsageError: it holds meshes of a user, and their folder was not given.
         CorruptFile: its description is damaged.
     """
     try:
@@ -28,12 +28,12 @@ def stage_of_scene(scene: ExportScene) -> Stage:
             f"{scene.place}: scene/description is damaged ({error}). Delete the shard and run the command that made it "
             "again."
         ) from None
-    if any(body.shape.family == "mesh" for body in described.bodies):
+    if scene.meshes is None and any(body.shape.family == "mesh" for body in described.bodies):
         raise UsageError(
-            f"{scene.place} holds meshes of your own, whose models this format needs; expected objects of the catalog. "
-            "The other formats can hold it."
+            f"{scene.place} holds meshes of your own, whose models this format needs. Give the folder that holds them "
+            "with --assets."
         )
-    shapes = tuple(build(body.shape) for body in described.bodies)
+    shapes = tuple(build(body.shape, scene.meshes) for body in described.bodies)
     return Stage(described, shapes, trajectory.world_from_object, tuple(range(1, len(shapes) + 1)))
 
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Grid
 
-from datagen.console.progress import tracked
+from datagen.console.progress import status_console
 from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.meshes.build import make_shape, mass_of
@@ -45,8 +45,13 @@ def run(folder: Path, reading: Reading, out: Path) -> int:
         raise UsageError(f"--out {out}: expected a name that ends in {', '.join(_ENDINGS)}.")
     files = find_files(folder)
     names = name_files(files)
-    found, tiles = [], []
-    for file, name in tracked(list(zip(files, names, strict=True)), "meshes"):
+    found, tiles, status = [], [], status_console()
+    for number, (file, name) in enumerate(zip(files, names, strict=True), 1):
+        status.print(
+            f"Mesh {number} of {len(files)}, {name}: reading it and cutting it into convex hulls, at most "
+            f"{reading.seconds:.0f} CPU-seconds unless cached",
+            markup=False,
+        )
         one = examine(folder, file, name, reading)
         tiles.append(thumbnail(one))
         found.append(Row(one))

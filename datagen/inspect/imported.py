@@ -127,7 +127,7 @@ Imported from format `{origin["format"]}` with `{spec["generator"]}`. The licenc
 
 ## Fields
 
-Other fields of the format are unknown: poses of objects, shapes, contacts and lights.
+Other fields of the format are unknown.
 
 {fields}
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from datagen.errors import CorruptFile, UsageError
-from datagen.meshes.build import make_shape, mass_of, place
+from datagen.meshes.build import Placed, make_shape, place
 from datagen.meshes.hulls import Hulls, find_hulls
 from datagen.meshes.named_files import content_hash
 from datagen.meshes.read import read_mesh
 from datagen.meshes.units import Up
 from datagen.scene import ShapeSpec
+from datagen.schema import SPLITS
 from datagen.shapes.geometry.mass import Mass, of_mesh
 from datagen.shapes.shape import Shape
 from datagen.storage.structure import strict_converter, structure
@@ -189,30 +191,37 @@ def _shape(folder: Path, entry: MeshEntry, hulls: bool) -> Shape:
     return make_shape(placed, entry.mass, parts)
 
 
-def hulls_of(placed: Any, sha256: str, scale: float, up: Up, seconds: float = SECONDS) -> Hulls:
+def hulls_of(placed: Placed, sha256: str, scale: float, up: Up, seconds: float = SECONDS) -> Hulls:
     """Hulls of a placed mesh in metres, from the cache or computed."""
     surface = placed.surface
     key = f"{sha256[:32]}-{scale:g}-{up}"
     return find_hulls(key, surface.vertices, surface.faces, closed=surface.closed, seconds=seconds)
 
 
-def make_entry(
-    *, name: str, file: str, sha256: str, scale: float, up: Up, splits: Sequence[str], hulls: Hulls, placed: Any
-) -> MeshEntry:
-    """The entry of a mesh, with its mass."""
-    mass = mass_of(placed.surface, hulls.parts)
-    x, y, z = mass.center.tolist()
-    return MeshEntry(
-        name=name,
-        file=file,
-        sha256=sha256,
-        scale=scale,
-        up=up,
-        splits=tuple(splits),
-        hulls=len(hulls.parts),
-        hulls_method=hulls.method,
-        hulls_sha256=hulls.sha256,
-        center=(x, y, z),
-        volume=mass.volume,
-        inertia=tuple(mass.inertia.ravel().tolist()),
-    )
+def split_meshes(hashes: Sequence[str], shares: tuple[float, float, float] | None) -> dict[str, tuple[str, ...]]:
+    """Splits of each mesh: all of them without shares, otherwise one, by the order of the content hashes.
+
+    Every split with a share gets at least one mesh.
+
+    Raises:
+        UsageError: there are fewer meshes than splits with a share.
+    """
+    if shares is None:
+        return dict.fromkeys(hashes, SPLITS)
+    # Hashes are hashed again, so that the order has nothing to do with any other use of them.
+    order = sorted(set(hashes), key=lambda value: hashlib.sha256(f"split {value}".encode()).hexdigest())
+    used = [row for row, share in enumerate(shares) if share > 0]
+    if len(order) < len(used):
+        raise UsageError(
+            f"--assets-split needs at least {len(used)} different meshes, one for each split with a share; "
+            f"there are {len(order)}."
+        )
+    exact = np.array(shares) / sum(shares) * len(order)
+    counts = np.floor(exact).astype(int)
+    counts[used] = np.maximum(counts[used], 1)
+    while counts.sum() > len(order):
+        counts[np.argmax(np.where(counts > 1, counts - exact, -np.inf))] -= 1
+    while counts.sum() < len(order):
+        counts[np.argmax(exact - counts)] += 1
+    names = np.repeat(np.array(SPLITS), counts)
+    return {value: (str(name),) for value, name in zip(order, names, strict=True)}

@@ -1,7 +1,6 @@
 """Find and examine the meshes of a folder: names, units, defects, and the entries of a dataset."""
 
 import dataclasses
-import hashlib
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
@@ -11,9 +10,9 @@ import numpy as np
 
 from datagen.config import MESH_PREFIX
 from datagen.errors import DatagenError, UsageError
-from datagen.meshes.build import Placed, place
+from datagen.meshes.build import Placed, mass_of, place
 from datagen.meshes.hulls import Hulls
-from datagen.meshes.library import SECONDS, Library, MeshEntry, hulls_of, make_entry
+from datagen.meshes.library import SECONDS, Library, MeshEntry, hulls_of, split_meshes
 from datagen.meshes.read import SUFFIXES, RawMesh, read_mesh
 from datagen.meshes.units import LARGEST, METRES, SMALLEST, Guess, Unit, Up, guess_unit, guess_up
 from datagen.schema import SPLITS
@@ -115,7 +114,10 @@ def find_files(folder: Path) -> list[str]:
     coarse = {name.split("/google_16k/")[0] for name in found if "/google_16k/" in name}
     found = [name for name in found if _is_wanted(name, coarse)]
     if not found:
-        raise UsageError(f"{folder} holds no mesh; expected files that end in {', '.join(SUFFIXES)}.")
+        raise UsageError(
+            f"{folder} holds no mesh; expected files that end in {', '.join(SUFFIXES)}. Links to folders are not "
+            "followed."
+        )
     if len(found) > MOST_MESHES:
         raise UsageError(f"{folder} holds {len(found):,} meshes; expected at most {MOST_MESHES:,}. Give a subfolder.")
     return found
@@ -148,10 +150,8 @@ def examine(folder: Path, file: str, name: str, reading: Reading, *, hulls: bool
     """Read one mesh, guess its unit and make its hulls; failures become part of the result."""
     try:
         raw = read_mesh(folder, file)
-        suffix, longest = (
-            Path(file).suffix.lower(),
-            float(np.max(np.ptp(raw.vertices[raw.faces].reshape(-1, 3), axis=0))),
-        )
+        suffix = Path(file).suffix.lower()
+        longest = float(np.max(np.ptp(raw.vertices[raw.faces].reshape(-1, 3), axis=0)))
         guess = Guess(reading.unit, "--unit") if reading.unit else guess_unit(suffix, longest)
         scale, up = METRES[guess.unit] * reading.scale, reading.up or guess_up(suffix)
         placed = place(raw, scale, up, str(folder / file))
@@ -221,18 +221,32 @@ def make_library(
         if one.raw.sha256 in entries:
             messages.append(f"{name}: same content as {entries[one.raw.sha256].name}; used once.")
         else:
-            entries[one.raw.sha256] = make_entry(
-                name=name,
-                file=file,
-                sha256=one.raw.sha256,
-                scale=one.scale,
-                up=one.up,
-                splits=SPLITS,
-                hulls=one.hulls,
-                placed=one.placed,
-            )
+            entries[one.raw.sha256] = _entry(one)
     splits = split_meshes(list(entries), shares)
     return Library(folder, tuple(dataclasses.replace(x, splits=splits[x.sha256]) for x in entries.values())), messages
+
+
+def _entry(one: Examined) -> MeshEntry:
+    """The entry of a usable mesh, with its mass, for all splits."""
+    assert one.raw
+    assert one.placed
+    assert one.hulls
+    mass = mass_of(one.placed.surface, one.hulls.parts)
+    x, y, z = mass.center.tolist()
+    return MeshEntry(
+        name=one.name,
+        file=one.file,
+        sha256=one.raw.sha256,
+        scale=one.scale,
+        up=one.up,
+        splits=SPLITS,
+        hulls=len(one.hulls.parts),
+        hulls_method=one.hulls.method,
+        hulls_sha256=one.hulls.sha256,
+        center=(x, y, z),
+        volume=mass.volume,
+        inertia=tuple(mass.inertia.ravel().tolist()),
+    )
 
 
 def _summary(one: Examined) -> Examined:
@@ -250,32 +264,3 @@ def _check_usable(folder: Path, found: Sequence[Examined]) -> None:
             f"The unit of {names} cannot be inferred; give it with --unit m, cm, mm or in, and --scale for a further "
             f"factor. `obpose-datagen assets check {folder}` shows the sizes."
         )
-
-
-def split_meshes(hashes: Sequence[str], shares: tuple[float, float, float] | None) -> dict[str, tuple[str, ...]]:
-    """Splits of each mesh: all of them without shares, otherwise one, by the order of the content hashes.
-
-    Every split with a share gets at least one mesh.
-
-    Raises:
-        UsageError: there are fewer meshes than splits with a share.
-    """
-    if shares is None:
-        return dict.fromkeys(hashes, SPLITS)
-    # Hashes are hashed again, so that the order has nothing to do with any other use of them.
-    order = sorted(set(hashes), key=lambda value: hashlib.sha256(f"split {value}".encode()).hexdigest())
-    used = [row for row, share in enumerate(shares) if share > 0]
-    if len(order) < len(used):
-        raise UsageError(
-            f"--assets-split needs at least {len(used)} different meshes, one for each split with a share; "
-            f"there are {len(order)}."
-        )
-    exact = np.array(shares) / sum(shares) * len(order)
-    counts = np.floor(exact).astype(int)
-    counts[used] = np.maximum(counts[used], 1)
-    while counts.sum() > len(order):
-        counts[np.argmax(np.where(counts > 1, counts - exact, -np.inf))] -= 1
-    while counts.sum() < len(order):
-        counts[np.argmax(exact - counts)] += 1
-    names = np.repeat(np.array(SPLITS), counts)
-    return {value: (str(name),) for value, name in zip(order, names, strict=True)}

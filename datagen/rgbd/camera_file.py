@@ -24,8 +24,8 @@ MILLIMETRE = 0.001
 class Camera:
     """Camera matrix, and how depth is stored."""
 
-    k: Float64[np.ndarray, "3 3"]
-    """Pixels, pixel centres at +0.5."""
+    lenses: Float64[np.ndarray, "image 3 3"]
+    """Camera matrices, one for all images or one for each; pixels, pixel centres at +0.5."""
     depth_scale: float = MILLIMETRE
     """Metres per unit of integer depth."""
     float_scale: float = 1.0
@@ -39,12 +39,16 @@ class Camera:
     """Whether masks are predictions of another model: `mask` of camera.json begins with "predicted"."""
     file: Path | None = None
 
-    def depth(self, path: Path) -> Float32[np.ndarray, "height width"]:
-        """Read planar depth in metres, 0 = missing; raises as `datagen.rgbd.images.read_depth`."""
+    def k(self, number: int = 0) -> Float64[np.ndarray, "3 3"]:
+        """Camera matrix of an image."""
+        return self.lenses[number if len(self.lenses) > 1 else 0]
+
+    def depth(self, path: Path, number: int = 0) -> Float32[np.ndarray, "height width"]:
+        """Read planar depth of an image in metres, 0 = missing; raises as `datagen.rgbd.images.read_depth`."""
         metres = read_depth(path, self.depth_scale)
         if self.float_scale != 1 and holds_floats(path):
             metres = metres * np.float32(self.float_scale)
-        return planar_depth(metres, self.k) if self.euclidean else metres
+        return planar_depth(metres, self.k(number)) if self.euclidean else metres
 
     def pose(self, number: int) -> Pose | None:
         """Find world_from_camera of an image; None if it is not in the camera's file.
@@ -88,7 +92,7 @@ def read_camera(
         raise UsageError(f"{path}: depth_type is {kind!r:.40}; expected planar or euclidean.")
     fps = values.get("fps")
     return Camera(
-        k=_intrinsics(values, path) if k is None else k,
+        lenses=_intrinsics(values, path) if k is None else k[None],
         depth_scale=depth_scale or _positive(scale, f"{path}: depth_scale") * (MILLIMETRE if bop else 1),
         float_scale=depth_scale or 1.0,
         euclidean=kind == "euclidean",
@@ -103,15 +107,17 @@ def _arrays(path: Path) -> dict[str, Any]:
     return {name: values.tolist() for name, values in read_npz(path, _ARRAYS).items()}
 
 
-def _intrinsics(values: dict[str, Any], path: Path) -> Float64[np.ndarray, "3 3"]:
-    """Read fx, fy, cx, cy or a 3x3 matrix K; `pixel_center` says where the first pixel's centre is."""
+def _intrinsics(values: dict[str, Any], path: Path) -> Float64[np.ndarray, "image 3 3"]:
+    """Read fx, fy, cx, cy or 3x3 matrices K; `pixel_center` says where the first pixel's centre is."""
     matrix = next((values[name] for name in MATRIX if name in values), None)
     if matrix is not None:
-        k = numbers(matrix, 9, f"{path}: K").reshape(3, 3)
+        several = np.ndim(np.asarray(matrix, object)) == 3
+        k = np.stack([numbers(one, 9, f"{path}: K").reshape(3, 3) for one in (matrix if several else [matrix])])
     elif missing := [name for name in ("fx", "fy", "cx", "cy") if name not in values]:
         raise UsageError(f"{path} has no {missing[0]}; expected fx, fy, cx and cy in pixels, or a 3x3 matrix K.")
     else:
-        k = camera_matrix(*numbers([values[name] for name in ("fx", "fy", "cx", "cy")], 4, f"{path}: fx, fy, cx, cy"))
+        lens = numbers([values[name] for name in ("fx", "fy", "cx", "cy")], 4, f"{path}: fx, fy, cx, cy")
+        k = camera_matrix(*lens)[None]
     center = values.get("pixel_center", 0)
     if center not in (0, 0.5):
         raise UsageError(f"{path}: pixel_center is {center!r:.20}; expected 0 (OpenCV) or 0.5.")

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, Float64, Int64, UInt8
 
 from datagen.errors import CorruptFile, UsageError
 from datagen.rgbd.arrays import archive_of, array_header, is_array, read_array
-from datagen.rgbd.images import Size, colour_size, depth_size
+from datagen.rgbd.images import Size, colour_size, depth_size, read_depth
 from datagen.storage.safe_io import open_image, read_json
 
 PLAUSIBLE_DEPTH = (0.05, 6.5)
@@ -132,6 +132,13 @@ def check_intrinsics(k: Float64[np.ndarray, "3 3"], size: Size, place: str) -> N
             f"{place}: fx, fy, cx, cy = {fx:g}, {fy:g}, {cx:g}, {cy:g} cannot be those of images of {width}x{height}; "
             "expected pixels of these images. If the images were resized, scale all four alike."
         )
+
+
+def read_metres(path: Path, scale: float) -> Float32[np.ndarray, "height width"]:
+    """Read a depth image of `scale` metres per unit; raises as `datagen.rgbd.images.read_depth` and `check_unit`."""
+    depth = read_depth(path, scale)
+    check_unit(depth, scale, str(path))
+    return depth
 
 
 def check_unit(depth: Float32[np.ndarray, "..."], scale: float, place: str) -> None:

@@ -43,6 +43,25 @@ def symmetry_rotations(name: str, steps: int = 36) -> Float[np.ndarray, "rotatio
     return turns if kind == "C" else np.concatenate([turns, turns @ np.diag([1.0, -1.0, -1.0])])
 
 
+def name_group(turns: Float[np.ndarray, "rotation 3 3"], axes: Float[np.ndarray, "axis 3"]) -> str | None:
+    """Name of the group of the identity, `turns`, and all rotations about unit vectors `axes`.
+
+    None if it has none, because its main axis is not z. Deviations of up to five degrees do not count.
+    """
+    near = np.cos(np.radians(5))
+    if len(axes):
+        if np.all(np.abs(axes[:, 2]) > near):
+            return "Dinf" if np.any(turns[:, 2, 2] < -near) else "Cinf"
+        return "SO3" if len(axes) > 1 else None
+    count = len(turns) + 1
+    for name in (f"C{count}", f"D{count // 2}", "O"):
+        members = symmetry_rotations(name)[1:]
+        cosines = (np.einsum("aij,bij->ab", members, turns) - 1) / 2
+        if len(members) == len(turns) and np.all(np.sort(cosines, axis=1)[:, -1:] > near):
+            return name
+    return None
+
+
 def about_z(angles: Float[np.ndarray, "rotation"]) -> Float[np.ndarray, "rotation 3 3"]:
     """Rotations about the z axis by angles in radians."""
     rotations = np.zeros((len(angles), 3, 3))

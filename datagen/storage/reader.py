@@ -254,6 +254,16 @@ class Split(Sequence[SceneRecord]):
         return self._shards[number]
 
 
+def read_camera_poses(scenes: Split, index: SupportsIndex, frames: slice | None = None) -> np.ndarray:
+    """Read world_from_camera of every image, float64 [frame view 4 4]; poses of static cameras are repeated."""
+    if scenes.has_moving_cameras:
+        moving = "camera/world_from_camera_of_frame"
+        return scenes.read(index, [moving], frames)[moving]
+    static = scenes.read(index, ["camera/world_from_camera"])["camera/world_from_camera"]
+    count = len(range(scenes.spec["recipe"]["frames"])[frames or slice(None)])
+    return np.broadcast_to(static, (count, *static.shape))
+
+
 def read_depth(
     scenes: Split, index: SupportsIndex, frames: slice | None = None, *, exact: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:

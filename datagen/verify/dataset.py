@@ -66,7 +66,7 @@ def run(folder: str | Path, *, workers: int = 1, assets: Path | None = None) -> 
     console.print(f"{folder}: {sum(Dataset(folder).splits.values())} scenes verified, no finding.", markup=False)
     if Dataset(folder).imported:
         console.print(
-            "Imported: files, hashes, cameras and counts agree; whether depth and masks are right is unknown."
+            "Imported: files, hashes, cameras, counts and boxes agree; whether depth and masks are right is unknown."
         )
     return EXIT_OK
 

@@ -5,10 +5,14 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from datagen import schema
+from datagen.geometry import invert_rigid, rigid, transform, unproject
+from datagen.shapes.shape import OrientedBox
 from datagen.verify.scene_case import Finding
 
 _TOLERANCE = 1e-3
 """Largest deviation of a rotation from orthonormal; given poses are rounded."""
+_BEYOND = 0.02
+"""Largest distance from an object's box of half of its visible points, metres; sensors and labels by hand are rough."""
 
 
 def verify_imported(record: Mapping[str, np.ndarray], fields: Sequence[str]) -> Iterator[Finding]:
@@ -27,6 +31,8 @@ def verify_imported(record: Mapping[str, np.ndarray], fields: Sequence[str]) -> 
     yield from _check_cameras(record)
     if "segmentation" in record:
         yield from _check_counts(record)
+    if "boxes/box_3d" in record:
+        yield from _check_boxes(record)
 
 
 def _check_cameras(record: Mapping[str, np.ndarray]) -> Iterator[Finding]:
@@ -51,3 +57,21 @@ def _check_counts(record: Mapping[str, np.ndarray]) -> Iterator[Finding]:
         ends = (columns.min(), rows.min(), columns.max() + 1, rows.max() + 1) if len(rows) else (0, 0, 0, 0)
         if pixels[frame, view, row] != len(rows) or tuple(boxes[frame, view, row]) != ends:
             yield Finding("counts", f"pixels or box of object {row + 1} do not fit its mask", frame=frame, view=view)
+
+
+def _check_boxes(record: Mapping[str, np.ndarray]) -> Iterator[Finding]:
+    """Check that boxes are where the poses put them, and that they hold what the depth shows."""
+    count = int(record["objects/count"])
+    poses = rigid(record["poses/position"][:, :count], record["poses/quaternion_wxyz"][:, :count])
+    depth, ids = schema.decode_depth(record["depth"]), record["segmentation"]
+    for frame, row in np.ndindex(len(poses), count):
+        box = OrientedBox(*(record[f"objects/minimum_box_{part}"][row] for part in ("center", "rotation", "size")))
+        if np.max(np.abs(transform(poses[frame, row], box.corners) - record["boxes/box_3d"][frame, row])) > _TOLERANCE:
+            yield Finding("boxes", f"box_3d of object {row + 1} is not its minimum box at its pose", frame=frame)
+        for view, camera in enumerate(zip(record["camera/K"], record["camera/world_from_camera"], strict=True)):
+            shown = unproject(depth[frame, view], *camera)[(ids[frame, view] == row + 1) & (depth[frame, view] > 0)]
+            local = (transform(invert_rigid(poses[frame, row]), shown) - box.center) @ box.rotation
+            beyond = float(np.median(np.max(np.abs(local) - box.size / 2, axis=1))) if len(shown) else 0.0
+            if beyond > _BEYOND:
+                message = f"half of object {row + 1} shows {1e3 * beyond:.0f} mm or more outside of its box"
+                yield Finding("boxes", message, frame=frame, view=view)

@@ -13,11 +13,10 @@ from jaxtyping import Bool, Float, Int64
 
 from obpose.contact.fragments import Evidence, fragments_of, gather
 from obpose.contact.grouping import Pairs, group
+from obpose.contact.key_frames import evenly_spread
 from obpose.contact.rigidity import divergences
 from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
 
-KEY_FRAMES = 5
-"""Number of images, evenly spread, whose groups are followed."""
 FINER = 1.5
 """Subtracted from the bias for the finer of the two groupings of key frames."""
 CAUTION = 0.75
@@ -68,14 +67,11 @@ def segment_clip(
     Returns:
         Labels from 1, one for an object over time; 0 outside the masks.
     """
-    seen = [index for index, image in enumerate(images) if image.mask.any()]
-    if len(seen) < 2:
-        return np.stack([image.label_map(image.groups(bias)) for image in images])
     clouds = [Cloud(image.points[image.mask], COLOUR_SCALE * image.rgb[image.mask]) for image in images]
-    keys = np.unique(np.linspace(0, len(seen) - 1, min(KEY_FRAMES, len(seen))).round().astype(int))
-    candidates = [
-        track(clouds, seen[key], images[seen[key]].groups(bias - finer), gap) for finer in (0, FINER) for key in keys
-    ]
+    keys = evenly_spread(clouds)
+    if not keys:
+        return np.stack([image.label_map(image.groups(bias)) for image in images])
+    candidates = [track(clouds, key, images[key].groups(bias - finer), gap) for finer in (0, FINER) for key in keys]
     # Join fragments that the network joins in most images.
     labels, shared = fragments_of(candidates)
     evidence = gather(labels, shared, [image.pairs for image in images])

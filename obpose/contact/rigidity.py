@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int64
-from scipy.spatial import cKDTree as KDTree
+from scipy.spatial import KDTree
 
 from obpose.contact.tracking import LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, kabsch, median
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int64
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree as KDTree
+from scipy.spatial import KDTree
 
 LEAST_POINTS = 6
 """Components of fewer points are not objects."""

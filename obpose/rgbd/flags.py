@@ -52,7 +52,7 @@ def _files(frames: Frames) -> tuple[FrameFiles, Camera]:
         files = replace(files, poses=read_poses(frames.camera_pose, len(files.colour)))
     if files.camera is None:
         k = parse_intrinsics(None) if k is None else k
-        camera = Camera(k, frames.depth_scale or files.depth_scale, euclidean=frames.euclidean)
+        camera = Camera(k[None], frames.depth_scale or files.depth_scale, euclidean=frames.euclidean)
     else:
         kind = "euclidean" if frames.euclidean else None
         camera = read_camera(files.camera, depth_type=kind, k=k, default_scale=files.depth_scale)

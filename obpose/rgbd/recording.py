@@ -83,14 +83,16 @@ def read_recording(files: FrameFiles, camera: Camera, *, max_bytes: int = MAX_BY
     """
     size = common_size(files.colour, files.depth)
     _check_memory(len(files.colour), size, max_bytes)
-    check_intrinsics(camera.k, size, "--intrinsics" if camera.file is None else str(camera.file))
+    if len(camera.lenses) > 1:
+        raise UsageError(f"{camera.file} holds {len(camera.lenses)} camera matrices; expected one for all frames.")
+    check_intrinsics(camera.k(), size, "--intrinsics" if camera.file is None else str(camera.file))
     rgb = np.stack([read_colour(path) for path in files.colour])
     depth = np.stack([camera.depth(path) for path in files.depth])
     _check_depth(depth, files.depth[0])
     depth[(depth < PLAUSIBLE_DEPTH[0]) | (depth > PLAUSIBLE_DEPTH[1])] = 0
     poses = [files.pose(number, camera) for number in range(len(rgb))]
     known = None if any(pose is None for pose in poses) else np.array(poses, np.float64)
-    return Recording(tuple(files.colour), rgb, depth, camera.k, known, files.left_out)
+    return Recording(tuple(files.colour), rgb, depth, camera.k(), known, files.left_out)
 
 
 def parse_intrinsics(text: str | None) -> Float64[np.ndarray, "3 3"]:

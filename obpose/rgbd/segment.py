@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Int, Integer, UInt8
 from scipy.spatial import KDTree
 
-from obpose.contact.clip import Frame
-from obpose.contact.clip import segment_frames as follow_objects
+from obpose.contact.key_frames import follow_objects
+from obpose.contact.tracking import COLOUR_SCALE, Cloud
 from obpose.geometry import unproject
 from obpose.rgbd.frames import PreparedFrames, Trained
 from obpose.types import Observation
@@ -48,12 +48,18 @@ def segment_frames(
 
 def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarray]) -> Labels:
     """Label each frame on its own, and follow the objects through the video in the world frame."""
-    images = []
+    clouds, objects, masks = [], [], []
     for frame, places in enumerate(points):
         still = frames.still(frame)
         found = _largest(np.where(still.valid[:, 0, 0].numpy(), method(still), 0), MOST_OBJECTS)[0].astype(np.int64)
-        images.append(Frame(found > 0, found, places, still.rgb[0, 0, 0].numpy()))
-    return follow_objects(images, gap=GAP)
+        mask = found > 0
+        masks.append(mask)
+        clouds.append(Cloud(places[mask], COLOUR_SCALE * still.rgb[0, 0, 0].numpy()[mask]))
+        objects.append(found[mask] - 1)
+    labels = np.zeros((len(masks), *masks[0].shape), np.int64)
+    for frame, found in enumerate(follow_objects(clouds, objects, gap=GAP)):
+        labels[frame][masks[frame]] = found + 1
+    return labels
 
 
 def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.ndarray) -> np.ndarray:

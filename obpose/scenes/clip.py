@@ -9,17 +9,18 @@ from obpose.scenes.scene import ClipName, Split
 from obpose.types import Observation
 
 
-def read_clip(data: Path, split: str, index: int) -> Observation:
-    """Read a clip of a dataset as a batch of one.
+def read_clip(data: Path, split: str, index: int, frame: int | None = None) -> Observation:
+    """Read a clip of a dataset, or one frame of it, as a batch of one.
 
     Raises:
         UsageError: there is no such dataset, split or scene, as `obpose.data.datasets.SceneDataset`.
         CorruptFile: a file is damaged.
     """
-    scenes = SceneDataset(data, split)
+    scenes = SceneDataset(data, split, frames=None if frame is None else 1)
     if not len(scenes):
         raise UsageError(f"The split {split} of {data} has no scenes; give another --split.")
-    return observation_of([scenes[one_of("--scene", index, len(scenes))]])
+    index = one_of("--scene", index, len(scenes))
+    return observation_of([scenes[index] if frame is None else scenes.window(index, frame, 1)])
 
 
 def name_clip(data: Path, split: Split, index: int) -> ClipName:

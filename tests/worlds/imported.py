@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from datagen.formats.importers.write import Request, import_dataset
+from datagen.formats.import_request import Request
+from datagen.formats.importers.write import import_dataset
 from datagen.storage.reader import Dataset
 from tests.worlds.recordings import CAMERAS, shoot, write_rgbd
 

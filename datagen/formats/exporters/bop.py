@@ -3,7 +3,6 @@
 BOP's camera matrices place the first pixel's centre at (0, 0), so that the principal point moves by half a pixel.
 """
 
-import hashlib
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -75,7 +74,7 @@ def _write_scene(folder: Path, scene: ExportScene, models: "_Models") -> None:
             truth[str(image)].append({"cam_R_m2c": rotation, "cam_t_m2c": translation, "obj_id": numbers[row]})
             information[str(image)].append(_information(silhouette, visible, depth[frame, view] > 0))
     for name, values in (("camera", cameras), ("gt", truth), ("gt_info", information)):
-        (folder / f"scene_{name}.json").write_text(_one_image_a_line(values))
+        (folder / f"scene_{name}.json").write_text(_one_a_line(values))
 
 
 def _keys(stage: Stage) -> list[str]:
@@ -115,8 +114,8 @@ def _box(mask: Bool[np.ndarray, "height width"]) -> list[int]:
     return [int(columns[0]), int(rows[0]), int(np.ptp(columns)) + 1, int(np.ptp(rows)) + 1]
 
 
-def _one_image_a_line(values: dict[str, Any]) -> str:
-    lines = (f"{json.dumps(image)}: {json.dumps(value)}" for image, value in values.items())
+def _one_a_line(values: dict[str, Any]) -> str:
+    lines = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in values.items())
     return "{\n  " + ",\n  ".join(lines) + "\n}\n"
 
 
@@ -124,29 +123,20 @@ class _Models:
     """Models of all shapes in an export, numbered from 1 in the order in which they appear."""
 
     def __init__(self, folder: Path):
-        self._folder = folder
-        self._numbers: dict[bytes, int] = {}
-        self._information = None
+        self._folder, self._numbers, self._information = folder, dict[str, int](), dict[str, Any]()
         folder.mkdir()
 
     def add(self, key: str, shape: Shape) -> int:
         """Number of a shape's model, which is written when it appears for the first time."""
-        digest = hashlib.sha256(key.encode()).digest()
-        if digest not in self._numbers:
-            number = self._numbers[digest] = len(self._numbers) + 1
+        if key not in self._numbers:
+            number = self._numbers[key] = len(self._numbers) + 1
             _write_ply(self._folder / f"obj_{number:06d}.ply", shape)
-            name = {"name": key.partition(" ")[0]}
-            self._append(f"{json.dumps(str(number))}: {json.dumps({**_model_facts(shape), **name})}")
-        return self._numbers[digest]
-
-    def _append(self, line: str) -> None:
-        with (self._folder / "models_info.json").open("a", encoding="utf-8") as file:
-            file.write(("{\n  " if len(self._numbers) == 1 else ",\n  ") + line)
+            self._information[str(number)] = {**_model_facts(shape), "name": key.partition(" ")[0]}
+        return self._numbers[key]
 
     def close(self) -> None:
-        """Complete the list of models."""
-        with (self._folder / "models_info.json").open("a", encoding="utf-8") as file:
-            file.write("\n}\n" if self._numbers else "{}\n")
+        """Write the list of models."""
+        (self._folder / "models_info.json").write_text(_one_a_line(self._information))
 
 
 def _model_facts(shape: Shape) -> dict[str, Any]:
@@ -181,8 +171,13 @@ def _turn(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "16"]:
 
 
 def _write_ply(path: Path, shape: Shape) -> None:
-    """Write a mesh in millimetres; corners with different normals become different vertices."""
-    corners = np.concatenate([MILLIMETRES * shape.vertices[shape.faces], shape.normals], axis=-1).reshape(-1, 6)
+    """Write a mesh in millimetres; corners with different normals become different vertices.
+
+    Surfaces with holes are written once, although they are drawn from both sides.
+    """
+    front = len(shape.faces) - shape.backs
+    positions, normals = MILLIMETRES * shape.vertices[shape.faces[:front]], shape.normals[:front]
+    corners = np.concatenate([positions, normals], axis=-1).reshape(-1, 6)
     vertices, places = np.unique(np.round(corners, 5), axis=0, return_inverse=True)
     faces = places.reshape(-1, 3)
     properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))

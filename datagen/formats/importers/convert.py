@@ -3,18 +3,19 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from datagen.errors import UsageError
-from datagen.formats.importers.interface import Grouping, Images, World
+from datagen.formats.import_request import Grouping, World
+from datagen.formats.importers.interface import Images
 from datagen.formats.importers.plan import MOST_OBJECTS
 from datagen.formats.importers.resample import resampled
-from datagen.geometry import invert_rigid
+from datagen.geometry import invert_rigid, quaternion_from_rotation, rigid
 from datagen.pipeline.records import boxes_2d, visible_pixels
 from datagen.rgbd.camera_pose import Pose
 from datagen.rgbd.images import Size
 from datagen.rgbd.table import pose_over_table
-from datagen.schema import MAX_DEPTH, SceneRecord, encode_depth
+from datagen.schema import FIELDS, MAX_DEPTH, SceneRecord, encode_depth
 
 ALWAYS = ("rgb", "depth", "camera/K", "camera/world_from_camera")
 """Fields of every imported scene."""
@@ -22,8 +23,17 @@ WITH_MASKS = ("segmentation", "objects/count", "visibility/visible_pixels", "box
 """Further fields of scenes with masks."""
 WITH_NAMES = ("objects/category",)
 """Further field of scenes whose objects have names."""
+WITH_POSES = ("poses/position", "poses/quaternion_wxyz")
+"""Further fields of scenes whose objects have poses."""
+WITH_MODELS = (
+    "objects/size", "objects/symmetry", "objects/minimum_box_center", "objects/minimum_box_rotation",
+    "objects/minimum_box_size", "boxes/box_3d",
+)  # fmt: skip
+"""Further fields of scenes whose objects have poses and models."""
 _STILL_METRES, _STILL_RADIANS, _STILL_PIXELS = 0.002, 0.004, 0.01
 """Largest differences of poses and camera matrices over a clip that count as a static camera."""
+_SAME_PLACE = 0.02
+"""Largest difference of an object's positions between the views of a scene, metres; labels by hand are rough."""
 _LONGEST_NAME = 60
 
 
@@ -53,13 +63,28 @@ class Measured:
     """Whether the world frame was put on the table that the first image shows."""
 
 
+def fields_of(images: Images) -> tuple[str, ...]:
+    """Names of the fields that images give."""
+    known = {
+        WITH_MASKS: images.ids,
+        WITH_NAMES: images.categories,
+        WITH_POSES: images.camera_from_object,
+        WITH_MODELS: images.models,
+    }
+    return (*ALWAYS, *(name for names, values in known.items() if values is not None for name in names))
+
+
 def convert(images: Images, target: Target, place: str, fields: frozenset[str]) -> tuple[SceneRecord, Measured]:
     """Convert images to a record with these fields; `place` names them in messages.
 
     Raises:
-        UsageError: the camera moves in a clip, several views have no poses, no table is found, or there are too many
-            objects.
+        UsageError: a field is unknown, the camera moves in a clip, several views have no poses or disagree on those of
+            objects, no table is found, or there are too many objects.
     """
+    if missing := sorted(fields - set(fields_of(images))):
+        raise UsageError(
+            f"{place} has no {', '.join(missing)}, but other scenes of its split do; import them into two datasets."
+        )
     images = resampled(images, target.size)
     if target.grouping == "views":
         images = _as_views(images, place)
@@ -74,7 +99,10 @@ def convert(images: Images, target: Target, place: str, fields: frozenset[str]) 
         "camera/world_from_camera": poses,
     }
     if "segmentation" in fields:
-        record |= _labels(images, target.rows, place)
+        objects = _object_ids(images, place)
+        record |= _labels(images, objects)
+        if "poses/position" in fields:
+            record |= _poses(images, poses, (objects - 1).tolist(), place)
     known = images.depth[images.depth > 0]
     measured = Measured(
         depth=float(np.median(known)) if len(known) else 0.0,
@@ -82,21 +110,24 @@ def convert(images: Images, target: Target, place: str, fields: frozenset[str]) 
         too_far=float(np.mean(too_far)),
         estimated_world=estimated,
     )
-    return {name: record[name] for name in record if name in fields}, measured
+    return {name: _padded(name, record[name], target.rows) for name in fields}, measured
 
 
 def _as_views(images: Images, place: str) -> Images:
     """Turn images over time into views of one still scene."""
     if images.depth.shape[1] > 1:
         raise UsageError(f"{place} has several views already; leave out --group views.")
-    arrays = ("rgb", "depth", "k", "world_from_camera", "ids")
+    arrays = ("rgb", "depth", "k", "world_from_camera", "ids", "camera_from_object")
     turned = {name: getattr(images, name) for name in arrays if getattr(images, name) is not None}
     return replace(images, **{name: np.swapaxes(array, 0, 1) for name, array in turned.items()})
 
 
 def _check_static(images: Images, place: str) -> None:
     if np.max(np.abs(images.k - images.k[:1])) > _STILL_PIXELS:
-        raise UsageError(f"{place}: the camera matrix changes in the clip; import with --group stills.")
+        raise UsageError(
+            f"{place}: the camera matrix changes in the clip, but each camera has one. Import with --group stills, or "
+            "with --group views if nothing moves."
+        )
     if images.world_from_camera is None:
         return
     poses, first = images.world_from_camera, images.world_from_camera[:1]
@@ -139,28 +170,71 @@ def _table_pose(images: Images, place: str) -> Pose:
         ) from None
 
 
-def _labels(images: Images, rows: int, place: str) -> SceneRecord:
-    """Fields of the masks, with ids from 1 on in the order of the original ones."""
+def _object_ids(images: Images, place: str) -> Int64[np.ndarray, " object"]:
+    """Ids of the objects that the masks show."""
     assert images.ids is not None
     found = np.unique(images.ids)
-    objects = found[found > 0]
-    if len(objects) > MOST_OBJECTS:
+    if len(objects := found[found > 0]) > MOST_OBJECTS:
         raise UsageError(f"{place} has {len(objects)} objects; expected at most {MOST_OBJECTS}.")
+    return objects
+
+
+def _labels(images: Images, objects: Int64[np.ndarray, " object"]) -> SceneRecord:
+    """Fields of the masks, with ids from 1 on in the order of the original ones."""
+    assert images.ids is not None
     ids = np.where(images.ids > 0, 1 + np.searchsorted(objects, images.ids), 0).astype(np.uint8)
-    count = len(objects)
-    pad = [(0, 0), (0, 0), (0, rows - count)]
-    record = {
+    names = images.categories or {}
+    return {
         "segmentation": ids,
-        "objects/count": np.asarray(count, np.uint8),
-        "visibility/visible_pixels": np.pad(visible_pixels(ids, count), pad) if count else _zeros(ids, rows, np.uint32),
-        "boxes/box_2d": np.pad(boxes_2d(ids, count), [*pad, (0, 0)]),
+        "objects/count": np.asarray(len(objects), np.uint8),
+        "visibility/visible_pixels": visible_pixels(ids, len(objects)),
+        "boxes/box_2d": boxes_2d(ids, len(objects)),
+        "objects/category": np.array([_ascii(names.get(one, "")) for one in objects.tolist()], "S"),
     }
-    names = [(images.categories or {}).get(int(one), "") for one in objects] + [""] * (rows - count)
-    return {**record, "objects/category": np.array([_ascii(name) for name in names], "S")}
 
 
-def _zeros(ids: np.ndarray, rows: int, dtype: type) -> np.ndarray:
-    return np.zeros((*ids.shape[:2], rows), dtype)
+def _poses(images: Images, cameras: Float64[np.ndarray, "view 4 4"], rows: list[int], place: str) -> SceneRecord:
+    """Fields of the poses and models of some objects; poses are those that the first view gives."""
+    assert images.camera_from_object is not None
+    every = cameras[:, None] @ images.camera_from_object[:, :, rows]
+    apart = float(np.max(np.ptp(every[..., :3, 3], axis=1), initial=0))
+    if apart > _SAME_PLACE:
+        raise UsageError(
+            f"{place}: positions of an object differ by {apart:.3g} m between the views; expected a still scene. "
+            "Import with --group stills."
+        )
+    poses = every[:, 0]
+    turns = [quaternion_from_rotation(pose[:3, :3]) for pose in poses.reshape(-1, 4, 4)]
+    record = {
+        "poses/position": poses[..., :3, 3].astype(np.float32),
+        "poses/quaternion_wxyz": np.reshape(turns, (*poses.shape[:2], 4)).astype(np.float32),
+    }
+    if images.models is None:
+        return record
+    models = [images.models[row] for row in rows]
+    stored = rigid(record["poses/position"], record["poses/quaternion_wxyz"])
+    corners = np.reshape([model.box.corners for model in models], (-1, 8, 3))
+    return {
+        **record,
+        "objects/size": np.reshape([model.size for model in models], (-1, 3)),
+        "objects/symmetry": np.array([model.symmetry.encode() for model in models], "S"),
+        "objects/minimum_box_center": np.reshape([model.box.center for model in models], (-1, 3)),
+        "objects/minimum_box_rotation": np.reshape([model.box.rotation for model in models], (-1, 3, 3)),
+        "objects/minimum_box_size": np.reshape([model.box.size for model in models], (-1, 3)),
+        "boxes/box_3d": np.einsum("foij,ocj->foci", stored[..., :3, :3], corners) + stored[..., None, :3, 3],
+    }
+
+
+def _padded(name: str, values: np.ndarray, rows: int) -> np.ndarray:
+    """Fill the object axis of a field, if it has one, with zeros."""
+    axes = FIELDS[name].axes
+    if "object" not in axes:
+        return values
+    values = np.asarray(values, FIELDS[name].dtype)
+    shape = (rows if axis == "object" else length for axis, length in zip(axes, values.shape, strict=True))
+    padded = np.zeros((*shape,), values.dtype)
+    padded[tuple(slice(length) for length in values.shape)] = values
+    return padded
 
 
 def _ascii(name: str) -> bytes:

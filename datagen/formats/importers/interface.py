@@ -3,33 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-Grouping = Literal["clip", "views", "stills"]
-"""Meaning of the images of a recording: frames of a clip, views of a still scene, or a scene each."""
-DepthType = Literal["planar", "euclidean"]
-"""Depth along the optical axis, or along the ray."""
-World = Literal["auto", "given", "table"]
-"""World frame: that of the given poses, or one that stands on the table; `auto` is `given` if there are poses."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReadOptions:
-    """Choices of the user about how files are read."""
-
-    depth_scale: float | None = None
-    """Metres per unit of integer depth, or per unit of a synthetic scene; None for the format's own."""
-    depth_type: DepthType | None = None
-    """None for the format's own."""
-    masks: bool = True
-    """Whether to read masks."""
-    most_objects: int | None = None
-    """Scenes with more objects are left out; None for the format's own limit."""
-    camera: Path | None = None
-    """File with the camera, for formats that keep it elsewhere."""
+from datagen.formats.import_request import Grouping, ReadOptions
+from datagen.shapes.shape import OrientedBox
 
 
 @dataclass(frozen=True)
@@ -49,6 +29,18 @@ class Facts:
 
 
 @dataclass(frozen=True, eq=False)
+class Model:
+    """Geometry of an object in its own frame."""
+
+    size: Float64[np.ndarray, "3"]
+    """Extents along its axes, metres."""
+    box: OrientedBox
+    """Box of least volume."""
+    symmetry: str
+    """Name of its rotation group, see `datagen.shapes.symmetry`."""
+
+
+@dataclass(frozen=True, eq=False)
 class Images:
     """Images of a recording that belong to one scene."""
 
@@ -64,6 +56,10 @@ class Images:
     """Objects by any positive numbers that are constant over the recording; 0 = background; None without masks."""
     categories: Mapping[int, str] | None = None
     """Name of each object by its id; None if unknown."""
+    camera_from_object: Float64[np.ndarray, "image view object 4 4"] | None = None
+    """Poses of the objects with ids 1, 2 and so on, metres; None if unknown."""
+    models: Sequence[Model] | None = None
+    """Models of these objects; None if unknown."""
 
 
 @dataclass(frozen=True)

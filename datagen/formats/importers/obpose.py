@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.import_request import ReadOptions
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.formats.importers.restricted_pickle import read_pickled_npy
 from datagen.rgbd.camera_pose import check_pose
 from datagen.rgbd.files import HALF_PIXEL, check_intrinsics, check_unit
@@ -124,7 +125,7 @@ class _Reader:
         )
 
     def _has_masks(self, frames: list[Frame]) -> bool:
-        return self._options.masks and all("mask_bin" in frame for frame in frames)
+        return not self._options.ignore_masks and all("mask_bin" in frame for frame in frames)
 
     def _camera(self, frame: Frame) -> _Camera:
         misc = frame.get("misc")

@@ -18,7 +18,8 @@ from jaxtyping import Float64, Integer
 
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.import_request import ReadOptions
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.geometry import look_at
 from datagen.rgbd.files import camera_matrix, check_unit, common_size, missing_file, planar_depth, read_ids, read_opaque
 from datagen.rgbd.images import read_depth
@@ -103,7 +104,7 @@ def _read_metadata(source: Path, options: ReadOptions) -> tuple[_Scenes, bool]:
     objects = np.count_nonzero(arrays["shape"] > 0, axis=1)
     unit = options.depth_scale or UNIT
     camera_pos = arrays["camera_pos"].astype(np.float64)
-    return _Scenes(source, objects, camera_pos, planar, unit, options.masks), multishapenet
+    return _Scenes(source, objects, camera_pos, planar, unit, not options.ignore_masks), multishapenet
 
 
 class _Reader:

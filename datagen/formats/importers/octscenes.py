@@ -19,10 +19,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.import_request import ReadOptions
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.rgbd.camera_pose import read_pose
-from datagen.rgbd.files import HALF_PIXEL, check_intrinsics, check_unit, common_size, missing_file, read_ids
-from datagen.rgbd.images import read_colour, read_depth
+from datagen.rgbd.files import HALF_PIXEL, check_intrinsics, common_size, missing_file, read_ids, read_metres
+from datagen.rgbd.images import read_colour
 from datagen.storage.safe_io import read_text
 
 _MILLIMETRE = 0.001
@@ -73,7 +74,7 @@ def _folders(source: Path, options: ReadOptions) -> _Folders:
     intrinsic = options.camera or next(iter(sorted(source.glob("intrinsic*"))), None)
     if intrinsic is None:
         raise UsageError(f"{source} has no intrinsic*.txt; unpack it there, or name such a file with --camera.")
-    segment = _folder(source, "segment") if options.masks else None
+    segment = _folder(source, "segment") if not options.ignore_masks else None
     return _Folders(image, depth, segment, _folder(source, "pose"), intrinsic)
 
 
@@ -109,18 +110,13 @@ class _Reader:
         chosen = [self._colours[number] for number in images]
         return Images(
             rgb=np.stack([read_colour(path)[None] for path in chosen]),
-            depth=np.stack([self._depth(self._folders.depth / path.name)[None] for path in chosen]),
+            depth=np.stack([read_metres(self._folders.depth / path.name, self._scale)[None] for path in chosen]),
             k=np.stack([self._k(path)[None] for path in chosen]),
             world_from_camera=np.stack([read_pose(self._pose_file(path), "")[None] for path in chosen])
             if self._folders.pose
             else None,
             ids=np.stack([read_ids(self._masks[number])[None] for number in images]) if self._masks else None,
         )
-
-    def _depth(self, path: Path) -> np.ndarray:
-        depth = read_depth(path, self._scale)
-        check_unit(depth, self._scale, str(path))
-        return depth
 
     def _pose_file(self, colour: Path) -> Path:
         assert self._folders.pose

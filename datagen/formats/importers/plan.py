@@ -1,13 +1,13 @@
 """From recordings to scenes: which images form a scene, and in which split it goes."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from datagen.console.text import counted
 from datagen.errors import UsageError
-from datagen.formats.importers.interface import Facts, Grouping, Recording
+from datagen.formats.import_request import Request
+from datagen.formats.importers.interface import Facts, Recording
 from datagen.rgbd.images import Size
 from datagen.schema import SPLITS
 from datagen.storage.safe_io import MOST_ARRAY_BYTES
@@ -22,7 +22,6 @@ _SHARES = 10
 _FEW = 3
 """Recordings from which on whole recordings are assigned to splits."""
 
-Value = TypeVar("Value")
 Surveyed = tuple[Recording, Facts]
 
 
@@ -42,25 +41,6 @@ class Unit:
 
 
 @dataclass(frozen=True)
-class Choices:
-    """Choices of the user about scenes."""
-
-    grouping: Grouping
-    frames: int | None = None
-    """Images of a clip; None for all."""
-    views: int | None = None
-    """Images of a still scene, spread evenly over the recording; None for all."""
-    size: Size | None = None
-    """Width and height in pixels; None for that of the images."""
-    split: str | None = None
-    """Split of all scenes; None for the published ones, or 80/10/10."""
-    scenes: int | None = None
-    """Most scenes of each split."""
-    objects: int | None = None
-    """Most objects of a scene; None for the number in the masks, or `ASSUMED_OBJECTS`."""
-
-
-@dataclass(frozen=True)
 class Plan:
     """Scenes of a dataset before their images are read."""
 
@@ -72,11 +52,6 @@ class Plan:
     objects: int
     """Upper bound of the number of objects."""
     notes: tuple[str, ...]
-
-    def has_masks(self, split: str) -> bool:
-        """Whether all scenes of a split have masks."""
-        units = self.units[split]
-        return bool(units) and all(unit.facts.objects is not None for unit in units)
 
 
 def enough(recordings: Sequence[Recording], scenes: int | None) -> list[Recording]:
@@ -93,7 +68,7 @@ def enough(recordings: Sequence[Recording], scenes: int | None) -> list[Recordin
     return chosen
 
 
-def plan_scenes(recordings: Iterable[Surveyed], choices: Choices) -> Plan:
+def plan_scenes(recordings: Iterable[Surveyed], request: Request) -> Plan:
     """Group the images of recordings into scenes of one form, and assign them to splits.
 
     Raises:
@@ -101,80 +76,69 @@ def plan_scenes(recordings: Iterable[Surveyed], choices: Choices) -> Plan:
             split.
     """
     surveyed = list(recordings)
-    size = choices.size or _common(surveyed, lambda facts: facts.size, _size_error)
-    groups = {recording: _groups(recording, facts, choices) for recording, facts in surveyed}
+    (first, facts), *others = surveyed
+    for other, more in others:
+        if more.size != facts.size and not request.size:
+            raise UsageError(
+                f"{other.name} has images of {more.size[0]}x{more.size[1]} pixels, {first.name} of {facts.size[0]}x"
+                f"{facts.size[1]}; all scenes need one size. Give --resolution, such as 160x120: images are cropped to "
+                "its aspect and scaled."
+            )
+        if more.views != facts.views:
+            raise UsageError(
+                f"{other.name} has {counted(more.views, 'view')}, {first.name} {facts.views}; all scenes need equal "
+                "numbers. Import them into several datasets."
+            )
+    size, cameras = request.size or facts.size, facts.views
+    groups = {recording: _groups(recording, facts, request) for recording, facts in surveyed}
     lengths = {len(images): recording for recording, parts in groups.items() for images in parts}
     if len(lengths) > 1:
-        (one, first), (other, second) = sorted(lengths.items(), key=lambda item: item[0])[:2]
-        flag = "--views" if choices.grouping == "views" else "--frames"
+        (one, shorter), (other, longer) = sorted(lengths.items(), key=lambda item: item[0])[:2]
+        flag = "--views" if request.group == "views" else "--frames"
         raise UsageError(
-            f"{first.name} has {counted(one, 'image')} and {second.name} {other}; all scenes need equal numbers. Give "
-            f"{flag} {one} to take as many of each, or --group stills for a scene an image."
+            f"{shorter.name} has {counted(one, 'image')} and {longer.name} {other}; all scenes need equal numbers. "
+            f"Give {flag} {one} to take as many of each, or --group stills for a scene an image."
         )
     length = next(iter(lengths))
-    cameras = _common(surveyed, lambda facts: facts.views, _views_error)
-    frames, views = (1, length) if choices.grouping == "views" else (length, cameras)
+    frames, views = (1, length) if request.group == "views" else (length, cameras)
     if frames * views * size[0] * size[1] > _MOST_PIXELS:
         raise UsageError(
             f"A scene would have {frames * views} images of {size[0]}x{size[1]}; expected at most "
             f"{_MOST_PIXELS:,} pixels. Give fewer --frames or --views, or a smaller --resolution."
         )
     units, notes = _assign(
-        [[Unit(recording, facts, images) for images in groups[recording]] for recording, facts in surveyed], choices
+        [[Unit(recording, facts, images) for images in groups[recording]] for recording, facts in surveyed], request
     )
     for split, members in units.items():
         _check_masks(split, members)
     bounds = [unit.facts.objects for members in units.values() for unit in members if unit.facts.objects is not None]
-    wanted = max(bounds, default=ASSUMED_OBJECTS) if choices.objects is None else choices.objects
+    wanted = max(bounds, default=ASSUMED_OBJECTS) if request.objects is None else request.objects
     # A recording with many objects may show few of them at a time; scenes with too many are refused when they are read.
     objects = min(max(1, wanted, *bounds), MOST_OBJECTS)
     return Plan(units, frames, views, size, objects, notes)
 
 
-def _common(surveyed: Sequence[Surveyed], value: Callable[[Facts], Value], error: Callable[..., UsageError]) -> Value:
-    first, facts = surveyed[0]
-    for recording, others in surveyed:
-        if value(others) != value(facts):
-            raise error(recording, others, first, facts)
-    return value(facts)
-
-
-def _size_error(one: Recording, facts: Facts, two: Recording, others: Facts) -> UsageError:
-    sizes = [f"{size[0]}x{size[1]}" for size in (facts.size, others.size)]
-    return UsageError(
-        f"{one.name} has images of {sizes[0]} pixels, {two.name} of {sizes[1]}; all scenes need one size. Give "
-        "--resolution, such as 160x120: images are cropped to its aspect and scaled."
-    )
-
-
-def _views_error(one: Recording, facts: Facts, two: Recording, others: Facts) -> UsageError:
-    return UsageError(
-        f"{one.name} has {counted(facts.views, 'view')}, {two.name} {others.views}; all scenes need equal numbers. "
-        "Import them into several datasets."
-    )
-
-
-def _groups(recording: Recording, facts: Facts, choices: Choices) -> list[tuple[int, ...]]:
+def _groups(recording: Recording, facts: Facts, request: Request) -> list[tuple[int, ...]]:
     """Numbers of the images of each scene of a recording."""
-    if choices.grouping == "stills":
+    if request.group == "stills":
         return [(image,) for image in range(facts.images)]
-    wanted = choices.views if choices.grouping == "views" else choices.frames
+    wanted = request.views if request.group == "views" else request.frames
     length = wanted or facts.images
     if length > facts.images:
-        flag = "--views" if choices.grouping == "views" else "--frames"
+        flag = "--views" if request.group == "views" else "--frames"
         raise UsageError(f"{recording.name} has {counted(facts.images, 'image')}, but {flag} is {length}; give fewer.")
-    if choices.grouping == "views":
+    if request.group == "views":
         return [tuple(place * facts.images // length for place in range(length))]
     return [tuple(range(start, start + length)) for start in range(0, facts.images - length + 1, length)]
 
 
-def _assign(groups: list[list[Unit]], choices: Choices) -> tuple[dict[str, list[Unit]], tuple[str, ...]]:
+def _assign(groups: list[list[Unit]], request: Request) -> tuple[dict[str, list[Unit]], tuple[str, ...]]:
     """Units of each split, and notes on how they were chosen."""
     units = [unit for members in groups for unit in members]
     labelled = [unit.facts.objects is not None for unit in units]
     notes: tuple[str, ...] = ()
-    if choices.split:
-        splits = [choices.split] * len(units)
+    if request.split:
+        splits = [request.split] * len(units)
     elif all(unit.recording.split for unit in units):
         splits = [str(unit.recording.split) for unit in units]
     elif any(labelled) and not all(labelled):
@@ -187,7 +151,7 @@ def _assign(groups: list[list[Unit]], choices: Choices) -> tuple[dict[str, list[
         splits = [_share(place) for place in range(len(units))]
         notes = ("Training, validation and test scenes come from the same recordings.",)
     found = {name: [unit for unit, split in zip(units, splits, strict=True) if split == name] for name in SPLITS}
-    return {name: members[: choices.scenes] for name, members in found.items()}, notes
+    return {name: members[: request.scenes] for name, members in found.items()}, notes
 
 
 def _share(place: int) -> str:

@@ -1,5 +1,7 @@
 """Images of any size at a wanted one: the middle of the image with the wanted aspect, scaled."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float64
 from PIL import Image
@@ -20,13 +22,12 @@ def resampled(images: Images, size: Size) -> Images:
     left, top, right, bottom = box = _crop((width, height), size)
     columns, rows = _nearest(left, right, size[0]), _nearest(top, bottom, size[1])
     scaled = [_scaled(rgb, box, size) for rgb in images.rgb.reshape(-1, height, width, 3)]
-    return Images(
+    return replace(
+        images,
         rgb=np.stack(scaled).reshape(*images.rgb.shape[:2], size[1], size[0], 3),
         depth=images.depth[:, :, rows[:, None], columns],
         k=_scale_cameras(images.k, box, size, (_offset(columns, left, right), _offset(rows, top, bottom))),
-        world_from_camera=images.world_from_camera,
         ids=None if images.ids is None else images.ids[:, :, rows[:, None], columns],
-        categories=images.categories,
     )
 
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from datagen.console.text import counted
 from datagen.errors import CorruptFile, UsageError
-from datagen.formats.importers.interface import Facts, Found, Images, ReadOptions, Recording
+from datagen.formats.import_request import ReadOptions
+from datagen.formats.importers.interface import Facts, Found, Images, Recording
 from datagen.rgbd.camera_file import CAMERA, Camera, read_camera
 from datagen.rgbd.files import check_intrinsics, check_unit, common_size, read_ids
 from datagen.rgbd.images import holds_floats, read_colour
@@ -75,7 +76,7 @@ def _view(view: FrameFiles, source: Path, options: ReadOptions) -> FrameFiles:
         raise UsageError(
             f"{view.place / CAMERA} is missing; it holds fx, fy, cx, cy and depth_scale, see docs/import.md."
         )
-    return replace(view, masks=view.masks if options.masks else [], camera=options.camera or camera)
+    return replace(view, masks=[] if options.ignore_masks else view.masks, camera=options.camera or camera)
 
 
 def _camera(view: FrameFiles, options: ReadOptions) -> Camera:
@@ -101,7 +102,13 @@ class _Reader:
                 )
             if bool(view.masks) != bool(first.masks):
                 raise UsageError(f"{view.place} and {first.place} differ in having masks; give masks for both.")
-            check_intrinsics(camera.k, sizes[view.place], str(view.camera))
+            if len(camera.lenses) not in (1, len(view.colour)):
+                raise UsageError(
+                    f"{view.camera}: K holds {len(camera.lenses)} matrices for {len(view.colour)} images; expected one "
+                    "for all images, or one for each."
+                )
+            for k in camera.lenses:
+                check_intrinsics(k, sizes[view.place], str(view.camera))
         masks = [path for view in self._views for path in view.masks]
         ids = {int(one) for path in masks for one in np.unique(read_ids(path))} - {0}
         posed = bool(first.poses) or self.cameras[0].poses is not None
@@ -116,8 +123,10 @@ class _Reader:
             raise UsageError(f"{self._views[0].place}: some views have poses and some have none; give all or none.")
         return Images(
             rgb=np.stack([[read_colour(view.colour[number]) for view, _ in views] for number in images]),
-            depth=np.stack([[_depth(view.depth[number], camera) for view, camera in views] for number in images]),
-            k=np.stack([[camera.k for _, camera in views] for _ in images]),
+            depth=np.stack(
+                [[_depth(view.depth[number], camera, number) for view, camera in views] for number in images]
+            ),
+            k=np.stack([[camera.k(number) for _, camera in views] for number in images]),
             world_from_camera=np.array(poses, np.float64) if all(known) else None,
             ids=np.stack([[read_ids(view.masks[number]) for view, _ in views] for number in images])
             if self._views[0].masks
@@ -137,7 +146,7 @@ def _categories(folder: Path) -> dict[int, str] | None:
     return {each["id"]: str(each.get("category", "")) for each in values}
 
 
-def _depth(path: Path, camera: Camera) -> np.ndarray:
-    depth = camera.depth(path)
+def _depth(path: Path, camera: Camera, image: int) -> np.ndarray:
+    depth = camera.depth(path, image)
     check_unit(depth, camera.float_scale if holds_floats(path) else camera.depth_scale, str(path))
     return depth

@@ -4,7 +4,7 @@ import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,11 @@ import numpy as np
 
 from datagen.console.progress import Progress, no_progress
 from datagen.errors import UsageError
-from datagen.formats.importers import IMPORTERS, Format
-from datagen.formats.importers.convert import ALWAYS, WITH_MASKS, WITH_NAMES, Measured, Target, convert
-from datagen.formats.importers.interface import Grouping, ReadOptions, World
-from datagen.formats.importers.plan import Choices, Plan, Unit, enough, plan_scenes
+from datagen.formats.import_request import Request
+from datagen.formats.importers import IMPORTERS
+from datagen.formats.importers.convert import Measured, Target, convert, fields_of
+from datagen.formats.importers.plan import Plan, Unit, enough, plan_scenes
 from datagen.inspect.dataset_card import write_card
-from datagen.rgbd.images import Size
 from datagen.schema import SPLITS
 from datagen.storage.atomic import new_folder, write_atomically
 from datagen.storage.manifest import make_manifest
@@ -35,32 +34,6 @@ from datagen.storage.spec import (
 
 FPS = 10.0
 """Frames per second of clips that do not say theirs; it only matters for animations."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """An import; values that are None are those of the format or the source."""
-
-    format: Format
-    source: Path
-    out: Path
-    """Folder of the new dataset; must not hold anything yet."""
-    grouping: Grouping | None = None
-    frames: int | None = None
-    """Images of a clip."""
-    views: int | None = None
-    """Images of a still scene, with the grouping `views`."""
-    size: Size | None = None
-    """Width and height in pixels."""
-    split: str | None = None
-    """Split of all scenes."""
-    scenes: int | None = None
-    """Most scenes of each split."""
-    objects: int | None = None
-    """Most objects of a scene."""
-    world: World = "auto"
-    fps: float | None = None
-    reading: ReadOptions = field(default_factory=ReadOptions)
 
 
 @dataclass(frozen=True)
@@ -86,7 +59,7 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
     with new_folder(request.out) as folder:
         with _reading():
             found = IMPORTERS[request.format](request.source, request.reading)
-        grouping = request.grouping or found.grouping
+        group = request.group or found.grouping
         recordings = enough(found.recordings, request.scenes)
         with progress(len(recordings)) as advance:
             surveyed = []
@@ -94,11 +67,8 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
                 with _reading():
                     surveyed.append((recording, recording.survey()))
                 advance()
-        choices = Choices(
-            grouping, request.frames, request.views, request.size, request.split, request.scenes, request.objects
-        )
-        plan = plan_scenes(surveyed, choices)
-        target = Target(grouping, plan.size, plan.objects, request.world)
+        plan = plan_scenes(surveyed, replace(request, group=group))
+        target = Target(group, plan.size, plan.objects, request.world)
         fields = {split: _fields(plan, split) for split in SPLITS}
         spec = _spec(request, plan, fields, found.recordings[0].fps)
         measured: list[Measured] = []
@@ -112,15 +82,12 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
 
 
 def _fields(plan: Plan, split: str) -> tuple[str, ...]:
-    """Fields of the scenes of a split; names of objects are known if those of its first scene are."""
+    """Fields of the scenes of a split, which are those of its first scene."""
     if not plan.units[split]:
         return ()
-    if not plan.has_masks(split):
-        return ALWAYS
     first = plan.units[split][0]
     with _reading():
-        named = first.recording.read(first.images[:1]).categories is not None
-    return (*ALWAYS, *WITH_MASKS, *(WITH_NAMES if named else ()))
+        return fields_of(first.recording.read(first.images[:1]))
 
 
 def _spec(request: Request, plan: Plan, fields: Mapping[str, tuple[str, ...]], fps: float | None) -> Spec:
@@ -130,7 +97,7 @@ def _spec(request: Request, plan: Plan, fields: Mapping[str, tuple[str, ...]], f
         "format": request.format,
         "source": source,
         "world": " or ".join(sorted(_worlds(request, plan))),
-        "grouping": request.grouping,
+        "grouping": request.group,
         **reading,
     }
     facts = {
@@ -182,8 +149,6 @@ def _write_split(
 def _read(unit: Unit, target: Target, fields: frozenset[str]) -> tuple[dict[str, np.ndarray], Measured]:
     with _reading():
         images = unit.recording.read(unit.images)
-    if WITH_NAMES[0] in fields and images.categories is None:
-        raise UsageError(f"{unit.name} has no names of objects, but other scenes do; import them into two datasets.")
     return convert(images, target, unit.name, fields)
 
 

@@ -25,9 +25,12 @@ from benchmark.studies.views import (
     read_views,
     summarise_pictures,
 )
+from datagen.config import Rig
+from datagen.geometry import unproject
 from datagen.storage.reader import Dataset, Split
 from obpose.scenes.model_ref import Origin
 from tests.benchmark.studies.oracle_model import printed_table
+from tests.worlds import moving_cameras, rendered
 
 NOTHING = Picture(np.zeros((32, 32, 3)), np.zeros((32, 32)))
 
@@ -93,6 +96,19 @@ def test_every_view_is_once_the_input(stills: Path, origin: Origin):
     assert makers.count((FLAT, False)) == 0
     assert all(makers.count((maker, False)) == 2 for maker in (CARRIED, COPIED, MEAN))
     assert all(math.isfinite(one.ssim) for one in found)
+
+
+def test_moving_cameras_have_another_pose_in_each_frame(origin: Origin, tmp_path: Path):
+    world = moving_cameras.orbiting(rendered.scene(frames=3, views=2))
+    record = rendered.record(world, resolution=(32, 32))
+    folder = rendered.write_dataset(tmp_path / "moving", [record, record], rig=Rig(motion="orbit"))
+    table = read_views(Dataset(folder).split("train"), 0, 2)[1]
+    heights = unproject(table.picture.depth, table.k, table.world_from_camera)[..., 2]
+    assert np.max(np.abs(heights[~table.objects & (table.picture.depth > 0)])) < 1e-3
+    found = list(measure_views(origin, folder, "train", scenes=1, frames=3))
+    means = [one.depth_errors.max() for one in found if one.maker == MEAN]
+    assert len(means) == 6
+    assert max(means) == 0, "equal scenes have the same mean in every frame"
 
 
 def test_flat_masks_keep_means_and_lose_all_else(views: list[View]):

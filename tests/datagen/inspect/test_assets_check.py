@@ -32,7 +32,10 @@ def test_what_needs_attention(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     write_stl(tmp_path / "meshes" / "unsure.stl", (5 * BOX)[triangles()])
     (tmp_path / "meshes" / "empty.stl").write_bytes(b"")
     assert run(tmp_path / "meshes", Reading(), tmp_path / "sheet.jpg") == EXIT_VERIFICATION
-    out = " ".join(capsys.readouterr().out.split())
+    printed = capsys.readouterr()
+    assert "Mesh 1 of 2, empty" in printed.err
+    assert "Mesh 2 of 2, unsure" in printed.err
+    out = " ".join(printed.out.split())
     assert "empty.stl is empty" in out
     assert "unsure.stl: longest side 10 fits neither m nor mm; give --unit" in out
     assert (tmp_path / "sheet.jpg").exists()

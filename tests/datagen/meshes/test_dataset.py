@@ -99,7 +99,13 @@ def test_rendering_needs_no_hulls_and_regenerating_is_exact(
 
 
 @pytest.mark.parametrize(
-    "command", [["verify", "{data}"], ["regenerate", "{data}"], ["render", "--from", "{data}", "--out", "{out}"]]
+    "command",
+    [
+        ["verify", "{data}"],
+        ["regenerate", "{data}"],
+        ["render", "--from", "{data}", "--out", "{out}"],
+        ["export", "--format", "bop", "{data}", "--out", "{out}"],
+    ],
 )
 def test_other_files_are_rejected(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]):
     words = [word.format(data=folder / "data", out=tmp_path / "out") for word in command]
@@ -118,6 +124,20 @@ def test_other_files_are_rejected(folder: Path, tmp_path: Path, capsys: pytest.C
     Image.new("RGB", (96, 64)).save(tmp_path / "other" / "box.png")
     assert main([*words, "--assets", str(tmp_path / "other")]) == 2
     assert re.search(r"box\.obj is not the file", capsys.readouterr().err)
+
+
+def test_meshes_are_exported_as_models_to_which_poses_refer(folder: Path, tmp_path: Path):
+    bop, back = tmp_path / "bop", tmp_path / "back"
+    arguments = ["--assets", str(folder / "assets"), "--out", str(bop)]
+    assert main(["export", "--format", "bop", str(folder / "data"), *arguments]) == 0
+    assert len(list((bop / "models").glob("obj_*.ply"))) == 2
+    assert main(["import", "--format", "bop", str(bop), "--group", "views", "--out", str(back)]) == 0
+    assert main(["verify", str(back), "--workers", "1"]) == 0
+    for split in ("train", "test"):
+        original, record = (Dataset(place).split(split)[0] for place in (folder / "data", back))
+        rows = slice(0, int(original["objects/count"]))
+        for name in ("boxes/box_3d", "poses/position"):
+            assert np.max(np.abs(original[name][:, rows] - record[name][:, rows])) < 1e-4
 
 
 def test_a_split_without_meshes_has_no_scenes(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import UsageError
-from datagen.meshes.survey import Reading, examine, find_files, fits, make_library, name_files, split_meshes
+from datagen.meshes.library import split_meshes
+from datagen.meshes.survey import Reading, examine, find_files, fits, make_library, name_files
 from datagen.meshes.units import guess_unit
 from tests.worlds.meshes import BOX, triangles, write_obj, write_ply, write_stl
 

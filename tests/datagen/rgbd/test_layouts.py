@@ -98,7 +98,7 @@ def check(frames: FrameFiles, shots: list[Shot]) -> None:
     assert len(frames.colour) == len(frames.depth) == len(shots)
     assert frames.camera is not None
     camera = read_camera(frames.camera, default_scale=frames.depth_scale)
-    np.testing.assert_allclose(camera.k, shots[0].k)
+    np.testing.assert_allclose(camera.k(), shots[0].k)
     for number, shot in enumerate(shots):
         assert np.array_equal(read_colour(frames.colour[number]), shot.rgb)
         np.testing.assert_allclose(camera.depth(frames.depth[number]), shot.depth, atol=1e-4)

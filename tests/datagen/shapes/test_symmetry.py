@@ -3,7 +3,7 @@ import pytest
 
 from datagen.scene import ShapeSpec
 from datagen.shapes import build
-from datagen.shapes.symmetry import is_continuous, symmetry_rotations
+from datagen.shapes.symmetry import about_z, is_continuous, name_group, symmetry_rotations
 
 GROUPS = ["C1", "C2", "C5", "D1", "D2", "D4", "D6", "O", "Cinf", "Dinf", "SO3"]
 TABLE = {"width": 0.1, "height": 0.07, "thickness": 0.006, "leg": 0.008, "legs": "square"}
@@ -32,6 +32,23 @@ def test_the_product_of_two_elements_is_an_element(name):
     rotations = symmetry_rotations(name, steps=8)
     products = (rotations[:, None] @ rotations).reshape(-1, 1, 9)
     assert np.abs(products - rotations.reshape(-1, 9)).max(axis=2).min(axis=1).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", GROUPS[:8])
+def test_a_finite_group_is_named_by_its_turns(name):
+    tilt = about_z(np.radians([2.0]))[0][[2, 0, 1]][:, [2, 0, 1]]  # 2 degrees about x
+    turns = symmetry_rotations(name)[1:][::-1]
+    for given in (turns, tilt @ turns @ tilt.T):
+        assert name_group(given, np.zeros((0, 3))) == name
+    swapped = {"C1": "C1", "C2": "D1", "D1": "C2", "D2": "D2", "O": "O"}  # x and z
+    assert name_group(turns[:, ::-1, ::-1], np.zeros((0, 3))) == swapped.get(name)
+
+
+def test_a_continuous_group_is_named_by_its_axes():
+    x, z, flip = [1.0, 0.0, 0.0], [0.0, 0.0, -1.0], np.diag([1.0, -1.0, -1.0])[None]
+    none = np.zeros((0, 3, 3))
+    assert [name_group(*given) for given in ((none, np.array([z])), (flip, np.array([z])))] == ["Cinf", "Dinf"]
+    assert [name_group(none, np.array(axes)) for axes in ([x], [x, z])] == [None, "SO3"]
 
 
 def test_only_groups_with_a_free_axis_are_continuous():

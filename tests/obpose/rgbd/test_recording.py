@@ -15,7 +15,7 @@ K = intrinsics(1.0, 6, 4)
 def read(
     rgb: list[Path], depth: list[Path], k: np.ndarray = K, *, depth_scale: float = 0.001, **limits: int
 ) -> Recording:
-    return read_recording(named_files(rgb, depth), Camera(k, depth_scale), **limits)
+    return read_recording(named_files(rgb, depth), Camera(k[None], depth_scale), **limits)
 
 
 def write_rgb(path: Path, value: int = 7, size: tuple[int, int] = (6, 4)) -> Path:

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 from pathlib import Path
 
@@ -81,6 +82,14 @@ def test_equal_shapes_share_a_model(clips: Path, exported: Export):
     assert len(list((folder / "models").glob("*.ply"))) == 3
     second = json.loads((folder / "train" / "000001" / "scene_gt.json").read_text())
     assert [pose["obj_id"] for pose in second["2"]] == [1, 2]
+
+
+def test_surfaces_that_are_drawn_from_both_sides_are_written_once(tmp_path: Path):
+    box = shapes.build(rendered.BOX)
+    faces, normals = np.concatenate([box.faces, box.faces[:, ::-1]]), np.concatenate([box.normals, -box.normals])
+    bop._write_ply(tmp_path / "closed.ply", box)
+    bop._write_ply(tmp_path / "open.ply", dataclasses.replace(box, faces=faces, normals=normals, backs=len(box.faces)))
+    assert (tmp_path / "open.ply").read_text() == (tmp_path / "closed.ply").read_text()
 
 
 @pytest.mark.parametrize(("group", "turns"), [("C1", 0), ("C4", 3), ("D2", 3), ("O", 23)])

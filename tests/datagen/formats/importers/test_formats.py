@@ -1,16 +1,18 @@
 """Every format, read from a small source in exactly its layout: points of all pixels lie on the surfaces they show."""
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from imageio.v3 import imread
 
 from datagen.errors import DatagenError, UsageError
+from datagen.formats.import_request import ReadOptions, Request
 from datagen.formats.importers import rgbd
-from datagen.formats.importers.interface import ReadOptions
-from datagen.formats.importers.write import Report, Request, import_dataset
+from datagen.formats.importers.write import Report, import_dataset
 from datagen.storage.reader import Dataset
 from datagen.verify.dataset import find
 from tests.worlds import recordings
@@ -31,6 +33,19 @@ def multishapenet(folder: Path) -> Path:
 def rgbd_with_poses(folder: Path) -> Path:
     shot = shoot()
     return write_rgbd(folder, [shot, shot], world_from_camera=shot.pose.tolist())
+
+
+def rgbd_with_two_lenses(folder: Path) -> Path:
+    """The second image shows another part of what the camera sees, which moves its principal point."""
+    shot, k = shoot(), [shoot().k.copy() for _ in range(2)]
+    folder = write_rgbd(folder, [shot, shot], world_from_camera=shot.pose.tolist(), pixel_center=0.5)
+    for name, array in (("rgb", shot.rgb), ("depth", recordings.units(shot.depth, 1e-4)), ("masks", shot.ids)):
+        recordings.save(folder / name / "1.png", np.roll(array, (-3, -5), (0, 1)))
+        for path in (folder / name).glob("*.png"):
+            recordings.save(path, imread(path)[:-3, :-5])
+    k[1][:2, 2] -= [5, 3]
+    write_json(folder / "camera.json", {**json.loads((folder / "camera.json").read_text()), "K": np.array(k).tolist()})
+    return folder
 
 
 def rgbd_euclidean_views(folder: Path) -> Path:
@@ -54,7 +69,7 @@ CASES: dict[str, tuple[str, Callable[[Path], Path], dict[str, object], dict[str,
     "multishapenet": ("obsurf", multishapenet, {}, {"train": 2}, (1, 3)),
     "obpose": ("obpose", recordings.write_authors, {}, {"train": 2, "test": 1}, (3, 1)),
     "bop": ("bop", bop_test, {}, {"test": 3}, (1, 1)),
-    "bop views": ("bop", bop_test, {"grouping": "views"}, {"test": 1}, (1, 3)),
+    "bop views": ("bop", bop_test, {"group": "views"}, {"test": 1}, (1, 3)),
     "octscenes": ("octscenes", recordings.write_octscenes, {"views": 2}, {"train": 1, "test": 1}, (1, 2)),
 }
 
@@ -72,6 +87,16 @@ def test_points_lie_on_the_surfaces_that_their_pixels_show(case, tmp_path: Path)
     assert max(errors(record).values()) < MILLIMETRE
     assert np.array_equal(record["rgb"][0, 0], shoot().rgb)
     assert np.array_equal(record["segmentation"][0, 0], shoot().ids)
+
+
+def test_each_image_may_have_its_own_lens_except_in_a_clip(tmp_path: Path):
+    source = rgbd_with_two_lenses(tmp_path / "source")
+    for group in ("stills", "views"):
+        take(source, tmp_path / group, format="rgbd", group=group, split="test")
+        assert all(max(errors(scene).values()) < MILLIMETRE for scene in Dataset(tmp_path / group).split("test"))
+    with pytest.raises(UsageError, match=r"the camera matrix changes in the clip.*--group stills"):
+        take(source, tmp_path / "clip", format="rgbd")
+    assert not (tmp_path / "clip").exists()
 
 
 def test_names_of_objects_are_kept(tmp_path: Path):
@@ -129,8 +154,8 @@ def test_given_poses_can_be_moved_onto_the_table(tmp_path: Path):
     shots = [shoot(position) for position in CAMERAS]
     lifted = [shot.pose + np.eye(4)[2][:, None] * np.array([0, 0, 0, 1.0]) for shot in shots]
     source = write_rgbd(tmp_path / "a", shots, world_from_camera=[pose.tolist() for pose in lifted])
-    take(source, tmp_path / "given", format="rgbd", grouping="views")
-    take(source, tmp_path / "table", format="rgbd", grouping="views", world="table")
+    take(source, tmp_path / "given", format="rgbd", group="views")
+    take(source, tmp_path / "table", format="rgbd", group="views", world="table")
     given, table = (Dataset(tmp_path / name).split("train")[0] for name in ("given", "table"))
     worlds = [Dataset(tmp_path / name).spec["import"]["world"] for name in ("given", "table")]
     assert worlds == ["given", "table"]
@@ -179,6 +204,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no unit": (edit_camera(depth_scale=0), "depth_scale is 0"),
     "no focal length": (edit_camera(fx="wide"), "fx, fy, cx, cy is"),
     "other size": (edit_camera(fx=5e5), "cannot be those of images of 48x36"),
+    "too many lenses": (edit_camera(K=[shoot().k.tolist()] * 3), "K holds 3 matrices for 2 images"),
     "infinite": (lambda folder: (folder / "camera.json").write_text('{"fx": NaN}'), "NaN"),
     "no object": (lambda folder: (folder / "camera.json").write_text("[]"), "expected an object"),
     "mirrored pose": (edit_camera(world_from_camera=np.diag([1, 1, -1, 1.0]).tolist()), "no rigid pose"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from datagen.errors import CorruptFile
-from datagen.formats.importers.interface import ReadOptions
+from datagen.formats.import_request import ReadOptions
 from datagen.formats.importers.obpose import find_obpose
 from datagen.formats.importers.restricted_pickle import read_pickled_npy
 from tests.paths import ROOT
