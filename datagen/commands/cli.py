@@ -195,7 +195,9 @@ def _how(values: Generate | Render) -> Any:
     from datagen.console.progress import scene_progress
     from datagen.pipeline.generate import Run
 
-    return Run(workers=workers, share=share, overwrite=values.overwrite, progress=scene_progress)
+    if values.dask and (values.shard or values.workers):
+        raise UsageError("--dask makes all shards by the cluster's workers; leave out --shard and --workers.")
+    return Run(workers=workers, dask=values.dask, share=share, overwrite=values.overwrite, progress=scene_progress)
 
 
 def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> None:

@@ -17,7 +17,7 @@ from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
 from datagen.meshes.library import Library, open_library
 from datagen.pipeline.parallel import make_all
-from datagen.storage.manifest import make_manifest, read_manifest
+from datagen.storage.manifest import file_facts, make_manifest, read_manifest
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import Shard
 from datagen.storage.spec import MANIFEST_FILE, groups_of, recipe_of, rendered_recipe_of, shard_name, shard_ranges
@@ -170,7 +170,8 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")
         return
     try:
-        fresh = make_manifest(dataset.folder, dataset.spec, seconds=0.0, workers=0, scenes_made=0)
+        facts = file_facts(dataset.folder, dataset.spec)
+        fresh = make_manifest(dataset.spec, facts, seconds=0.0, workers=0, scenes_made=0)
     except UNREADABLE as error:
         yield Finding("file", f"{MANIFEST_FILE} cannot be compared with the files: {error}")
         return
