@@ -37,7 +37,7 @@ class Cluster:
         with self._explained():
             futures = self._client.map(do, items, pure=False, retries=RETRIES, batch_size=10_000, **shared)
             item_of = {future.key: item for future, item in zip(futures, items, strict=True)}
-            finished = as_completed(futures, with_results=True)
+            finished = as_completed(futures, loop=self._client.loop, with_results=True)
             # The cluster drops a result as soon as nothing here refers to its future.
             del futures
             for future, result in finished:

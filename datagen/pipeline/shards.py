@@ -103,22 +103,22 @@ def make_on_cluster(
     A worker that shares the dataset's folder writes its shards; others return their scenes to this process.
     """
     with connected(address) as cluster, shared_mark(folder) as mark:
-        for task, new in cluster.map(make_shard, tasks, maker=maker, mark=mark):
+        for task, new in cluster.map(make_shard, tasks, maker=maker, mark=mark, arithmetic=_arithmetic()):
             for _ in task.todo:
                 advance()
             yield task, new
 
 
-def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path) -> list[PackedScene] | None:
+def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: str) -> list[PackedScene] | None:
     """Make the new scenes of a shard on a worker; returns them unless it could write the shard beside `mark`.
 
     Raises:
-        UsageError: the worker's program makes other scenes than the client's.
+        UsageError: the worker would make other scenes than the client.
     """
-    if maker.spec["data_version"] != DATA_VERSION:
+    if _arithmetic() != arithmetic:
         raise UsageError(
-            f"A Dask worker makes scenes of data version {DATA_VERSION}, expected {maker.spec['data_version']}; "
-            "install the same version of obpose there as here."
+            f"A Dask worker would make other scenes: it has {_arithmetic()}; expected {arithmetic}. Install the same "
+            "version of obpose there, and start workers with OPENBLAS_CORETYPE=Haswell in their environment."
         )
     with _ONE_AT_A_TIME:
         new = [maker(task.split, index) for index in task.todo]
@@ -126,3 +126,11 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path) -> list[Packed
         return new
     write_shard(mark.parent, maker.spec, task, new)
     return None
+
+
+def _arithmetic() -> str:
+    """Describe what decides the last bits of a scene: the data version and the kernels of OpenBLAS."""
+    from threadpoolctl import threadpool_info
+
+    kernels = {library["architecture"] for library in threadpool_info() if library["internal_api"] == "openblas"}
+    return f"data version {DATA_VERSION} and OpenBLAS kernels {', '.join(sorted(kernels))}"
