@@ -1,10 +1,12 @@
 """Map work items over an existing Dask cluster; Dask queues, retries and moves them. The only import of Dask."""
 
 import os
+import threading
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +15,7 @@ from datagen.storage.atomic import temporary_path
 
 RETRIES = 2
 """Number of times that an item is tried again after an exception; Dask counts lost workers apart."""
+_POLL_SECONDS = 0.1
 _SECONDS = 30
 """Time limit for a connection to the scheduler."""
 
@@ -43,10 +46,15 @@ class Cluster:
             for future, result in finished:
                 yield item_of.pop(future.key), result
 
-    def call(self, do: Callable[..., Result], *arguments: Any) -> Result:
-        """Call `do(*arguments)` on a worker and wait for its result; raises as `map`."""
+    def call(self, do: Callable[..., Result], *arguments: Any, stop: threading.Event) -> Result | None:
+        """Call `do(*arguments)` on a worker and wait for its result; None once `stop` is set. Raises as `map`."""
         with self._explained():
-            return self._client.submit(do, *arguments, pure=False, retries=RETRIES).result()
+            future = self._client.submit(do, *arguments, pure=False, retries=RETRIES)
+            while not future.done():
+                if stop.wait(_POLL_SECONDS):
+                    future.cancel()
+                    return None
+            return future.result()
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
@@ -67,6 +75,29 @@ class Cluster:
             raise DatagenError(
                 f"A Dask worker lacks a package ({error}); install the same version of obpose there as here."
             ) from None
+
+
+class Cancellation(threading.Event):
+    """Is set once Dask has no use for the task that made it: its client has cancelled it, or is gone."""
+
+    def __init__(self):
+        from distributed import get_worker
+
+        super().__init__()
+        worker = get_worker()
+        self._task = worker.state.tasks[worker.get_current_task()]
+
+    def is_set(self) -> bool:
+        """Whether the task is cancelled."""
+        return self._task.state == "cancelled"
+
+
+def memory_share() -> float:
+    """Bytes that each thread of this worker may use."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    return (worker.memory_manager.memory_limit or inf) / worker.state.nthreads
 
 
 @contextmanager
