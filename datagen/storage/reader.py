@@ -247,6 +247,9 @@ class Split(Sequence[SceneRecord]):
             # HDF5 handles that came along with a fork are dropped, not closed: they belong to the parent.
             self._shards, self._process = OrderedDict(), os.getpid()
         if number not in self._shards:
+            if next(reversed(self._shards), None) == number - 1:
+                # A pass in order is done with the shard before; HDF5 holds half a MiB for each open file.
+                self._shards.popitem()[1].close()
             self._shards[number] = Shard(self.folder, self.spec, self.name, number)
             if len(self._shards) > _MOST_OPEN_FILES:
                 self._shards.popitem(last=False)[1].close()
