@@ -126,6 +126,8 @@ class Verify:
     folder: _FOLDER
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
+    sample: int | None = None
+    """Number of scenes to verify, drawn at random, with their files; all if left out."""
     assets: Path | None = None
     """Folder of the meshes that the dataset was made with."""
 

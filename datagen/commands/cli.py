@@ -217,7 +217,10 @@ def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> Non
 def _verify(values: Verify) -> int:
     from datagen import verify
 
-    return verify.run(values.folder, workers=options.parse_workers(values.workers), assets=values.assets)
+    if values.sample is not None and values.sample < 1:
+        raise UsageError(f"--sample {values.sample}: expected at least 1.")
+    workers = options.parse_workers(values.workers)
+    return verify.run(values.folder, workers=workers, assets=values.assets, sample=values.sample)
 
 
 def _stats(values: Stats) -> int:
