@@ -1,5 +1,6 @@
 """Map work items over an existing Dask cluster; Dask queues, retries and moves them. The only import of Dask."""
 
+import logging
 import os
 import threading
 import uuid
@@ -44,7 +45,11 @@ class Cluster:
             # The cluster drops a result as soon as nothing here refers to its future.
             del futures
             for future, result in finished:
+                if future.cancelled():
+                    raise CancelledError
                 yield item_of.pop(future.key), result
+            if item_of:  # the client has closed itself
+                raise CancelledError
 
     def call(self, do: Callable[..., Result], *arguments: Any, stop: threading.Event) -> Result | None:
         """Call `do(*arguments)` on a worker and wait for its result; None once `stop` is set. Raises as `map`."""
@@ -111,6 +116,8 @@ def connected(address: str) -> Iterator[Cluster]:
         from distributed import Client
     except ImportError:
         raise UsageError("--dask needs dask.distributed; install it with: pip install 'obpose[dask]'") from None
+    # Its records of lost connections come with tracebacks; commands report them in one line.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)
     try:
         client = Client(address, timeout=_SECONDS, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

@@ -1,8 +1,6 @@
 """Dask clusters of two worker processes on this machine; workers and the scheduler are killed midway."""
 
-import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +12,7 @@ from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
 from datagen.storage.manifest import read_manifest
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
+from tests.worlds.dask_workers import DaskWorkers
 from tests.worlds.generated import hashes
 
 pytest.importorskip("distributed")
@@ -42,38 +41,10 @@ sys.exit(main(sys.argv[2:]))
 """
 
 
-class TwoWorkers:
-    """A scheduler and two workers, whose OpenBLAS kernels are those of this process's environment."""
-
-    def __init__(self, folder: Path):
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        self.address = f"tcp://127.0.0.1:{self.port}"
-        self.folder = folder
-        self.begin()
-
-    def begin(self, **environment: str) -> None:
-        place = ("--host", "127.0.0.1", "--port", str(self.port), "--dashboard-address", "127.0.0.1:0")
-        self.scheduler = self._start("scheduler", *place)
-        options = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory", str(self.folder))
-        self.workers = [self._start("worker", self.address, *options, **environment) for _ in range(2)]
-
-    def _start(self, kind: str, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments]
-        with (self.folder / "log").open("ab") as log:
-            return subprocess.Popen(command, cwd=ROOT, stderr=log, stdout=log, env={**os.environ, **environment})
-
-    def end(self) -> None:
-        for process in (*self.workers, self.scheduler):
-            process.kill()
-            process.wait()
-
-
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[TwoWorkers]:
+def cluster(tmp_path: Path) -> Iterator[DaskWorkers]:
     (tmp_path / "dask").mkdir()
-    made = TwoWorkers(tmp_path / "dask")
+    made = DaskWorkers(tmp_path / "dask", 2)
     yield made
     made.end()
 
@@ -105,7 +76,7 @@ def check_same(folder: Path, alone: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("place", ["shared", "apart"])
-def test_a_lost_worker_loses_no_scene(cluster: TwoWorkers, alone: Path, tmp_path: Path, place: str):
+def test_a_lost_worker_loses_no_scene(cluster: DaskWorkers, alone: Path, tmp_path: Path, place: str):
     folder = tmp_path / "set"
     process = client(folder, f"--dask={cluster.address}", place=place)
     wait_until(lambda: list(folder.glob("*.h5")), seconds=200, what="a first shard")
@@ -117,7 +88,7 @@ def test_a_lost_worker_loses_no_scene(cluster: TwoWorkers, alone: Path, tmp_path
 
 @pytest.mark.slow
 def test_the_same_command_continues_after_the_scheduler_or_the_client_was_lost(
-    cluster: TwoWorkers, alone: Path, tmp_path: Path
+    cluster: DaskWorkers, alone: Path, tmp_path: Path
 ):
     folder = tmp_path / "set"
     process = client(folder, f"--dask={cluster.address}")
@@ -125,7 +96,7 @@ def test_the_same_command_continues_after_the_scheduler_or_the_client_was_lost(
     cluster.end()
     cluster.begin()
     errors = errors_at_end(process)
-    assert process.returncode == EXIT_INCOMPLETE
+    assert process.returncode == EXIT_INCOMPLETE, errors
     assert "gone or was restarted. Finished work is kept" in errors
     there = len(list(folder.glob("*.h5")))
     process = client(folder, f"--dask={cluster.address}")
@@ -139,7 +110,7 @@ def test_the_same_command_continues_after_the_scheduler_or_the_client_was_lost(
 
 
 @pytest.mark.slow
-def test_workers_whose_arithmetic_differs_are_refused(cluster: TwoWorkers, tmp_path: Path):
+def test_workers_whose_arithmetic_differs_are_refused(cluster: DaskWorkers, tmp_path: Path):
     cluster.end()
     cluster.begin(OPENBLAS_CORETYPE="Sandybridge")
     process = client(tmp_path / "set", f"--dask={cluster.address}")
@@ -151,7 +122,7 @@ def test_workers_whose_arithmetic_differs_are_refused(cluster: TwoWorkers, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize("place", ["shared", "apart"])
 def test_the_benchmark_gives_the_same_scores_though_a_worker_is_lost(
-    cluster: TwoWorkers, alone: Path, tmp_path: Path, place: str
+    cluster: DaskWorkers, alone: Path, tmp_path: Path, place: str
 ):
     flags = ("--model", "one-cluster", "plane-dbscan", "random-slots", "--seeds", "2", "--data", str(alone))
     process = client(tmp_path / "alone", *flags, code=BENCH)
@@ -163,7 +134,7 @@ def test_the_benchmark_gives_the_same_scores_though_a_worker_is_lost(
     errors = errors_at_end(process)
     assert process.returncode == EXIT_OK, errors
     for kind in ("scenes", "runs"):
-        names = [sorted(path.name for path in (tmp_path / run / kind).iterdir()) for run in ("run", "alone")]
+        names = [sorted(path.name for path in (tmp_path / run / kind).glob("[!.]*")) for run in ("run", "alone")]
         assert names[0] == names[1]
     for path in (tmp_path / "alone" / "scenes").iterdir():
         assert (tmp_path / "run" / "scenes" / path.name).read_bytes() == path.read_bytes()
