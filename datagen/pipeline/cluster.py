@@ -117,7 +117,8 @@ def connected(address: str) -> Iterator[Cluster]:
     except ImportError:
         raise UsageError("--dask needs dask.distributed; install it with: pip install 'obpose[dask]'") from None
     # Its records of lost connections come with tracebacks; commands report them in one line.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         client = Client(address, timeout=_SECONDS, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
