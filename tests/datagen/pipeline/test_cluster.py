@@ -87,6 +87,7 @@ def test_a_lost_worker_loses_no_scene(cluster: DaskWorkers, alone: Path, tmp_pat
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_the_same_command_continues_after_the_scheduler_or_the_client_was_lost(
     cluster: DaskWorkers, alone: Path, tmp_path: Path
 ):
