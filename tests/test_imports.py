@@ -18,6 +18,7 @@ ONLY_IN = {
     "OpenGL": ("datagen/render/pyrender_gl.py",),
     "numba": ("datagen/render/kernels.py",),
     "torch": ("obpose/", "benchmark/models/adapters/", "benchmark/studies/"),
+    "distributed": ("datagen/pipeline/cluster.py",),
     "huggingface_hub": ("datagen/formats/push.py",),
     "trimesh": ("datagen/meshes/read.py", "obpose/scenes/meshes.py", "obpose/rgbd/results.py"),
     "OpenEXR": ("datagen/storage/safe_io.py",),

@@ -9,7 +9,7 @@ from benchmark.commands import arguments, outputs
 from benchmark.commands import selftest as golden_cases
 from benchmark.commands.editing import score_edits
 from benchmark.commands.outputs import prepare
-from benchmark.commands.request import job_limits, request_of
+from benchmark.commands.request import job_limits, places, request_of
 from benchmark.execution.jobs import repeat_rows, run_all
 from benchmark.execution.plan import Plan, check_places, estimate, make_plan, superseded
 from benchmark.models.registry import GROUPS, discover
@@ -44,7 +44,7 @@ def run(values: arguments.Run) -> int:
     plan = make_plan(request, rows, values.out)
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
-    if found := estimate(plan, values.workers):
+    if not values.dask and (found := estimate(plan, values.workers)):
         status_console().print(str(found))
     elif not plan.jobs:
         status_console().print("All rows are there; writing tables and report.")
@@ -128,7 +128,8 @@ def _run_jobs(plan: Plan, values: arguments.Run) -> None:
             console.print(terminal(_line(row)))
             advance()
 
-        run_all(plan.jobs, lambda job: job_limits(values, job.time_limit), values.workers, on_row)
+        with places(values, plan.jobs) as workers:
+            run_all(plan.jobs, lambda job: job_limits(values, job.time_limit), workers, on_row)
 
 
 def _line(row: RunRow) -> str:

@@ -62,6 +62,8 @@ class Run:
     """Use one thread and budgets in steps, so that all runs give equal tables, except for the columns measured_*."""
     workers: int = 2
     """Number of jobs that run in parallel."""
+    dask: str | None = None
+    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers run the jobs; see docs/cluster.md."""
     time_limit: float | None = None
     """Minutes after which a row fails; if left out, an hour plus twice the training time."""
     memory_limit: float | None = None

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from benchmark.commands import arguments
 from benchmark.commands.outputs import prepare, print_path, wide_console
-from benchmark.commands.request import job_limits
+from benchmark.commands.request import job_limits, places
 from benchmark.execution.executor import Outcome, run_jobs
 from benchmark.execution.jobs import GRACE_SECONDS
 from benchmark.execution.plan import Request, trained
@@ -120,5 +120,6 @@ def _run(jobs: Sequence[EditJob], values: arguments.Run) -> list[str]:
             reasons.append(outcome.reason)
             return []
 
-        run_jobs(jobs, lambda job: limits, values.workers, on_event=on_event, on_failure=on_failure)
+        with places(values, jobs) as workers:
+            run_jobs(jobs, lambda job: limits, workers, on_event=on_event, on_failure=on_failure)
     return reasons

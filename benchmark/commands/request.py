@@ -1,10 +1,14 @@
 """Turn the flags of `obpose-bench` into a request, and into limits of its jobs."""
 
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from benchmark.commands import arguments
 from benchmark.commands.flag_limits import LIMITS, check_flag
-from benchmark.execution.executor import Limits, limits
+from benchmark.execution.executor import Limits, Runnable, limits
+from benchmark.execution.on_cluster import on_cluster
 from benchmark.execution.plan import Request, Weights
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.registry import budget_of, discover, expand, find_model, row_names
@@ -59,9 +63,19 @@ def job_limits(values: arguments.Run, seconds: float) -> Limits:
     return limits(
         60 * values.time_limit if values.time_limit else seconds,
         workers=values.workers,
-        memory_mib=values.memory_limit,
-        threads=1 if values.deterministic else None,
+        memory_mib=values.memory_limit or (math.inf if values.dask else None),
+        threads=1 if values.deterministic or values.dask else None,
     )
+
+
+@contextmanager
+def places(values: arguments.Run, jobs: Sequence[Runnable]) -> Iterator[int]:
+    """Choose where `run_jobs` runs jobs, and yield how many it may start at a time; a cluster queues them itself."""
+    if not (values.dask and jobs):
+        yield values.workers
+        return
+    with on_cluster(values.dask, values.out):
+        yield len(jobs)
 
 
 def _check(values: arguments.Run) -> None:

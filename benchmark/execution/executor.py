@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -176,10 +176,15 @@ def run_here(job: Runnable, limits: Limits, stop: threading.Event, on_event: Cal
 _runner: ContextVar[Runner] = ContextVar("runner", default=run_isolated)
 
 
-@contextmanager
-def in_this_process() -> Iterator[None]:
+def in_this_process() -> AbstractContextManager[None]:
     """Make `run_jobs` run all jobs in this process, for debuggers and tests."""
-    token = _runner.set(run_here)
+    return running_jobs_by(run_here)
+
+
+@contextmanager
+def running_jobs_by(run: Runner) -> Iterator[None]:
+    """Make `run_jobs` run its jobs by this function."""
+    token = _runner.set(run)
     try:
         yield
     finally:

@@ -53,6 +53,8 @@ class Generate:
     """Random seed, 0 to 2^63 - 1; scene i of a split depends on the recipe, the seed, the split and i alone."""
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
+    dask: str | None = None
+    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers make the scenes; see docs/cluster.md."""
     renderer: Literal["raster", "pyrender"] | None = None
     """`raster`, the default, needs no GL library; `pyrender` uses EGL."""
     simulate_only: _Flag = False
@@ -104,6 +106,8 @@ class Render:
     """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
+    dask: str | None = None
+    """Address of a Dask scheduler, tcp://HOST:PORT, whose workers make the images; see docs/cluster.md."""
     cameras: Path | None = None
     """JSON file with the intrinsics, size and poses of the cameras, which replace those of --rig and --views."""
     shard: str | None = None
@@ -122,6 +126,8 @@ class Verify:
     folder: _FOLDER
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
+    sample: int | None = None
+    """Number of scenes to verify, drawn at random, with their files; all if left out."""
     assets: Path | None = None
     """Folder of the meshes that the dataset was made with."""
 

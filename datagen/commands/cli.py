@@ -206,7 +206,9 @@ def _how(values: Generate | Render) -> Any:
     from datagen.console.progress import scene_progress
     from datagen.pipeline.generate import Run
 
-    return Run(workers=workers, share=share, overwrite=values.overwrite, progress=scene_progress)
+    if values.dask and (values.shard or values.workers):
+        raise UsageError("--dask makes all shards by the cluster's workers; leave out --shard and --workers.")
+    return Run(workers=workers, dask=values.dask, share=share, overwrite=values.overwrite, progress=scene_progress)
 
 
 def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> None:
@@ -226,7 +228,10 @@ def _print_report(folder: Path, report: "Report", wanted: dict[str, int]) -> Non
 def _verify(values: Verify) -> int:
     from datagen import verify
 
-    return verify.run(values.folder, workers=options.parse_workers(values.workers), assets=values.assets)
+    if values.sample is not None and values.sample < 1:
+        raise UsageError(f"--sample {values.sample}: expected at least 1.")
+    workers = options.parse_workers(values.workers)
+    return verify.run(values.folder, workers=workers, assets=values.assets, sample=values.sample)
 
 
 def _stats(values: Stats) -> int:

@@ -1,8 +1,10 @@
 """Statistics of a dataset."""
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,9 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 DEPTH_SCENES = 50
 """Approximate number of scenes per split whose depth is read, spread evenly."""
 
+_FINENESS = 10_000
+"""Visible fractions are counted in steps of one part in this many."""
+
 Summary = dict[str, Any]
 
 _BOTH = ("objects/count", "objects/category", "objects/motion", "poses/position", "contacts/gap", "scene/attempts")
@@ -46,7 +51,7 @@ def summary(folder: str | Path) -> Summary:
     dataset.check_complete()
     if dataset.imported:
         return {**_facts(dataset), **imported.figures(dataset)}
-    records = [record for split in dataset.splits for record in _read(dataset, split, _SMALL)]
+    records = (record for split in dataset.splits for record in dataset.split(split).in_order(_SMALL))
     figures = {**_facts(dataset), **_contents(records, _rejections(dataset))}
     return {**figures, **_pixels(dataset)} if dataset.spec["resolution"] else figures
 
@@ -124,11 +129,6 @@ def _contacts(record: SceneRecord) -> str:
     return ", ".join(f"{names[a]}-{names[b]}" for a, b in pairs if least[a, b] < TOUCHES) or "none"
 
 
-def _read(dataset: Dataset, split: str, fields: Sequence[str]) -> list[SceneRecord]:
-    scenes = dataset.split(split)
-    return [scenes.read(index, fields) for index in range(len(scenes))]
-
-
 def _facts(dataset: Dataset) -> Summary:
     spec = dataset.spec
     images = sum(dataset.splits.values()) * spec["recipe"]["frames"] * dataset.views
@@ -152,32 +152,49 @@ def _rejections(dataset: Dataset) -> Counter[str]:
     return sum((scenes.rejections(index) for scenes in splits for index in range(len(scenes))), Counter[str]())
 
 
-def _contents(records: list[SceneRecord], rejections: Counter[str]) -> Summary:
-    counts = [int(record["objects/count"]) for record in records]
-    attempts = sum(int(record["scene/attempts"]) for record in records)
+def _contents(records: Iterable[SceneRecord], rejections: Counter[str]) -> Summary:
+    counts, categories, motions = Counter[int](), Counter[str](), Counter[str]()
+    moving, colliding, touching = _Share(), _Share(), _Share()
+    attempts = 0
+    for record in records:
+        count = int(record["objects/count"])
+        counts[count] += 1
+        categories.update(map(_word, record["objects/category"][:count]))
+        motions.update(map(_word, record["objects/motion"][:count]))
+        moving.add(_moves(record))
+        colliding.add([_collides(record)])
+        touching.add(_touches(record))
+        attempts += int(record["scene/attempts"])
     return {
         "objects_per_scene": _histogram(counts),
-        "categories": _histogram(_words(records, "objects/category")),
-        "motions": _histogram(_words(records, "objects/motion")),
-        "moving_objects": _share(moves for record in records for moves in _moves(record)),
-        "colliding_clips": _share(_collides(record) for record in records),
-        "touching_frames": _share(touches for record in records for touches in _touches(record)),
-        "attempts_per_scene": attempts / max(len(records), 1),
+        "categories": _histogram(categories),
+        "motions": _histogram(motions),
+        "moving_objects": moving.value,
+        "colliding_clips": colliding.value,
+        "touching_frames": touching.value,
+        "attempts_per_scene": attempts / max(counts.total(), 1),
         "rejected": {reason: number / max(attempts, 1) for reason, number in rejections.most_common()},
     }
 
 
-def _histogram(values: Iterable[int | str]) -> dict[str, int]:
-    return {str(value): number for value, number in sorted(Counter(values).items())}
+def _histogram(counts: Counter[Any]) -> dict[str, int]:
+    return {str(value): number for value, number in sorted(counts.items())}
 
 
-def _words(records: list[SceneRecord], name: str) -> list[str]:
-    return [_word(text) for record in records for text in record[name][: int(record["objects/count"])]]
+@dataclass
+class _Share:
+    """Mean of numbers that are not kept, such as the share of true flags; 0 without any."""
 
+    total: float = 0.0
+    number: int = 0
 
-def _share(flags: Iterable[bool]) -> float:
-    values = list(flags)
-    return sum(values) / max(len(values), 1)
+    def add(self, values: Sequence[float]) -> None:
+        self.total += sum(values)
+        self.number += len(values)
+
+    @property
+    def value(self) -> float:
+        return self.total / max(self.number, 1)
 
 
 def _moves(record: SceneRecord) -> list[bool]:
@@ -202,27 +219,32 @@ def _touches(record: SceneRecord) -> list[bool]:
 
 
 def _pixels(dataset: Dataset) -> Summary:
-    fields = ("objects/count", "visibility/visible_pixels", _VISIBILITY, "visibility/amodal_pixels")
-    records = {split: _read(dataset, split, fields) for split in dataset.splits}
-    everything = [record for part in records.values() for record in part]
+    fields = ("visibility/visible_pixels", _VISIBILITY, "visibility/amodal_pixels")
     width, height = dataset.spec["resolution"]
-    there = [record["visibility/amodal_pixels"] > 0 for record in everything]
-    pairs = zip(everything, there, strict=True)
-    fractions = np.concatenate([record[_VISIBILITY][mask] for record, mask in pairs] or [np.zeros(0)])
+    foreground = {name: _Share() for name, size in {"all": 1, **dataset.splits}.items() if size}
+    hidden, counts = _Share(), np.zeros(_FINENESS + 1, np.int64)
+    for split in dataset.splits:
+        for record in dataset.split(split).in_order(fields):
+            share = float(np.mean(np.sum(record["visibility/visible_pixels"], axis=-1))) / (width * height)
+            for name in ("all", split):
+                foreground[name].add([share])
+            fractions = record[_VISIBILITY][record["visibility/amodal_pixels"] > 0]
+            hidden.add((fractions < 0.5).tolist())
+            rounded = np.rint(np.clip(fractions, 0, 1) * _FINENESS).astype(np.int64)
+            counts += np.bincount(rounded, minlength=len(counts))
     return {
-        "foreground": {
-            split: _foreground(part, width * height) for split, part in {"all": everything, **records}.items() if part
-        },
-        "visible_fraction_quantiles": {f"{q:g}": float(np.quantile(fractions, q)) for q in QUANTILES if len(fractions)},
-        "objects_less_than_half_visible": _share((fractions < 0.5).tolist()),
+        "foreground": {name: share.value for name, share in foreground.items()},
+        "visible_fraction_quantiles": {f"{q:g}": _quantile(counts, q) for q in QUANTILES if counts.any()},
+        "objects_less_than_half_visible": hidden.value,
         "depth_range": _depth_range(dataset),
     }
 
 
-def _foreground(records: list[SceneRecord], pixels: int) -> float:
-    """Mean share of an image's pixels that show objects."""
-    visible = [np.mean(np.sum(record["visibility/visible_pixels"], axis=-1)) for record in records]
-    return float(np.mean(visible) / pixels)
+def _quantile(counts: np.ndarray, q: float) -> float:
+    """Quantile of rounded fractions that were counted, interpolated as `numpy.quantile` does."""
+    place, ends = q * (int(counts.sum()) - 1), np.cumsum(counts)
+    low, high = (int(np.searchsorted(ends, rank, side="right")) for rank in (math.floor(place), math.ceil(place)))
+    return (low + (high - low) * (place % 1)) / _FINENESS
 
 
 def _depth_range(dataset: Dataset) -> list[float]:

@@ -1,7 +1,6 @@
 """Make datasets in parallel, shard by shard; interrupted runs resume."""
 
 import dataclasses
-import itertools
 import json
 import time
 from collections.abc import Collection, Mapping
@@ -15,14 +14,13 @@ from datagen.errors import UsageError
 from datagen.inspect.dataset_card import write_card
 from datagen.meshes.library import Library, open_library
 from datagen.pipeline.make_scene import SceneMaker, Source, check_memory, make_scene, renderer_identity
-from datagen.pipeline.parallel import make_all
-from datagen.schema import DATA_VERSION, FIELDS, SPLITS, EditKind, Signal, array_hash
+from datagen.pipeline.shards import make_here, make_on_cluster, shard_tasks, write_shard
+from datagen.schema import DATA_VERSION, SPLITS, EditKind, Signal, array_hash
 from datagen.storage.cameras_file import CamerasFile
 from datagen.storage.dataset_folder import filling, settle, write_file
-from datagen.storage.manifest import make_manifest
+from datagen.storage.manifest import delete_records, is_finished, make_manifest, recorded_facts
 from datagen.storage.reader import Dataset
-from datagen.storage.shard import PackedScene, Shard, shard_image
-from datagen.storage.spec import MANIFEST_FILE, Spec, groups_of, make_spec, settings_hash, shard_name, shard_ranges
+from datagen.storage.spec import MANIFEST_FILE, Spec, make_spec, settings_hash
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,8 @@ class Run:
 
     workers: int = 1
     """Number of processes."""
+    dask: str | None = None
+    """Address of the scheduler of a Dask cluster that makes the scenes, instead of processes of this machine."""
     share: tuple[int, int] = (0, 1)
     """Share (i, n) of the work: make only the shards whose number modulo n is i."""
     splits: tuple[str, ...] = SPLITS
@@ -243,76 +243,25 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, meshes: Library | N
             SceneMaker(wanted, source, meshes)(split, 0)
 
     with filling(folder, wanted, overwrite=run.overwrite, prove=make_first) as spec:
-        part, parts = run.share
-        tasks = [
-            task
-            for task in _tasks(folder, spec)
-            if task.todo and task.split in run.splits and task.order % parts == part
-        ]
-        scenes = [(task.split, index) for task in tasks for index in task.todo]
+        tasks = shard_tasks(folder, spec, run.splits, run.share)
+        scenes = sum(len(task.todo) for task in tasks)
         maker = SceneMaker(spec, source, meshes)
-        progress = run.progress if scenes else no_progress
-        with progress(len(scenes)) as advance, closing(make_all(maker, scenes, run.workers)) as made:
-            for task in tasks:
-                new = []
-                for scene in itertools.islice(made, len(task.todo)):
-                    new.append(scene)
-                    advance()
-                _write_shard(folder, spec, task, new)
+        with (run.progress if tasks else no_progress)(scenes) as advance:
+            if run.dask and tasks:
+                shards = make_on_cluster(maker, tasks, run.dask, folder, advance)
+            else:
+                shards = make_here(maker, tasks, run.workers, advance)
+            with closing(shards):
+                for task, new in shards:
+                    if new is not None:
+                        write_shard(folder, spec, task, new)
         # Parallel runs may have requested other numbers of scenes.
         spec = settle(folder, spec)
-        complete = not any(task.todo for task in _tasks(folder, spec))
+        facts = recorded_facts(folder, spec)
         seconds = time.monotonic() - started
-        if complete:
+        if facts and (tasks or not is_finished(folder, spec)):
             write_card(folder)
-            manifest = make_manifest(folder, spec, seconds=seconds, workers=run.workers, scenes_made=len(scenes))
+            manifest = make_manifest(spec, facts, seconds=seconds, workers=run.workers, scenes_made=scenes)
             write_file(folder, MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode(), settings_hash(spec))
-    return Report(spec, len(scenes), complete, seconds)
-
-
-@dataclass(frozen=True)
-class _Task:
-    """A shard, with the scenes to keep and to make."""
-
-    split: str
-    order: int
-    """Number among the shards of all splits."""
-    number: int
-    kept: range
-    """Scenes to keep from the present file."""
-    todo: range
-    """Scenes to make."""
-
-
-def _tasks(folder: Path, spec: Spec) -> list[_Task]:
-    tasks: list[_Task] = []
-    for split in SPLITS:
-        for number, indices in enumerate(shard_ranges(spec["splits"][split], spec["scenes_per_shard"])):
-            kept = _usable_scenes(folder, spec, split, number)
-            tasks.append(_Task(split, len(tasks), number, indices[:kept], indices[kept:]))
-    return tasks
-
-
-def _usable_scenes(folder: Path, spec: Spec, split: str, number: int) -> int:
-    """Scenes of a shard that hold all fields that a new one would hold; 0 if there is no such shard."""
-    if not (folder / shard_name(split, number)).exists():
-        return 0
-    with closing(Shard(folder, spec, split, number)) as shard:
-        shard.check()
-        fields = {name for name, field in FIELDS.items() if field.group in groups_of(spec)}
-        return len(shard) if set(shard.fields) == fields else 0
-
-
-def _write_shard(folder: Path, spec: Spec, task: _Task, new: list[PackedScene]) -> None:
-    kept: list[PackedScene] = []
-    if task.kept:
-        with closing(Shard(folder, spec, task.split, task.number)) as shard:
-            kept = [shard.packed(row) for row in range(len(task.kept))]
-    settings = settings_hash(spec)
-    attributes = {
-        "data_version": spec["data_version"],
-        "settings_hash": settings,
-        "split": task.split,
-        "first_scene": (task.kept or task.todo).start,
-    }
-    write_file(folder, shard_name(task.split, task.number), shard_image([*kept, *new], attributes), settings)
+            delete_records(folder)
+    return Report(spec, scenes, facts is not None, seconds)

@@ -30,7 +30,7 @@ from datagen.storage.spec import (
 )
 
 _FACTS = "|".join((SPEC_FILE, MANIFEST_FILE, CARD_FILE, CROISSANT_FILE))
-_OURS = re.compile(rf"({_FACTS}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.h5)")
+_OURS = re.compile(rf"({_FACTS}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.(h5|json))")
 _WAIT_SECONDS = 0.05
 _PATIENCE_SECONDS = 600
 """Time to wait for another process to prepare the folder."""

@@ -1,28 +1,36 @@
 """Facts about a finished dataset, `manifest.json`; all but `run` and `versions` follow from the shards."""
 
 import hashlib
+import json
+import os
 from collections import Counter
-from collections.abc import Iterable
-from contextlib import closing
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing, suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from datagen.errors import CorruptFile
 from datagen.schema import SPLITS
-from datagen.storage.safe_io import read_json
+from datagen.storage.dataset_folder import write_file
+from datagen.storage.safe_io import MOST_TEXT_BYTES, read_json
 from datagen.storage.shard import Shard
-from datagen.storage.spec import MANIFEST_FILE, Spec, shard_ranges
+from datagen.storage.spec import MANIFEST_FILE, Spec, settings_hash, shard_name, shard_ranges
 
+Facts = dict[str, list[dict[str, Any]]]
+"""Facts about each shard of each split."""
+
+_LISTED = ("file", "scenes", "bytes", "sha256", "content_hash")
+"""Facts about a shard that the manifest lists; the others are summed."""
 _PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender")
 
 
-def make_manifest(folder: Path, spec: Spec, *, seconds: float, workers: int, scenes_made: int) -> dict[str, Any]:
-    """Gather the facts about a complete dataset, and about the run that completed it."""
-    splits = {name: _split_facts(folder, spec, name) for name in SPLITS}
+def make_manifest(spec: Spec, facts: Facts, *, seconds: float, workers: int, scenes_made: int) -> dict[str, Any]:
+    """Merge the facts about the shards of a complete dataset, and about the run that completed it."""
+    splits = {name: _split_facts(shards) for name, shards in facts.items()}
     return {
         "spec_hash": spec["spec_hash"],
-        "content_hash": _joint_hash(facts["content_hash"] for facts in splits.values()),
+        "content_hash": _joint_hash(merged["content_hash"] for merged in splits.values()),
         "splits": splits,
         "versions": {name: package_version(name) for name in _PACKAGES},
         "run": {"seconds": round(seconds, 3), "workers": workers, "scenes_made": scenes_made},
@@ -37,7 +45,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     """
     path = folder / MANIFEST_FILE
     try:
-        manifest = read_json(path)
+        manifest = read_json(path, most_bytes=MOST_TEXT_BYTES)
     except FileNotFoundError:
         return None
     if not isinstance(manifest, dict):
@@ -45,21 +53,85 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     return manifest
 
 
-def _split_facts(folder: Path, spec: Spec, split: str) -> dict[str, Any]:
-    numbers = range(len(shard_ranges(spec["splits"][split], spec["scenes_per_shard"])))
-    shards = [_shard_facts(folder, spec, split, number) for number in numbers]
-    rejections = sum((shard.pop("rejections") for shard in shards), Counter[str]())
+def is_finished(folder: Path, spec: Spec) -> bool:
+    """Whether a run has finished the dataset with these numbers of scenes."""
+    with suppress(CorruptFile):
+        return (read_manifest(folder) or {}).get("spec_hash") == spec["spec_hash"]
+    return False
+
+
+def file_facts(folder: Path, spec: Spec) -> Facts:
+    """Read and hash every shard of a complete dataset."""
+    return {split: [shard_facts(folder, spec, split, number) for number in _numbers(spec, split)] for split in SPLITS}
+
+
+def recorded_facts(folder: Path, spec: Spec) -> Facts | None:
+    """Facts about the shards, from the records that were written beside them; None while scenes are missing.
+
+    A shard without a record that fits is read and hashed.
+    """
+    there = set(os.listdir(folder))
+    if any(shard_name(split, number) not in there for split in SPLITS for number in _numbers(spec, split)):
+        return None
+    facts: Facts = {split: [] for split in SPLITS}
+    for split, shards in facts.items():
+        for number in _numbers(spec, split):
+            fitting = record_name(split, number) in there and _record(folder, spec, split, number)
+            shards.append(fitting or shard_facts(folder, spec, split, number))
+    complete = all(sum(shard["scenes"] for shard in shards) == spec["splits"][split] for split, shards in facts.items())
+    return facts if complete else None
+
+
+def _record(folder: Path, spec: Spec, split: str, number: int) -> dict[str, Any] | None:
+    """The record of a shard, if it is about the present file."""
+    path = folder / record_name(split, number)
+    with suppress(CorruptFile, OSError):
+        record = read_json(path)
+        size = path.with_suffix(".h5").stat().st_size
+        if isinstance(record, dict) and (record.get("settings_hash"), record.get("bytes")) == (
+            settings_hash(spec),
+            size,
+        ):
+            return record
+    return None
+
+
+def write_record(folder: Path, spec: Spec, split: str, number: int) -> None:
+    """Hash a new shard and write its record, so that no later process has to."""
+    settings = settings_hash(spec)
+    record = {"settings_hash": settings, **shard_facts(folder, spec, split, number)}
+    write_file(folder, record_name(split, number), json.dumps(record).encode(), settings)
+
+
+def delete_records(folder: Path) -> None:
+    """Delete the records of all shards, once they are merged into the manifest."""
+    for split in SPLITS:
+        for path in folder.glob(f"{split}-*.json"):
+            path.unlink(missing_ok=True)
+
+
+def record_name(split: str, number: int) -> str:
+    """File name of a shard's record."""
+    return shard_name(split, number).replace(".h5", ".json")
+
+
+def _numbers(spec: Spec, split: str) -> range:
+    return range(len(shard_ranges(spec["splits"][split], spec["scenes_per_shard"])))
+
+
+def _split_facts(shards: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "scenes": sum(shard["scenes"] for shard in shards),
-        "attempts": sum(shard.pop("attempts") for shard in shards),
-        "rejections": dict(sorted(rejections.items())),
+        "attempts": sum(shard["attempts"] for shard in shards),
+        "rejections": dict(sorted(sum((Counter(shard["rejections"]) for shard in shards), Counter[str]()).items())),
         "bytes": sum(shard["bytes"] for shard in shards),
         "content_hash": _joint_hash(shard["content_hash"] for shard in shards),
-        "shards": shards,
+        "shards": [{key: shard[key] for key in _LISTED} for shard in shards],
     }
 
 
-def _shard_facts(folder: Path, spec: Spec, split: str, number: int) -> dict[str, Any]:
+def shard_facts(folder: Path, spec: Spec, split: str, number: int) -> dict[str, Any]:
+    """Read and hash a shard."""
     with closing(Shard(folder, spec, split, number)) as shard:
         path = shard.path
         with path.open("rb") as file:

@@ -9,7 +9,7 @@ record = scenes.read(0, ["rgb", "depth"], frames=slice(2, 6))  # some fields, so
 import operator
 import os
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, SupportsIndex, overload
 
@@ -171,6 +171,14 @@ class Split(Sequence[SceneRecord]):
         shard, row = self._locate(index)
         return {name: shard.read(row, name, frames) for name in fields}
 
+    def in_order(self, fields: Iterable[str]) -> Iterator[SceneRecord]:
+        """Read some small fields of all scenes, a shard at a time; raises as `read`."""
+        for number in range(len(self.shards)):
+            shard = self._shard(number)
+            columns = {name: shard.column(name) for name in fields}
+            for row in range(len(shard)):
+                yield {name: column[row] for name, column in columns.items()}
+
     @property
     def labels_shape(self) -> tuple[int, int, int, int, int]:
         """Shape of the label maps of a split with images: scenes, frames, views, height, width."""
@@ -247,6 +255,9 @@ class Split(Sequence[SceneRecord]):
             # HDF5 handles that came along with a fork are dropped, not closed: they belong to the parent.
             self._shards, self._process = OrderedDict(), os.getpid()
         if number not in self._shards:
+            if next(reversed(self._shards), None) == number - 1:
+                # A pass in order is done with the shard before; HDF5 holds half a MiB for each open file.
+                self._shards.popitem()[1].close()
             self._shards[number] = Shard(self.folder, self.spec, self.name, number)
             if len(self._shards) > _MOST_OPEN_FILES:
                 self._shards.popitem(last=False)[1].close()

@@ -178,7 +178,7 @@ def shard_name(split: str, number: int) -> str:
 
 def shard_numbers(folder: Path, split: str) -> list[int]:
     """Sorted numbers of the shards of a split in a folder; empty if the folder does not exist."""
-    names = os.listdir(folder) if folder.is_dir() else []
+    names = {*os.listdir(folder)} if folder.is_dir() else set[str]()
     matches = (re.fullmatch(rf"{split}-(\d{{5,18}})\.h5", name) for name in names)
     numbers = sorted({int(match[1]) for match in matches if match})
     return [number for number in numbers if shard_name(split, number) in names]

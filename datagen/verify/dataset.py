@@ -3,8 +3,9 @@
 import dataclasses
 import functools
 import hashlib
+import random
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, CorruptFile, DatagenError, UsageError
 from datagen.meshes.library import Library, open_library
 from datagen.pipeline.parallel import make_all
-from datagen.storage.manifest import make_manifest, read_manifest
+from datagen.storage.manifest import Facts, make_manifest, read_manifest, shard_facts
 from datagen.storage.reader import Dataset, Split
 from datagen.storage.shard import Shard
 from datagen.storage.spec import MANIFEST_FILE, groups_of, recipe_of, rendered_recipe_of, shard_name, shard_ranges
@@ -45,14 +46,14 @@ class Checked:
     """SHA-256 of each scene's description, by the scene's name."""
 
 
-def run(folder: str | Path, *, workers: int = 1, assets: Path | None = None) -> int:
-    """Check a dataset, print the findings, and return the exit code; `assets` is the folder of its meshes.
+def run(folder: str | Path, *, workers: int = 1, assets: Path | None = None, sample: int | None = None) -> int:
+    """Check a dataset, print the findings, and return the exit code; see `find` for the arguments.
 
     Raises:
         UsageError: the folder holds no dataset of this format and data version.
     """
     console = Console(soft_wrap=True, highlight=False)
-    findings = find(folder, workers=workers, assets=assets)
+    findings = find(folder, workers=workers, assets=assets, sample=sample)
     for finding in findings[:MOST_PRINTED]:
         console.print(str(finding), markup=False)
     if len(findings) > MOST_PRINTED:
@@ -63,7 +64,9 @@ def run(folder: str | Path, *, workers: int = 1, assets: Path | None = None) -> 
             f"{folder}: {counted(len(findings), 'finding')} in {counted(len(scenes), 'scene')}.", markup=False
         )
         return EXIT_VERIFICATION
-    console.print(f"{folder}: {sum(Dataset(folder).splits.values())} scenes verified, no finding.", markup=False)
+    total = sum(Dataset(folder).splits.values())
+    checked = f"{min(sample, total)} of {total}" if sample else str(total)
+    console.print(f"{folder}: {checked} scenes verified, no finding.", markup=False)
     if Dataset(folder).imported:
         console.print(
             "Imported: files, hashes, cameras, counts and boxes agree; whether depth and masks are right is unknown."
@@ -71,8 +74,16 @@ def run(folder: str | Path, *, workers: int = 1, assets: Path | None = None) -> 
     return EXIT_OK
 
 
-def find(folder: str | Path, *, workers: int = 1, assets: Path | None = None) -> list[Finding]:
+def find(
+    folder: str | Path, *, workers: int = 1, assets: Path | None = None, sample: int | None = None
+) -> list[Finding]:
     """All findings of a dataset, in the order of its scenes.
+
+    Args:
+        folder: The dataset.
+        workers: Number of processes.
+        assets: Folder of the dataset's meshes.
+        sample: Number of scenes to check, drawn at random, with their shards; None for all.
 
     Raises:
         UsageError: the folder holds no dataset of this format and data version.
@@ -88,16 +99,30 @@ def find(folder: str | Path, *, workers: int = 1, assets: Path | None = None) ->
         )
     meshes = open_library(dataset.spec.get("assets"), assets)
     meshes = meshes and meshes.without_hulls()
-    jobs = [
-        (split, range(start, min(start + SCENES_PER_JOB, size)))
-        for split, size in dataset.splits.items()
-        for start in range(0, size, SCENES_PER_JOB)
-    ]
+    jobs = list(_sampled(dataset, sample) if sample else _all_scenes(dataset))
+    shards = dict.fromkeys((split, scenes[0] // dataset.spec["scenes_per_shard"]) for split, scenes in jobs)
     with closing(make_all(functools.partial(_check_scenes, dataset, meshes), jobs, workers)) as results:
         checked = list(tracked(results, "verified jobs", len(jobs)))
     scenes = [finding for part in checked for finding in part.findings]
     faults = [Finding("assets", message) for message in (meshes.faults() if meshes else ())]
-    return [*faults, *scenes, *_duplicates(checked), *_check_files(dataset), *_check_manifest(dataset)]
+    return [*faults, *scenes, *_duplicates(checked), *_check_files(dataset, shards), *_check_manifest(dataset, shards)]
+
+
+def _all_scenes(dataset: Dataset) -> Iterator[tuple[str, range]]:
+    for split, size in dataset.splits.items():
+        for start in range(0, size, SCENES_PER_JOB):
+            yield split, range(start, min(start + SCENES_PER_JOB, size))
+
+
+def _sampled(dataset: Dataset, sample: int) -> Iterator[tuple[str, range]]:
+    """Draw scenes of all splits without repetition; the same ones each time."""
+    total, first = sum(dataset.splits.values()), 0
+    numbers = sorted(random.Random(0).sample(range(total), min(sample, total)))
+    for split, size in dataset.splits.items():
+        for number in numbers:
+            if first <= number < first + size:
+                yield split, range(number - first, number - first + 1)
+        first += size
 
 
 def _check_scenes(dataset: Dataset, meshes: Library | None, split: str, scenes: range) -> Checked:
@@ -134,16 +159,18 @@ def _check_scenes(dataset: Dataset, meshes: Library | None, split: str, scenes: 
     return Checked(findings, contents)
 
 
-def _check_files(dataset: Dataset) -> Iterator[Finding]:
-    """Check that every shard is readable and holds the expected scenes, and that there are no other shards."""
-    expected = set()
+def _check_files(dataset: Dataset, shards: Collection[tuple[str, int]]) -> Iterator[Finding]:
+    """Check that these shards hold the expected scenes, and that there are all shards and no others."""
+    expected, there = set(), {path.name for path in dataset.folder.iterdir() if SHARD.fullmatch(path.name)}
     for split, size in dataset.splits.items():
         for number, scenes in enumerate(shard_ranges(size, dataset.spec["scenes_per_shard"])):
             name = shard_name(split, number)
             expected.add(name)
-            for message in _wrong_about(dataset, split, number, scenes):
+            for message in _wrong_about(dataset, split, number, scenes) if (split, number) in shards else ():
                 yield Finding("file", message, split=split, shard=name)
-    for name in sorted({path.name for path in dataset.folder.iterdir() if SHARD.fullmatch(path.name)} - expected):
+            if (split, number) not in shards and name not in there:
+                yield Finding("file", "is missing", split=split, shard=name)
+    for name in sorted(there - expected):
         split = name.partition("-")[0]
         message = f"is there, but {split} has no more than {dataset.splits[split]} scenes"
         yield Finding("file", message, split=split, shard=name)
@@ -159,8 +186,8 @@ def _wrong_about(dataset: Dataset, split: str, number: int, scenes: range) -> It
         yield f"holds {there} scenes, expected {len(scenes)}"
 
 
-def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
-    """Check that the manifest matches the files of the dataset."""
+def _check_manifest(dataset: Dataset, shards: Collection[tuple[str, int]]) -> Iterator[Finding]:
+    """Check that the manifest matches these shards; what it says of all together, only where these are all."""
     try:
         manifest = read_manifest(dataset.folder)
     except (DatagenError, OSError) as error:
@@ -170,11 +197,22 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")
         return
     try:
-        fresh = make_manifest(dataset.folder, dataset.spec, seconds=0.0, workers=0, scenes_made=0)
+        wrong = [] if manifest.get("spec_hash") == dataset.spec["spec_hash"] else ["spec_hash"]
+        facts: Facts = {split: [] for split in schema.SPLITS}
+        for split, number in shards:
+            facts[split].append(shard_facts(dataset.folder, dataset.spec, split, number))
+        fresh = make_manifest(dataset.spec, facts, seconds=0.0, workers=0, scenes_made=0)
+        if sum(facts["scenes"] for facts in fresh["splits"].values()) == sum(dataset.splits.values()):
+            wrong += [key for key in ("content_hash", "splits") if manifest.get(key) != fresh[key]]
+        else:
+            listed = [shard for split in schema.SPLITS for shard in manifest["splits"][split]["shards"]]
+            names = {shard["file"]: shard for shard in listed}
+            new = [shard for split in schema.SPLITS for shard in fresh["splits"][split]["shards"]]
+            wrong += [shard["file"] for shard in new if names.get(shard["file"]) != shard]
     except UNREADABLE as error:
         yield Finding("file", f"{MANIFEST_FILE} cannot be compared with the files: {error}")
         return
-    if wrong := [key for key in ("spec_hash", "content_hash", "splits") if manifest.get(key) != fresh[key]]:
+    if wrong:
         yield Finding("file", f"{MANIFEST_FILE} does not fit the files: {', '.join(wrong)}")
 
 

@@ -160,5 +160,6 @@ def write_shard(
 
 def write_manifest(folder: Path) -> None:
     """The record of a finished dataset, of what is there now."""
-    facts = manifest.make_manifest(folder, spec.read_spec(folder), seconds=0.0, workers=1, scenes_made=0)
+    made = spec.read_spec(folder)
+    facts = manifest.make_manifest(made, manifest.file_facts(folder, made), seconds=0.0, workers=1, scenes_made=0)
     (folder / spec.MANIFEST_FILE).write_text(json.dumps(facts))

@@ -19,7 +19,7 @@ from datagen.formats.importers.plan import Plan, Unit, enough, plan_scenes
 from datagen.inspect.dataset_card import write_card
 from datagen.schema import SPLITS
 from datagen.storage.atomic import new_folder, write_atomically
-from datagen.storage.manifest import make_manifest
+from datagen.storage.manifest import file_facts, make_manifest
 from datagen.storage.shard import pack, shard_image
 from datagen.storage.spec import (
     MANIFEST_FILE,
@@ -165,5 +165,5 @@ def _reading() -> Iterator[None]:
 def _finish(folder: Path, spec: Spec, seconds: float, scenes: int) -> None:
     write_atomically(folder / SPEC_FILE, spec_text(spec).encode())
     write_card(folder)
-    manifest = make_manifest(folder, spec, seconds=seconds, workers=1, scenes_made=scenes)
+    manifest = make_manifest(spec, file_facts(folder, spec), seconds=seconds, workers=1, scenes_made=scenes)
     write_atomically(folder / MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode())

@@ -1,0 +1,145 @@
+"""Map work items over an existing Dask cluster; Dask queues, retries and moves them. The only import of Dask."""
+
+import logging
+import os
+import threading
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from math import inf
+from pathlib import Path
+from typing import Any, TypeVar
+
+from datagen.errors import DatagenError, UsageError
+from datagen.storage.atomic import temporary_path
+
+RETRIES = 2
+"""Number of times that an item is tried again after an exception; Dask counts lost workers apart."""
+_POLL_SECONDS = 0.1
+_SECONDS = 30
+"""Time limit for a connection to the scheduler."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Cluster:
+    """A connection to a Dask scheduler, see `connected`; its methods may be called in any thread."""
+
+    def __init__(self, client: Any, address: str):
+        self._client, self._address = client, address
+
+    def map(self, do: Callable[..., Result], items: Sequence[Item], **shared: Any) -> Iterator[tuple[Item, Result]]:
+        """Call `do(item, **shared)` on the workers, and yield each item with its result as soon as it is there.
+
+        Raises:
+            DatagenError: an item failed for good, or the scheduler is gone; the other results are lost.
+        """
+        from distributed import as_completed
+
+        with self._explained():
+            futures = self._client.map(do, items, pure=False, retries=RETRIES, batch_size=10_000, **shared)
+            item_of = {future.key: item for future, item in zip(futures, items, strict=True)}
+            finished = as_completed(futures, loop=self._client.loop, with_results=True)
+            # The cluster drops a result as soon as nothing here refers to its future.
+            del futures
+            for future, result in finished:
+                if future.cancelled():
+                    raise CancelledError
+                yield item_of.pop(future.key), result
+            if item_of:  # the client has closed itself
+                raise CancelledError
+
+    def call(self, do: Callable[..., Result], *arguments: Any, stop: threading.Event) -> Result | None:
+        """Call `do(*arguments)` on a worker and wait for its result; None once `stop` is set. Raises as `map`."""
+        with self._explained():
+            future = self._client.submit(do, *arguments, pure=False, retries=RETRIES)
+            while not future.done():
+                if stop.wait(_POLL_SECONDS):
+                    future.cancel()
+                    return None
+            return future.result()
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        from distributed import KilledWorker
+        from distributed.comm.core import CommClosedError
+
+        advice = "Finished work is kept; run the same command again to continue."
+        try:
+            yield
+        except (CancelledError, CommClosedError):
+            raise DatagenError(f"The Dask scheduler at {self._address} is gone or was restarted. {advice}") from None
+        except KilledWorker as error:
+            raise DatagenError(
+                f"{error.task} was given up, because several workers died while they ran it, perhaps because memory "
+                f"ran out. {advice}"
+            ) from None
+        except ImportError as error:
+            raise DatagenError(
+                f"A Dask worker lacks a package ({error}); install the same version of obpose there as here."
+            ) from None
+
+
+class Cancellation(threading.Event):
+    """Is set once Dask has no use for the task that made it: its client has cancelled it, or is gone."""
+
+    def __init__(self):
+        from distributed import get_worker
+
+        super().__init__()
+        worker = get_worker()
+        self._task = worker.state.tasks[worker.get_current_task()]
+
+    def is_set(self) -> bool:
+        """Whether the task is cancelled."""
+        return self._task.state == "cancelled"
+
+
+def memory_share() -> float:
+    """Bytes that each thread of this worker may use."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    return (worker.memory_manager.memory_limit or inf) / worker.state.nthreads
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Cluster]:
+    """Connect to the scheduler at an address such as `tcp://host:8786`.
+
+    Raises:
+        UsageError: Dask is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise UsageError("--dask needs dask.distributed; install it with: pip install 'obpose[dask]'") from None
+    # Its records of lost connections come with tracebacks; commands report them in one line.
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    try:
+        client = Client(address, timeout=_SECONDS, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise UsageError(
+            f"--dask {address}: no scheduler answers there ({reason:.200}). Start one with `dask scheduler`, and give "
+            "the address that it prints."
+        ) from None
+    try:
+        yield Cluster(client, address)
+    finally:
+        client.close(timeout=_SECONDS)
+
+
+@contextmanager
+def shared_mark(folder: Path) -> Iterator[Path]:
+    """Yield the path of an empty file in a folder: a worker that sees it shares the folder with this process."""
+    mark = temporary_path(folder.resolve() / f"cluster-{uuid.uuid4().hex}")
+    mark.touch()
+    try:
+        yield mark
+    finally:
+        with suppress(OSError):
+            os.unlink(mark)

@@ -1,0 +1,149 @@
+"""Dask clusters of two worker processes on this machine; workers and the scheduler are killed midway."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
+from datagen.storage.manifest import read_manifest
+from tests.paths import ROOT
+from tests.processes import errors_at_end, wait_until
+from tests.worlds.dask_workers import DaskWorkers
+from tests.worlds.generated import hashes
+
+pytest.importorskip("distributed")
+
+SCENES = 12
+FLAGS = ("--video", "--frames=2", "--objects.minimum=1", "--objects.maximum=2", "--resolution=16x16")
+CLIENT = """
+import sys
+from contextlib import nullcontext
+from datagen.storage import spec
+from datagen.pipeline import shards
+from datagen.commands.cli import main
+spec._MOST_SCENES_PER_SHARD = 2
+if sys.argv[1] == "apart":  # workers find no mark in the folder, as if they did not share it
+    shards.shared_mark = lambda folder: nullcontext(folder / "nowhere")
+sys.exit(main(sys.argv[2:]))
+"""
+BENCH = """
+import sys
+from contextlib import nullcontext
+from benchmark.execution import on_cluster
+from benchmark.commands.cli import main
+if sys.argv[1] == "apart":
+    on_cluster.shared_mark = lambda folder: nullcontext(folder / "nowhere")
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[DaskWorkers]:
+    (tmp_path / "dask").mkdir()
+    made = DaskWorkers(tmp_path / "dask", 2)
+    yield made
+    made.end()
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset, made by one process."""
+    folder = tmp_path_factory.mktemp("alone") / "set"
+    process = client(folder, "--workers=1")
+    errors = errors_at_end(process)
+    assert process.returncode == EXIT_OK, errors
+    return folder
+
+
+def client(folder: Path, *flags: str, place: str = "shared", code: str = CLIENT) -> subprocess.Popen[str]:
+    if code is CLIENT:
+        flags = (*FLAGS, f"--split=test={SCENES},val=2", *flags)
+    command = [sys.executable, "-c", code, place, *flags, "--out", str(folder)]
+    return subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def check_same(folder: Path, alone: Path) -> None:
+    names = sorted(path.name for path in alone.iterdir())
+    assert sorted(path.name for path in folder.iterdir()) == names
+    assert all((folder / name).read_bytes() == (alone / name).read_bytes() for name in names if name.endswith(".h5"))
+    assert read_manifest(folder)["splits"] == read_manifest(alone)["splits"]  # pyright: ignore[reportOptionalSubscript]
+    assert hashes(folder) == hashes(alone)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["shared", "apart"])
+def test_a_lost_worker_loses_no_scene(cluster: DaskWorkers, alone: Path, tmp_path: Path, place: str):
+    folder = tmp_path / "set"
+    process = client(folder, f"--dask={cluster.address}", place=place)
+    wait_until(lambda: list(folder.glob("*.h5")), seconds=200, what="a first shard")
+    cluster.workers[0].kill()
+    errors = errors_at_end(process)
+    assert process.returncode == EXIT_OK, errors
+    check_same(folder, alone)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_same_command_continues_after_the_scheduler_or_the_client_was_lost(
+    cluster: DaskWorkers, alone: Path, tmp_path: Path
+):
+    folder = tmp_path / "set"
+    process = client(folder, f"--dask={cluster.address}")
+    wait_until(lambda: list(folder.glob("*.h5")), seconds=200, what="a first shard")
+    cluster.end()
+    cluster.begin()
+    errors = errors_at_end(process)
+    assert process.returncode == EXIT_INCOMPLETE, errors
+    assert "gone or was restarted. Finished work is kept" in errors
+    there = len(list(folder.glob("*.h5")))
+    process = client(folder, f"--dask={cluster.address}")
+    wait_until(lambda: len(list(folder.glob("*.h5"))) > there, seconds=200, what="another shard")
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    process = client(folder, f"--dask={cluster.address}")
+    errors = errors_at_end(process)
+    assert process.returncode == EXIT_OK, errors
+    check_same(folder, alone)
+
+
+@pytest.mark.slow
+def test_workers_whose_arithmetic_differs_are_refused(cluster: DaskWorkers, tmp_path: Path):
+    cluster.end()
+    cluster.begin(OPENBLAS_CORETYPE="Sandybridge")
+    process = client(tmp_path / "set", f"--dask={cluster.address}")
+    assert "start workers with OPENBLAS_CORETYPE=Haswell" in errors_at_end(process)
+    assert process.returncode == EXIT_USAGE
+    assert not (tmp_path / "set").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", ["shared", "apart"])
+def test_the_benchmark_gives_the_same_scores_though_a_worker_is_lost(
+    cluster: DaskWorkers, alone: Path, tmp_path: Path, place: str
+):
+    flags = ("--model", "one-cluster", "plane-dbscan", "random-slots", "--seeds", "2", "--data", str(alone))
+    process = client(tmp_path / "alone", *flags, code=BENCH)
+    errors = errors_at_end(process)
+    assert process.returncode == EXIT_OK, errors
+    process = client(tmp_path / "run", *flags, "--dask", cluster.address, place=place, code=BENCH)
+    wait_until(lambda: list(tmp_path.glob("run/runs/*.json")), seconds=200, what="a first row")
+    cluster.workers[0].kill()
+    errors = errors_at_end(process)
+    assert process.returncode == EXIT_OK, errors
+    for kind in ("scenes", "runs"):
+        names = [sorted(path.name for path in (tmp_path / run / kind).glob("[!.]*")) for run in ("run", "alone")]
+        assert names[0] == names[1]
+    for path in (tmp_path / "alone" / "scenes").iterdir():
+        assert (tmp_path / "run" / "scenes" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_without_a_scheduler_the_command_says_how_to_start_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from datagen.pipeline import cluster
+
+    monkeypatch.setattr(cluster, "_SECONDS", 0.2)
+    with pytest.raises(cluster.UsageError, match="no scheduler answers there"), cluster.connected("tcp://127.0.0.1:9"):
+        pass
