@@ -29,18 +29,18 @@ def region_and_boundary(
     (rules of DAVIS 2017, unsupervised).
     """
     tables = np.concatenate([tables, np.zeros_like(tables[..., :1])], axis=3)  # the last slot is always empty
-    visible, used = tables[:, :, 1:].any(axis=3), tables.any(axis=2)
+    visible, used = tables[:, :, 1:].sum(axis=3) > 0, tables.sum(axis=2) > 0
     overlap = intersection_over_union(tables.reshape(-1, *tables.shape[2:]))[:, 1:]
     regions = np.where(visible[..., None] | used[:, :, None], overlap.reshape(*visible.shape, -1), 1.0)
     scores = (regions + boundary_overlap(truth, prediction, *regions.shape[2:])).mean(axis=1) / 2
-    there, candidates = visible.any(axis=1), used.any(axis=1)
+    there, candidates = visible.sum(axis=1) > 0, used.sum(axis=1) > 0
     candidates[np.arange(len(tables)), backgrounds] = False
     missing = there.sum(axis=1) - candidates.sum(axis=1)
     empty = np.arange(there.shape[1]) < missing[:, None]
     columns = [scores * candidates[:, None], scores[:, :, -1:] * empty[:, None]]
     scores = np.concatenate(columns, axis=2) * there[:, :, None]
     total = np.where(best_pairs(scores), scores, 0.0).sum(axis=(1, 2))
-    return np.where(there.any(axis=1), total / np.maximum(there.sum(axis=1), 1), np.nan)
+    return np.where(there.sum(axis=1) > 0, total / np.maximum(there.sum(axis=1), 1), np.nan)
 
 
 def boundary_overlap(

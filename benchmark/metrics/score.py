@@ -135,8 +135,9 @@ def score(
         ValueError: the maps differ in shape, are not integer, hold negative labels outside `ignore`, or are empty, or
             the background slot is negative.
     """
-    one, two, hidden = (None if maps is None else maps[:, None] for maps in (truth, prediction, ignore))
-    clip = count_clip(one, two, background_slot, hidden)
+    if truth.ndim != 3 or truth.shape != prediction.shape:
+        compact(truth, prediction, background_slot, ignore)  # raises the error
+    clip = count_clip(truth[:, None], prediction[:, None], background_slot, None if ignore is None else ignore[:, None])
     scores = scores_of(clip) | other_scores([clip])[0]
     over_time = {name: float(scores[name][0]) for name in (*CLIP_METRICS, *OTHER_CLIP_METRICS)}
     others = {name: mean_where_defined(scores[name]) for name in OTHER_FRAME_METRICS}
@@ -171,7 +172,7 @@ def other_scores(clips: Sequence[CountedClip]) -> list[ClipScores]:
     overlaps = (
         intersection_over_union(flat)[:, 1:].reshape(len(slots), frames, rows - 1, columns) * segments[:, None, None]
     )
-    visible, used = tables[:, :, 1:].any(axis=3), tables.any(axis=2) & segments[:, None]
+    visible, used = tables[:, :, 1:].sum(axis=3) > 0, (tables.sum(axis=2) > 0) & segments[:, None]
     scores = detection_scores(overlaps, visible.sum(axis=2), used.sum(axis=2)) | {
         "ami": adjusted_mutual_information(flat).reshape(-1, frames),
         "ami_fg": adjusted_mutual_information(flat[:, 1:]).reshape(-1, frames),

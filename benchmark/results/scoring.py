@@ -30,8 +30,7 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
         CorruptFile: the label maps do not fit the scenes.
     """
     check_labels_fit(path, scenes)
-    clips, poses = ClipSequence(scenes), read_poses(path)
-    with_poses = poses is not None and has_true_poses(scenes)
+    clips, poses = ClipSequence(scenes), read_poses(path) if has_true_poses(scenes) else None
     lines: list[dict[str, float | int]] = []
     predictions = enumerate(read_labels(path))
     while batch := list(islice(predictions, BATCH)):
@@ -40,7 +39,7 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
             truth, (_, valid) = read_truth(scenes, index), read_depth(scenes, index)
             counted.append(count_clip(truth, labels, slot, ~valid))
             found.append(clip_scores_of(counted[-1]))
-            if with_poses:
+            if poses is not None:
                 true = read_true_poses(scenes, index, clips[index], truth)
                 found[-1] |= pose_scores(true, poses[index], truth, labels, slot, ~valid)
         others = other_scores(counted)

@@ -7,20 +7,106 @@ Deviations: the network is the contact model's U-Net on images, all points above
 estimated from the two frames by `scene_flow`, once.
 """
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from obpose.contact.components import image_components
+from obpose.contact.config import OgcConfig
+from obpose.contact.images import Images
+from obpose.contact.model import ContactModel
 from obpose.contact.tracking import COLOUR_SCALE, Cloud, Followed, register
+from obpose.data.clips import ClipSource
+from obpose.types import Observation
 
 NEAREST, BALL = (8, 0.02, 3.0), (16, 0.04, 1.0)
 """Neighbours of the smoothness loss: number, largest distance in metres, weight."""
 LEAST = 6
 """Components of fewer pixels have no flow of their own."""
+DYNAMIC, SMOOTH, INVARIANT = 10.0, 0.1, 0.1
+"""Weights of the losses."""
+SMOOTH_FROM = 0.1
+"""Share of the budget from which on masks are smoothed; OGC: from step 1,000 on."""
+
+
+class Ogc(ContactModel):
+    """U-Net whose outputs are masks of the points above the table, trained on pairs of neighbouring frames.
+
+    At evaluation the masks of single images are followed through the clip, as in the contact model.
+    """
+
+    observation_type = Observation
+    config: OgcConfig
+
+    @property
+    def channels(self) -> int:
+        """Number of masks."""
+        return self.config.model.slots
+
+    def training_source(self, source: ClipSource) -> ClipSource:
+        """Give the clips themselves."""
+        return source
+
+    def masks(self, images: Images) -> Float[Tensor, "image slot height width"]:
+        """Soft masks, which sum to one at each pixel."""
+        return self.network(images.inputs()).float().softmax(dim=1)
+
+    def standing(self, images: Images) -> Bool[Tensor, "image height width"]:
+        """Pixels above the table."""
+        return images.valid & (images.points[:, 2] > self.config.model.floor)
+
+    def losses(
+        self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
+    ) -> dict[str, Tensor]:
+        """Compute the losses of pairs of frames, in both directions."""
+        images = self.images(observation)
+        masks, other, standing = self.masks(images), self.masks(_posed(images, generator)), self.standing(images)
+        dynamic, smooth, invariant = [], [], []
+        points = images.points.movedim(1, -1)
+        rgb = images.rgb.movedim(1, -1)
+        for first in range(0, len(points), 2):
+            for one, two in ((first, first + 1), (first + 1, first)):
+                if not standing[one].any():
+                    continue
+                places, colours, above = (
+                    (value[one].detach().cpu().numpy(), value[two].detach().cpu().numpy())
+                    for value in (points, rgb, standing)
+                )
+                flow = scene_flow(places, colours, above, gap=self.config.model.gap)
+                place, here = points[one][standing[one]], masks[one][:, standing[one]]
+                dynamic.append(dynamic_loss(place, torch.from_numpy(flow).to(place), here))
+                smooth.append(smoothness_loss(place, here))
+                invariant.append(invariance_loss(here, other[one][:, standing[one]]))
+        terms = {
+            name: torch.stack(values).mean() if values else masks.sum() * 0
+            for name, values in (("dynamic", dynamic), ("smooth", smooth), ("invariant", invariant))
+        }
+        smoothed = SMOOTH * (fraction >= SMOOTH_FROM)
+        total = DYNAMIC * terms["dynamic"] + smoothed * terms["smooth"] + INVARIANT * terms["invariant"]
+        return {"total": total, **{name: term.detach() for name, term in terms.items()}}
+
+    def groups(
+        self, images: Images, scale: int
+    ) -> tuple[Bool[np.ndarray, "image height width"], Int64[np.ndarray, "image height width"]]:
+        """Points above the table of each image, and the largest mask of each."""
+        standing = self.standing(images).cpu().numpy()
+        return standing, (self.masks(images).argmax(dim=1).cpu().numpy() + 1) * standing
+
+
+def _posed(images: Images, generator: torch.Generator | None) -> Images:
+    """Turn each scene about the vertical and scale it, at random."""
+    draw = torch.rand(2, len(images.points), generator=generator, device=images.points.device)
+    angle, scale = (2 * draw[0] - 1) * math.pi, 0.9 + 0.2 * draw[1]
+    c, s, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    turn = torch.stack([c, -s, zero, s, c, zero, zero, zero, one], dim=-1).view(-1, 3, 3)
+    points, normals = (torch.einsum("nij,njhw->nihw", turn, value) for value in (images.points, images.normals))
+    return replace(images, points=points * scale[:, None, None, None], normals=normals)
 
 
 def rigid_motions(

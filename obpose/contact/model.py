@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from obpose.contact.clip import Frame, segment_frames
@@ -58,8 +58,13 @@ class ContactModel(Trainable):
         """Build the network with fresh weights from PyTorch's global generator."""
         super().__init__()
         self.config = config
-        self.network = UNet(CHANNELS, 1 + EMBEDDING + OFFSETS)
+        self.network = UNet(CHANNELS, self.channels)
         self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
+
+    @property
+    def channels(self) -> int:
+        """Number of output channels of the network."""
+        return 1 + EMBEDDING + OFFSETS
 
     def training_source(self, source: ClipSource) -> ClipSource:
         """Paste training images from the clips of a source; labels of the source are not read."""
@@ -103,16 +108,7 @@ class ContactModel(Trainable):
         `attention` holds the groups of single images, whose labels differ between images.
         """
         images, scale = self.images(observation), scale_of(observation)
-        outputs = self.outputs(images)
-        mask = ((outputs.foreground > 0) & images.valid).cpu().numpy()
-        arrays = zip(mask, outputs.affinities.cpu().numpy(), outputs.embedding.cpu().numpy(), strict=True)
-        settings = self.config.model
-        singles = np.stack(
-            [
-                group(*each, bias=settings.bias, scale=scale, components=parts)
-                for each, parts in zip(arrays, self._parts(images, mask), strict=True)
-            ]
-        )
+        mask, singles = self.groups(images, scale)
         batch, frames, views = observation.depth.shape[:3]
         clips = [rearrange(value, "(b i) h w -> b i h w", b=batch) for value in (mask, singles)]
         points = rearrange(images.points.cpu().numpy(), "(b i) c h w -> b i h w c", b=batch)
@@ -127,6 +123,20 @@ class ContactModel(Trainable):
             for value in (labels, list(clips[1]))
         )
         return Segmentation(labels=over_time, attention=single)
+
+    def groups(
+        self, images: Images, scale: int
+    ) -> tuple[Bool[np.ndarray, "image height width"], Int64[np.ndarray, "image height width"]]:
+        """Foreground of each image, and its objects from 1, whose labels differ between images."""
+        outputs = self.outputs(images)
+        mask = ((outputs.foreground > 0) & images.valid).cpu().numpy()
+        arrays = zip(mask, outputs.affinities.cpu().numpy(), outputs.embedding.cpu().numpy(), strict=True)
+        settings = self.config.model
+        singles = [
+            group(*each, bias=settings.bias, scale=scale, components=parts)
+            for each, parts in zip(arrays, self._parts(images, mask), strict=True)
+        ]
+        return mask, np.stack(singles)
 
     def _parts(self, images: Images, masks: Bool[np.ndarray, "image height width"]) -> list[np.ndarray] | list[None]:
         """Parts of the foreground of each image that are too far apart to share an object."""

@@ -84,7 +84,9 @@ def main() -> None:
         found["ami"] = float(np.mean(whole))
         if len(truth) > 1:
             found |= over_time(truth, prediction)
-        sources = dict.fromkeys(("hota", "idf1", "j_and_f"), "TrackEval") | dict.fromkeys(("pq", "f1"), "torchmetrics")
+        sources: dict[str, str] = dict.fromkeys(("hota", "idf1", "j_and_f"), "TrackEval") | dict.fromkeys(
+            ("pq", "f1"), "torchmetrics"
+        )
         for name, value in found.items():
             source = sources.get(name, "scikit-learn")
             entry = {"expected": round(value, 10), "reference": source, "peers": {source: round(value, 10)}}

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from obpose.baselines.ogc import dynamic_loss, invariance_loss, rigid_motions, scene_flow, smoothness_loss
+from obpose.baselines.ogc import Ogc, dynamic_loss, invariance_loss, rigid_motions, scene_flow, smoothness_loss
+from obpose.contact.config import OgcConfig
+from tests.worlds.observations import table_scene
 
 POINTS = torch.rand(2, 40, 3, generator=torch.Generator().manual_seed(0)) * 0.1
 """Two bodies, metres."""
@@ -68,3 +70,16 @@ def test_flow_follows_two_bodies_that_are_apart():
     rgb = np.zeros_like(points)
     flow = scene_flow((points, points + shift), (rgb, rgb), (standing, standing), gap=0.03) - points[standing]
     np.testing.assert_allclose(flow, shift[standing], atol=0.002)
+
+
+def test_a_step_learns_and_masks_cover_what_stands_on_the_table():
+    scene = table_scene(frames=2, spheres=2)
+    model = Ogc(OgcConfig())
+    terms = model.losses(scene, step=0, fraction=0.5, generator=torch.Generator().manual_seed(0))
+    terms["total"].backward()
+    assert all(torch.isfinite(value) for value in terms.values())
+    assert any(parameter.grad.abs().sum() > 0 for parameter in model.parameters() if parameter.grad is not None)
+    found = model.segment(scene)
+    standing = model.standing(model.images(scene)).reshape(found.labels.shape)
+    assert torch.equal(found.attention > 0, standing)
+    assert found.attention.max() <= model.config.model.slots
