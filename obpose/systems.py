@@ -16,7 +16,7 @@ from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
 from obpose.config import Config, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
-from obpose.contact.config import ContactConfig, SupervisedConfig, check_contact_bounds
+from obpose.contact.config import ContactConfig, OgcConfig, SupervisedConfig, check_contact_bounds
 from obpose.errors import unknown_name
 from obpose.variants import PROFILES, SEARCHED, VARIANTS, make_config, searched_in
 
@@ -103,12 +103,19 @@ def _build_contact(config: ContactConfig) -> "Trainable":
     return ContactModel(config)
 
 
+def _build_ogc(config: OgcConfig) -> "Trainable":
+    from obpose.baselines.ogc import Ogc
+
+    return Ogc(config)
+
+
 OBPOSE = Architecture("obpose", Config, PROFILES, _build_obpose, check_bounds)
 OBSURF = Architecture("obsurf", ObsurfConfig, OBSURF_PROFILES, _build_obsurf, check_obsurf_bounds)
 _CONTACT_PROFILES: dict[str, Changes] = {"cpu": {}, "gpu": {"train.batch": 256, "train.precision": "bf16-mixed"}}
 SUPERVISED = Architecture("supervised", SupervisedConfig, _CONTACT_PROFILES, _build_supervised, check_contact_bounds)
 CONTACT = Architecture("contact", ContactConfig, _CONTACT_PROFILES, _build_contact, check_contact_bounds)
-ARCHITECTURES = {architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED, CONTACT)}
+OGC = Architecture("ogc", OgcConfig, _CONTACT_PROFILES, _build_ogc, check_contact_bounds)
+ARCHITECTURES = {architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED, CONTACT, OGC)}
 
 DESCRIPTIONS = {
     "obpose": "objects at their location and rotation",
@@ -124,6 +131,7 @@ DESCRIPTIONS = {
     "obsurf-no-overlap": "the same without the overlap loss",
     "obsurf-no-overlap-depth": "the same with depth as an input, too",
     "supervised": "network and losses of obpose-contact, trained with labels",
+    "ogc": "network of obpose-contact, trained by rigid motion between frames (OGC)",
     "obpose-contact": "masks alone, from pasted contacts, followed through the clip",
 }
 
@@ -183,6 +191,7 @@ SYSTEMS: dict[str, System] = {
         version=4,
         uses_labels=True,
     ),
+    "ogc": System(OGC, {}, DESCRIPTIONS["ogc"], ("slots", "background slot", "camera pose", "plane")),
     "obpose-contact": System(
         CONTACT,
         {},

@@ -3,11 +3,16 @@
 from benchmark.metrics.score import (
     CLIP_METRICS,
     METRICS,
+    OTHER_METRICS,
     ClipScores,
+    CountedClip,
     FrameScores,
     clip_scores,
+    clip_scores_of,
+    count_clip,
     frame_scores,
     mean_where_defined,
+    other_scores,
     score,
     summarise,
 )
@@ -15,11 +20,16 @@ from benchmark.metrics.score import (
 __all__ = [
     "CLIP_METRICS",
     "METRICS",
+    "OTHER_METRICS",
     "ClipScores",
+    "CountedClip",
     "FrameScores",
     "clip_scores",
+    "clip_scores_of",
+    "count_clip",
     "frame_scores",
     "mean_where_defined",
+    "other_scores",
     "score",
     "summarise",
 ]

@@ -1,8 +1,10 @@
 """Metrics of overlap: how well predicted segments cover objects and background, as intersection over union."""
 
+import math
+
 import numpy as np
 import scipy
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64, Shaped
 
 
 def intersection_over_union(tables: Int64[np.ndarray, "frame truth slot"]) -> Float64[np.ndarray, "frame truth slot"]:
@@ -29,9 +31,20 @@ def one_to_one_overlap(
 
     All slots may be matched; objects left without one count 0. nan in frames without objects.
     """
-    present = tables[:, 1:].sum(axis=2) > 0
-    total = [_best_matching(overlaps[there]) for overlaps, there in zip(iou[:, 1:], present, strict=True)]
-    return _per_object(np.array(total, np.float64), present.sum(axis=1))
+    overlaps = iou[:, 1:]
+    matched = np.where(best_pairs(overlaps), overlaps, 0.0).sum(axis=2)
+    return _mean_over_objects(matched, tables)
+
+
+def best_pairs(weights: Shaped[np.ndarray, "*batch row column"]) -> Bool[np.ndarray, "*batch row column"]:
+    """Pair rows with columns, each at most once, so that the sum of weights is largest; weights are 0 or more."""
+    flat = weights.reshape(math.prod(weights.shape[:-2]), *weights.shape[-2:])
+    pairs = (np.arange(flat.shape[2]) == flat.argmax(axis=2)[:, :, None]) & (flat > 0)
+    # Where no two rows want the same column, nothing can be better.
+    for index in np.flatnonzero((pairs.sum(axis=1) > 1).any(axis=1)):
+        pairs[index] = False
+        pairs[index][scipy.optimize.linear_sum_assignment(flat[index], maximize=True)] = True
+    return pairs.reshape(weights.shape)
 
 
 def background_overlap(
@@ -61,13 +74,6 @@ def without_slot(
     """Overlaps with one slot of each frame set to 0, so that it is no candidate; -1 leaves a frame unchanged."""
     columns = np.arange(iou.shape[2])
     return np.where(columns == slots[:, None, None], 0.0, iou)
-
-
-def _best_matching(overlaps: Float64[np.ndarray, "object slot"]) -> float:
-    best = overlaps.argmax(axis=1)
-    if len(set(best.tolist())) == len(best):  # No two objects want the same slot: nothing can be better.
-        return float(overlaps.max(axis=1).sum())
-    return float(overlaps[scipy.optimize.linear_sum_assignment(overlaps, maximize=True)].sum())
 
 
 def _mean_over_objects(

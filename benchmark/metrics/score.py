@@ -1,13 +1,17 @@
 """All metrics of a clip at once: validate, count, score."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Int64, Integer
+from jaxtyping import Bool, Float64, Int64, Integer
 
 from benchmark.metrics.adjusted_rand import adjusted_rand
-from benchmark.metrics.contingency import contingency
+from benchmark.metrics.boundaries import region_and_boundary
+from benchmark.metrics.contingency import compact, contingency, count
+from benchmark.metrics.detection import detection_scores, hota, idf1
 from benchmark.metrics.identity import identity_switches
+from benchmark.metrics.mutual_information import adjusted_mutual_information
 from benchmark.metrics.overlap import (
     background_overlap,
     best_background_slot,
@@ -26,6 +30,10 @@ METRICS = (
 CLIP_METRICS = ("ari_video", "ari_fg_video", "msc_fg_video")
 """Metrics of whole clips, with all frames of a view as one image in space and time."""
 
+OTHER_FRAME_METRICS, OTHER_CLIP_METRICS = ("ap50", "pq", "f1", "ami", "ami_fg"), ("hota", "idf1", "j_and_f")
+"""Metrics of other benchmarks, of single frames and of whole clips. Older results have none of them."""
+OTHER_METRICS = (*OTHER_FRAME_METRICS, *OTHER_CLIP_METRICS)
+
 FrameScores = dict[str, np.ndarray]
 """One value a frame: metrics by name (float64, nan where undefined), and the counts `objects` and `ignored`."""
 
@@ -39,9 +47,38 @@ def frame_scores(
     background_slot: int = 0,
     ignore: Bool[np.ndarray, "frame height width"] | None = None,
 ) -> FrameScores:
-    """Every metric in every frame by itself; arguments and errors as in `score`."""
+    """`METRICS` in every frame by itself; arguments and errors as in `score`."""
     tables, slot = contingency(truth, prediction, background_slot, ignore)
-    return _frame_scores(tables, slot, truth[0].size)
+    return _frame_scores(tables, intersection_over_union(tables), slot, truth[0].size)
+
+
+@dataclass(frozen=True, eq=False)
+class CountedClip:
+    """Label maps of a clip in which cameras stand still, and their contingency tables."""
+
+    truth: Integer[np.ndarray, "frame view height width"]
+    prediction: Integer[np.ndarray, "frame view height width"]
+    background_slot: int
+    tables: Int64[np.ndarray, "frame view truth slot"]
+
+
+def count_clip(
+    truth: Integer[np.ndarray, "frame view height width"],
+    prediction: Integer[np.ndarray, "frame view height width"],
+    background_slot: int = 0,
+    ignore: Bool[np.ndarray, "frame view height width"] | None = None,
+) -> CountedClip:
+    """Count a clip, whose labels may be renumbered. Ignored pixels become background; arguments as in `clip_scores`."""
+    if truth.ndim != 4 or truth.shape != prediction.shape:
+        raise ValueError(
+            f"Label maps have shapes {truth.shape} and {prediction.shape}; expected one (frame, view, height, width)."
+        )
+    shape, image = truth.shape, truth.shape[2:]
+    one, two = (labels.reshape(-1, *image) for labels in (truth, prediction))
+    flat = None if ignore is None else ignore.reshape(-1, *image)
+    one, two, slot = compact(one, two, background_slot, flat)
+    tables = count(one, two, slot, flat)
+    return CountedClip(one.reshape(shape), two.reshape(shape), slot, tables.reshape(*shape[:2], *tables.shape[1:]))
 
 
 def clip_scores(
@@ -50,22 +87,19 @@ def clip_scores(
     background_slot: int = 0,
     ignore: Bool[np.ndarray, "frame view height width"] | None = None,
 ) -> ClipScores:
-    """Every metric of a clip in which cameras stand still: views are frames of their own and never count as time.
+    """Every metric but `OTHER_METRICS` of a clip with fixed cameras: views are single frames and never count as time.
 
     Where the clip has one frame there is no time, and `CLIP_METRICS` are nan. Arguments and errors as in `score`.
     """
-    if truth.ndim != 4 or truth.shape != prediction.shape:
-        raise ValueError(
-            f"Label maps have shapes {truth.shape} and {prediction.shape}; expected one (frame, view, height, width)."
-        )
-    frames, views, *image = truth.shape
-    one, two = (labels.reshape(-1, *image) for labels in (truth, prediction))
-    tables, slot = contingency(one, two, background_slot, None if ignore is None else ignore.reshape(-1, *image))
-    scores = _frame_scores(tables, slot, truth[0, 0].size)
-    over_time = _clip_scores(tables.reshape(frames, views, *tables.shape[1:]))
-    if frames == 1:
-        over_time |= {name: np.full(views, np.nan) for name in CLIP_METRICS}
-    return scores | over_time
+    return clip_scores_of(count_clip(truth, prediction, background_slot, ignore))
+
+
+def clip_scores_of(clip: CountedClip) -> ClipScores:
+    """Scores of a counted clip, as `clip_scores` gives them."""
+    scores = scores_of(clip)
+    if len(clip.truth) == 1:
+        scores |= {name: np.full_like(scores[name], np.nan) for name in CLIP_METRICS}
+    return scores
 
 
 def score(
@@ -101,11 +135,66 @@ def score(
         ValueError: the maps differ in shape, are not integer, hold negative labels outside `ignore`, or are empty, or
             the background slot is negative.
     """
-    tables, slot = contingency(truth, prediction, background_slot, ignore)
-    frames = _frame_scores(tables, slot, truth[0].size)
-    over_time = _clip_scores(tables[:, None])
-    summary = summarise(frames) | {name: float(over_time[name][0]) for name in CLIP_METRICS}
-    return summary | {"identity_switches": int(over_time["identity_switches"][0])}
+    if truth.ndim != 3 or truth.shape != prediction.shape:
+        compact(truth, prediction, background_slot, ignore)  # raises the error
+    clip = count_clip(truth[:, None], prediction[:, None], background_slot, None if ignore is None else ignore[:, None])
+    scores = scores_of(clip) | other_scores([clip])[0]
+    over_time = {name: float(scores[name][0]) for name in (*CLIP_METRICS, *OTHER_CLIP_METRICS)}
+    others = {name: mean_where_defined(scores[name]) for name in OTHER_FRAME_METRICS}
+    return summarise(scores) | others | over_time | {"identity_switches": int(scores["identity_switches"][0])}
+
+
+def scores_of(clip: CountedClip) -> ClipScores:
+    """Every metric but `OTHER_METRICS`; `CLIP_METRICS` of one frame are its own values."""
+    frames, views, *table = clip.tables.shape
+    tables = clip.tables.reshape(-1, *table)
+    iou = intersection_over_union(tables)
+    whole = clip.tables.sum(axis=0)
+    return _frame_scores(tables, iou, clip.background_slot, clip.truth[0, 0].size) | {
+        "ari_video": adjusted_rand(whole),
+        "ari_fg_video": adjusted_rand(whole[:, 1:]),
+        "msc_fg_video": covering(intersection_over_union(whole), whole),
+        "identity_switches": identity_switches(iou.reshape(frames, views, *table)),
+    }
+
+
+def other_scores(clips: Sequence[CountedClip]) -> list[ClipScores]:
+    """`OTHER_METRICS` of clips of equal shape; many at once are cheaper. nan over time where clips have one frame."""
+    frames, views, *image = clips[0].truth.shape
+    rows, columns = (max(2, *(clip.tables.shape[axis] for clip in clips)) for axis in (2, 3))
+    tables = np.zeros((len(clips), frames, views, rows, columns), np.int64)
+    for table, clip in zip(tables, clips, strict=True):
+        table[:, :, : clip.tables.shape[2], : clip.tables.shape[3]] = clip.tables
+    tables = tables.swapaxes(1, 2).reshape(-1, frames, rows, columns)
+    slots = np.repeat([clip.background_slot for clip in clips], views)
+    flat = tables.reshape(-1, rows, columns)
+    segments = np.arange(columns) != slots[:, None]
+    overlaps = (
+        intersection_over_union(flat)[:, 1:].reshape(len(slots), frames, rows - 1, columns) * segments[:, None, None]
+    )
+    visible, used = tables[:, :, 1:].sum(axis=3) > 0, (tables.sum(axis=2) > 0) & segments[:, None]
+    scores = detection_scores(overlaps, visible.sum(axis=2), used.sum(axis=2)) | {
+        "ami": adjusted_mutual_information(flat).reshape(-1, frames),
+        "ami_fg": adjusted_mutual_information(flat[:, 1:]).reshape(-1, frames),
+    }
+    found = {
+        name: values.reshape(-1, views, frames).swapaxes(1, 2).reshape(-1, frames * views)
+        for name, values in scores.items()
+    }
+    if frames == 1:
+        over_time = dict.fromkeys(OTHER_CLIP_METRICS, np.full(len(slots), np.nan))
+    else:
+        truths, predictions = (
+            np.stack(maps).swapaxes(1, 2).reshape(-1, frames, *image)
+            for maps in ([clip.truth for clip in clips], [clip.prediction for clip in clips])
+        )
+        over_time = {
+            "hota": hota(overlaps, visible, used),
+            "idf1": idf1(overlaps, visible, used),
+            "j_and_f": region_and_boundary(tables, truths, predictions, slots),
+        }
+    found |= {name: values.reshape(-1, views) for name, values in over_time.items()}
+    return [dict(zip(found, values, strict=True)) for values in zip(*found.values(), strict=True)]
 
 
 def summarise(frames: Mapping[str, np.ndarray]) -> dict[str, float]:
@@ -124,8 +213,9 @@ def summarise(frames: Mapping[str, np.ndarray]) -> dict[str, float]:
     }
 
 
-def _frame_scores(tables: Int64[np.ndarray, "frame truth slot"], slot: int, pixels: int) -> FrameScores:
-    iou = intersection_over_union(tables)
+def _frame_scores(
+    tables: Int64[np.ndarray, "frame truth slot"], iou: Float64[np.ndarray, "frame truth slot"], slot: int, pixels: int
+) -> FrameScores:
     return {
         "ari": adjusted_rand(tables),
         "ari_fg": adjusted_rand(tables[:, 1:]),
@@ -137,18 +227,6 @@ def _frame_scores(tables: Int64[np.ndarray, "frame truth slot"], slot: int, pixe
         "miou_fg_hungarian": one_to_one_overlap(iou, tables),
         "objects": np.count_nonzero(tables[:, 1:].sum(axis=2), axis=1),
         "ignored": pixels - tables.sum(axis=(1, 2)),
-    }
-
-
-def _clip_scores(tables: Int64[np.ndarray, "frame view truth slot"]) -> ClipScores:
-    frames, views, *table = tables.shape
-    whole = tables.sum(axis=0)
-    iou = intersection_over_union(tables.reshape(-1, *table)).reshape(frames, views, *table)
-    return {
-        "ari_video": adjusted_rand(whole),
-        "ari_fg_video": adjusted_rand(whole[:, 1:]),
-        "msc_fg_video": covering(intersection_over_union(whole), whole),
-        "identity_switches": identity_switches(iou),
     }
 
 

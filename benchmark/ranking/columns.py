@@ -117,10 +117,21 @@ SCORES = (
     Score("ari_fg_video", "ARI-FG, clip"),
     Score("msc_fg_video", "MSC-FG, clip"),
 )
-"""All segmentation scores, the most important first."""
+"""Segmentation scores of all results, the most important first."""
+OTHER_SCORES = (
+    Score("hota", "HOTA", "Higher-order tracking accuracy: geometric mean of detection and association."),
+    Score("idf1", "IDF1", "F1 of frames in which an object has its one slot of the clip, with an IoU of at least 0.5."),
+    Score("j_and_f", "J&F", "Mean of IoU and boundary F1, objects matched to slots for the whole clip."),
+    Score("ap50", "AP@50", "Precision times recall of segments with an IoU above 0.5: segments have no confidence."),
+    Score("pq", "PQ", "Panoptic quality of objects: F1 times the mean IoU of the matches."),
+    Score("f1", "F1", "F1 of objects and segments matched with an IoU above 0.5."),
+    Score("ami", "AMI", "Adjusted mutual information of all pixels."),
+    Score("ami_fg", "AMI-FG", "Adjusted mutual information of the object pixels."),
+)
+"""Scores of other benchmarks, which older results do not have; they have no influence on ranks."""
 HEADLINE_SCORES, MAIN_SCORES = SCORES[:4], SCORES[:6]
 """Scores of the terminal table, and of the Markdown and LaTeX tables."""
-HEADINGS = {score.name: score.heading for score in SCORES}
+HEADINGS = {score.name: score.heading for score in (*SCORES, *OTHER_SCORES)}
 
 POSE_SCORES = (
     Score("posed", "found"),

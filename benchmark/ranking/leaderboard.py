@@ -21,8 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.metrics import mean_where_defined
-from benchmark.metrics.poses import POSE_METRICS
+from benchmark.metrics import CLIP_METRICS, METRICS, mean_where_defined
 from benchmark.ranking import text
 from benchmark.ranking.columns import (
     HEADINGS,
@@ -46,7 +45,6 @@ from benchmark.ranking.columns import (
     with_poses,
 )
 from benchmark.ranking.standings import (
-    ALL_METRICS,
     RANKED_METRICS,
     SWITCHES,
     ModelResult,
@@ -65,7 +63,8 @@ Line = Mapping[str, Cell]
 FILES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv", "leaderboard.md", "leaderboard.tex")
 PACKED = FILES[:2]
 """Tables that are part of a packed folder."""
-SUMMARISED = (*ALL_METRICS, SWITCHES)
+SUMMARISED = (*METRICS, *CLIP_METRICS, SWITCHES)
+"""Metrics of all results; the others have columns behind those of the costs."""
 
 
 def write(folder: Path, progress: Progress = silent) -> list[ModelResult]:
@@ -122,7 +121,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             "commit": _distinct(row.commit for row in result.rows),
             **_measured(result.rows),
             **({"views": result.views} if result.views else {}),
-            **(_metric_columns(result, POSE_METRICS) if result.has_poses else {}),
+            **_metric_columns(result, result.further_metrics),
         }
 
 
@@ -130,7 +129,7 @@ def seed_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
     """Yield the lines of per_seed.csv, with the values that were chosen for each seed."""
     for result in results:
         scores = {name: result.seed_means(name) for name in SUMMARISED}
-        poses = {name: result.seed_means(name) for name in POSE_METRICS} if result.has_poses else {}
+        further = {name: result.seed_means(name) for name in result.further_metrics}
         counts = _counts(result)
         for seed, (row, cause) in enumerate(zip(result.rows, result.causes, strict=True)):
             yield {
@@ -146,7 +145,7 @@ def seed_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
                 "device": row.device,
                 "commit": row.commit,
                 **_measured([row]),
-                **{name: float(values[seed]) for name, values in poses.items()},
+                **{name: float(values[seed]) for name, values in further.items()},
             }
 
 

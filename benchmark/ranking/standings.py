@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from benchmark.metrics import CLIP_METRICS, METRICS
+from benchmark.metrics import CLIP_METRICS, METRICS, OTHER_METRICS
 from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking import statistics
 from benchmark.ranking.failed_seeds import HEADLINE, cause_of_failure, has_finite_loss
@@ -23,7 +23,7 @@ from benchmark.results.run_folder import RunRow, SceneTable, load_runs, load_sce
 from datagen.console.text import counted
 from datagen.errors import CorruptFile
 
-ALL_METRICS = (*METRICS, *CLIP_METRICS)
+ALL_METRICS = (*METRICS, *CLIP_METRICS, *OTHER_METRICS)
 RANKED_METRICS = ("ari_fg", "msc_fg")
 """Models are ordered by the mean of their ranks in these."""
 SWITCHES = "identity_switches"
@@ -95,8 +95,13 @@ class ModelResult:
     @property
     def has_poses(self) -> bool:
         """Whether all runs that gave scores gave poses."""
+        return POSE_METRICS[0] in self.further_metrics
+
+    @property
+    def further_metrics(self) -> list[str]:
+        """Metrics that not all results have, but all runs of this one that gave scores: newer metrics, and poses."""
         tables = [table for table in self.tables if table is not None]
-        return bool(tables) and all(POSE_METRICS[0] in table for table in tables)
+        return [name for name in (*OTHER_METRICS, *POSE_METRICS) if tables and all(name in table for table in tables)]
 
     @property
     def failures(self) -> list[tuple[RunRow, str]]:

@@ -14,7 +14,6 @@ from benchmark.ranking.columns import (
     HEADLINE_SCORES,
     MARKS,
     RANK,
-    SCORES,
     SEEDS,
     Block,
     Row,
@@ -53,13 +52,15 @@ def legend(group: Sequence[ModelResult], ranks: Iterable[str]) -> Iterator[str]:
     yield from caveats(group)
 
 
-def details(group: Iterable[ModelResult], numbers: Mapping[str, int]) -> tuple[list[Score], list[dict[str, Any]]]:
+def details(
+    group: Iterable[ModelResult], numbers: Mapping[str, int], scores: Sequence[Score]
+) -> tuple[list[Score], list[dict[str, Any]]]:
     """List the scores that any model defines, and each model's values with intervals, in the leaderboard's order.
 
     A model of which only some seeds failed has a second row without these seeds.
     """
     rows = [row for block in blocks(group) for row in block.rows if row.result.n_scenes]
-    shown = [score for score in SCORES if any(math.isfinite(row.result.mean(score.name)) for row in rows)]
+    shown = [score for score in scores if any(math.isfinite(row.result.mean(score.name)) for row in rows)]
     kept = [row for row in rows if not row.without_failed or row.result.n_failed < len(row.result.rows)]
     return shown, [
         {

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.models.validation import SCORES
-from benchmark.ranking.columns import HEADINGS, POSE_SCORES, SEEDS, scenes_title, with_poses
+from benchmark.ranking.columns import HEADINGS, OTHER_SCORES, POSE_SCORES, SEEDS, scenes_title, with_poses
+from benchmark.ranking.columns import SCORES as ALL_SCORES
 from benchmark.ranking.standings import PRETRAINED, ModelResult, best_first, compare_results
 from benchmark.ranking.text import MOST_DECIMALS
 from benchmark.report import leaderboard_view
@@ -22,6 +23,8 @@ from datagen.errors import DatagenError, UsageError
 from datagen.storage.reader import Dataset, Split
 
 OWN = "the track itself"
+METRIC_TABLES = {"All metrics": ALL_SCORES, "Metrics of other benchmarks": OTHER_SCORES}
+"""Collapsed tables of the section on metrics, by title."""
 Find = Callable[[str, str], Path | None]
 """Function that maps a track and its hash to the dataset's folder, or None if it is not on this machine."""
 
@@ -86,7 +89,7 @@ def facts(track: TrackResults, numbers: Mapping[str, int]) -> dict[str, Any]:
     table = leaderboard_view.leaderboard(results, numbers)
     ranks = [row["rank"] for block in table["blocks"] for row in block["rows"]]
     ordered = [row["model"] for block in table["blocks"] for row in block["rows"]]
-    metrics, details = leaderboard_view.details(results, numbers)
+    tables = [(title, *leaderboard_view.details(results, numbers, scores)) for title, scores in METRIC_TABLES.items()]
     return {
         "track": track.track,
         "fit": track.fit,
@@ -97,8 +100,11 @@ def facts(track: TrackResults, numbers: Mapping[str, int]) -> dict[str, Any]:
         "crashed": {numbers[result.row.key.model]: result.rows[0].reason for result in results if not result.n_scenes},
         "table": table,
         "legend": list(leaderboard_view.legend(results, ranks)),
-        "metrics": [(score.heading, score.note) for score in metrics],
-        "details": details,
+        "metrics": [
+            {"title": title, "columns": [(score.heading, score.note) for score in found], "rows": rows}
+            for title, found, rows in tables
+            if found
+        ],
         "poses": [
             {
                 "model": numbers[row.result.row.key.model],

@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from benchmark.metrics import CLIP_METRICS, METRICS, mean_where_defined
+from benchmark.metrics import CLIP_METRICS, METRICS, OTHER_METRICS, mean_where_defined
 from benchmark.models.model_spec import Kind
 from benchmark.results.csv_files import load_curve, read_csv, save_curve
 from benchmark.results.packed_runs import SCENES_FILE, is_packed, packed_rows, packed_scenes
@@ -40,7 +40,7 @@ COUNTS = ("objects", "one_object", "undefined", "identity_switches", "ignored")
 metric is undefined, identity switches, ignored pixels."""
 
 SCORES = (*METRICS, *CLIP_METRICS)
-"""Columns whose values lie between -1 and 1."""
+"""Columns of every table; their values lie between -1 and 1."""
 ROUNDING = 1e-6
 """Tolerance of the range check, as stored scores are rounded."""
 
@@ -313,7 +313,7 @@ def _checked(table: SceneTable, row: RunRow) -> SceneTable:
         elif f"{name}_n" not in table:
             raise ValueError(f"no column {name}_n")
         else:
-            within = np.abs(values) <= (1 + ROUNDING if name in SCORES else np.inf)
+            within = np.abs(values) <= (1 + ROUNDING if name in (*SCORES, *OTHER_METRICS) else np.inf)
             good, expected = (table[f"{name}_n"] == 0) | (np.isfinite(values) & within), "a score"
         if not good.all():
             raise ValueError(f"{name} holds {values[~good][0]}, expected {expected}")

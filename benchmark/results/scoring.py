@@ -1,19 +1,23 @@
 """Score stored label maps into scene tables; no model runs."""
 
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, has_true_poses, read_true_poses, read_truth
-from benchmark.metrics import clip_scores
+from benchmark.metrics import clip_scores_of, count_clip, other_scores
 from benchmark.metrics.poses import pose_scores
 from benchmark.ranking.standings import Progress, silent
 from benchmark.results.labels import check_labels_fit, labels_path, locate, read_labels, read_poses
 from benchmark.results.run_folder import RunRow, save_scenes, scene_line
 from datagen.errors import DatagenError
-from datagen.storage.reader import Dataset, Split
+from datagen.storage.reader import Dataset, Split, read_depth
 
 SPLIT = "test"
 """The split that is scored."""
+
+BATCH = 16
+"""Number of scenes scored together, which shares the overhead of small arrays."""
 
 
 def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
@@ -26,15 +30,20 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
         CorruptFile: the label maps do not fit the scenes.
     """
     check_labels_fit(path, scenes)
-    lines = []
-    poses = read_poses(path)
-    for index, (clip, (labels, slot)) in enumerate(zip(ClipSequence(scenes), read_labels(path), strict=True)):
-        truth = read_truth(scenes, index)
-        scores = clip_scores(truth, labels, slot, ~clip.valid)
-        if poses is not None and has_true_poses(scenes):
-            true = read_true_poses(scenes, index, clip, truth)
-            scores |= pose_scores(true, poses[index], truth, labels, slot, ~clip.valid)
-        lines.append(scene_line(index, scores))
+    clips, poses = ClipSequence(scenes), read_poses(path) if has_true_poses(scenes) else None
+    lines: list[dict[str, float | int]] = []
+    predictions = enumerate(read_labels(path))
+    while batch := list(islice(predictions, BATCH)):
+        counted, found = [], []
+        for index, (labels, slot) in batch:
+            truth, (_, valid) = read_truth(scenes, index), read_depth(scenes, index)
+            counted.append(count_clip(truth, labels, slot, ~valid))
+            found.append(clip_scores_of(counted[-1]))
+            if poses is not None:
+                true = read_true_poses(scenes, index, clips[index], truth)
+                found[-1] |= pose_scores(true, poses[index], truth, labels, slot, ~valid)
+        others = other_scores(counted)
+        lines += [scene_line(len(lines) + i, one | two) for i, (one, two) in enumerate(zip(found, others, strict=True))]
     save_scenes(out, name, lines)
     return int(sum(line["n_frames"] for line in lines))
 

@@ -56,6 +56,24 @@ class SupervisedConfig(ContactConfig):
     """Configuration of `obpose.baselines.supervised`, with the same defaults."""
 
 
+@dataclass(frozen=True)
+class OgcModelConfig(ContactModelConfig):
+    """Configuration of the architecture of `obpose.baselines.ogc`."""
+
+    slots: int = 4
+    """Number of masks, the background's not included."""
+
+
+@dataclass(frozen=True)
+class OgcConfig(ContactConfig):
+    """Configuration of `obpose.baselines.ogc`, which learns from pairs of neighbouring frames."""
+
+    model: OgcModelConfig = field(default_factory=OgcModelConfig)
+    train: TrainConfig = field(
+        default_factory=lambda: TrainConfig(batch=4, frames=2, clip=5.0, warmup=0, minutes=12.0, views="separate")
+    )
+
+
 _RULES: tuple[Rule, ...] = (
     *TRAINING,
     positive("model.gap"),
@@ -73,5 +91,6 @@ def check_contact_bounds(config: ContactConfig) -> None:
     """
     check_values(config, _RULES)
     frames, views = config.train.frames, config.train.views
-    expect(frames == 1, "train.frames", frames, "1, as the network sees single images")
+    needed = 2 if isinstance(config, OgcConfig) else 1
+    expect(frames == needed, "train.frames", frames, f"{needed}, as the network sees single images, or pairs of them")
     expect(views == "separate", "train.views", views, "separate, as the network sees single images")

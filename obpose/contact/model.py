@@ -60,8 +60,13 @@ class ContactModel(Trainable):
         """Build the network with fresh weights from PyTorch's global generator."""
         super().__init__()
         self.config = config
-        self.network = UNet(CHANNELS, 1 + EMBEDDING + OFFSETS)
+        self.network = UNet(CHANNELS, self.channels)
         self.register_buffer("center", torch.tensor(config.model.workspace_center), persistent=False)
+
+    @property
+    def channels(self) -> int:
+        """Number of output channels of the network."""
+        return 1 + EMBEDDING + OFFSETS
 
     def training_source(self, source: ClipSource) -> ClipSource:
         """Paste training images from the clips of a source; labels of the source are not read."""

@@ -1,5 +1,6 @@
 import pytest
 
+from benchmark.ranking.columns import SCORES
 from benchmark.ranking.standings import standings
 from benchmark.report.leaderboard_view import details, duration, failures, leaderboard, legend, number
 from tests.chosen_scores import failed_row, run_row, scene_table
@@ -40,7 +41,7 @@ def test_a_single_run_has_no_deviation():
     rows = [run_row("once", seed=seed, random=False) for seed in range(2)] + [
         run_row("two", seed=seed) for seed in range(2)
     ]
-    _, shown = details(standings(rows, [scores[0], scores[0], *scores]), {"once": 0, "two": 1})
+    _, shown = details(standings(rows, [scores[0], scores[0], *scores]), {"once": 0, "two": 1}, SCORES)
     cells = {row["model"]: row["cells"][1]["text"] for row in shown}
     assert cells == {0: "0.500", 1: "0.600 ± 0.100"}
 
