@@ -23,6 +23,10 @@ def make_renderer(name: str) -> Renderer:
         from datagen.render.raster import RasterRenderer
 
         return RasterRenderer()
+    if name == "rich":
+        from datagen.render.raster import RasterRenderer
+
+        return RasterRenderer(rich=True)
     if name == "pyrender":
         from datagen.render.pyrender_gl import PyrenderRenderer
 
