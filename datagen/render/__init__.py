@@ -9,11 +9,15 @@ from datagen.render.renderer import Image, Renderer
 __all__ = ["RENDERERS", "Image", "Renderer", "make_renderer"]
 
 
-RENDERERS = ("raster", "pyrender")
+RENDERERS = ("raster", "rich", "pyrender", "mitsuba")
 """Names that `make_renderer` knows; the first one is the default."""
 
 
-def make_renderer(name: str) -> Renderer:
+SAMPLES = 64
+"""Default number of paths per pixel of `mitsuba`."""
+
+
+def make_renderer(name: str, *, samples: int = SAMPLES) -> Renderer:
     """A renderer by name.
 
     Raises:
@@ -27,6 +31,10 @@ def make_renderer(name: str) -> Renderer:
         from datagen.render.raster import RasterRenderer
 
         return RasterRenderer(rich=True)
+    if name == "mitsuba":
+        from datagen.render.mitsuba_pt import MitsubaRenderer
+
+        return MitsubaRenderer(samples)
     if name == "pyrender":
         from datagen.render.pyrender_gl import PyrenderRenderer
 

@@ -49,8 +49,8 @@ CONTACT_LENGTH = 0.005
 GLOSSY = 0.6
 """Roughness below which rich surfaces reflect the pattern of the table."""
 
-MIRROR_STEP, MIRROR_STEPS = 0.005, 40
-"""Metres between the points of a ray at which it may meet a reflected object, and number of these points."""
+MIRROR_STEP, MIRROR_GROWTH, MIRROR_STEPS = 0.004, 1.15, 18
+"""Points of a ray at which it may meet a reflected object: metres to the first, growth of the steps, and number."""
 
 SWEEP = 1.5
 """Width of the band beyond the table over which rich images fade to the backdrop, in halves of the table."""
@@ -169,6 +169,8 @@ class Surroundings(NamedTuple):
     """Light that arrives on the open table, linear RGB."""
     below: np.ndarray
     """Texels of the `LightMap` behind `occlusion`, for reflections of other objects."""
+    highest: float
+    """Height of the highest point of all objects, metres."""
 
 
 class Row(NamedTuple):
@@ -309,6 +311,19 @@ def texture_weights(pattern, period, axis, points, width):
     return weights
 
 
+@kernel
+def toned(colors):
+    """`_tone` of all values of an array, in place."""
+    for i in range(colors.size):
+        colors.flat[i] = _tone(colors.flat[i])
+    return colors
+
+
+def encoded(colors):
+    """SRGB bytes of linear values."""
+    return SRGB[np.clip((colors * len(SRGB)).astype(np.int64), 0, len(SRGB) - 1)]
+
+
 # --- Textures of meshes -------------------------------------------------------------------------------------------
 
 
@@ -330,7 +345,25 @@ def _bilinear(skins, level, u, v, c):
 
 
 @kernel
-def _skin(skins, face, a, b, c, width, albedo):
+def _bicubic(skins, level, u, v, c):
+    """Cubic B-spline through 4x4 texels, which shows no texels however near they are."""
+    x, y = u * skins.images[level, 1] - 0.5, v * skins.images[level, 2] - 0.5
+    i, j = math.floor(x), math.floor(y)
+    value = 0.0
+    for dy in range(-1, 3):
+        for dx in range(-1, 3):
+            value += _spline(x - i - dx) * _spline(y - j - dy) * _texel(skins, level, i + dx, j + dy, c)
+    return value
+
+
+@kernel
+def _spline(t):
+    t = abs(t)
+    return (4 - 6 * t * t + 3 * t * t * t) / 6 if t < 1 else (2 - t) ** 3 / 6
+
+
+@kernel
+def _skin(skins, face, a, b, c, width, rich, albedo):
     """Linear RGB of a face at barycentric weights, averaged over about `width` metres (trilinear mipmapping)."""
     uv, colors, texture = skins.uv, skins.colors, skins.texture[face]
     u = a * uv[face, 0, 0] + b * uv[face, 1, 0] + c * uv[face, 2, 0]
@@ -340,7 +373,10 @@ def _skin(skins, face, a, b, c, width, albedo):
     level = min(first + int(fine), last)
     share = fine - int(fine)
     for k in range(3):
-        value = _bilinear(skins, level, u, v, k)
+        if rich and fine == 0:
+            value = _bicubic(skins, level, u, v, k)
+        else:
+            value = _bilinear(skins, level, u, v, k)
         if share > 0 and level < last:
             value = value * (1 - share) + _bilinear(skins, level + 1, u, v, k) * share
         albedo[k] = value * (a * colors[face, 0, k] + b * colors[face, 1, k] + c * colors[face, 2, k])
@@ -642,22 +678,25 @@ def _mirror(s, materials, row, q, n, e, roughness):
     rx, ry, rz = toward * n[0] - e[0], toward * n[1] - e[1], toward * n[2] - e[2]
     least_x, least_y, scale = s.occlusion_frame[0], s.occlusion_frame[1], s.occlusion_frame[2]
     own, size = row.owner[q], len(s.below)
-    for i in range(MIRROR_STEPS):
-        t = MIRROR_STEP * (i + 1)
+    ground = -max(z, 0.0) / rz if rz < -0.02 else FAR
+    t, step = 0.0, MIRROR_STEP
+    for _ in range(MIRROR_STEPS):
+        t, step = min(t + step, ground), step * MIRROR_GROWTH
         h = z + t * rz
         u, v = int((x + t * rx - least_x) * scale), int((-y - t * ry - least_y) * scale)
-        if h <= 0 or u < 0 or v < 0 or u >= size or v >= size:
+        if h > s.highest or u < 0 or v < 0 or u >= size or v >= size:
             break
-        o = int(s.below[v, u, 2])
-        top = s.below[v, u, 1]
-        if s.below[v, u, 0] <= h <= top and top < FAR and o != own:
+        low, top, o = s.below[v, u, 0], s.below[v, u, 1], int(s.below[v, u, 2])
+        if top < FAR and o != own and h <= top and (h >= low or (t == ground and low < 0.01)):
             shade = 0.3 + 0.4 * h / top
             for c in range(3):
                 row.mirrored[q, c] = shade * s.arriving[c] * materials[o, c]
             return
-    if rz >= -0.02:
+        if t == ground:
+            break
+    if ground == FAR:
         return
-    t = -max(z, 0.0) / rz
+    t = ground
     x, y = x + t * rx, y + t * ry
     m = materials[len(materials) - 1]
     width = row.blur[q] + t * (0.05 + roughness * roughness)
@@ -790,7 +829,9 @@ def _reflect(row, count, s, materials):
         earth = (1 - share) * below * above * (0.8 - 0.5 * max(-r[2], 0.0))
         earth_r, earth_g, earth_b = ground[0], ground[1], ground[2]
         if s.rich:
-            sky = share * above * _sky(s.turn, r[0], r[1], max(r[2], 0.0), 0.03 + 1.2 * roughness * roughness)
+            sky = share * above
+            if roughness < GLOSSY:
+                sky *= _sky(s.turn, r[0], r[1], max(r[2], 0.0), 0.03 + 1.2 * roughness * roughness)
             if row.mirrored[q, 0] >= 0:
                 earth, sky = (1 - share, sky) if r[2] < 0 else (1.0, 0.0)
                 earth_r, earth_g, earth_b = row.mirrored[q, 0], row.mirrored[q, 1], row.mirrored[q, 2]
@@ -1003,7 +1044,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
             # Between the sides of the pixel's footprint, which is longer along the slope.
             across = view[3, 1] * z / math.sqrt(max(toward, 0.1))
             row.second[r] = 0.0
-            _skin(mesh.skins, face, wa, wb, wc, across, row.albedo[r])
+            _skin(mesh.skins, face, wa, wb, wc, across, s.rich, row.albedo[r])
         else:
             row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
         shade = _occlusion_at(occlusion, occlusion_frame, p[0], p[1])

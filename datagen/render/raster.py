@@ -128,6 +128,7 @@ class RasterRenderer:
             self._turn,
             self._arriving,
             below.texels,
+            float(np.max(self._world[:, 2], initial=0.0)),
         )
 
     def _light_map(self, m: kernels.LightMap, margin: float) -> None:
@@ -146,7 +147,7 @@ class _Buffers:
         self.row = _row(width)
         texels = 192 if max(width, height) <= 160 else 512 if max(width, height) <= 400 else 1024
         self.shadow = _light_map(texels, np.eye(3))
-        size = texels // 3 // kernels.TILE * kernels.TILE if rich else OCCLUSION_SIZE
+        size = texels // 4 // kernels.TILE * kernels.TILE if rich else OCCLUSION_SIZE
         self.below = _light_map(size, light_axes((0.0, 0.0, -1.0)))
         self.occlusion, self.contact = np.zeros((size, size)), np.zeros((size, size))
 

@@ -14,7 +14,7 @@ from datagen.storage.safe_io import read_json
 from datagen.storage.shard import Shard
 from datagen.storage.spec import MANIFEST_FILE, Spec, shard_ranges
 
-_PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender")
+_PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender", "mitsuba")
 
 
 def make_manifest(folder: Path, spec: Spec, *, seconds: float, workers: int, scenes_made: int) -> dict[str, Any]:

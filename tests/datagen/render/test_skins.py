@@ -39,7 +39,7 @@ def build(raw: RawMesh) -> Shape:
 
 def sample(shape: Shape, weights: tuple[float, float, float], width: float) -> np.ndarray:
     skins, out = _pack_skins([shape], np.array([0, len(shape.faces)])), np.zeros(3)
-    kernels._skin(skins, 0, *weights, width, out)
+    kernels._skin(skins, 0, *weights, width, False, out)
     return out
 
 
