@@ -373,10 +373,7 @@ def _skin(skins, face, a, b, c, width, rich, albedo):
     level = min(first + int(fine), last)
     share = fine - int(fine)
     for k in range(3):
-        if rich and fine == 0:
-            value = _bicubic(skins, level, u, v, k)
-        else:
-            value = _bilinear(skins, level, u, v, k)
+        value = _bicubic(skins, level, u, v, k) if rich and fine == 0 else _bilinear(skins, level, u, v, k)
         if share > 0 and level < last:
             value = value * (1 - share) + _bilinear(skins, level + 1, u, v, k) * share
         albedo[k] = value * (a * colors[face, 0, k] + b * colors[face, 1, k] + c * colors[face, 2, k])

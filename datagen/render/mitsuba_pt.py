@@ -38,7 +38,7 @@ WIDE_LIGHT = np.radians(30)
 """Angular radius of lights that cast no shadow in the rasteriser: so wide that none is seen."""
 
 MISSING = (
-    "The mitsuba renderer needs the package mitsuba ({reason}). Install it with `pip install 'obpose[mitsuba]'`, or use "
+    "The mitsuba renderer needs Mitsuba ({reason}). Install it with `pip install 'obpose[mitsuba]'`, or use "
     "`--renderer rich`, which needs no further package."
 )
 
