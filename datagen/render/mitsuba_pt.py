@@ -262,8 +262,8 @@ def _sensor(mi: Any, camera: Camera, width: int, height: int, samples: int) -> d
         "type": "perspective",
         "fov_axis": "x",
         "fov": float(np.degrees(2 * np.arctan(0.5 * width / k[0, 0]))),
-        "principal_point_offset_x": float(k[0, 2] / width - 0.5),
-        "principal_point_offset_y": float(k[1, 2] / height - 0.5),
+        "principal_point_offset_x": float(0.5 - k[0, 2] / width),
+        "principal_point_offset_y": float(0.5 - k[1, 2] / height),
         "near_clip": NEAREST,
         "to_world": mi.ScalarTransform4f(pose),
         "film": {
