@@ -1,4 +1,4 @@
-"""Images, depth and ids of a scene: two renderers behind one protocol.
+"""Images, depth and ids of a scene: renderers behind one protocol.
 
 Engines are imported when one is made, so that importing this package costs neither numba nor OpenGL.
 """
@@ -23,14 +23,10 @@ def make_renderer(name: str, *, samples: int = SAMPLES) -> Renderer:
     Raises:
         UsageError: there is none of that name, or what it needs is not installed.
     """
-    if name == "raster":
+    if name in ("raster", "rich"):
         from datagen.render.raster import RasterRenderer
 
-        return RasterRenderer()
-    if name == "rich":
-        from datagen.render.raster import RasterRenderer
-
-        return RasterRenderer(rich=True)
+        return RasterRenderer(rich=name == "rich")
     if name == "mitsuba":
         from datagen.render.mitsuba_pt import MitsubaRenderer
 

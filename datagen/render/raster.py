@@ -147,7 +147,8 @@ class _Buffers:
         self.row = _row(width)
         texels = 192 if max(width, height) <= 160 else 512 if max(width, height) <= 400 else 1024
         self.shadow = _light_map(texels, np.eye(3))
-        size = texels // 4 // kernels.TILE * kernels.TILE if rich else OCCLUSION_SIZE
+        # No power of two, whose columns would compete for the same lines of the processor's cache.
+        size = max(texels // 5 // kernels.TILE * kernels.TILE, 56) if rich else OCCLUSION_SIZE
         self.below = _light_map(size, light_axes((0.0, 0.0, -1.0)))
         self.occlusion, self.contact = np.zeros((size, size)), np.zeros((size, size))
 

@@ -342,22 +342,24 @@ def test_metal_mirrors_its_neighbour_in_rich_images_alone(raster, rich):
         inside = interior(images[0].segmentation == 1)
         changes.append(np.mean(np.any(images[0].rgb != images[1].rgb, axis=-1)[inside]))
     assert changes[0] == 0
-    assert changes[1] > 0.1
+    assert changes[1] > 0.03
 
 
 LOW_FRONT = Camera((0.9, 0.0, 0.25), (0.2, 0.0, 0.05), np.radians(20))
 
 
-def test_the_table_is_darker_where_something_stands_on_it(rich):
+def test_the_table_is_darker_where_something_stands_on_it(raster, rich):
     lights = (dataclasses.replace(ABOVE_LEFT, casts_shadow=False),)
     box = body("box", {"size": [0.1, 0.1, 0.1]}, (0.28, 0.0, 0.05))
     made = scene(box, lights=lights)
-    with_box, without = (render(rich, world, width=192, height=192) for world in (made, scene(lights=lights)))
-    change = (without.rgb.astype(int) - with_box.rgb).min(axis=-1)
-    change[with_box.segmentation == 1] = 0
-    foot = np.argwhere(with_box.segmentation == 1)[:, 0].max()
-    assert change[foot + 1 : foot + 4].max() > 15
-    assert not change[foot + 60 :].any()
+    changes = []
+    for renderer in (raster, rich):
+        with_box, without = (render(renderer, world, width=192, height=192) for world in (made, scene(lights=lights)))
+        change = (without.rgb.astype(int) - with_box.rgb).min(axis=-1)
+        foot = np.argwhere(with_box.segmentation == 1)[:, 0].max()
+        changes.append(change[foot + 1 : foot + 4].max())
+        assert not change[foot + 60 :].any()
+    assert changes[1] >= 1.5 * changes[0]
 
 
 def test_a_rich_table_goes_on_beyond_its_edge(raster, rich):
