@@ -179,7 +179,7 @@ def _parts(shape: Shape, material: Material, pixel: float) -> Iterator[_Part]:
     """The parts of an object, each with one texture or with colours of corners no farther apart than a pixel."""
     front = slice(len(shape.faces) - shape.backs)
     corners, normals = shape.vertices[shape.faces][front], shape.normals[front]
-    look = {"roughness": material.roughness, "metalness": material.metalness}
+    look: dict[str, Any] = {"roughness": material.roughness, "metalness": material.metalness}
     if material.pattern == "image" and shape.skin is not None:
         skin = shape.skin
         for row, pyramid in enumerate(skin.pyramids):
