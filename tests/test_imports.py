@@ -15,6 +15,8 @@ ONLY_IN = {
     "pybullet": ("datagen/physics/bullet.py",),
     "pybullet_data": ("datagen/physics/bullet.py",),
     "pyrender": ("datagen/render/pyrender_gl.py",),
+    "mitsuba": ("datagen/render/mitsuba_pt.py",),
+    "drjit": ("datagen/render/mitsuba_pt.py",),
     "OpenGL": ("datagen/render/pyrender_gl.py",),
     "numba": ("datagen/render/kernels.py",),
     "torch": ("obpose/", "benchmark/models/adapters/", "benchmark/studies/"),

@@ -55,8 +55,10 @@ class Generate:
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
     dask: str | None = None
     """Address of a Dask scheduler, tcp://HOST:PORT, whose workers make the scenes; see docs/cluster.md."""
-    renderer: Literal["raster", "pyrender"] | None = None
-    """`raster`, the default, needs no GL library; `pyrender` uses EGL."""
+    renderer: Literal["raster", "rich", "pyrender", "mitsuba"] | None = None
+    """`raster` (default); `rich` adds reflections and contact shade; `pyrender` uses EGL; `mitsuba` traces paths."""
+    samples: int | None = None
+    """Paths per pixel of `mitsuba`, 1 to 65,536; default 64."""
     simulate_only: _Flag = False
     """Store scenes and trajectories without images, to be rendered later with `render`."""
     edits: str | None = None
@@ -96,8 +98,10 @@ class Render:
     """Folder of the new dataset; default data/RECIPE-WxH-seedS."""
     resolution: str | None = None
     """Width x height in pixels, from 8x8 to 4096x4096; default the source's."""
-    renderer: Literal["raster", "pyrender"] = "raster"
-    """`raster` needs no GL library; `pyrender` uses EGL."""
+    renderer: Literal["raster", "rich", "pyrender", "mitsuba"] = "raster"
+    """`raster` (default); `rich` adds reflections and contact shade; `pyrender` uses EGL; `mitsuba` traces paths."""
+    samples: int | None = None
+    """Paths per pixel of `mitsuba`, 1 to 65,536; default 64."""
     views: int = 1
     """Cameras, 1 to 360; more than one are spread evenly around the world's z axis."""
     edits: str | None = None

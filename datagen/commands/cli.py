@@ -127,7 +127,13 @@ def _generate(values: Generate) -> int:
     _announce_compilation()
     renderer = None if values.simulate_only else values.renderer or "raster"
     meshes = _meshes(values, recipe)
-    settings: dict[str, Any] = {"resolution": size, "renderer": renderer, "edits": edits, "signals": signals}
+    settings: dict[str, Any] = {
+        "resolution": size,
+        "renderer": renderer,
+        "samples": values.samples,
+        "edits": edits,
+        "signals": signals,
+    }
     settings |= {"cameras": cameras, "meshes": meshes}
     report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
@@ -185,8 +191,8 @@ def _render(values: Render) -> int:
     if values.renderer == "raster":
         _announce_compilation()
     rig = wanted if wanted != recipe else None
-    settings: dict[str, Any] = {"renderer": values.renderer, "rig": rig, "edits": edits, "assets": values.assets}
-    settings |= {"signals": options.parse_signals(values.signals), "cameras": cameras}
+    settings: dict[str, Any] = {"renderer": values.renderer, "samples": values.samples, "rig": rig, "edits": edits}
+    settings |= {"assets": values.assets, "signals": options.parse_signals(values.signals), "cameras": cameras}
     report = render(values.source, folder, resolution=size, **settings, run=run)
     _print_report(folder, report, spec["splits"])
     return EXIT_OK

@@ -8,9 +8,9 @@ from jaxtyping import Bool, UInt8
 from datagen.config import Recipe
 from datagen.edits.choice import Edit, choose_edit
 from datagen.edits.edit_context import Stage, without
-from datagen.pipeline.records import render_clip, stack_images, stored_depth
+from datagen.pipeline.records import photographs, render_clip, stack_images, stored_depth
 from datagen.pipeline.visible_range import check_range
-from datagen.render.renderer import Renderer
+from datagen.render.renderer import PathTracer, Renderer
 from datagen.schema import LEAST_EFFECT, EditKind, SceneRecord
 
 _IMAGES = ("rgb", "depth", "segmentation")
@@ -38,7 +38,7 @@ def edits_record(
             record |= _removals(edit, stage, own, renderer)
             continue
         images = own if edit.row is None else _images(edit.stage, own, renderer)
-        record |= {f"edits/{kind}/transform": edit.transform, **_fields(kind, edit, images)}
+        record |= {f"edits/{kind}/transform": edit.transform, **_fields(kind, edit, images, renderer)}
     return record
 
 
@@ -50,10 +50,17 @@ def _removals(edit: Edit, stage: Stage, own: SceneRecord, renderer: Renderer) ->
         removed = _images(without(stage, row), own, renderer)
         effects.append(changed(own["rgb"], removed["rgb"]) & ~shown[name])
         images = removed if row == edit.row else images
-    return {"edits/remove/effects": packed(effects, own["segmentation"].shape), **_fields("remove", edit, images)}
+    return {
+        "edits/remove/effects": packed(effects, own["segmentation"].shape),
+        **_fields("remove", edit, images, renderer),
+    }
 
 
-def _fields(kind: EditKind, edit: Edit, images: SceneRecord) -> SceneRecord:
+def _fields(kind: EditKind, edit: Edit, images: SceneRecord, renderer: Renderer) -> SceneRecord:
+    if isinstance(renderer, PathTracer):
+        stage, (height, width) = edit.stage, images["segmentation"].shape[2:]
+        colors = photographs(stage.scene, stage.shapes, stage.world_from_object, renderer, (width, height))
+        images = {**images, "rgb": colors}
     name = np.asarray(0 if edit.row is None else edit.row + 1, np.uint8)
     return {f"edits/{kind}/object": name, **{f"edits/{kind}/{part}": array for part, array in images.items()}}
 

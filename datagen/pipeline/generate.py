@@ -61,6 +61,7 @@ def generate(
     seed: int = 0,
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
+    samples: int | None = None,
     edits: Collection[EditKind] = (),
     meshes: Library | None = None,
     signals: Collection[Signal] = (),
@@ -76,6 +77,7 @@ def generate(
         seed: Any non-negative integer.
         resolution: Width and height of the images, the recipe's if None.
         renderer: Name of the renderer; None stores scenes and trajectories without images.
+        samples: Paths per pixel of the renderer `mitsuba`.
         edits: Counterfactual edits that are rendered beside each scene.
         meshes: Meshes that objects are drawn from, instead of the recipe's categories.
         signals: Optional signals that are stored beside the images.
@@ -86,7 +88,14 @@ def generate(
         UsageError: the request contradicts itself or what is in the folder.
         DatagenError: it could not be completed; running it again goes on.
     """
-    settings = {"splits": splits, "seed": seed, "resolution": resolution, "renderer": renderer, "cameras": cameras}
+    settings = {
+        "splits": splits,
+        "seed": seed,
+        "resolution": resolution,
+        "renderer": renderer,
+        "samples": samples,
+        "cameras": cameras,
+    }
     spec = dataset_spec(recipe, **settings, edits=edits, signals=signals, meshes=meshes)
     return _fill(folder, spec, None, meshes, run)
 
@@ -98,6 +107,7 @@ def dataset_spec(
     seed: int = 0,
     resolution: tuple[int, int] | None = None,
     renderer: str | None = "raster",
+    samples: int | None = None,
     edits: Collection[EditKind] = (),
     meshes: Library | None = None,
     signals: Collection[Signal] = (),
@@ -136,7 +146,7 @@ def dataset_spec(
         splits=splits,
         resolution=(resolution or recipe.resolution) if renderer else None,
         cameras=cameras.views if cameras else (),
-        renderer=renderer_identity(renderer),
+        renderer=renderer_identity(renderer, samples),
         edits=edits,
         assets=meshes.values() if meshes else (),
         signals=signals,
@@ -149,6 +159,7 @@ def render(
     *,
     resolution: tuple[int, int] | None = None,
     renderer: str = "raster",
+    samples: int | None = None,
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
     assets: Path | None = None,
@@ -176,7 +187,14 @@ def render(
             f"{DATA_VERSION}; render it with the program that made it, or generate it again."
         )
     dataset.check_complete()
-    settings = {"resolution": resolution, "renderer": renderer, "rig": rig, "edits": edits, "signals": signals}
+    settings = {
+        "resolution": resolution,
+        "renderer": renderer,
+        "samples": samples,
+        "rig": rig,
+        "edits": edits,
+        "signals": signals,
+    }
     spec = render_spec(dataset.spec, **settings, cameras=cameras)
     meshes = open_library(dataset.spec.get("assets"), assets)
     if meshes and not edits:
@@ -189,6 +207,7 @@ def render_spec(
     *,
     resolution: tuple[int, int] | None = None,
     renderer: str = "raster",
+    samples: int | None = None,
     rig: Recipe | None = None,
     edits: Collection[EditKind] = (),
     signals: Collection[Signal] = (),
@@ -207,7 +226,7 @@ def render_spec(
         seed=source["seed"],
         splits=source["splits"],
         resolution=(width, height),
-        renderer=renderer_identity(renderer),
+        renderer=renderer_identity(renderer, samples),
         rig=replaced,
         cameras=poses,
         edits=edits,

@@ -13,11 +13,11 @@ from datagen.edits import edits_record
 from datagen.edits.edit_context import stage_of
 from datagen.errors import CorruptFile, UsageError
 from datagen.meshes.library import Library
-from datagen.pipeline.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
+from datagen.pipeline.records import photographs, pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.pipeline.visible_range import check_range
 from datagen.random_streams import Stream, scene_rng
-from datagen.render import make_renderer
-from datagen.render.renderer import Renderer
+from datagen.render import SAMPLES, make_renderer
+from datagen.render.renderer import PathTracer, Renderer
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Camera, Scene, Trajectory
 from datagen.schema import FIELDS, SPLITS, SceneRecord
@@ -39,6 +39,9 @@ from datagen.storage.spec import (
 MOST_MEMORY = 4 * 2**30
 """Largest memory of one scene while it is made, bytes; every worker makes one scene at a time."""
 
+
+MOST_SAMPLES = 65_536
+"""Largest number of paths per pixel."""
 
 _SIMULATED = ("simulation", "moving_camera")
 """Groups of fields that need no images."""
@@ -151,7 +154,7 @@ def make_scene(
     if not spec["renderer"]:
         return record
     shapes = tuple(build(body.shape, meshes) for body in scene.bodies)
-    renderer = _renderer(spec["renderer"]["name"])
+    renderer = _renderer(spec["renderer"]["name"], spec["renderer"].get("samples", SAMPLES))
     width, height = spec["resolution"]
     check_range(scene, shapes, trajectory.world_from_object, (width, height), name=f"{split} scene {index}: ")
     pixels = pixel_record(
@@ -164,16 +167,17 @@ def make_scene(
         sensor=recipe.sensor,
         rng=_rng(spec, split, index, "sensor"),
     )
+    stage = stage_of(scene, shapes, trajectory)
     edits = edits_record(
-        stage_of(scene, shapes, trajectory),
+        stage,
         pixels,
         recipe.for_scene(index),
         renderer,
         {kind: _rng(spec, split, index, kind) for kind in edits_of(spec)},
     )
-    signals = signals_record(
-        stage_of(scene, shapes, trajectory), pixels, signals_of(spec), _rng(spec, split, index, "tracks")
-    )
+    signals = signals_record(stage, pixels, signals_of(spec), _rng(spec, split, index, "tracks"))
+    if isinstance(renderer, PathTracer):  # last, since labels follow from the rasteriser's colours
+        pixels["rgb"] = photographs(scene, shapes, stage.world_from_object, renderer, (width, height))
     return {**record, **pixels, **edits, **signals}
 
 
@@ -199,10 +203,22 @@ def _rng(spec: Spec, split: str, index: int, stream: Stream) -> np.random.Genera
 
 
 @functools.cache
-def _renderer(name: str) -> Renderer:
-    return make_renderer(name)
+def _renderer(name: str, samples: int) -> Renderer:
+    return make_renderer(name, samples=samples)
 
 
-def renderer_identity(name: str | None) -> dict[str, str | int] | None:
-    """Name and version of a renderer."""
-    return {"name": name, "version": _renderer(name).version} if name else None
+def renderer_identity(name: str | None, samples: int | None = None) -> dict[str, str | int] | None:
+    """Name and version of a renderer; of a path tracer also its engine and the samples per pixel.
+
+    Raises:
+        UsageError: the number of samples is out of range, or the renderer takes none.
+    """
+    if samples is not None and name != "mitsuba":
+        raise UsageError("--samples is for --renderer mitsuba; leave it out, or choose that renderer.")
+    if samples is not None and not 1 <= samples <= MOST_SAMPLES:
+        raise UsageError(f"--samples is {samples}; expected 1 to {MOST_SAMPLES:,}.")
+    if name is None:
+        return None
+    renderer = _renderer(name, samples or SAMPLES)
+    traced = {"engine": renderer.engine, "samples": renderer.samples} if isinstance(renderer, PathTracer) else {}
+    return {"name": name, "version": renderer.version, **traced}

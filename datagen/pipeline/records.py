@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 from datagen.config import Sensor
 from datagen.errors import UsageError
 from datagen.geometry import transform
-from datagen.render.renderer import Image, Renderer
+from datagen.render.renderer import Image, PathTracer, Renderer
 from datagen.scene import Body, Scene, Trajectory, plain, scene_from_json, scene_to_json
 from datagen.schema import FIELDS, SceneRecord, encode_depth
 from datagen.sensor import sense
@@ -171,6 +171,23 @@ def render_clip(
         [renderer.render(pose, camera.at(frame), *resolution) for camera in scene.cameras]
         for frame, pose in enumerate(world_from_object)
     ]
+
+
+def photographs(
+    scene: Scene,
+    shapes: Sequence[Shape],
+    world_from_object: Float[np.ndarray, "frame object 4 4"],
+    renderer: PathTracer,
+    resolution: tuple[int, int],
+) -> UInt8[np.ndarray, "frame view height width 3"]:
+    """Path-trace the colours of the images that `render_clip` renders."""
+    renderer.load(scene, shapes)
+    return np.array(
+        [
+            [renderer.photograph(pose, camera.at(frame), *resolution) for camera in scene.cameras]
+            for frame, pose in enumerate(world_from_object)
+        ]
+    )
 
 
 def stack_images(images: list[list[Image]], name: str) -> np.ndarray:

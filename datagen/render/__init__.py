@@ -1,4 +1,4 @@
-"""Images, depth and ids of a scene: two renderers behind one protocol.
+"""Images, depth and ids of a scene: renderers behind one protocol.
 
 Engines are imported when one is made, so that importing this package costs neither numba nor OpenGL.
 """
@@ -9,20 +9,28 @@ from datagen.render.renderer import Image, Renderer
 __all__ = ["RENDERERS", "Image", "Renderer", "make_renderer"]
 
 
-RENDERERS = ("raster", "pyrender")
+RENDERERS = ("raster", "rich", "pyrender", "mitsuba")
 """Names that `make_renderer` knows; the first one is the default."""
 
 
-def make_renderer(name: str) -> Renderer:
+SAMPLES = 64
+"""Default number of paths per pixel of `mitsuba`."""
+
+
+def make_renderer(name: str, *, samples: int = SAMPLES) -> Renderer:
     """A renderer by name.
 
     Raises:
         UsageError: there is none of that name, or what it needs is not installed.
     """
-    if name == "raster":
+    if name in ("raster", "rich"):
         from datagen.render.raster import RasterRenderer
 
-        return RasterRenderer()
+        return RasterRenderer(rich=name == "rich")
+    if name == "mitsuba":
+        from datagen.render.mitsuba_pt import MitsubaRenderer
+
+        return MitsubaRenderer(samples)
     if name == "pyrender":
         from datagen.render.pyrender_gl import PyrenderRenderer
 

@@ -43,6 +43,18 @@ CREASE = 0.96
 AO_LENGTH = 0.02
 """Distance over which an object darkens the ambient light around its foot, metres."""
 
+CONTACT_LENGTH = 0.005
+"""Distance over which it does so where it touches the table, in rich images, metres."""
+
+GLOSSY = 0.6
+"""Roughness below which rich surfaces reflect the pattern of the table."""
+
+MIRROR_STEP, MIRROR_GROWTH, MIRROR_STEPS = 0.004, 1.22, 13
+"""Points of a ray at which it may meet a reflected object: metres to the first, growth of the steps, and number."""
+
+SWEEP = 1.5
+"""Width of the band beyond the table over which rich images fade to the backdrop, in halves of the table."""
+
 PATTERNS = ("plain", "two-tone", "checker", "stripes", "noise", "wood", "dots", "image")
 IMAGE = 7
 """Index of the pattern whose colours come from a mesh's `Skins`."""
@@ -71,12 +83,33 @@ SRGB = _srgb_table()
 kernel = njit(cache=True, error_model="numpy")
 
 
+def _windows() -> np.ndarray:
+    """Windows of the room that rich surfaces reflect: centre, half width and half height as vectors, and radiance."""
+    rows = []
+    for azimuth, elevation, width, height, radiance in (
+        (25, 40, 0.38, 0.3, 5.0),
+        (150, 30, 0.5, 0.22, 3.0),
+        (255, 50, 0.22, 0.36, 4.0),
+    ):
+        a, e = np.radians(azimuth), np.radians(elevation)
+        center = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        side = np.array([-np.sin(a), np.cos(a), 0.0])
+        rows.append([*center, *side / width, *np.cross(center, side) / height, radiance, width, height])
+    return np.array(rows)
+
+
+WINDOWS = _windows()
+
+
 def _linear_table() -> np.ndarray:
     value = np.arange(256) / 255
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 LINEAR = _linear_table()
+
+SKY_SCALE = 0.63
+"""Makes the mean of `_sky` one."""
 
 
 class Skins(NamedTuple):
@@ -128,6 +161,16 @@ class Surroundings(NamedTuple):
     backdrop: np.ndarray
     occlusion: np.ndarray
     occlusion_frame: np.ndarray
+    rich: bool
+    """Whether surfaces reflect a room, and the table fades into the backdrop."""
+    turn: np.ndarray
+    """Cosine and sine of the room's angle about the vertical."""
+    arriving: np.ndarray
+    """Light that arrives on the open table, linear RGB."""
+    below: np.ndarray
+    """Texels of the `LightMap` behind `occlusion`, for reflections of other objects."""
+    highest: float
+    """Height of the highest point of all objects, metres."""
 
 
 class Row(NamedTuple):
@@ -154,6 +197,10 @@ class Row(NamedTuple):
     blur: np.ndarray
     color: np.ndarray
     total: np.ndarray
+    mirrored: np.ndarray
+    """Linear RGB of the table that each sample of a rich image reflects; negative if it is too rough to show it."""
+    fade: np.ndarray
+    """Share of the backdrop in the colour of each sample of a rich image."""
 
 
 # --- Solid textures -----------------------------------------------------------------------------------------------
@@ -264,6 +311,19 @@ def texture_weights(pattern, period, axis, points, width):
     return weights
 
 
+@kernel
+def toned(colors):
+    """`_tone` of all values of an array, in place."""
+    for i in range(colors.size):
+        colors.flat[i] = _tone(colors.flat[i])
+    return colors
+
+
+def encoded(colors):
+    """SRGB bytes of linear values."""
+    return SRGB[np.clip((colors * len(SRGB)).astype(np.int64), 0, len(SRGB) - 1)]
+
+
 # --- Textures of meshes -------------------------------------------------------------------------------------------
 
 
@@ -285,7 +345,25 @@ def _bilinear(skins, level, u, v, c):
 
 
 @kernel
-def _skin(skins, face, a, b, c, width, albedo):
+def _bicubic(skins, level, u, v, c):
+    """Cubic B-spline through 4x4 texels, which shows no texels however near they are."""
+    x, y = u * skins.images[level, 1] - 0.5, v * skins.images[level, 2] - 0.5
+    i, j = math.floor(x), math.floor(y)
+    value = 0.0
+    for dy in range(-1, 3):
+        for dx in range(-1, 3):
+            value += _spline(x - i - dx) * _spline(y - j - dy) * _texel(skins, level, i + dx, j + dy, c)
+    return value
+
+
+@kernel
+def _spline(t):
+    t = abs(t)
+    return (4 - 6 * t * t + 3 * t * t * t) / 6 if t < 1 else (2 - t) ** 3 / 6
+
+
+@kernel
+def _skin(skins, face, a, b, c, width, rich, albedo):
     """Linear RGB of a face at barycentric weights, averaged over about `width` metres (trilinear mipmapping)."""
     uv, colors, texture = skins.uv, skins.colors, skins.texture[face]
     u = a * uv[face, 0, 0] + b * uv[face, 1, 0] + c * uv[face, 2, 0]
@@ -295,7 +373,7 @@ def _skin(skins, face, a, b, c, width, albedo):
     level = min(first + int(fine), last)
     share = fine - int(fine)
     for k in range(3):
-        value = _bilinear(skins, level, u, v, k)
+        value = _bicubic(skins, level, u, v, k) if rich and fine == 0 else _bilinear(skins, level, u, v, k)
         if share > 0 and level < last:
             value = value * (1 - share) + _bilinear(skins, level + 1, u, v, k) * share
         albedo[k] = value * (a * colors[face, 0, k] + b * colors[face, 1, k] + c * colors[face, 2, k])
@@ -544,12 +622,97 @@ def _dark_share(texels, disc, u, v, d, du, dv, radius, receiver):
     return dark / len(disc)
 
 
+# --- The room of rich images --------------------------------------------------------------------------------------
+
+
+@kernel
+def _pane(a, size, blur):
+    """Share of a window that is seen at `a` half sizes from its middle, where a bar divides it."""
+    width = blur / size
+    bar = min(0.08 / width, 1.0) * _ramp((0.04 - abs(a)) / width)
+    return _ramp((1 - abs(a)) / width) * (1 - bar)
+
+
+@kernel
+def _sky(turn, x, y, z, blur):
+    """Radiance of the room above the table in a direction, averaged over about `blur` radians.
+
+    It is relative to the ambient light: over the hemisphere its mean, weighted with the cosine, is one.
+    """
+    x, y = turn[0] * x + turn[1] * y, turn[0] * y - turn[1] * x
+    wall = _ramp((z - 0.1) / (0.06 + blur))
+    ceiling = _ramp((z - 0.8) / (0.06 + blur))
+    value = 0.35 + (0.35 + 0.25 * x) * wall + 0.25 * ceiling
+    for i in range(len(WINDOWS)):
+        w = WINDOWS[i]
+        along = w[0] * x + w[1] * y + w[2] * z
+        if along > 0.2:
+            a, b = (w[3] * x + w[4] * y + w[5] * z) / along, (w[6] * x + w[7] * y + w[8] * z) / along
+            if (abs(a) - 1) * w[10] < 0.5 * blur and (abs(b) - 1) * w[11] < 0.5 * blur:
+                value += w[9] * _pane(a, w[10], blur) * _pane(b, w[11], blur)
+    return SKY_SCALE * value
+
+
+@kernel
+def sky(turn, directions, blur):
+    """`_sky` for unit vectors in rows."""
+    values = np.empty(len(directions))
+    for i in range(len(directions)):
+        values[i] = _sky(turn, directions[i, 0], directions[i, 1], directions[i, 2], blur)
+    return values
+
+
+@kernel
+def _mirror(s, materials, row, q, n, e, roughness):
+    """Compute the colour of the table or of another object where the mirror direction of a sample meets it.
+
+    Objects are columns between the heights that `below` holds.
+    """
+    row.mirrored[q, 0] = -1.0
+    if roughness >= GLOSSY:
+        return
+    toward = 2 * (n[0] * e[0] + n[1] * e[1] + n[2] * e[2])
+    x, y, z = row.point[q, 0], row.point[q, 1], row.point[q, 2]
+    rx, ry, rz = toward * n[0] - e[0], toward * n[1] - e[1], toward * n[2] - e[2]
+    least_x, least_y, scale = s.occlusion_frame[0], s.occlusion_frame[1], s.occlusion_frame[2]
+    own, size = row.owner[q], len(s.below)
+    ground = -max(z, 0.0) / rz if rz < -0.02 else FAR
+    t, step = 0.0, MIRROR_STEP
+    for _ in range(MIRROR_STEPS):
+        t, step = min(t + step, ground), step * MIRROR_GROWTH
+        h = z + t * rz
+        u, v = int((x + t * rx - least_x) * scale), int((-y - t * ry - least_y) * scale)
+        if h > s.highest or u < 0 or v < 0 or u >= size or v >= size:
+            break
+        low, top, o = s.below[v, u, 0], s.below[v, u, 1], int(s.below[v, u, 2])
+        if top < FAR and o != own and h <= top and (h >= low or (t == ground and low < 0.01)):
+            shade = 0.3 + 0.4 * h / top
+            for c in range(3):
+                row.mirrored[q, c] = shade * s.arriving[c] * materials[o, c]
+            return
+        if t == ground:
+            break
+    if ground == FAR:
+        return
+    t = ground
+    x, y = x + t * rx, y + t * ry
+    m = materials[len(materials) - 1]
+    width = row.blur[q] + t * (0.05 + roughness * roughness)
+    second = _texture(int(m[6]), m[7], (m[8], m[9], m[10]), x, y, 0.0, width)
+    open_share = 1 - _occlusion_at(s.occlusion, s.occlusion_frame, x, y)
+    for c in range(3):
+        row.mirrored[q, c] = open_share * s.arriving[c] * (m[c] + second * (m[3 + c] - m[c]))
+
+
 # --- Ambient occlusion ----------------------------------------------------------------------------------------------
 
 
 @kernel
-def occlusion_map(texels, scale, occlusion):
-    """Darkness of the ambient light on the table, from a light space that looks up from below (d is height)."""
+def occlusion_map(texels, scale, length, occlusion):
+    """Darkness of the ambient light on the table, from a light space that looks up from below (d is height).
+
+    It falls off over `length` metres, in height as along the table.
+    """
     size = len(texels)
     for y in range(size):
         for x in range(size):
@@ -559,9 +722,9 @@ def occlusion_map(texels, scale, occlusion):
                 continue
             height = max(low, 0.0)
             thickness = min(max(high - low, 0.0), 1.0)
-            fade = AO_LENGTH / (AO_LENGTH + height)
-            occlusion[y, x] = fade * fade * thickness / (thickness + 0.5 * AO_LENGTH)
-    a = 1 / (1 + 0.7 * AO_LENGTH * scale)
+            fade = length / (length + height)
+            occlusion[y, x] = fade * fade * thickness / (thickness + 0.5 * length)
+    a = 1 / (1 + 0.7 * length * scale)
     for _ in range(2):
         _smooth_columns(occlusion, a)
         _smooth_columns(occlusion.T, a)
@@ -662,11 +825,21 @@ def _reflect(row, count, s, materials):
         sky = share * above * (1.5 + 1.5 * rise * rise)
         # Straight down, a mirror sees the shade of the object itself.
         earth = (1 - share) * below * above * (0.8 - 0.5 * max(-r[2], 0.0))
-        base_r = sky * ambient[0] + earth * ground[0]
-        base_g = sky * ambient[1] + earth * ground[1]
-        base_b = sky * ambient[2] + earth * ground[2]
+        earth_r, earth_g, earth_b = ground[0], ground[1], ground[2]
+        if s.rich:
+            sky = share * above
+            if roughness < GLOSSY:
+                sky *= _sky(s.turn, r[0], r[1], max(r[2], 0.0), 0.03 + 1.2 * roughness * roughness)
+            if row.mirrored[q, 0] >= 0:
+                earth, sky = (1 - share, sky) if r[2] < 0 else (1.0, 0.0)
+                earth_r, earth_g, earth_b = row.mirrored[q, 0], row.mirrored[q, 1], row.mirrored[q, 2]
+        base_r = sky * ambient[0] + earth * earth_r
+        base_g = sky * ambient[1] + earth * earth_g
+        base_b = sky * ambient[2] + earth * earth_b
         # Every light is also a square panel that glossy surfaces mirror; Schlick's rim brightens grazing views.
         panel_size, panel_scale = 1 / (0.06 + 0.5 * roughness), 0.5 * (1 - roughness) * share * above
+        if s.rich:  # its windows take the panels' place
+            panel_scale = 0.0
         rim = _fifth(1 - toward) * (1 - roughness)
         edge_r, edge_g, edge_b = rim * base_r, rim * base_g, rim * base_b
         for i in range(len(lights)):
@@ -674,7 +847,7 @@ def _reflect(row, count, s, materials):
             red, green, blue = lights[i, 3], lights[i, 4], lights[i, 5]
             panel = panel_scale * _ramp((r[0] * light[0] + r[1] * light[1] + r[2] * light[2] - 0.9) * panel_size)
             facing = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
-            arriving = max(facing, 0.0) * (light_share[q, 0] if i == 0 else 1.0)
+            arriving = max(facing, 0.0) * (light_share[q, 0] if i == 0 else (above if s.rich else 1.0))
             glow, rim = 0.0, 0.0
             # The other lights are large and faint; they show as panels alone.
             if i == 0 and arriving > 0:
@@ -699,6 +872,9 @@ def _reflect(row, count, s, materials):
             base = base_r if c == 0 else (base_g if c == 1 else base_b)
             edge = edge_r if c == 0 else (edge_g if c == 1 else edge_b)
             colors[q, c] = _tone(matte * albedo * diffuse + (plain + metalness * albedo) * base + edge)
+        if s.rich and row.fade[q] > 0:
+            for c in range(3):
+                colors[q, c] += row.fade[q] * (backdrop[c] - colors[q, c])
 
 
 @kernel
@@ -813,11 +989,21 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
     up = 1.0 if view[2, 3] > 0 else -1.0
     for r in range(count):
         face = kind[r]
-        if face == NOTHING:
-            owner[r] = NOTHING
-            continue
         sx, sy = at[r, 0], at[r, 1]
         ray = _world_ray(view, sx, sy)
+        row.fade[r] = 0.0
+        if face == NOTHING:
+            owner[r] = NOTHING
+            if not s.rich or ray[2] * up >= 0:
+                continue
+            # The table goes on beyond its border and fades into the backdrop.
+            at[r, 2] = -view[2, 3] / ray[2]
+            x, y = view[0, 3] + at[r, 2] * ray[0], view[1, 3] + at[r, 2] * ray[1]
+            far = max((max(abs(x), abs(y)) / view[3, 0] - 1) / SWEEP, 0.0)
+            if far >= 1:
+                continue
+            face = TABLE
+            row.fade[r] = far * far * (3 - 2 * far)
         e = _unit(-ray[0], -ray[1], -ray[2])
         wa = wb = wc = 0.0
         if face == TABLE:
@@ -856,13 +1042,23 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
             # Between the sides of the pixel's footprint, which is longer along the slope.
             across = view[3, 1] * z / math.sqrt(max(toward, 0.1))
             row.second[r] = 0.0
-            _skin(mesh.skins, face, wa, wb, wc, across, row.albedo[r])
+            _skin(mesh.skins, face, wa, wb, wc, across, s.rich, row.albedo[r])
         else:
             row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
         shade = _occlusion_at(occlusion, occlusion_frame, p[0], p[1])
         light[r, 0] = 1.0
         light[r, 1] = min(0.75 * shade, 1.0) if o == TABLE else 0.0
         light[r, 2] = 0.0 if o == TABLE else min(1.2 * shade * AO_LENGTH / (AO_LENGTH + max(p[2], 0.0)), 1.0)
+        if s.rich:
+            row.mirrored[r, 0] = -1.0
+            if o == TABLE:
+                light[r, 1] = shade
+            else:
+                # The table hides half of the room from the foot of an object, where it is dark itself.
+                low = AO_LENGTH / (AO_LENGTH + 2 * max(p[2], 0.0))
+                light[r, 1] = 0.5 * shade * low * low * (1 - max(n[2], 0.0))
+                if materials[o, 12] > 0:  # the others reflect too little
+                    _mirror(s, materials, row, r, n, e, materials[o, 11])
 
 
 @kernel

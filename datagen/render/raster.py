@@ -14,7 +14,7 @@ from datagen.scene import Camera, Light, Material, Scene
 from datagen.shapes.shape import Shape
 
 OCCLUSION_SIZE = 64
-"""Texels along each side of the map that darkens the ambient light around objects."""
+"""Texels along each side of the map that darkens the ambient light around objects, at least."""
 
 
 def is_compiled() -> bool:
@@ -28,7 +28,10 @@ class RasterRenderer:
     name = "raster"
     version = 1
 
-    def __init__(self) -> None:
+    def __init__(self, *, rich: bool = False) -> None:
+        self._rich = rich
+        if rich:
+            self.name = "rich"
         self._buffers: dict[tuple[int, int], _Buffers] = {}
 
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
@@ -41,10 +44,12 @@ class RasterRenderer:
         self._table_half = 0.5 * scene.table.size
         self._lights = _pack_lights(scene.lights)
         self._ambient = np.array(scene.ambient, np.float64)
-        self._ground = _ground(scene)
+        self._ground, self._arriving = _ground(scene)
         self._backdrop = linear(scene.backdrop)
         self._shadows = bool(shapes and scene.lights and scene.lights[0].casts_shadow)
         self._key_axes = light_axes(scene.lights[0].direction) if scene.lights else np.eye(3)
+        angle = np.arctan2(self._key_axes[2, 1], self._key_axes[2, 0])
+        self._turn = np.array([np.cos(angle), np.sin(angle)])
         count = len(self._mesh.vertices)
         self._world, self._homogeneous, self._light = (np.zeros((count, 3)) for _ in range(3))
         self._screen = np.zeros((count, 2))
@@ -93,7 +98,7 @@ class RasterRenderer:
         """Move and project the vertices; returns poses, buffers and view."""
         poses = np.ascontiguousarray(world_from_object, np.float64)
         if (width, height) not in self._buffers:
-            self._buffers[width, height] = _Buffers(width, height)
+            self._buffers[width, height] = _Buffers(width, height, self._rich)
         view, samples_from_world = _view(camera, width, height, self._table_half)
         kernels.place_vertices(self._mesh.vertices, self._vertex_start, poses, self._world)
         kernels.project_vertices(self._world, samples_from_world, self._homogeneous, self._screen)
@@ -126,7 +131,10 @@ class RasterRenderer:
         below = buffers.below
         if len(self._world):
             self._light_map(below, margin=4 * kernels.AO_LENGTH)
-            kernels.occlusion_map(below.texels, below.frame[2], buffers.occlusion)
+            kernels.occlusion_map(below.texels, below.frame[2], kernels.AO_LENGTH, buffers.occlusion)
+            if self._rich:
+                kernels.occlusion_map(below.texels, below.frame[2], kernels.CONTACT_LENGTH, buffers.contact)
+                buffers.occlusion = 1 - (1 - 0.7 * buffers.occlusion) * (1 - 0.9 * buffers.contact)
         else:
             buffers.occlusion.fill(0)
         return kernels.Surroundings(
@@ -137,6 +145,11 @@ class RasterRenderer:
             self._backdrop,
             buffers.occlusion,
             below.frame,
+            self._rich,
+            self._turn,
+            self._arriving,
+            below.texels,
+            float(np.max(self._world[:, 2], initial=0.0)),
         )
 
     def _light_map(self, m: kernels.LightMap, margin: float) -> None:
@@ -147,7 +160,7 @@ class RasterRenderer:
 class _Buffers:
     """Scratch memory for one image size."""
 
-    def __init__(self, width: int, height: int) -> None:
+    def __init__(self, width: int, height: int, rich: bool) -> None:
         size = (height * kernels.SUB, width * kernels.SUB)
         self.triangle = np.empty(size, np.int32)
         self.inverse_depth = np.empty(size, np.float32)
@@ -155,8 +168,10 @@ class _Buffers:
         self.row = _row(width)
         texels = 192 if max(width, height) <= 160 else 512 if max(width, height) <= 400 else 1024
         self.shadow = _light_map(texels, np.eye(3))
-        self.below = _light_map(OCCLUSION_SIZE, light_axes((0.0, 0.0, -1.0)))
-        self.occlusion = np.zeros((OCCLUSION_SIZE, OCCLUSION_SIZE))
+        # No power of two, whose columns would compete for the same lines of the processor's cache.
+        size = max(texels // 5 // kernels.TILE * kernels.TILE, 56) if rich else OCCLUSION_SIZE
+        self.below = _light_map(size, light_axes((0.0, 0.0, -1.0)))
+        self.occlusion, self.contact = np.zeros((size, size)), np.zeros((size, size))
 
     def clear(self) -> None:
         self.triangle.fill(-1)
@@ -167,10 +182,27 @@ class _Buffers:
 def _row(width: int) -> kernels.Row:
     count = width * kernels.SUB**2
     kind, owner, pixel = (np.empty(count, np.int32) for _ in range(3))
-    share, second, blur = (np.empty(count) for _ in range(3))
-    at, point, normal, look, light, color, albedo = (np.empty((count, 3)) for _ in range(7))
+    share, second, blur, fade = (np.empty(count) for _ in range(4))
+    at, point, normal, look, light, color, albedo, mirrored = (np.empty((count, 3)) for _ in range(8))
     total = np.empty((width, 3))
-    return kernels.Row(kind, owner, pixel, share, at, point, normal, look, second, albedo, light, blur, color, total)
+    return kernels.Row(
+        kind,
+        owner,
+        pixel,
+        share,
+        at,
+        point,
+        normal,
+        look,
+        second,
+        albedo,
+        light,
+        blur,
+        color,
+        total,
+        mirrored,
+        fade,
+    )
 
 
 def _light_map(size: int, axes: np.ndarray) -> kernels.LightMap:
@@ -268,8 +300,8 @@ def _pack_lights(lights: Sequence[Light]) -> Float[np.ndarray, "light 8"]:
     return np.array(rows, np.float64).reshape(-1, 8)
 
 
-def _ground(scene: Scene) -> Float[np.ndarray, "3"]:
-    """Linear RGB that the middle of the table sends upwards, as objects see it from above."""
+def _ground(scene: Scene) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Linear RGB that the middle of the table sends upwards, as objects see it from above; and that arrives there."""
     material = scene.table.material
     albedo = linear(material.color)
     if material.pattern != "plain":
@@ -277,4 +309,4 @@ def _ground(scene: Scene) -> Float[np.ndarray, "3"]:
     arriving = np.array(scene.ambient, np.float64)
     for light in scene.lights:
         arriving = arriving + max(light.direction[2], 0.0) * np.array(light.radiance)
-    return albedo * arriving
+    return albedo * arriving, arriving

@@ -48,6 +48,21 @@ class Renderer(Protocol):
         ...
 
 
+@runtime_checkable
+class PathTracer(Renderer, Protocol):
+    """Renderer whose `render` gives the rasteriser's images, and which makes other colours for them."""
+
+    engine: str
+    samples: int
+    """Number of paths per pixel."""
+
+    def photograph(
+        self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int
+    ) -> UInt8[np.ndarray, "height width 3"]:
+        """Colours of the loaded scene with its objects at the given poses, sRGB; equal arguments give equal noise."""
+        ...
+
+
 def linear(srgb: Vector) -> Float[np.ndarray, "3"]:
     """Linear RGB of an sRGB colour in 0..1 (IEC 61966-2-1)."""
     value = np.asarray(srgb, np.float64)

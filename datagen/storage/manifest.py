@@ -22,7 +22,7 @@ Facts = dict[str, list[dict[str, Any]]]
 
 _LISTED = ("file", "scenes", "bytes", "sha256", "content_hash")
 """Facts about a shard that the manifest lists; the others are summed."""
-_PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender")
+_PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender", "mitsuba")
 
 
 def make_manifest(spec: Spec, facts: Facts, *, seconds: float, workers: int, scenes_made: int) -> dict[str, Any]:

@@ -5,7 +5,7 @@ The spec is a plain dict:
     recipe .......... every constant of the recipe; its `resolution` is only the default of the one below
     seed
     resolution ...... width and height of the images, null if there are none
-    renderer ........ name and version, null if there are no images
+    renderer ........ name and version, of a path tracer also engine and samples; null if there are no images
     rig ............. cameras that replace the recipe's when rendering (`rig`, `views`), usually null
     cameras ......... views of a cameras file that replace the rig's; key missing if there is none
     edits ........... counterfactual edits, in the order of `schema.EDITS`; key missing if there are none
@@ -372,7 +372,12 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "recipe": _is_recipe,
     "seed": _is_number,
     "resolution": lambda size: size is None or _is_size(size),
-    "renderer": lambda renderer: renderer is None or (_is_name(renderer["name"]) and _is_number(renderer["version"])),
+    "renderer": lambda renderer: (
+        renderer is None
+        or (
+            _is_name(renderer["name"]) and _is_number(renderer["version"]) and _is_number(renderer.get("samples", 1), 1)
+        )
+    ),
     "rig": lambda rig: rig is None or (_has_views(rig) and type(rig["rig"]) is dict),
     "scenes_per_shard": lambda scenes: _is_number(scenes, 1, MOST_SCENES),
     "splits": lambda splits: all(_is_number(splits[name], 0, MOST_SCENES) for name in SPLITS),

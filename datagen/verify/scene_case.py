@@ -48,6 +48,9 @@ class Precision:
     depth_steps: float = 0.0
     """Step of the depth buffer at a depth of 1 m, metres; grows with the square of depth."""
 
+    path_traced: bool = False
+    """Whether labels that follow from colours follow from those of the rasteriser, which are not stored."""
+
     def sideways(self, depth: np.ndarray, focal: np.ndarray | float) -> np.ndarray:
         """Largest shift of a surface across the line of sight at a given depth, metres; focal length in pixels."""
         return self.snap * depth / focal
@@ -60,7 +63,12 @@ class Precision:
 OPENGL = Precision(snap=1 / 256, depth_steps=2.0**-24 / 0.05)
 """Precision of OpenGL: corners have 8 subpixel bits, and the depth buffer has 24 bits and a near plane at 5 cm."""
 
-PRECISION = {"raster": Precision(), "pyrender": OPENGL}
+PRECISION = {
+    "raster": Precision(),
+    "rich": Precision(),
+    "pyrender": OPENGL,
+    "mitsuba": Precision(path_traced=True),
+}
 """Precision of each renderer by name."""
 
 

@@ -3,6 +3,7 @@
 Every frame is 128x128 with six objects, and gives colour, depth, ids; times are the process' CPU time.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable
 from typing import Any
@@ -47,6 +48,30 @@ def test_raster(benchmark, world):
     renderer, at = make_renderer("raster"), poses(scene)
     renderer.load(scene, shapes)
     measure(benchmark, RASTER, lambda: renderer.render(at, FRONT, SIZE, SIZE), 100)
+
+
+@pytest.mark.parametrize("size", [128, 512])
+def test_rich_images_take_at_most_15_percent_longer(world, size):
+    """The recipe clevr3d's kind of scene: six objects, half of them metal."""
+    scene, shapes = world
+    shiny = [
+        dataclasses.replace(b, material=dataclasses.replace(b.material, roughness=0.25, metalness=float(row % 2)))
+        for row, b in enumerate(scene.bodies)
+    ]
+    scene, at = dataclasses.replace(scene, bodies=tuple(shiny)), poses(scene)
+    renderers = [make_renderer(name) for name in ("raster", "rich")]
+    seconds = np.zeros((40 if size < 200 else 15, 2))
+    for renderer in renderers:
+        renderer.load(scene, shapes)
+        renderer.render(at, FRONT, size, size)
+    for turn in seconds:  # in alternation, so that other processes disturb both
+        for column, renderer in enumerate(renderers):
+            start = time.process_time()
+            renderer.render(at, FRONT, size, size)
+            turn[column] = time.process_time() - start
+    ratio = np.median(seconds[:, 1] / seconds[:, 0])
+    print(f"rich {size}: {ratio:.3f} times the CPU time of raster")
+    assert ratio <= 1.15
 
 
 @pytest.mark.benchmark(group="render", timer=time.process_time)

@@ -85,3 +85,12 @@ def test_wood_looks_the_same_along_its_grain_but_not_across(points):
     along = weights("wood", points + 0.2 * PERIOD * np.array(AXIS)) - weights("wood", points)
     across = weights("wood", points + 0.2 * PERIOD * np.array([0.8, 0.0, -0.6])) - weights("wood", points)
     assert np.abs(along).mean() < 0.3 * np.abs(across).mean()
+
+
+@pytest.mark.parametrize("blur", [0.01, 0.1, 1.0])
+def test_the_mean_of_the_room_is_one(blur):
+    height, angle = np.meshgrid((np.arange(100) + 0.5) / 100, np.pi * np.arange(200) / 100, indexing="ij")
+    flat = np.sqrt(1 - height**2)
+    directions = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=-1).reshape(-1, 3)
+    values = kernels.sky(np.array([0.6, 0.8]), directions, blur)
+    assert np.average(values, weights=directions[:, 2]) == pytest.approx(1.0, abs=0.03)

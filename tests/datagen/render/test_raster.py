@@ -335,3 +335,56 @@ def test_shapes_and_poses_follow_the_rows_of_bodies(raster):
     )
     assert 3 in changed
     assert np.count_nonzero((before.segmentation == 1) != (after.segmentation == 1)) < 20
+
+
+@pytest.fixture(scope="module")
+def rich() -> RasterRenderer:
+    return RasterRenderer(rich=True)
+
+
+def test_rich_images_differ_in_nothing_but_colour(raster, rich):
+    made = six_objects(np.random.default_rng(3))
+    one, other = render(raster, made, NEAR), render(rich, made, NEAR)
+    for name in ("depth", "segmentation", "amodal_pixels"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert np.mean(one.rgb != other.rgb) > 0.1
+
+
+def test_metal_mirrors_its_neighbour_in_rich_images_alone(raster, rich):
+    mirror = body("box", {"size": [0.02, 0.2, 0.1]}, (0.2, 0.0, 0.05), metalness=1.0, roughness=0.15, color=(0.9,) * 3)
+    changes = []
+    for renderer in (raster, rich):
+        images = []
+        for color in ((0.9, 0.1, 0.1), (0.1, 0.1, 0.9)):
+            made = scene(mirror, body("box", {"size": [0.04, 0.04, 0.06]}, (0.26, 0.0, 0.03), color=color))
+            images.append(render(renderer, made, LOW_FRONT, 96, 96))
+        inside = interior(images[0].segmentation == 1)
+        changes.append(np.mean(np.any(images[0].rgb != images[1].rgb, axis=-1)[inside]))
+    assert changes[0] == 0
+    assert changes[1] > 0.03
+
+
+LOW_FRONT = Camera((0.9, 0.0, 0.25), (0.2, 0.0, 0.05), np.radians(20))
+
+
+def test_the_table_is_darker_where_something_stands_on_it(raster, rich):
+    lights = (dataclasses.replace(ABOVE_LEFT, casts_shadow=False),)
+    box = body("box", {"size": [0.1, 0.1, 0.1]}, (0.28, 0.0, 0.05))
+    made = scene(box, lights=lights)
+    changes = []
+    for renderer in (raster, rich):
+        with_box, without = (render(renderer, world, width=192, height=192) for world in (made, scene(lights=lights)))
+        change = (without.rgb.astype(int) - with_box.rgb).min(axis=-1)
+        foot = np.argwhere(with_box.segmentation == 1)[:, 0].max()
+        changes.append(change[foot + 1 : foot + 4].max())
+        assert not change[foot + 60 :].any()
+    assert changes[1] >= 1.5 * changes[0]
+
+
+def test_a_rich_table_goes_on_beyond_its_edge(raster, rich):
+    made = scene(table=Table(0.5, Material("table", (0.6, 0.3, 0.2))), backdrop=(0.3, 0.3, 0.3))
+    plain, smooth = render(raster, made, width=128, height=128), render(rich, made, width=128, height=128)
+    edge = np.diff((plain.depth > 0).astype(int), axis=0) != 0
+    steps = [np.abs(np.diff(image.rgb.astype(int), axis=0)).max(axis=-1)[edge].max() for image in (plain, smooth)]
+    assert steps[0] > 25
+    assert steps[1] <= 4

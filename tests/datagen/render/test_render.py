@@ -10,17 +10,19 @@ from datagen.render import RENDERERS, make_renderer
 
 
 def test_the_default_comes_first():
-    assert RENDERERS == ("raster", "pyrender")
+    assert RENDERERS == ("raster", "rich", "pyrender", "mitsuba")
     assert make_renderer("raster").name == "raster"
 
 
 def test_an_unknown_name_suggests_the_nearest_one():
-    with pytest.raises(UsageError, match=r"'rasta'; did you mean 'raster'\? There are: raster, pyrender\."):
+    with pytest.raises(
+        UsageError, match=r"'rasta'; did you mean 'raster'\? There are: raster, rich, pyrender, mitsuba\."
+    ):
         make_renderer("rasta")
 
 
 def test_a_name_like_none_of_them_suggests_nothing():
-    with pytest.raises(UsageError, match=r"^Unknown renderer 'xyz'; there are: raster, pyrender\.$"):
+    with pytest.raises(UsageError, match=r"^Unknown renderer 'xyz'; there are: raster, rich, pyrender, mitsuba\.$"):
         make_renderer("xyz")
 
 

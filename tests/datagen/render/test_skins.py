@@ -37,9 +37,9 @@ def build(raw: RawMesh) -> Shape:
     return make_shape(placed, mass_of(placed.surface, hulls), hulls)
 
 
-def sample(shape: Shape, weights: tuple[float, float, float], width: float) -> np.ndarray:
+def sample(shape: Shape, weights: tuple[float, float, float], width: float, *, rich: bool = False) -> np.ndarray:
     skins, out = _pack_skins([shape], np.array([0, len(shape.faces)])), np.zeros(3)
-    kernels._skin(skins, 0, *weights, width, out)
+    kernels._skin(skins, 0, *weights, width, rich, out)
     return out
 
 
@@ -63,6 +63,17 @@ def test_small_texels_are_averaged_in_linear_light():
         0,
         1,
     }
+
+
+def test_rich_images_show_no_texels():
+    image = np.random.default_rng(0).integers(0, 256, (8, 8, 3)).astype(np.uint8)
+    shape = build(raw_box(image, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
+    bends = []
+    for rich in (False, True):
+        line = [sample(shape, (0.5 - x, x, 0.5), 1e-6, rich=rich) for x in np.linspace(0, 0.5, 401)]
+        assert np.min(line) >= 0
+        bends.append(np.abs(np.diff(line, n=2, axis=0)).max() / np.ptp(line))
+    assert bends[1] < 0.15 * bends[0]
 
 
 def test_unused_texels_do_not_bleed_into_coarse_levels():
