@@ -19,7 +19,7 @@ OCCLUSION_SIZE = 64
 
 def is_compiled() -> bool:
     """Whether an earlier run left its compiled kernels on this machine, possibly those of an earlier version."""
-    return any(Path(kernels.shade.stats.cache_path).glob("kernels.shade-*.nbi"))
+    return any(Path(kernels.shade.stats.cache_path or "").glob("kernels.shade-*.nbi"))
 
 
 class RasterRenderer:
