@@ -20,8 +20,8 @@ from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
 FINER = 1.5
 """Subtracted from the bias for the finer of the two groupings of key frames."""
 CAUTION = 0.75
-"""Subtracted from the bias for joining parts before motion is considered, and added to it afterwards: errors of single
-images cancel, so that fewer divisions are wrong."""
+"""Subtracted from the bias for joining parts before motion is considered, and added to it afterwards, for ten images:
+errors of single images cancel, so that fewer divisions are wrong. It is 0 for one image."""
 TOGETHER, TEARING = 0.0015, 4000.0
 """Excess residual in metres up to which fragments move together, and loss of attraction per metre beyond it."""
 MOST_TORN = 12.0
@@ -72,14 +72,16 @@ def segment_clip(
     if not keys:
         return np.stack([image.label_map(image.groups(bias)) for image in images])
     candidates = [track(clouds, key, images[key].groups(bias - finer), gap) for finer in (0, FINER) for key in keys]
+    # Errors of means over n images decrease with the root of n.
+    caution = CAUTION * (1 - len(images) ** -0.5) / (1 - 10**-0.5)
     # Join fragments that the network joins in most images.
     labels, shared = fragments_of(candidates)
     evidence = gather(labels, shared, [image.pairs for image in images])
-    labels, evidence = _join(labels, evidence, bias - CAUTION)
+    labels, evidence = _join(labels, evidence, bias - caution)
     # Join larger parts unless they move apart.
     excess = divergences(clouds, labels, views=views) - TOGETHER
     torn = np.clip(TEARING * excess, 0, MOST_TORN)
-    labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + CAUTION)
+    labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + caution)
     return np.stack([image.label_map(found) for image, found in zip(images, labels, strict=True)])
 
 

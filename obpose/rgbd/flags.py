@@ -36,7 +36,8 @@ def read_frames(frames: Frames) -> Recording:
 
 def _files(frames: Frames) -> tuple[FrameFiles, Camera]:
     """Find the files of the frames, and their camera."""
-    k = None if frames.intrinsics is None else parse_intrinsics(frames.intrinsics)
+    needed = frames.source is None or frames.intrinsics is not None
+    k = parse_intrinsics(frames.intrinsics) if needed else None
     if frames.source is None:
         files = named_files(frames.rgb, frames.depth)
     elif frames.rgb or frames.depth:

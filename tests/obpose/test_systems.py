@@ -8,7 +8,7 @@ from obpose.baselines.obsurf.model import Obsurf
 from obpose.baselines.supervised import Supervised
 from obpose.config import Config
 from obpose.config_text import from_plain, to_plain
-from obpose.contact.config import ContactConfig, SupervisedConfig
+from obpose.contact.config import ContactConfig, OgcConfig, SupervisedConfig
 from obpose.data.scene_stats import SceneMeasures
 from obpose.errors import UsageError
 from obpose.model.obpose import ObPose
@@ -70,6 +70,7 @@ def test_a_configuration_says_which_model_it_is_of():
         ObsurfConfig,
         SupervisedConfig,
         ContactConfig,
+        OgcConfig,
     }
     with pytest.raises(TypeError, match="configured by SceneMeasures"):
         architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0, 0.0))
@@ -77,7 +78,7 @@ def test_a_configuration_says_which_model_it_is_of():
 
 def test_a_system_that_uses_labels_is_one_whose_model_sees_them():
     torch.manual_seed(0)
-    for name in ("obpose", "obsurf", "supervised", "obpose-contact"):
+    for name in ("obpose", "obsurf", "supervised", "obpose-contact", "ogc"):
         system = SYSTEMS[name]
         assert (build_model(system.config()).observation_type is LabelledObservation) is system.uses_labels
 

@@ -9,11 +9,11 @@ from PIL import Image
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
 from datagen.geometry import look_at, pixel_rays
-from obpose.commands.segment import DEFAULT, Arguments, _prepared, _unlike_training, main
+from obpose.commands.segment import Arguments, _prepared, _unlike_training, main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
 from obpose.model.build import build_obpose
-from obpose.rgbd.weights import method_of
+from obpose.rgbd.weights import DEFAULT, method_of
 from obpose.rgbd.world import World
 from obpose.storage.checkpoint import load, save_model
 from obpose.systems import find_system
