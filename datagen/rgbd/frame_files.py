@@ -72,9 +72,10 @@ def pair_frames(colours: Sequence[Path], partners: Sequence[Path], kind: str, pl
     if times and others:
         return [None if near is None else partners[near] for near in nearest_times(times, others)]
     if len(colours) != len(partners):
+        found = partners[0].parent if partners else place
         raise UsageError(
-            f"{place} has {len(colours)} colour images but {len(partners)} {kind}; expected one for each. Add the "
-            "missing ones, or remove the images without a partner."
+            f"{place} has {len(colours)} colour images but {len(partners)} {kind} in {found}; "
+            "expected one for each. Add the missing ones, or remove the images without a partner."
         )
     if len(colours) > 1:
         check_pairs(colours, partners)

@@ -107,7 +107,8 @@ def delete_records(folder: Path) -> None:
     """Delete the records of all shards, once they are merged into the manifest."""
     for split in SPLITS:
         for path in folder.glob(f"{split}-*.json"):
-            path.unlink(missing_ok=True)
+            if path.stem.removeprefix(f"{split}-").isdecimal():
+                path.unlink(missing_ok=True)
 
 
 def record_name(split: str, number: int) -> str:

@@ -115,7 +115,7 @@ def test_a_full_disk_is_one_line_and_leaves_finished_shards_intact(tmp_path, who
     assert process.returncode == EXIT_INCOMPLETE
     assert "Cannot write" in errors.splitlines()[-1]
     assert not {"Traceback", "Warning"} & set(re.findall(r"\w+", errors))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset.json", "train-00000.h5"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset.json", "train-00000.h5", "train-00000.json"]
     finish(tmp_path, "--workers", 1)
     assert hashes(tmp_path)["train"] == whole["train"]
 
