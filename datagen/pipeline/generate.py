@@ -276,11 +276,12 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, meshes: Library | N
                         write_shard(folder, spec, task, new)
         # Parallel runs may have requested other numbers of scenes.
         spec = settle(folder, spec)
-        facts = recorded_facts(folder, spec)
+        finished = not tasks and is_finished(folder, spec)
+        facts = None if finished else recorded_facts(folder, spec)
         seconds = time.monotonic() - started
-        if facts and (tasks or not is_finished(folder, spec)):
+        if facts:
             write_card(folder)
             manifest = make_manifest(spec, facts, seconds=seconds, workers=run.workers, scenes_made=scenes)
             write_file(folder, MANIFEST_FILE, (json.dumps(manifest, indent=2) + "\n").encode(), settings_hash(spec))
             delete_records(folder)
-    return Report(spec, scenes, facts is not None, seconds)
+    return Report(spec, scenes, finished or facts is not None, seconds)

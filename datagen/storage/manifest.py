@@ -54,9 +54,9 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def is_finished(folder: Path, spec: Spec) -> bool:
-    """Whether a run has finished the dataset with these numbers of scenes."""
+    """Whether a run has finished the dataset with these numbers of scenes, and all shards are there."""
     with suppress(CorruptFile):
-        return (read_manifest(folder) or {}).get("spec_hash") == spec["spec_hash"]
+        return _has_all_shards(folder, spec) and (read_manifest(folder) or {}).get("spec_hash") == spec["spec_hash"]
     return False
 
 
@@ -70,14 +70,12 @@ def recorded_facts(folder: Path, spec: Spec) -> Facts | None:
 
     A shard without a record that fits is read and hashed.
     """
-    there = set(os.listdir(folder))
-    if any(shard_name(split, number) not in there for split in SPLITS for number in _numbers(spec, split)):
+    if not _has_all_shards(folder, spec):
         return None
     facts: Facts = {split: [] for split in SPLITS}
     for split, shards in facts.items():
         for number in _numbers(spec, split):
-            fitting = record_name(split, number) in there and _record(folder, spec, split, number)
-            shards.append(fitting or shard_facts(folder, spec, split, number))
+            shards.append(_record(folder, spec, split, number) or shard_facts(folder, spec, split, number))
     complete = all(sum(shard["scenes"] for shard in shards) == spec["splits"][split] for split, shards in facts.items())
     return facts if complete else None
 
@@ -88,10 +86,8 @@ def _record(folder: Path, spec: Spec, split: str, number: int) -> dict[str, Any]
     with suppress(CorruptFile, OSError):
         record = read_json(path)
         size = path.with_suffix(".h5").stat().st_size
-        if isinstance(record, dict) and (record.get("settings_hash"), record.get("bytes")) == (
-            settings_hash(spec),
-            size,
-        ):
+        whole = isinstance(record, dict) and {*_LISTED, "attempts", "rejections"} <= record.keys()
+        if whole and (record.get("settings_hash"), record["bytes"]) == (settings_hash(spec), size):
             return record
     return None
 
@@ -114,6 +110,11 @@ def delete_records(folder: Path) -> None:
 def record_name(split: str, number: int) -> str:
     """File name of a shard's record."""
     return shard_name(split, number).replace(".h5", ".json")
+
+
+def _has_all_shards(folder: Path, spec: Spec) -> bool:
+    there = set(os.listdir(folder))
+    return all(shard_name(split, number) in there for split in SPLITS for number in _numbers(spec, split))
 
 
 def _numbers(spec: Spec, split: str) -> range:

@@ -175,7 +175,7 @@ def scene_flow(
     *,
     gap: float,
 ) -> Float[np.ndarray, "point 3"]:
-    """Where the points that stand on the table in one frame are in the other, without labels.
+    """Estimate where the points above the table of one frame are in another, without labels.
 
     Connected components are registered rigidly to the other frame. The end of each point is the mean of its registered
     place and of the point of the other frame that is nearest to it in place and colour, so that parts that move apart

@@ -12,8 +12,8 @@ from obpose.config import Config
 from obpose.contact.config import ContactConfig
 from obpose.data.resolution import surface_spacing
 from obpose.errors import UsageError
-from obpose.rgbd.flags import parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.frame_arguments import Frames
+from obpose.rgbd.reading import parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.workspace import UNSUPPORTED, Workspace, doubts, find_workspace, rectangle
 from obpose.rgbd.world import World, choose_world

@@ -38,7 +38,7 @@ class World:
 
     @property
     def camera(self) -> str:
-        """Where the camera is in the first frame."""
+        """Describe the place of the camera in the first frame."""
         pose = self.poses[0]
         angle = math.degrees(math.asin(min(1.0, max(-1.0, -float(pose[2, 2])))))
         return f"{pose[2, 3]:.2f} m above the table, looking down by {angle:.0f} degrees"
