@@ -55,7 +55,8 @@ MIRROR_STEP, MIRROR_GROWTH, MIRROR_STEPS = 0.004, 1.22, 13
 SWEEP = 1.5
 """Width of the band beyond the table over which rich images fade to the backdrop, in halves of the table."""
 
-PATTERNS = ("plain", "two-tone", "checker", "stripes", "noise", "wood", "dots", "image")
+PATTERNS = ("plain", "two-tone", "checker", "stripes", "noise", "wood", "dots", "image", "clouds")
+"""Patterns by the number that kernels know them by; `clouds` is the `noise` of rich images."""
 IMAGE = 7
 """Index of the pattern whose colours come from a mesh's `Skins`."""
 
@@ -221,12 +222,50 @@ def _square_wave(x, period, width):
 
 
 @kernel
-def _lattice(x, y, z):
-    """Hash of a lattice point, 0..1: multiply by primes, then mix the bits."""
+def _hash(x, y, z):
+    """Hash of a lattice point, 32 bits: multiply by primes, then mix the bits."""
     h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
     h = ((h ^ (h >> 13)) * 1540483477) & 0xFFFFFFFF
     h = ((h ^ (h >> 15)) * 668265263) & 0xFFFFFFFF
-    return ((h ^ (h >> 13)) & 0xFFFF) / 65535.0
+    return h ^ (h >> 13)
+
+
+@kernel
+def _lattice(x, y, z):
+    """Random value of a lattice point, 0..1."""
+    return (_hash(x, y, z) & 0xFFFF) / 65535.0
+
+
+@kernel
+def _slope(x, y, z, dx, dy, dz):
+    """Value at an offset from a lattice point of the plane through 0 with the point's random slope."""
+    h = _hash(x, y, z)
+    return ((h & 1023) - 511.5) * dx + (((h >> 10) & 1023) - 511.5) * dy + (((h >> 20) & 1023) - 511.5) * dz
+
+
+@kernel
+def _slopes(x, y, z, fx, fy, fz, sx, sy):
+    a = _slope(x, y, z, fx, fy, fz) * (1 - sx) + _slope(x + 1, y, z, fx - 1, fy, fz) * sx
+    b = _slope(x, y + 1, z, fx, fy - 1, fz) * (1 - sx) + _slope(x + 1, y + 1, z, fx - 1, fy - 1, fz) * sx
+    return a * (1 - sy) + b * sy
+
+
+@kernel
+def _fade(f):
+    return f * f * f * (f * (6 * f - 15) + 10)
+
+
+@kernel
+def _clouds(x, y, z):
+    """Gradient noise (Perlin 1985) with the spread of `_noise` around 0.5; shows no squares of the lattice."""
+    ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
+    fx, fy, fz = x - ix, y - iy, z - iz
+    sx, sy, sz = _fade(fx), _fade(fy), _fade(fz)
+    jx, jy, jz = int(ix), int(iy), int(iz)
+    value = _slopes(jx, jy, jz, fx, fy, fz, sx, sy)
+    if sz > 0:
+        value = value * (1 - sz) + _slopes(jx, jy, jz + 1, fx, fy, fz - 1, sx, sy) * sz
+    return 0.5 + value / 450
 
 
 @kernel
@@ -292,6 +331,12 @@ def _texture(pattern, period, axis, x, y, z, width):
         return _dots(x, y, z, period, width)
     if pattern == 5:
         value = _wood(x, y, z, period, ax, ay, az)
+    elif pattern == 8:
+        # The second layer is turned by atan(3/4), so that the axes of the lattices do not add up.
+        scale = 1.5 / period
+        value = 0.65 * _clouds(scale * x, scale * y, scale * z)
+        value += 0.35 * _clouds(scale * (1.6 * x + 1.2 * y) + 17, scale * (1.6 * y - 1.2 * x) + 5, 2 * scale * z)
+        value = _ramp(2.4 * (value - 0.5))
     else:
         scale = 2 / period
         value = 0.65 * _noise(scale * x, scale * y, scale * z)

@@ -17,7 +17,7 @@ from jaxtyping import Float, UInt8
 from datagen.errors import UsageError
 from datagen.render import kernels
 from datagen.render.pyrender_gl import refine
-from datagen.render.raster import RasterRenderer
+from datagen.render.raster import RasterRenderer, pattern_index
 from datagen.render.renderer import NEAREST, light_axes, linear
 from datagen.scene import Camera, Material, Scene
 from datagen.shapes.shape import Shape
@@ -27,6 +27,12 @@ LEAST_LLVM = 19
 
 BOUNCES = 6
 """Longest path, in segments."""
+
+PASSES = 4
+"""Separate images of a pixel's samples, of which single bright ones are noise."""
+
+BRIGHTER = 2.0
+"""Largest brightness of a pass in a pixel, in units of the second lowest of all passes."""
 
 SKY_SIZE = (256, 512)
 """Rows and columns of the environment map."""
@@ -51,7 +57,7 @@ class MitsubaRenderer(RasterRenderer):
     """
 
     name = "mitsuba"
-    version = 1
+    version = 2
 
     def __init__(self, samples: int) -> None:
         super().__init__()
@@ -64,7 +70,7 @@ class MitsubaRenderer(RasterRenderer):
         super().load(scene, shapes)
         self._scene, self._shapes = scene, shapes
         self._far.load(scene, ())
-        self._built: tuple[float, dict[str, Any], list[list[_Part]]] | None = None
+        self._built: tuple[float, dict[str, Any], list[list[_Look]]] | None = None
 
     def photograph(
         self, world_from_object: Float[np.ndarray, "object 4 4"], camera: Camera, width: int, height: int
@@ -78,20 +84,29 @@ class MitsubaRenderer(RasterRenderer):
         sensor = _sensor(self._mi, camera, width, height, self.samples)
         fixed, parts = self._build(float(np.linalg.norm(np.subtract(camera.position, camera.target)) / k[0, 0]))
         meshes = {
-            f"object{row}-{i}": _mesh(self._mi, part, pose)
+            f"object{row}-{i}": _mesh(self._mi, part, bsdf, pose)
             for row, pose in enumerate(poses)
-            for i, part in enumerate(parts[row])
+            for i, (part, bsdf) in enumerate(parts[row])
         }
         digest = hashlib.sha256(poses.tobytes() + camera.world_from_camera.tobytes() + k.tobytes()).digest()
         world = self._mi.load_dict({**fixed, **meshes, "sensor": sensor})
-        traced = self._mi.render(world, seed=int.from_bytes(digest[:4], "little"))
-        traced = np.maximum(np.asarray(traced, np.float64), 0.0)
+        traced = self._trace(world, int.from_bytes(digest[:4], "little"))
         # Beyond the table, its surface fades into the backdrop of rich images.
         far = self._far.render(np.zeros((0, 4, 4)), camera, width, height).rgb
         missed = 1 - np.minimum(traced[..., 3:], 1.0)
         return kernels.encoded(kernels.toned(traced[..., :3].copy()) + missed * kernels.LINEAR[far])
 
-    def _build(self, pixel: float) -> tuple[dict[str, Any], "list[list[_Part]]"]:
+    def _trace(self, world: Any, seed: int) -> Float[np.ndarray, "height width 4"]:
+        """Mean of several passes; a pass that is much brighter than the others, by a rare path, is dimmed first."""
+        shares = [share for i in range(PASSES) if (share := (self.samples + i) // PASSES)]
+        passes = [self._mi.render(world, spp=share, seed=(seed + i) % 2**32) for i, share in enumerate(shares)]
+        traced = np.maximum(np.array([np.asarray(one) for one in passes], np.float64), 0.0)
+        bright = np.max(traced[..., :3], axis=-1)
+        usual = np.sort(bright, axis=0)[(len(shares) - 1) // 2]
+        traced[..., :3] *= np.minimum(1, (BRIGHTER * usual + 0.02) / np.maximum(bright, 1e-9))[..., None]
+        return np.average(traced, axis=0, weights=shares)
+
+    def _build(self, pixel: float) -> tuple[dict[str, Any], "list[list[_Look]]"]:
         """Everything but cameras and poses, for images whose pixels show about so many metres."""
         if self._built is None or not 0.8 < pixel / self._built[0] < 1.25:
             table = [_table(self._scene, pixel), _floor(self._scene, pixel)]
@@ -99,10 +114,11 @@ class MitsubaRenderer(RasterRenderer):
                 "type": "scene",
                 "integrator": {"type": "path", "max_depth": BOUNCES, "hide_emitters": True},
                 "sky": _sky(self._mi, self._scene, self._turn),
-                **{f"table-{i}": _mesh(self._mi, part, np.eye(4)) for i, part in enumerate(table)},
+                **{f"table-{i}": _mesh(self._mi, part, _bsdf(self._mi, part), np.eye(4)) for i, part in enumerate(table)},
             }
             bodies = zip(self._shapes, self._scene.bodies, strict=True)
-            self._built = pixel, fixed, [list(_parts(shape, body.material, pixel)) for shape, body in bodies]
+            parts = [list(_parts(shape, body.material, pixel)) for shape, body in bodies]
+            self._built = pixel, fixed, [[(part, _bsdf(self._mi, part)) for part in row] for row in parts]
         return self._built[1:]
 
 
@@ -144,7 +160,11 @@ class _Part:
     opacity: Float[np.ndarray, "_ _ 1"] | None = None
 
 
-def _mesh(mi: Any, part: _Part, pose: Float[np.ndarray, "4 4"]) -> Any:
+_Look = tuple[_Part, Any]
+"""A part with its BSDF, which holds a copy of the texture and so is made once."""
+
+
+def _bsdf(mi: Any, part: _Part) -> Any:
     bsdf: dict[str, Any] = {"type": "principled", "roughness": part.roughness, "metallic": part.metalness}
     bsdf["base_color"] = {"type": "mesh_attribute", "name": "vertex_color"}
     if part.texture is not None:
@@ -152,8 +172,12 @@ def _mesh(mi: Any, part: _Part, pose: Float[np.ndarray, "4 4"]) -> Any:
     bsdf = {"type": "twosided", "material": bsdf}
     if part.opacity is not None:
         bsdf = {"type": "mask", "opacity": _bitmap(mi, part.opacity), "material": bsdf}
+    return mi.load_dict(bsdf)
+
+
+def _mesh(mi: Any, part: _Part, bsdf: Any, pose: Float[np.ndarray, "4 4"]) -> Any:
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(bsdf)
+    properties["bsdf"] = bsdf
     count = 3 * len(part.corners)
     mesh = mi.Mesh(
         "part", count, len(part.corners), props=properties, has_vertex_normals=True, has_vertex_texcoords=True
@@ -200,7 +224,7 @@ def _parts(shape: Shape, material: Material, pixel: float) -> Iterator[_Part]:
 
 def _colors(material: Material, points: Float[np.ndarray, "*axes 3"], width: float) -> Float[np.ndarray, "*axes 3"]:
     """Linear RGB of a material at points of the object frame, averaged over `width` metres."""
-    pattern, flat = kernels.PATTERNS.index(material.pattern), np.ascontiguousarray(points.reshape(-1, 3))
+    pattern, flat = pattern_index(material.pattern, rich=True), np.ascontiguousarray(points.reshape(-1, 3))
     second = kernels.texture_weights(pattern, material.period, material.axis, flat, width)[:, None]
     return ((1 - second) * linear(material.color) + second * linear(material.color2)).reshape(points.shape)
 

@@ -46,7 +46,7 @@ class PyrenderRenderer:
     """
 
     name = "pyrender"
-    version = 1
+    version = 2
 
     def __init__(self) -> None:
         self._pyrender, self._context = _open_context()
@@ -167,18 +167,20 @@ class PyrenderRenderer:
 def refine(
     corners: Float[np.ndarray, "face 3 3"], normals: Float[np.ndarray, "face 3 3"], longest: float
 ) -> tuple[Float[np.ndarray, "finer 3 3"], Float[np.ndarray, "finer 3 3"]]:
-    """Split all triangles into four until no side exceeds `longest` metres, or there are very many."""
-    while len(corners) * 4 <= MOST_FACES and np.max(np.ptp(corners, axis=1)) > longest:
-        corners, normals = _split(corners), _split(normals)
-    length = np.sqrt(np.sum(normals * normals, axis=-1, keepdims=True))
-    return corners, normals / length
-
-
-def _split(corners: Float[np.ndarray, "face 3 3"]) -> Float[np.ndarray, "finer 3 3"]:
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.concatenate([np.stack(part, axis=1) for part in parts])
+    """Halve the longest sides of triangles until none exceeds `longest` metres, or there are very many triangles."""
+    values = np.concatenate([corners, normals], axis=-1)
+    while True:
+        sides = np.sum((np.roll(values, -1, axis=1) - values)[..., :3] ** 2, axis=-1)
+        long = np.max(sides, axis=1) > longest**2
+        if not np.any(long) or len(values) + np.count_nonzero(long) > MOST_FACES:
+            break
+        order = (np.argmax(sides[long], axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.moveaxis(np.take_along_axis(values[long], order[..., None], axis=1), 1, 0)
+        middle = (a + b) / 2
+        halves = [np.stack(half, axis=1) for half in ((a, middle, c), (middle, b, c))]
+        values = np.concatenate([values[~long], *halves])
+    corners, normals = values[..., :3], values[..., 3:]
+    return corners, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
 def _table(size: float) -> tuple[Float[np.ndarray, "2 3 3"], Float[np.ndarray, "2 3 3"]]:

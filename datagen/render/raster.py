@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from datagen.geometry import cross, invert_rigid
 from datagen.render import kernels
 from datagen.render.renderer import Image, light_axes, linear
-from datagen.scene import Camera, Light, Material, Scene
+from datagen.scene import Camera, Light, Material, Pattern, Scene
 from datagen.shapes.shape import Shape
 
 OCCLUSION_SIZE = 64
@@ -31,16 +31,15 @@ class RasterRenderer:
     def __init__(self, *, rich: bool = False) -> None:
         self._rich = rich
         if rich:
-            self.name = "rich"
+            self.name, self.version = "rich", 2
         self._buffers: dict[tuple[int, int], _Buffers] = {}
 
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
         self._casters, self._caster_start = _casters(shapes, self._mesh.faces, self._face_start)
-        self._materials = np.array(
-            [_pack_material(x) for x in (*(b.material for b in scene.bodies), scene.table.material)]
-        )
+        materials = *(b.material for b in scene.bodies), scene.table.material
+        self._materials = np.array([_pack_material(x, self._rich) for x in materials])
         self._table_half = 0.5 * scene.table.size
         self._lights = _pack_lights(scene.lights)
         self._ambient = np.array(scene.ambient, np.float64)
@@ -289,8 +288,13 @@ def _pack_skins(shapes: Sequence[Shape], face_start: np.ndarray) -> kernels.Skin
     )
 
 
-def _pack_material(material: Material) -> Float[np.ndarray, "column"]:
-    pattern = kernels.PATTERNS.index(material.pattern)
+def pattern_index(pattern: Pattern, *, rich: bool) -> int:
+    """Index into `kernels.PATTERNS`; rich images have their own noise."""
+    return kernels.PATTERNS.index("clouds" if rich and pattern == "noise" else pattern)
+
+
+def _pack_material(material: Material, rich: bool) -> Float[np.ndarray, "column"]:
+    pattern = pattern_index(material.pattern, rich=rich)
     colors = [*linear(material.color), *linear(material.color2)]
     return np.array([*colors, pattern, material.period, *material.axis, material.roughness, material.metalness])
 

@@ -94,3 +94,13 @@ def test_the_mean_of_the_room_is_one(blur):
     directions = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=-1).reshape(-1, 3)
     values = kernels.sky(np.array([0.6, 0.8]), directions, blur)
     assert np.average(values, weights=directions[:, 2]) == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_noise_of_rich_images_changes_in_no_preferred_direction():
+    places = np.concatenate([np.random.default_rng(0).uniform(-2, 2, (20000, 2)), np.zeros((20000, 1))], axis=1)
+    squareness = []
+    for pattern in ("noise", "clouds"):
+        x, y = (weights(pattern, places + step) - weights(pattern, places) for step in 1e-5 * np.eye(3)[:2])
+        squareness.append(abs(np.sum(np.hypot(x, y) * np.cos(4 * np.arctan2(y, x))) / np.sum(np.hypot(x, y))))
+        assert np.mean(weights(pattern, places)) == pytest.approx(0.5, abs=0.02)
+    assert squareness[1] < 0.02 < 0.08 < squareness[0]

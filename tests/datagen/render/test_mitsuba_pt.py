@@ -3,6 +3,8 @@
 import dataclasses
 import subprocess
 import sys
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from datagen.config import recipe_to_dict
 from datagen.errors import UsageError
 from datagen.pipeline.make_scene import make_scene, renderer_identity
 from datagen.render import make_renderer
+from datagen.render.mitsuba_pt import MitsubaRenderer
 from datagen.render.raster import RasterRenderer
 from datagen.render.renderer import PathTracer
 from datagen.scene import Camera, Lens, Material, Table
@@ -53,6 +56,21 @@ def test_equal_arguments_give_equal_noise_and_other_poses_give_other_noise(trace
     np.testing.assert_array_equal(first, again)
     moved[0, 2, 3] += 1e-6
     assert np.mean(tracer.photograph(moved, FRONT, 32, 32) != first) > 0.2
+
+
+@pytest.mark.parametrize(("samples", "shares"), [(3, [1, 1, 1]), (64, [16] * 4), (6, [1, 1, 2, 2])])
+def test_a_single_bright_pass_is_noise_and_a_bright_place_is_not(samples, shares):
+    used = []
+
+    def render(_world, *, spp, seed):
+        used.append(spp)
+        rare = 500.0 if len(used) == 2 else 0.1
+        return np.array([[[rare, 0.05, 0.05, 1.0], [30.0, 30.0, 30.0, 1.0]]])
+
+    found = MitsubaRenderer._trace(cast(Any, SimpleNamespace(samples=samples, _mi=SimpleNamespace(render=render))), 0, 0)
+    assert used == shares
+    np.testing.assert_allclose(found[0, 1], [30, 30, 30, 1])
+    assert 0.1 <= found[0, 0, 0] < 0.2
 
 
 def test_pixels_that_are_not_square_are_refused(tracer):

@@ -1,5 +1,7 @@
 """Textures: bilinear values, coarse levels where a texel is small, and no seams from unused parts of an atlas."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from datagen.meshes.read import RawMesh
 from datagen.meshes.skins import make_skin
 from datagen.render import kernels, make_renderer
 from datagen.render.raster import _pack_skins
+from datagen.render.renderer import PathTracer
 from datagen.scene import Body, Camera, Light, Material, Scene, ShapeSpec, Table
 from datagen.shapes.shape import Shape
 from tests.worlds.meshes import BOX, triangles
@@ -83,23 +86,45 @@ def test_unused_texels_do_not_bleed_into_coarse_levels():
     assert all(np.min(level) > 250 for level in skin.pyramids[0])
 
 
+def box_scene(shape: Shape) -> tuple[Scene, np.ndarray]:
+    """The shape on a table, with its pose."""
+    assert shape.skin
+    material = Material("image", shape.skin.mean, pattern="image")
+    pose = (0.0, 0.0, 0.05), (0.966, 0.0, 0.0, 0.259)
+    body = Body("box", ShapeSpec("mesh"), material, 500.0, 0.5, 0.5, "rest", *pose)
+    table, camera = Table(1.0, Material("paint", (0.5, 0.5, 0.5))), Camera((0.5, 0.1, 0.5), (0.0, 0.0, 0.0), 0.4)
+    light = Light((0.0, 0.0, 1.0), (0.8, 0.8, 0.8), 0.03)
+    scene = Scene((body,), table, (camera,), (light,), (0.2, 0.2, 0.2), (0.3, 0.3, 0.3), 1, 12.0)
+    return scene, rigid(np.array([body.position]), np.array([body.quaternion_wxyz]))
+
+
 @pytest.mark.parametrize("renderer", ["raster", pytest.param("pyrender", marks=pytest.mark.slow)])
 def test_a_bright_texture_and_a_dark_one_differ_and_the_labels_do_not(renderer: str):
-    light = Light((0.0, 0.0, 1.0), (0.8, 0.8, 0.8), 0.03)
     images = []
     for value in (40, 220):
         shape = build(raw_box(np.full((4, 4, 3), value, np.uint8), CORNERS))
-        assert shape.skin
-        material = Material("image", shape.skin.mean, pattern="image")
-        place_and_turn = (0.0, 0.0, 0.05), (1.0, 0.0, 0.0, 0.0)
-        body = Body("box", ShapeSpec("mesh"), material, 500.0, 0.5, 0.5, "rest", *place_and_turn)
-        table, camera = Table(1.0, Material("paint", (0.5, 0.5, 0.5))), Camera((0.5, 0.1, 0.5), (0.0, 0.0, 0.0), 0.7)
-        scene = Scene((body,), table, (camera,), (light,), (0.2, 0.2, 0.2), (0.3, 0.3, 0.3), 1, 12.0)
+        scene, pose = box_scene(shape)
         engine = make_renderer(renderer)
         engine.load(scene, (shape,))
-        pose = rigid(np.array([body.position]), np.array([body.quaternion_wxyz]))
         images.append(engine.render(pose, scene.cameras[0], 64, 64))
     dark, bright = images
     inside = dark.segmentation == 1
     np.testing.assert_array_equal(dark.depth, bright.depth)
     assert np.median(bright.rgb[inside]) > np.median(dark.rgb[inside]) + 50
+
+
+def test_the_path_tracer_puts_texels_where_the_rasteriser_puts_them():
+    pytest.importorskip("mitsuba", reason="the mitsuba renderer needs the extra mitsuba")
+    texels = 255 * np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 0]]], np.uint8)
+    raw = raw_box(np.repeat(np.repeat(texels, 8, axis=0), 8, axis=1), np.zeros((3, 2)))
+    corners = np.array([[0.05, 0.05], [0.05, 0.95], [0.95, 0.95], [0.95, 0.05]])
+    shape = build(dataclasses.replace(raw, uv=np.tile(corners[[[0, 1, 2], [0, 2, 3]]], (6, 1, 1))))
+    scene, pose = box_scene(shape)
+    tracer = make_renderer("mitsuba", samples=16)
+    assert isinstance(tracer, PathTracer)
+    tracer.load(scene, (shape,))
+    plain = tracer.render(pose, scene.cameras[0], 64, 64)
+    traced = tracer.photograph(pose, scene.cameras[0], 64, 64)
+    inside = plain.segmentation == 1
+    hues = [image[inside] > 0.5 * np.max(image[inside], axis=1, keepdims=True) for image in (plain.rgb, traced)]
+    assert np.mean(np.all(hues[0] == hues[1], axis=1)) > 0.9
