@@ -1,7 +1,7 @@
 """Report on a folder of meshes: a table, the problems, and a sheet of thumbnails."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +9,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table as Grid
 
-from datagen.console.progress import status_console
 from datagen.console.text import counted
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
 from datagen.meshes.build import make_shape, mass_of
@@ -20,6 +18,18 @@ from datagen.render import make_renderer
 from datagen.sampling.poses import upright
 from datagen.scene import Body, Camera, Light, Material, Scene, ShapeSpec, Table
 from datagen.storage.atomic import write_atomically
+
+_WIDTHS = {
+    "unit (why)": 24,
+    "size (cm)": 20,
+    "faces": 7,
+    "closed": 6,
+    "parts / bodies": 14,
+    "hulls, beyond": 20,
+    "cm³": 6,
+    "colours": 0,
+}
+"""Columns of the table after the mesh's name, with their widths."""
 
 TILE = 192
 """Width and height of a thumbnail, pixels."""
@@ -36,7 +46,7 @@ _LIGHTS = (
 
 
 def run(folder: Path, reading: Reading, out: Path) -> int:
-    """Print a table of the meshes in a folder, draw their thumbnails, and return the exit code.
+    """Print a row for each mesh as it is examined, draw thumbnails of all, and return the exit code.
 
     Raises:
         UsageError: there is no such folder, no mesh in it, or the sheet's name has another ending.
@@ -45,50 +55,50 @@ def run(folder: Path, reading: Reading, out: Path) -> int:
         raise UsageError(f"--out {out}: expected a name that ends in {', '.join(_ENDINGS)}.")
     files = find_files(folder)
     names = name_files(files)
-    found, tiles, status = [], [], status_console()
-    for number, (file, name) in enumerate(zip(files, names, strict=True), 1):
-        status.print(
-            f"Mesh {number} of {len(files)}, {name}: reading it and cutting it into convex hulls, at most "
-            f"{reading.seconds:.0f} CPU-seconds unless cached",
-            markup=False,
-        )
-        one = examine(folder, file, name, reading)
-        tiles.append(thumbnail(one))
-        found.append(Row(one))
-    console = Console(width=max(Console().width, 150), highlight=False)
-    console.print(_table(folder, found))
-    for line in problems(found):
-        console.print(line, markup=False, soft_wrap=True)
+    widths = {"mesh": max(map(len, names)), **_WIDTHS}
+    console = Console(markup=False, highlight=False, emoji=False, soft_wrap=True)
+    console.print(_line(widths, widths))
+    tiles, unusable = [], 0
+    with Console(stderr=True).status("") as status:
+        for number, (file, name) in enumerate(zip(files, names, strict=True), 1):
+            status.update(
+                escape(
+                    f"Mesh {number} of {len(files)}, {name}: at most {reading.seconds:.0f} CPU-seconds for its hulls"
+                )
+            )
+            one = examine(folder, file, name, reading)
+            console.print(_line(widths, (name, *_cells(one))))
+            found = problems(one)
+            for line in found:
+                console.print(f"    {line}")
+            unusable += any(line.startswith("ERROR") for line in found)
+            tiles.append(thumbnail(one))
     buffer = io.BytesIO()
     Image.fromarray(sheet(tiles)).save(buffer, _ENDINGS[out.suffix.lower()])
     write_atomically(out, buffer.getvalue())
-    unusable = sum(bool(one.failure) or not _is_certain(one) for one in found)
-    console.print(
-        f"{counted(len(found), 'mesh', 'meshes')}, {unusable} need attention; thumbnails in {out}", markup=False
-    )
+    console.print(f"{counted(len(files), 'mesh', 'meshes')}, {unusable} need attention; thumbnails in {out}")
     return EXIT_VERIFICATION if unusable else EXIT_OK
 
 
-class Row:
-    """Facts about one mesh as text, so that its triangles need not be kept."""
+def _line(widths: Mapping[str, int], cells: Iterable[str]) -> str:
+    return "  ".join(cell.ljust(width) for cell, width in zip(cells, widths.values(), strict=True)).rstrip()
 
-    def __init__(self, one: Examined):
-        self.name, self.file, self.failure, self.guess = one.name, one.file, one.failure, one.guess
-        self.warnings = one.warnings
-        self.cells: tuple[str, ...] = ("-",) * 8
-        if one.raw and one.placed and one.hulls and one.guess:
-            surface = one.placed.surface
-            mass = mass_of(surface, one.hulls.parts)
-            self.cells = (
-                f"{one.guess.unit}{'' if one.guess.certain else '?'} ({one.guess.reason})",
-                " x ".join(f"{100 * side:.1f}" for side in one.size),
-                f"{len(surface.faces):,}",
-                "yes" if surface.closed else "no",
-                f"{one.raw.parts} / {surface.bodies}",
-                f"{len(one.hulls.parts)} {one.hulls.method}, {1e3 * one.hulls.beyond:.1f} mm",
-                f"{1e6 * mass.volume:.4g}",
-                _colors(one),
-            )
+
+def _cells(one: Examined) -> Sequence[str]:
+    if not (one.raw and one.placed and one.hulls and one.guess):
+        return ["-"] * len(_WIDTHS)
+    surface = one.placed.surface
+    mass = mass_of(surface, one.hulls.parts)
+    return (
+        f"{one.guess.unit} ({one.guess.reason})" if one.guess.certain else f"{one.guess.unit}? (a guess)",
+        " x ".join(f"{100 * side:.1f}" for side in one.size),
+        f"{len(surface.faces):,}",
+        "yes" if surface.closed else "no",
+        f"{one.raw.parts} / {surface.bodies}",
+        f"{len(one.hulls.parts)} {one.hulls.method}, {1e3 * one.hulls.beyond:.1f} mm",
+        f"{1e6 * mass.volume:.4g}",
+        _colors(one),
+    )
 
 
 def _colors(one: Examined) -> str:
@@ -98,39 +108,12 @@ def _colors(one: Examined) -> str:
     return "texture " + ", ".join(sizes) if sizes else "vertex or material"
 
 
-def _is_certain(one: Row) -> bool:
-    return one.guess is None or one.guess.certain
-
-
-def _table(folder: Path, rows: Sequence[Row]) -> Grid:
-    grid = Grid(title=escape(str(folder)), title_style="bold")
-    for title in (
-        "mesh",
-        "unit (why)",
-        "size (cm)",
-        "faces",
-        "closed",
-        "parts / bodies",
-        "hulls, beyond",
-        "cm³",
-        "colours",
-    ):
-        grid.add_column(title, no_wrap=title == "mesh")
-    for row in rows:
-        grid.add_row(escape(row.name), *(escape(cell) for cell in row.cells))
-    return grid
-
-
-def problems(rows: Sequence[Row]) -> list[str]:
+def problems(one: Examined) -> list[str]:
     """One line for each thing that the user should know."""
-    lines = []
-    for row in rows:
-        if row.failure:
-            lines.append(f"ERROR {row.failure}")
-        if not _is_certain(row) and row.guess:
-            lines.append(f"ERROR {row.file}: {row.guess.reason}; give --unit m, cm, mm or in, and perhaps --scale.")
-        lines += [f"note  {row.file}: {warning}" for warning in row.warnings]
-    return lines
+    lines = [f"ERROR {one.failure}"] if one.failure else []
+    if one.guess and not one.guess.certain:
+        lines.append(f"ERROR {one.file}: {one.guess.reason}; give --unit m, cm, mm or in, and perhaps --scale.")
+    return lines + [f"note  {one.file}: {warning}" for warning in one.warnings]
 
 
 def thumbnail(one: Examined) -> UInt8[np.ndarray, "height width 3"]:

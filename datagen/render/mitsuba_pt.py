@@ -114,7 +114,10 @@ class MitsubaRenderer(RasterRenderer):
                 "type": "scene",
                 "integrator": {"type": "path", "max_depth": BOUNCES, "hide_emitters": True},
                 "sky": _sky(self._mi, self._scene, self._turn),
-                **{f"table-{i}": _mesh(self._mi, part, _bsdf(self._mi, part), np.eye(4)) for i, part in enumerate(table)},
+                **{
+                    f"table-{i}": _mesh(self._mi, part, _bsdf(self._mi, part), np.eye(4))
+                    for i, part in enumerate(table)
+                },
             }
             bodies = zip(self._shapes, self._scene.bodies, strict=True)
             parts = [list(_parts(shape, body.material, pixel)) for shape, body in bodies]

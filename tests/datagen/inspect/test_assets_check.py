@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
+from datagen.inspect import assets_check
 from datagen.inspect.assets_check import TILE, run
 from datagen.meshes.survey import Reading
 from tests.worlds.meshes import BOX, triangles, write_obj, write_stl
@@ -32,12 +33,20 @@ def test_what_needs_attention(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     write_stl(tmp_path / "meshes" / "unsure.stl", (5 * BOX)[triangles()])
     (tmp_path / "meshes" / "empty.stl").write_bytes(b"")
     assert run(tmp_path / "meshes", Reading(), tmp_path / "sheet.jpg") == EXIT_VERIFICATION
-    printed = capsys.readouterr()
-    assert "Mesh 1 of 2, empty" in printed.err
-    assert "Mesh 2 of 2, unsure" in printed.err
-    out = " ".join(printed.out.split())
+    out = " ".join(capsys.readouterr().out.split())
     assert "empty.stl is empty" in out
     assert "unsure.stl: longest side 10 fits neither m nor mm; give --unit" in out
     assert (tmp_path / "sheet.jpg").exists()
     with pytest.raises(UsageError, match=r"\.png"):
         run(tmp_path / "meshes", Reading(), tmp_path / "sheet.gif")
+
+
+def test_each_row_is_printed_before_the_next_mesh_is_examined(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "a.stl").write_bytes(b"")
+    (tmp_path / "b.stl").write_bytes(b"")
+    events: list[str] = []
+    monkeypatch.setattr(assets_check.Console, "print", lambda _, text: events.append(text[:1]))
+    examined = assets_check.examine
+    monkeypatch.setattr(assets_check, "examine", lambda *x: events.append(f"examine {x[2]}") or examined(*x))
+    run(tmp_path, Reading(), tmp_path / "sheet.png")
+    assert [event for event in events if event.strip()] == ["m", "examine a", "a", "examine b", "b", "2"]

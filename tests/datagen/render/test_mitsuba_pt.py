@@ -67,7 +67,9 @@ def test_a_single_bright_pass_is_noise_and_a_bright_place_is_not(samples, shares
         rare = 500.0 if len(used) == 2 else 0.1
         return np.array([[[rare, 0.05, 0.05, 1.0], [30.0, 30.0, 30.0, 1.0]]])
 
-    found = MitsubaRenderer._trace(cast(Any, SimpleNamespace(samples=samples, _mi=SimpleNamespace(render=render))), 0, 0)
+    found = MitsubaRenderer._trace(
+        cast(Any, SimpleNamespace(samples=samples, _mi=SimpleNamespace(render=render))), 0, 0
+    )
     assert used == shares
     np.testing.assert_allclose(found[0, 1], [30, 30, 30, 1])
     assert 0.1 <= found[0, 0, 0] < 0.2
