@@ -68,7 +68,7 @@ def find_obsurf(source: Path, options: ReadOptions) -> Found:
     found, absent, full = [], 0, 0
     for split, numbers in splits.items():
         for scene in numbers[: max(0, len(scenes.objects) - numbers.start)]:
-            if there.isdisjoint(path.name for path in scenes.files(scene, "images")):
+            if there.isdisjoint(f"img_{scene}_{view}.png" for view in range(scenes.views)):
                 absent += 1
             elif scenes.objects[scene] > most:
                 full += 1
