@@ -20,12 +20,12 @@ from datagen.scene import Body, Camera, Light, Material, Scene, ShapeSpec, Table
 from datagen.storage.atomic import write_atomically
 
 _WIDTHS = {
-    "unit (why)": 24,
-    "size (cm)": 20,
+    "unit (why)": 22,
+    "size (cm)": 18,
     "faces": 7,
     "closed": 6,
     "parts / bodies": 14,
-    "hulls, beyond": 20,
+    "hulls, beyond": 16,
     "cm³": 6,
     "colours": 0,
 }

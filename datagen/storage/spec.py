@@ -403,4 +403,14 @@ def _differences(old: Any, new: Any, where: str) -> list[str]:
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [*old, *(key for key in new if key not in old)]
         return [line for key in keys for line in _differences(old.get(key), new.get(key), f"{where}.{key}".lstrip("."))]
-    return [] if old == new else [f"{where}: {json.dumps(old):.100} -> {json.dumps(new):.100}"]
+    if old == new:
+        return []
+    if (names := _names(old)) != (others := _names(new)):
+        old, new = names, others
+    return [f"{where}: {json.dumps(old):.100} -> {json.dumps(new):.100}"]
+
+
+def _names(value: Any) -> Any:
+    """Names of the entries of a list, such as that of the meshes; other values as they are."""
+    named = isinstance(value, list) and all(isinstance(one, dict) and "name" in one for one in value)
+    return [one["name"] for one in value] if named else value

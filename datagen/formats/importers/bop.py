@@ -86,18 +86,23 @@ def _notes(models: Models | None, used: set[int]) -> tuple[str, ...]:
 def _scene_folders(source: Path) -> list[tuple[str | None, Path]]:
     if not source.is_dir():
         raise UsageError(f"{source} is no folder; expected that of a BOP dataset.")
-    if (source / CAMERA).exists():
+    if _is_scene(source):
         return [(_split_of(source.parent.name), source)]
     inside = [path for path in sorted(source.iterdir()) if path.is_dir()]
-    if scenes := [path for path in inside if (path / CAMERA).exists()]:
+    if scenes := [path for path in inside if _is_scene(path)]:
         return [(_split_of(source.name), path) for path in scenes]
     return [
         (split, path)
         for folder in inside
         for split in [_split_of(folder.name)]
         for path in sorted(folder.iterdir())
-        if split and (path / CAMERA).exists()
+        if split and _is_scene(path)
     ]
+
+
+def _is_scene(folder: Path) -> bool:
+    """Whether a folder is a scene, perhaps an incomplete one, which must not be left out silently."""
+    return any((folder / name).exists() for name in (CAMERA, TRUTH))
 
 
 def _split_of(name: str) -> str | None:

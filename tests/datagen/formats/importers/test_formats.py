@@ -89,6 +89,15 @@ def test_points_lie_on_the_surfaces_that_their_pixels_show(case, tmp_path: Path)
     assert np.array_equal(record["segmentation"][0, 0], shoot().ids)
 
 
+def test_a_bop_scene_without_its_cameras_is_not_left_out_silently(tmp_path: Path):
+    source = bop_test(tmp_path / "bop")
+    recordings.write_bop(source / "test_primesense" / "000002")
+    (source / "test_primesense/000002/scene_camera.json").unlink()
+    with pytest.raises(DatagenError, match=r"000002/scene_camera\.json"):
+        take(source, tmp_path / "out", format="bop")
+    assert not (tmp_path / "out").exists()
+
+
 def test_each_image_may_have_its_own_lens_except_in_a_clip(tmp_path: Path):
     source = rgbd_with_two_lenses(tmp_path / "source")
     for group in ("stills", "views"):
@@ -204,6 +213,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no unit": (edit_camera(depth_scale=0), "depth_scale is 0"),
     "no focal length": (edit_camera(fx="wide"), "fx, fy, cx, cy is"),
     "other size": (edit_camera(fx=5e5), "cannot be those of images of 48x36"),
+    "transposed": (edit_camera(K=shoot().k.T.tolist()), "Transpose it"),
     "too many lenses": (edit_camera(K=[shoot().k.tolist()] * 3), "K holds 3 matrices for 2 images"),
     "infinite": (lambda folder: (folder / "camera.json").write_text('{"fx": NaN}'), "NaN"),
     "no object": (lambda folder: (folder / "camera.json").write_text("[]"), "expected an object"),
