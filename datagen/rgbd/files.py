@@ -126,8 +126,8 @@ def check_intrinsics(k: Float64[np.ndarray, "3 3"], size: Size, place: str) -> N
     """
     if not np.array_equal(k[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1]):
         raise UsageError(
-            f"{place} holds no camera matrix: its rows are {k.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1. Transpose it "
-            "if it is stored by columns."
+            f"{place} holds no camera matrix: its rows are {k.tolist()}; expected fx 0 cx, 0 fy cy, 0 0 1. Transpose "
+            "it if it is stored by columns."
         )
     (width, height), (low, high) = size, PLAUSIBLE_FOCAL
     fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
