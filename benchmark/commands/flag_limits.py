@@ -43,11 +43,7 @@ LIMITS = {
 
 
 def check_flag(flag: str, value: int | float | None) -> None:
-    """Check the value of a flag; None stands for a flag that was left out.
-
-    Raises:
-        UsageError: the value is out of range; states the range.
-    """
+    """Check the value of a flag; None stands for a flag that was left out."""
     if value is not None and not LIMITS[flag].admits(value):
         shown = str(value) if isinstance(value, int) else plain_number(value)
         raise UsageError(f"--{flag} is {shown:.40}; expected {LIMITS[flag]}.")

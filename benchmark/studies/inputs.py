@@ -96,11 +96,7 @@ class ModelFlags:
         return load_origin(self._model)
 
     def check(self, **least: int) -> None:
-        """Check that options, given by name, have at least these values.
-
-        Raises:
-            UsageError: one has not.
-        """
+        """Check that options, given by name, have at least these values."""
         for name, smallest in least.items():
             if (value := getattr(self, name)) < smallest:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")
@@ -153,11 +149,7 @@ class InferredClip:
 
 
 def infer_clips(model: ObPose, folder: Path, split: str, count: int) -> Iterator[InferredClip]:
-    """Infer the first clips of a split.
-
-    Raises:
-        UsageError: the clips have several views.
-    """
+    """Infer the first clips of a split."""
     if (views := Dataset(folder).views) > 1:
         raise UsageError(f"{folder} has {views} views; expected clips of one camera.")
     for record, observation in first_clips(folder, split, count):
@@ -186,11 +178,7 @@ def matched_slots(
 
 
 def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
-    """Check the ending of a file's name.
-
-    Raises:
-        UsageError: it differs.
-    """
+    """Check the ending of a file's name."""
     if path is not None and path.suffix != suffix:
         raise UsageError(f"{flag} {path}: expected a name that ends with {suffix}.")
 

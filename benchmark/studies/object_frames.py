@@ -68,11 +68,7 @@ class Cells:
 
 
 def run(flags: Flags) -> Iterator[Line]:
-    """Compare variances over objects that move, and over those that turn; draw the picture.
-
-    Raises:
-        UsageError: a model has the wrong conditioning, or the scene of the picture shows no object.
-    """
+    """Compare variances over objects that move, and over those that turn; draw the picture."""
     flags.check(scenes=1)
     others = [load_obpose(find_checkpoint(Path(name))) for name in flags.other_checkpoints]
     models = {model.config.model.pose.conditioning: model for model in (flags.origin().model, *others)}
@@ -197,11 +193,7 @@ def codes_of(clip: InferredClip, followed: Followed) -> Float[np.ndarray, "frame
 
 
 def turning_most(clips: Mapping[Framing, InferredClip]) -> dict[Framing, tuple[InferredClip, Followed]]:
-    """Choose the object that turns most among those that all models follow, in the frames they have in common.
-
-    Raises:
-        UsageError: there is none.
-    """
+    """Choose the object that turns most among those that all models follow, in the frames they have in common."""
     followed = [{each.row: each for each in clips[framing].followed} for framing in FRAMINGS]
     common: dict[int, list[int]] = {}
     for row in set.intersection(*map(set, followed)):

@@ -46,11 +46,7 @@ Scores = Mapping[str, Mapping[str, float]]
 
 
 def run(flags: Flags) -> Iterator[Line]:
-    """Score each file in each way of counting shadows, with 95 % bootstrap intervals over scenes; count errors.
-
-    Raises:
-        UsageError: both sources of shadows are given, or other scenes.
-    """
+    """Score each file in each way of counting shadows, with 95 % bootstrap intervals over scenes; count errors."""
     check_labels(*flags.labels)
     if flags.effects is not None and flags.without is not None:
         raise UsageError("--effects and --without: expected one of the two.")
@@ -70,11 +66,7 @@ def run(flags: Flags) -> Iterator[Line]:
 def measure_scenes(
     labels: Path, data: Path, shadows: Path, *, by_brightness: bool
 ) -> Iterator[tuple[dict[str, int], Scores]]:
-    """Count the errors of each scene and score it; `shadows` has no shadows, or else effect masks.
-
-    Raises:
-        UsageError: the two datasets have different scenes, or effect masks are missing.
-    """
+    """Count the errors of each scene and score it; `shadows` has no shadows, or else effect masks."""
     scenes, others = Dataset(data).split(SPLIT), Dataset(shadows).split(SPLIT)
     clips = ClipSequence(scenes)
     for index, (found, background_slot) in enumerate(read_labels(labels)):

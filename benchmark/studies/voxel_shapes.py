@@ -141,11 +141,7 @@ def measure_times(clip: InferredClip, *, rounds: int = 3) -> dict[str, list[floa
 
 
 def draw_voxels(clip: InferredClip, voxels: Voxels) -> Image.Image:
-    """Draw figure 1: images, then voxels in the tightest boxes along R, from the camera and from the side.
-
-    Raises:
-        UsageError: the model finds no object.
-    """
+    """Draw figure 1: images, then voxels in the tightest boxes along R, from the camera and from the side."""
     observation, boxes = clip.observation, clip.segmentation.inference.boxes
     slots = [label - 1 for label in clip.segmentation.labels.unique().tolist() if label]
     if not slots:

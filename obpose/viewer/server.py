@@ -45,11 +45,7 @@ HEADERS = {
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """Start a server at exactly this port.
-
-    Raises:
-        UsageError: another process uses the port.
-    """
+    """Start a server at exactly this port."""
     with redirect_stdout(StringIO()), _guarded(host):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if server.get_port() != port:

@@ -45,10 +45,6 @@ def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, worke
     """Find the objects in the first `clips` training clips of a dataset; clips that have a file are read from it.
 
     `workers` processes look for objects; `folder` gets the cache files.
-
-    Raises:
-        CorruptFile: a file is damaged.
-        UsageError: the dataset has fewer clips.
     """
     paths = [folder / f"clip-{index:05d}.safetensors" for index in range(clips)]
     missing = [index for index, path in enumerate(paths) if not path.exists()]

@@ -77,7 +77,7 @@ def test_a_report_leaves_packed_files_alone(tmp_path: Path):
     before = contents(tmp_path / "out")
     outputs.write(tmp_path / "out", [])
     after = contents(tmp_path / "out")
-    made = {"per_scene.csv", "leaderboard.md", "leaderboard.tex", "report.html", "learning.svg"}
+    made = {"per_scene.csv", "leaderboard.md", "leaderboard.tex", "report.html"}
     assert set(after) - set(before) == made
     assert {name: after[name] for name in before} == before
 
