@@ -91,6 +91,13 @@ def test_weights_whose_objects_have_no_poses_are_refused_for_editing(tmp_path: P
         ({"slots": (4, 256)}, "--slots is 256"),
         ({"slots": (4,), "pretrained": True}, "--slots is for models that are made here"),
         ({"steps": 0}, "--steps is 0"),
+        ({"steps": 10**100}, "--steps is 1000"),
+        ({"seeds": 1001}, "--seeds is 1001; expected 1 to 1000."),
+        ({"background_slot": -1}, "--background-slot is for --predictions"),
+        ({"budget": 0.0}, "--budget is 0; expected 0.001 to 2678400."),
+        ({"budget": float("nan")}, "--budget is nan; expected"),
+        ({"time_limit": float("-inf")}, "--time-limit is -inf; expected"),
+        ({"memory_limit": 1e30}, "expected 1 to 1073741824"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused(facts: dict[str, Any], reason: str):

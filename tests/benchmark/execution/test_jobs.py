@@ -99,16 +99,6 @@ def test_pixels_without_depth_do_not_count(data: Path, tmp_path: Path, register)
     assert table["ignored"].tolist() == [np.sum(scenes[i]["sensor_valid"] == 0) for i in range(2)]
 
 
-def test_label_maps_are_kept(data: Path, tmp_path: Path, register):
-    register(lambda clip: Prediction(np.full(clip.depth.shape, 200), 200))
-    job(data, tmp_path / "out").run()
-    (path,) = (tmp_path / "out" / LABELS).iterdir()
-    maps = list(read_labels(path))
-    assert len(maps) == 2
-    assert maps[0][0].dtype == np.uint8
-    assert (set(np.unique(maps[0][0])), maps[0][1]) == ({200}, 200)
-
-
 def test_the_largest_slot_stands_in_for_an_undeclared_background(data: Path, tmp_path: Path, register):
     register(
         lambda clip: Prediction(np.where(np.arange(clip.depth.shape[-1]) < 8, 1, 6) + 0 * clip.depth.astype(int), None)
