@@ -17,7 +17,7 @@ STUDIES = {
     "edits": "Draw the generator's edits of scenes beside a model's",
     "errors": "Count a model's errors by type, over time, by number of objects, and where objects adjoin",
     "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
-    "object_frames": "Measure and draw how much objects vary over time in their own frames",
+    "object_frames": "Measure how much objects vary over time in their own frames",
     "real_frames": "Segment and score frames of your own with weights and methods without training",
     "shadows": "Measure how much of a segmentation's error is due to shadows",
     "views": "Compare rendered pictures with the input view and with other views",

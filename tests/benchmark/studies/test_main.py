@@ -7,7 +7,7 @@ import benchmark.studies
 from benchmark.studies.__main__ import STUDIES, main
 from datagen.errors import EXIT_OK, EXIT_USAGE
 
-HELPERS = {"__init__", "__main__", "inputs", "drawing"}
+HELPERS = {"__init__", "__main__", "inputs"}
 
 
 def test_help_lists_every_study_in_one_line(capsys: pytest.CaptureFixture[str]):
