@@ -3,7 +3,6 @@ import importlib
 import itertools
 import math
 
-import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -229,6 +228,7 @@ def test_what_a_frame_leaves_undefined_is_counted_and_not_averaged():
     assert [scores[name] for name in ("ari", "ari_fg", "msc_fg", "miou_bg")] == [1, 1, 1, 1]
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("truth", "prediction", "message"),
     [
@@ -239,14 +239,13 @@ def test_what_a_frame_leaves_undefined_is_counted_and_not_averaged():
         (np.zeros((0, 2, 2), int), np.zeros((0, 2, 2), int), "hold no pixel"),
     ],
 )
-def test_wrong_maps_are_refused(truth, prediction, message: str, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+def test_wrong_maps_are_refused(truth, prediction, message: str):
     with pytest.raises(ValueError, match=message):
         score(truth, prediction)
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("shape", [(2, 3, 3), (2, 1, 3, 4)])
-def test_wrong_clips_are_refused(shape: tuple[int, ...], monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+def test_wrong_clips_are_refused(shape: tuple[int, ...]):
     with pytest.raises(ValueError, match="expected one \\(frame, view, height, width\\)"):
         clip_scores(np.zeros((2, 3, 3) if len(shape) == 3 else (2, 1, 3, 3), int), np.zeros(shape, int))
