@@ -130,7 +130,8 @@ def corners_in_images(
     images: Sequence[tuple[int, int]],
 ) -> list[np.ndarray]:
     """Project the boxes of `Maps.boxes` into images, given as frame and view."""
-    return [box_corners(*(part[image] for part in boxes), k[image[1]], cameras[image]) for image in images]
+    center, rotation, size = boxes
+    return [box_corners(center[i], rotation[i], size[i], k[i[1]], cameras[i]) for i in images]
 
 
 class Album:
