@@ -19,7 +19,6 @@ STUDIES = {
     "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
     "object_frames": "Measure how much objects vary over time in their own frames",
     "real_frames": "Segment and score frames of your own with weights and methods without training",
-    "shadows": "Measure how much of a segmentation's error is due to shadows",
     "views": "Compare rendered pictures with the input view and with other views",
     "voxel_shapes": "Compare the voxel estimate of shapes with exact shapes and with volume rendering",
 }
