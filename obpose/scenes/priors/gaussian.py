@@ -26,7 +26,6 @@ from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.interface import WEIGHTS, FitSettings, Say, ScenePrior, read_prior
 from obpose.scenes.priors.mixture import Mixture, fit_mixture
 from obpose.scenes.priors.tables import MOST, Tables, are_tables, find_tables, no_tables
-from obpose.scenes.refine import STEPS
 from obpose.storage.tensors import Form, Forms, pack
 from obpose.types import Observation
 
@@ -51,7 +50,7 @@ def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) ->
                 say(f"{place} of {counted(tables, 'clip')}")
             yield read_clip(data, "train", place)
 
-    found = find_tables(origin, whole_clips(), refinements=STEPS)
+    found = find_tables(origin, whole_clips(), refinements=settings.refinements)
     say(f"Looking at the first frames of {counted(settings.clips, 'clip')}.")
     clips = (select_part(read_clip(data, "train", i), frames=slice(1)) for i in range(settings.clips))
     return save_gaussian(
