@@ -9,7 +9,6 @@ import pytest
 from assets import CHECKPOINTS
 from benchmark.commands.arguments import Run
 from benchmark.commands.request import request_of
-from benchmark.models.registry import GROUPS, Group
 from datagen import config
 from datagen.errors import UsageError
 from datagen.storage import spec
@@ -35,10 +34,9 @@ def test_a_dataset_without_images_is_refused(tmp_path: Path):
         request(tmp_path)
 
 
-def test_an_equal_budget_goes_with_a_group_unless_another_is_given(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(GROUPS, "few", Group(("obpose", "obpose-loc"), budget=720.0))
-    assert request_of(Run(model=("few",))).seconds == 720.0
-    assert request_of(Run(model=("few",), budget=30.0)).seconds == 30.0
+def test_an_equal_budget_goes_with_a_group_unless_another_is_given():
+    assert request_of(Run(model=("paper",))).seconds == 720.0
+    assert request_of(Run(model=("paper",), budget=30.0)).seconds == 30.0
     assert request_of(Run(model=("obpose",))).seconds is None
 
 
