@@ -16,7 +16,11 @@ def main() -> int:
 
 
 def find_method(name: str, objects: int = 16) -> "Method":
-    """Find a model without training by name, with its default options, for at most so many objects."""
+    """Find a model without training by name, with its default options, for at most so many objects.
+
+    Raises:
+        UsageError: there is none.
+    """
     from benchmark.models.classical import CLASSICAL, STRONGER  # late: `--version` needs no NumPy
     from benchmark.models.interface import Clip
     from datagen.errors import unknown_name

@@ -48,6 +48,10 @@ def run(flags: Flags) -> Iterator[Line]:
     """Segment every frame with every method, as obpose-segment does, and score those with a mask.
 
     The last rows are means, apart for masks that are predictions of another model.
+
+    Raises:
+        UsageError: the folder holds no frames, or a method does not exist.
+        CorruptFile: a file cannot be read.
     """
     folders = [path for path in sorted(flags.frames.iterdir()) if (path / CAMERA).exists()]
     if not folders:

@@ -36,7 +36,11 @@ _LIGHTS = (
 
 
 def run(folder: Path, reading: Reading, out: Path) -> int:
-    """Print a table of the meshes in a folder, draw their thumbnails, and return the exit code."""
+    """Print a table of the meshes in a folder, draw their thumbnails, and return the exit code.
+
+    Raises:
+        UsageError: there is no such folder, no mesh in it, or the sheet's name has another ending.
+    """
     if out.suffix.lower() not in _ENDINGS:
         raise UsageError(f"--out {out}: expected a name that ends in {', '.join(_ENDINGS)}.")
     files = find_files(folder)
