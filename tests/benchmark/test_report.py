@@ -21,7 +21,6 @@ from tests.worlds.runs import MODELS, TRACKS, write_report, write_runs
 
 HOSTILE = "<script>alert(1)<&script>'\""
 VOID = {"meta", "link", "img", "br", "input"}
-EXPECTED_SIZE = 15_000_000
 
 
 class Page(HTMLParser):
