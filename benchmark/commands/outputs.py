@@ -27,7 +27,6 @@ from benchmark.ranking.columns import (
 )
 from benchmark.ranking.standings import ModelResult, best_first, comparable_groups
 from benchmark.ranking.text import terminal
-from benchmark.report import learning
 from benchmark.results.labels import locate
 from benchmark.results.manifest import write_manifest
 from benchmark.results.packed_runs import is_packed
@@ -48,7 +47,6 @@ def write(folder: Path, data: Sequence[Path]) -> None:
         find = partial(_dataset, folder, load_runs(folder), data)
         command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
         page = report.write(folder, results, find, command=command, date=date.today().isoformat())
-        curves = learning.write(folder, results)
     console = wide_console()
     console.print(means_table(results))
     if poses := poses_table(results):
@@ -56,8 +54,6 @@ def write(folder: Path, data: Sequence[Path]) -> None:
     console.print()
     print_path(console, "Table:  ", folder / leaderboard.FILES[0])
     print_path(console, "Report: ", page)
-    if curves:
-        print_path(console, "Curves: ", curves)
 
 
 def _dataset(folder: Path, rows: Sequence[RunRow], data: Sequence[Path], track: str, track_spec: str) -> Path | None:
@@ -117,11 +113,7 @@ def _names(result: ModelResult) -> tuple[str, str]:
 
 
 def prepare(splits: Mapping[Source, tuple[str, ...]], *, workers: int) -> None:
-    """Generate the missing scenes of these splits, and report it.
-
-    Raises:
-        DatagenError: scenes could not be made.
-    """
+    """Generate the missing scenes of these splits, and report it."""
     console = status_console()
     for source, names in splits.items():
         source.prepare(names, workers=workers, progress=partial(track_progress, console, source.name, source.folder))

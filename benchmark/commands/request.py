@@ -24,11 +24,7 @@ _OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
 
 
 def request_of(values: arguments.Run) -> Request:
-    """Build the request that the flags describe.
-
-    Raises:
-        UsageError: flags contradict each other, or name something that does not exist.
-    """
+    """Build the request that the flags describe."""
     _check(values)
     names = values.track or (values.fit_track or DEFAULT,)
     sources: list[Source] = [_scored_folder(values.data)] if values.data else [*find_tracks(names, values.profile)]

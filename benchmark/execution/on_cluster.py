@@ -17,11 +17,7 @@ from datagen.storage.atomic import write_atomically
 
 @contextmanager
 def on_cluster(address: str, out: Path) -> Iterator[None]:
-    """Make `run_jobs` run all jobs on the cluster; results come back where workers do not share the folder `out`.
-
-    Raises:
-        UsageError: no scheduler answers at this address.
-    """
+    """Make `run_jobs` run all jobs on the cluster; results come back where workers do not share the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     with connected(address) as cluster, shared_mark(out) as mark:
 
@@ -42,11 +38,7 @@ def on_cluster(address: str, out: Path) -> Iterator[None]:
 
 
 def run_remotely(job: Runnable, limits: Limits, mark: Path) -> tuple[Outcome, Mapping[str, bytes]]:
-    """Run a job on a worker; returns the files that it wrote unless the worker shares the run folder, see `mark`.
-
-    Raises:
-        UsageError: the worker does not see a dataset or another file of the job.
-    """
+    """Run a job on a worker; returns the files that it wrote unless the worker shares the run folder, see `mark`."""
 
     def check(path: Path) -> Path:
         if not (path.is_relative_to(job.out) or path.exists()):

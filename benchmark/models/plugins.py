@@ -77,11 +77,7 @@ def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Proble
 
 
 def spec_of(model: Any) -> ModelSpec:
-    """Build the specification of a class from its attributes and defaults, and check it.
-
-    Raises:
-        UsageError: it is not a model, or an attribute is invalid.
-    """
+    """Build the specification of a class from its attributes and defaults, and check it."""
     for method in ("fit", "segment"):
         if not inspect.isclass(model) or not callable(getattr(model, method, None)):
             raise UsageError(f"{model!r} has no method {method!r}; a model is a class with fit and segment.")

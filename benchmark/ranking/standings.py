@@ -190,16 +190,12 @@ def silent(items: Sequence[Item], title: str) -> Iterable[Item]:
 
 
 def load_standings(folder: Path, progress: Progress = silent) -> list[ModelResult]:
-    """Load and rank all results of a run folder.
-
-    Raises:
-        CorruptFile: a row or its scene table is damaged.
-    """
+    """Load and rank all results of a run folder."""
     return standings(*load_scores(folder, progress), progress)
 
 
 def load_scores(folder: Path, progress: Progress = silent) -> tuple[list[RunRow], list[SceneTable | None]]:
-    """Load the rows of a run folder and their scene tables; raises the errors of `load_standings`."""
+    """Load the rows of a run folder and their scene tables."""
     rows = load_runs(folder)
     _check_scenes(folder, rows)
     watched = progress(rows, "reading scores")

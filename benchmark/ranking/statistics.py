@@ -123,12 +123,7 @@ def difference(one: tuple[Scores, Scores], two: tuple[OtherScores, OtherScores],
 
     The p-value is that of the bootstrap centred on the difference found (Hall and Wilson, 1991); with N resamples it is
     at least 1 / (N + 1).
-
-    Raises:
-        ValueError: the numbers of scenes differ.
     """
-    if one[0].shape[1] != two[0].shape[1]:
-        raise ValueError(f"{one[0].shape[1]} and {two[0].shape[1]} scenes cannot be paired; expected the same scenes.")
     first, second = mean_over_seeds(*one), mean_over_seeds(*two)
     both = (first[1] > 0) & (second[1] > 0)
     if not both.any():

@@ -123,6 +123,17 @@ def _most_apart(objects: Objects, scene: int, difference: np.ndarray) -> Image:
     return telling_image(objects, scene, difference if inside.sum() >= 0 else -difference)
 
 
+def corners_in_images(
+    boxes: tuple[np.ndarray, np.ndarray, np.ndarray],
+    k: Float64[np.ndarray, "view 3 3"],
+    cameras: Float64[np.ndarray, "frame view 4 4"],
+    images: Sequence[tuple[int, int]],
+) -> list[np.ndarray]:
+    """Project the boxes of `Maps.boxes` into images, given as frame and view."""
+    center, rotation, size = boxes
+    return [box_corners(center[i], rotation[i], size[i], k[i[1]], cameras[i]) for i in images]
+
+
 class Album:
     """Pictures of the whole page; each is drawn and stored once."""
 
@@ -224,9 +235,7 @@ class Painter:
     def _boxes(self, model: int, scene: int, images: list[tuple[int, int]]) -> int:
         record, poses = self._record(scene), self._maps[model][scene].boxes
         assert poses is not None
-        center, rotation, size = poses
-        k, cameras = record["camera/K"], read_camera_poses(self._analysis.scenes, scene)
-        corners = [box_corners(center[i], rotation[i], size[i], k[i[1]], cameras[i]) for i in images]
+        corners = corners_in_images(poses, record["camera/K"], read_camera_poses(self._analysis.scenes, scene), images)
         name, colors = f"boxes {self._analysis.rows[model].key.name}", self._slot_colors(model, scene)
         return self._place(
             name, scene, images, lambda: boxes_picture([record["rgb"][image] for image in images], corners, colors)

@@ -6,8 +6,10 @@ Reads label maps of test splits, as runs of obpose-bench write them.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 from jaxtyping import Bool, Float64, Integer
 
 from benchmark.metrics import score
@@ -16,7 +18,7 @@ from benchmark.ranking.leaderboard import Line
 from benchmark.report.analysis import outcome
 from benchmark.report.observations import Truth, observe, read_truth
 from benchmark.results.labels import check_labels, dataset_of, read_labels
-from benchmark.studies.inputs import LabelFlags
+from benchmark.studies.inputs import TableFlags
 from datagen.storage.reader import Dataset
 
 SPLIT = "test"
@@ -24,8 +26,13 @@ METRICS = ("ari_fg", "msc_fg")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flags(LabelFlags):
+class Flags(TableFlags):
     """Options of the study."""
+
+    labels: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Files of label maps of test splits, from the folder `labels` of a run."""
+    data: Path | None = None
+    """Dataset that was segmented, if it has moved since."""
 
 
 def run(flags: Flags) -> Iterator[Line]:

@@ -4,11 +4,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import torch
-import tyro
 from jaxtyping import Bool, Float, Int, Integer
 from torch import Tensor
 
@@ -16,7 +15,6 @@ from benchmark.metrics.contingency import contingency
 from benchmark.metrics.overlap import intersection_over_union
 from benchmark.ranking.leaderboard import Cell, Line
 from datagen.errors import UsageError
-from datagen.schema import SceneRecord
 from datagen.storage.reader import Dataset
 from datagen.tracks import DataFolder, Source, find_track
 from datagen.verify.scene_case import Case, make_case
@@ -44,16 +42,6 @@ class TableFlags:
     def columns(self) -> Line:
         """Columns that are equal in all lines; only the CSV has them."""
         return {}
-
-
-@dataclass(frozen=True, kw_only=True)
-class LabelFlags(TableFlags):
-    """Label maps to measure."""
-
-    labels: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Files of label maps of test splits, from the folder `labels` of a run."""
-    data: Path | None = None
-    """Dataset that was segmented, if it has moved since."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,11 +84,7 @@ class ModelFlags:
         return load_origin(self._model)
 
     def check(self, **least: int) -> None:
-        """Check that options, given by name, have at least these values.
-
-        Raises:
-            UsageError: one has not.
-        """
+        """Check that options, given by name, have at least these values."""
         for name, smallest in least.items():
             if (value := getattr(self, name)) < smallest:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")
@@ -153,22 +137,14 @@ class InferredClip:
 
 
 def infer_clips(model: ObPose, folder: Path, split: str, count: int) -> Iterator[InferredClip]:
-    """Infer the first clips of a split.
-
-    Raises:
-        UsageError: the clips have several views.
-    """
-    if (views := Dataset(folder).views) > 1:
-        raise UsageError(f"{folder} has {views} views; expected clips of one camera.")
-    for record, observation in first_clips(folder, split, count):
-        yield InferredClip(make_case(record), observation, model, model.segment(observation))
-
-
-def first_clips(folder: Path, split: str, count: int) -> Iterator[tuple[SceneRecord, Observation]]:
-    """Read the first clips of a split, with their ground truth."""
-    records = Dataset(folder).split(split)
+    """Infer the first clips of a split."""
+    dataset = Dataset(folder)
+    if dataset.views > 1:
+        raise UsageError(f"{folder} has {dataset.views} views; expected clips of one camera.")
+    records = dataset.split(split)
     for index in range(min(count, len(records))):
-        yield records[index], read_clip(folder, split, index)
+        observation = read_clip(folder, split, index)
+        yield InferredClip(make_case(records[index]), observation, model, model.segment(observation))
 
 
 def matched_slots(
@@ -186,11 +162,7 @@ def matched_slots(
 
 
 def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
-    """Check the ending of a file's name.
-
-    Raises:
-        UsageError: it differs.
-    """
+    """Check the ending of a file's name."""
     if path is not None and path.suffix != suffix:
         raise UsageError(f"{flag} {path}: expected a name that ends with {suffix}.")
 

@@ -4,7 +4,7 @@ Frames are named as in `PoseConfig.conditioning`: `none` is fixed in the world, 
 rotates with R. Where no model has such a conditioning, the fields of the `full` one are evaluated in such frames.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, nan
 from pathlib import Path
@@ -15,17 +15,13 @@ import numpy as np
 import torch
 from einops import rearrange
 from jaxtyping import Bool, Float
-from PIL import Image
 from torch import Tensor
 
 from benchmark.ranking.leaderboard import Line
-from benchmark.studies.drawing import GREY, SIDE, Cubes, draw, first_to_last, look_at, sheet, wire_box
 from benchmark.studies.inputs import Followed, InferredClip, ModelFlags, TableFlags, infer_clips
 from datagen.errors import UsageError
 from obpose.geometry import from_box
 from obpose.model.nerf.voxels import FLOOR, THRESHOLD, lattice_points, observed_free, occupancy
-from obpose.scenes.clip import one_of
-from obpose.scenes.pictures import write_png
 from obpose.storage.checkpoint import load_obpose
 from obpose.storage.pretrained import find_checkpoint
 
@@ -33,8 +29,6 @@ Framing = Literal["none", "location", "full"]
 FRAMINGS: tuple[Framing, ...] = ("none", "location", "full")
 LEAST_PATH, LEAST_TURN = 0.05, 30.0
 """Metres from which on an object moves, degrees from which on it turns."""
-FINE = 24
-"""Voxels along a box in the picture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +37,6 @@ class Flags(ModelFlags, TableFlags):
 
     other_checkpoints: tuple[str, ...] = ()
     """Folders of models with the conditionings `none` and `location`, beside the one with `full`."""
-    picture: Path | None = None
-    """PNG for figure 2 of the paper."""
-    figure_scene: int = 0
-    """Scene in the picture, which shows the object that turns most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +58,7 @@ class Cells:
 
 
 def run(flags: Flags) -> Iterator[Line]:
-    """Compare variances over objects that move, and over those that turn; draw the picture.
-
-    Raises:
-        UsageError: a model has the wrong conditioning, or the scene of the picture shows no object.
-    """
+    """Compare variances over objects that move, and over those that turn."""
     flags.check(scenes=1)
     others = [load_obpose(find_checkpoint(Path(name))) for name in flags.other_checkpoints]
     models = {model.config.model.pose.conditioning: model for model in (flags.origin().model, *others)}
@@ -83,7 +69,6 @@ def run(flags: Flags) -> Iterator[Line]:
         )
     folder = flags.folder()
     clips = {name: list(infer_clips(model, folder, flags.split, flags.scenes)) for name, model in models.items()}
-    shown = one_of("--figure-scene", flags.figure_scene, len(clips["full"]))
     for motion, least_path in {"move": LEAST_PATH, "turn": float("inf")}.items():
         for framing in FRAMINGS:
             objects = [
@@ -96,9 +81,6 @@ def run(flags: Flags) -> Iterator[Line]:
             if objects:
                 line = {"objects that": motion, "frames": framing, "model": framing if framing in clips else "full"}
                 yield {**line, "objects": len(objects), **mean_variances(objects, framing, codes=framing in clips)}
-    if flags.picture is not None:
-        turning = turning_most({framing: clips.get(framing, clips["full"])[shown] for framing in FRAMINGS})
-        write_png(flags.picture, np.asarray(draw_frames(turning, resolution=FINE)))
 
 
 def mean_variances(
@@ -148,7 +130,7 @@ def variances(clip: InferredClip, followed: Followed, framing: Framing) -> dict[
     occupied = {
         "truth": _true_occupancy(clip, followed, cells),
         "centred": _true_occupancy(clip, followed, centred),
-        "field": field_occupancy(clip, followed, cells.points)[0],
+        "field": field_occupancy(clip, followed, cells.points),
     }
     return {name: occupancy_variance(values) for name, values in occupied.items()}
 
@@ -156,8 +138,8 @@ def variances(clip: InferredClip, followed: Followed, framing: Framing) -> dict[
 @torch.no_grad()
 def field_occupancy(
     clip: InferredClip, followed: Followed, points: Float[Tensor, "frame cell 3"]
-) -> tuple[Bool[Tensor, "frame cell"], Float[Tensor, "frame cell 3"]]:
-    """Evaluate an object's field at world points: whether it is dense there, and its colour.
+) -> Bool[Tensor, "frame cell"]:
+    """Evaluate whether an object's field is dense at world points.
 
     As in the voxel estimate, points below the floor and points observed to be free are empty.
     """
@@ -166,11 +148,10 @@ def field_occupancy(
     every[followed.frames] = points
     directions = every - observation.world_from_camera[0, 0, :3, 3]
     decoded = model.decode(clip.segmentation.inference, every[None], directions[None], "with")
-    assert decoded.colours is not None
     dense = occupancy(decoded.logits[:, :, 1 + followed.slot]) > THRESHOLD
     dense &= ~observed_free(rearrange(every, "frame cell xyz -> 1 frame 1 cell xyz"), observation)[:, :, 0]
     dense &= every[None, ..., 2] >= FLOOR
-    return dense[0, followed.frames], decoded.colours[0, followed.frames, 1 + followed.slot]
+    return dense[0, followed.frames]
 
 
 def occupancy_variance(occupied: Bool[Tensor, "frame cell"]) -> float:
@@ -194,53 +175,6 @@ def code_variance(codes: list[Float[np.ndarray, "_ latent"]]) -> float:
 def codes_of(clip: InferredClip, followed: Followed) -> Float[np.ndarray, "frame latent"]:
     """Posterior means of an object's z_what."""
     return clip.segmentation.inference.what.mean[0, followed.frames, followed.slot].detach().numpy()
-
-
-def turning_most(clips: Mapping[Framing, InferredClip]) -> dict[Framing, tuple[InferredClip, Followed]]:
-    """Choose the object that turns most among those that all models follow, in the frames they have in common.
-
-    Raises:
-        UsageError: there is none.
-    """
-    followed = [{each.row: each for each in clips[framing].followed} for framing in FRAMINGS]
-    common: dict[int, list[int]] = {}
-    for row in set.intersection(*map(set, followed)):
-        if frames := set.intersection(*(set(rows[row].frames) for rows in followed)):
-            common[row] = sorted(frames)
-    if not common:
-        raise UsageError("No object of this scene is followed by a slot of every model; choose another --figure-scene.")
-    row = max(common, key=lambda row: clips["full"].turned(row, common[row]).max())
-    return {
-        framing: (clips[framing], replace(rows[row], frames=common[row]))
-        for framing, rows in zip(FRAMINGS, followed, strict=True)
-    }
-
-
-def draw_frames(objects: Mapping[Framing, tuple[InferredClip, Followed]], *, resolution: int) -> Image.Image:
-    """Draw figure 2: an object's field in its own frame over time, and how often each voxel is occupied there."""
-    rows, titles = {}, []
-    for framing in FRAMINGS:
-        clip, followed = objects[framing]
-        edge = clip.model.config.model.pose.box_size
-        cells = cells_of(clip, followed, framing, edge=edge, cell=edge / resolution)
-        dense, colours = field_occupancy(clip, followed, cells.points)
-        shown = first_to_last(len(followed.frames))
-        share = dense.float().mean(dim=0)
-        tiles = [_draw_lattice(cells, dense[place].float(), colours[place]) for place in shown]
-        tiles.append(_draw_lattice(cells, share, torch.tensor([0.1, 0.2, 0.5]).expand(len(share), 3)))
-        rows[framing.replace("full", "location\nand rotation")] = tiles
-        titles = [*(f"frame {followed.frames[place]}" for place in shown), "share of frames"]
-    return sheet(titles, rows)
-
-
-def _draw_lattice(cells: Cells, opacity: Float[Tensor, " cell"], colours: Float[Tensor, "cell 3"]) -> Image.Image:
-    """Draw the lattice at rest."""
-    points = Cells(torch.zeros(1, 3), torch.eye(3)[None], cells.size, cells.resolution).points[0]
-    shown = opacity > 0
-    edge = cells.size / cells.resolution
-    cubes = Cubes(points[shown].numpy(), np.eye(3), edge, colours[shown].numpy(), opacity[shown].numpy())
-    eye = look_at(np.zeros(3), SIDE, distance=4 * cells.size, focal=2.3)
-    return draw([cubes], eye, below=wire_box(np.zeros(3), np.eye(3), np.full(3, cells.size / 2), GREY))
 
 
 def _true_occupancy(clip: InferredClip, followed: Followed, cells: Cells) -> Bool[Tensor, "frame cell"]:

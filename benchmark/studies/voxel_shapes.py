@@ -1,48 +1,28 @@
 """Is the voxel estimate of an object's shape accurate, and is it faster than volume rendering?
 
 The estimate (paper, end of section Decoder) is compared with the generator's exact shapes. Rendering is what the paper
-avoids by it. The study also draws the paper's figure 1.
+avoids by it.
 """
 
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
-from pathlib import Path
 from statistics import mean, median
 
-import numpy as np
 import torch
 from einops import rearrange
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor
 
 from benchmark.ranking.leaderboard import Line
-from benchmark.studies.drawing import (
-    GREY,
-    SIDE,
-    TILE,
-    Cubes,
-    Eye,
-    Segment,
-    draw,
-    first_to_last,
-    look_at,
-    sheet,
-    wire_box,
-)
 from benchmark.studies.inputs import InferredClip, ModelFlags, TableFlags, infer_clips
-from datagen.errors import UsageError
 from obpose.geometry import all_rays
 from obpose.model.nerf.components import points_in_boxes, scatter
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.nerf.render import render
 from obpose.model.nerf.voxels import Voxels, occupied_voxels, shape_of
-from obpose.pictures import PALETTE
-from obpose.scenes.clip import one_of
-from obpose.scenes.pictures import write_png
-from obpose.types import Boxes, Decoded
+from obpose.types import Decoded
 
 SAMPLES = 64
 """Points per ray, as in the coarse pass of Mildenhall et al. (2020)."""
@@ -60,17 +40,11 @@ Decode = Callable[[Tensor, Tensor], Decoded]
 class Flags(ModelFlags, TableFlags):
     """Options of the study."""
 
-    picture: Path | None = None
-    """PNG for figure 1 of the paper."""
-    figure_scene: int = 0
-    """Scene in the picture."""
-
 
 def run(flags: Flags) -> Iterator[Line]:
-    """Summarise errors over all followed objects and frames, and CPU times of the first clip; draw the picture."""
+    """Summarise errors over all followed objects and frames, and CPU times of the first clip."""
     flags.check(scenes=1)
     clips = list(infer_clips(flags.origin().model, flags.folder(), flags.split, flags.scenes))
-    shown = clips[one_of("--figure-scene", flags.figure_scene, len(clips))]
     errors = [error for clip in clips for error in shape_errors(clip)]
     objects, followed = sum(clip.truth.count for clip in clips), sum(len(clip.followed) for clip in clips)
     print(f"{followed} of {objects} objects of {len(clips)} scenes are followed by a slot, in {len(errors)} frames.")
@@ -78,8 +52,6 @@ def run(flags: Flags) -> Iterator[Line]:
         yield summary(name, [error[name] for error in errors])
     for name, seconds in measure_times(clips[0]).items():
         yield summary(f"CPU seconds, {name}", seconds)
-    if flags.picture is not None:
-        write_png(flags.picture, np.asarray(draw_voxels(shown, estimate_voxels(shown, FINE))))
 
 
 def summary(name: str, values: Sequence[float]) -> Line:
@@ -140,38 +112,6 @@ def measure_times(clip: InferredClip, *, rounds: int = 3) -> dict[str, list[floa
     return {name: [_seconds(call) for _ in range(rounds)] for name, call in ways.items()}
 
 
-def draw_voxels(clip: InferredClip, voxels: Voxels) -> Image.Image:
-    """Draw figure 1: images, then voxels in the tightest boxes along R, from the camera and from the side.
-
-    Raises:
-        UsageError: the model finds no object.
-    """
-    observation, boxes = clip.observation, clip.segmentation.inference.boxes
-    slots = [label - 1 for label in clip.segmentation.labels.unique().tolist() if label]
-    if not slots:
-        raise UsageError("The model finds no object in the scene of the picture; give another --figure-scene.")
-    pose, k = observation.world_from_camera[0, 0].numpy(), observation.k[0, 0].numpy()
-    camera = Eye(pose[:3, 3], pose[:3, :3], float(k[0, 0]) / observation.depth.shape[-1])
-    middle = boxes.center[0, :, slots].flatten(0, 1).median(dim=0).values.numpy()
-    side = look_at(middle, SIDE, distance=1.6, focal=2.2)
-    frames = first_to_last(observation.depth.shape[1])
-    rows: dict[str, list[Image.Image]] = {"image": [], "voxels and\npose": [], "from the\nside": []}
-    for frame in frames:
-        cubes, wires = [], []
-        for slot in slots:
-            colour = PALETTE[1 + slot % (len(PALETTE) - 1)]
-            group = _voxel_cubes(voxels, boxes, frame, slot, colour / 255)
-            if len(group.centers):
-                cubes.append(group)
-                wires += _tight_box(group, tuple(colour.tolist()))
-        image = Image.fromarray((255 * observation.rgb[0, frame, 0].numpy()).round().astype(np.uint8))
-        tiles = [image.resize((TILE, TILE), Image.Resampling.NEAREST)]
-        tiles += [draw(cubes, eye, below=_table(middle), over=wires) for eye in (camera, side)]
-        for row, tile in zip(rows.values(), tiles, strict=True):
-            row.append(tile)
-    return sheet([f"frame {frame}" for frame in frames], rows)
-
-
 def _iou(clip: InferredClip, voxels: Voxels, row: int, frame: int, slot: int) -> float:
     estimate = voxels.occupied[0, frame, slot]
     truth = clip.occupied(row, frame, voxels.points[0, frame, slot])
@@ -222,26 +162,3 @@ def _seconds(call: Callable[[], object]) -> float:
     start = time.process_time()
     call()
     return time.process_time() - start
-
-
-def _voxel_cubes(voxels: Voxels, boxes: Boxes, frame: int, slot: int, colour: np.ndarray) -> Cubes:
-    points = voxels.points[0, frame, slot][voxels.occupied[0, frame, slot]].numpy()
-    edge = boxes.size / round(voxels.points.shape[-2] ** (1 / 3))
-    colours = np.broadcast_to(colour, (len(points), 3))
-    return Cubes(points, boxes.rotation[0, frame, slot].numpy(), edge, colours, np.ones(len(points)))
-
-
-def _tight_box(cubes: Cubes, colour: tuple[int, int, int]) -> list[Segment]:
-    """Bounding box of the cubes, along their axes."""
-    local = cubes.centers @ cubes.rotation
-    low, high = local.min(axis=0) - cubes.edge / 2, local.max(axis=0) + cubes.edge / 2
-    return wire_box(cubes.rotation @ ((low + high) / 2), cubes.rotation, (high - low) / 2, colour)
-
-
-def _table(middle: np.ndarray) -> list[Segment]:
-    """Grid on the table z = 0, with lines ten centimetres apart."""
-    steps, reach = np.arange(-4, 5) / 10, 0.4
-    x, y = np.round(middle[:2], 1)
-    ends = [[(x + step, y - reach, 0), (x + step, y + reach, 0)] for step in steps]
-    ends += [[(x - reach, y + step, 0), (x + reach, y + step, 0)] for step in steps]
-    return [Segment(np.array(pair), GREY, 1) for pair in ends]

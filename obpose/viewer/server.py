@@ -1,8 +1,7 @@
-"""The viser server, restricted to requests of its own page and answering malformed HTTP requests properly.
+"""The viser server, restricted to requests of its own page.
 
-Browsers let every open page connect to servers of this machine, and viser does not check the origin of requests. Its
-websocket server, which also serves the page, drops requests that it cannot parse without an answer. A connection class
-and hooks of the server fix both.
+Browsers let every open page connect to servers of this machine, and viser does not check the origin of requests. Hooks
+of its websocket server, which also serves the page, do.
 """
 
 import logging
@@ -18,16 +17,8 @@ import viser
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
-from websockets.streams import StreamReader
 
 from obpose.errors import UsageError
-
-MAX_URL = 2048
-"""Longest URL, characters."""
-MAX_HEAD = 32_768
-"""Largest head of a request, bytes."""
-_METHODS = {"GET", "HEAD", "OPTIONS"}
-_ALLOW = "GET, HEAD, OPTIONS"
 
 HEADERS = {
     "X-Frame-Options": "DENY",
@@ -45,11 +36,7 @@ HEADERS = {
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """Start a server at exactly this port.
-
-    Raises:
-        UsageError: another process uses the port.
-    """
+    """Start a server at exactly this port."""
     with redirect_stdout(StringIO()), _guarded(host):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if server.get_port() != port:
@@ -107,67 +94,6 @@ def _is_local(name: str | None) -> bool:
         return False
 
 
-class Connection(ServerConnection):
-    """A connection that also answers the requests that `websockets` drops: other methods, and malformed requests."""
-
-    method = "GET"
-    _head = b""
-    _head_done = False
-
-    def data_received(self, data: bytes) -> None:
-        """Check the head of the request before the library parses it."""
-        if self._head_done:
-            super().data_received(data)
-            return
-        self._head += data
-        if b"\r\n\r\n" not in self._head and len(self._head) <= MAX_HEAD:
-            return
-        self._head_done = True
-        method, status = read_head(self._head)
-        if status is not None:
-            self._refuse(status)
-            return
-        self.method = method
-        super().data_received(self._head.replace(method.encode(), b"GET", 1))
-
-    def _refuse(self, status: HTTPStatus) -> None:
-        body = f"{status.phrase}.\n".encode()
-        headers = {**HEADERS, "Content-Type": "text/plain", "Content-Length": str(len(body)), "Connection": "close"}
-        if status is HTTPStatus.METHOD_NOT_ALLOWED:
-            headers["Allow"] = _ALLOW
-        lines = [f"HTTP/1.1 {status.value} {status.phrase}", *(f"{name}: {value}" for name, value in headers.items())]
-        self.transport.write("\r\n".join([*lines, "", ""]).encode() + body)
-        self.transport.close()
-
-
-def read_head(head: bytes) -> tuple[str, HTTPStatus | None]:
-    """Read the method of a request, and the status to refuse it with if the library cannot parse it."""
-    line, _, rest = head.partition(b"\r\n")
-    parts = line.decode("latin-1").split(" ")
-    if len(parts) != 3 or not parts[2].startswith("HTTP/"):
-        return "", HTTPStatus.REQUEST_URI_TOO_LONG if len(line) > MAX_URL else HTTPStatus.BAD_REQUEST
-    method, url, version = parts
-    if len(url) > MAX_URL:
-        return method, HTTPStatus.REQUEST_URI_TOO_LONG
-    if b"\r\n\r\n" not in head:
-        return method, HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE
-    if method not in _METHODS:
-        return method, HTTPStatus.METHOD_NOT_ALLOWED
-    if version != "HTTP/1.1":
-        return method, HTTPStatus.HTTP_VERSION_NOT_SUPPORTED
-    if not url.startswith("/") and not (method == "OPTIONS" and url == "*"):
-        return method, HTTPStatus.BAD_REQUEST
-    reader = StreamReader()
-    reader.feed_data(b"GET " + line.partition(b" ")[2] + b"\r\n" + rest)
-    try:
-        next(Request.parse(reader.read_line))
-    except StopIteration:
-        return method, None
-    except Exception:  # the library would drop the request
-        pass
-    return method, HTTPStatus.BAD_REQUEST
-
-
 @contextmanager
 def _guarded(bound: str) -> Iterator[None]:
     """Make servers that are started in this context, bound to this address, refuse other pages and send `HEADERS`."""
@@ -177,25 +103,16 @@ def _guarded(bound: str) -> Iterator[None]:
         logger.addFilter(_is_no_handshake_error)
 
     def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
-        def answer(connection: Connection, request: Request) -> Any:
+        def answer(connection: ServerConnection, request: Request) -> Any:
             if status := refusal(request, bound):
                 return connection.respond(status, "Pages of other servers may not connect.\n")
-            if connection.method == "OPTIONS":
-                return connection.respond(HTTPStatus.NO_CONTENT, "")
-            is_socket = request.headers.get("Upgrade", "").lower() == "websocket"
-            if connection.method == "HEAD" and is_socket:
-                return connection.respond(HTTPStatus.BAD_REQUEST, "A websocket begins with GET.\n")
             return process_request(connection, request) if process_request else None
 
-        def finish(connection: Connection, _request: Request, response: Response) -> None:
+        def finish(_connection: ServerConnection, _request: Request, response: Response) -> None:
             for name, value in HEADERS.items():
                 response.headers[name] = value
-            if connection.method == "OPTIONS":
-                response.headers["Allow"] = _ALLOW
-            if connection.method != "GET":
-                response.body = b""
 
-        hooks = {"process_request": answer, "process_response": finish, "create_connection": Connection}
+        hooks = {"process_request": answer, "process_response": finish}
         return serve(*arguments, **{**options, **hooks, "logger": logger})
 
     websockets_server.serve = guarded

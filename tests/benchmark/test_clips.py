@@ -2,7 +2,6 @@ import dataclasses
 import json
 from pathlib import Path
 
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -49,9 +48,8 @@ def test_a_sensors_depth_is_what_is_seen(tmp_path: Path):
     np.testing.assert_array_equal(clip.valid, record["sensor_valid"] > 0)
 
 
-def test_scenes_without_images_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    # The type checker looks into sequences, and would miss the scenes before the program does.
-    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+@pytest.mark.usefixtures("unchecked")
+def test_scenes_without_images_are_refused(tmp_path: Path):
     recipe = config.recipe_to_dict(config.Recipe())
     facts = spec.make_spec(recipe, seed=0, splits={"train": 1}, resolution=None, renderer=None)
     (tmp_path / spec.SPEC_FILE).write_text(json.dumps(facts))

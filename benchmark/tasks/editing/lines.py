@@ -58,11 +58,7 @@ def save_lines(path: Path, lines: Sequence[Line]) -> None:
 
 
 def load_lines(path: Path) -> list[Line]:
-    """Load the lines of a job; none if it has not begun.
-
-    Raises:
-        CorruptFile: the file is damaged.
-    """
+    """Load the lines of a job; none if it has not begun."""
     if not path.exists():
         return []
     try:

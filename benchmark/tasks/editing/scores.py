@@ -43,9 +43,3 @@ def depth_error(truth: Depths, shown: Depths, where: Mask) -> float:
     """Median absolute error in millimetres over pixels whose true depth is known; nan if there are none."""
     known = where & (truth > 0)
     return float(1000 * np.median(np.abs(truth[known] - shown[known]))) if known.any() else math.nan
-
-
-def _segmentation(truth: Picture, shown: Picture) -> dict[str, float]:
-    """Mean scores over frames and views; pixels without depth are ignored, as for segmentations."""
-    scores = clip_scores(truth.labels, shown.labels, 0, truth.depth == 0)
-    return {name: mean_where_defined(scores[name]) for name in ("ari_fg", "ari")}

@@ -90,11 +90,7 @@ def _pairs(
 
 
 def kinds_in(dataset: Dataset) -> tuple[EditKind, ...]:
-    """Kinds of edits in a dataset.
-
-    Raises:
-        UsageError: it has no edits.
-    """
+    """Kinds of edits in a dataset."""
     if kinds := dataset.edits:
         return kinds
     if dataset.imported:

@@ -20,8 +20,7 @@ from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.priors.grids import Grids, grids_of, together
-from obpose.scenes.priors.interface import Say
-from obpose.scenes.refine import STEPS
+from obpose.scenes.priors.interface import FitSettings, Say
 from obpose.scenes.scene import Scene
 from obpose.storage.tensors import Form, Forms, read_tensors
 
@@ -41,20 +40,15 @@ class Examples:
     """z_what of the objects in the last frame."""
 
 
-def find_examples(origin: Origin, data: Path, folder: Path, clips: int, *, workers: int, say: Say) -> list[Examples]:
-    """Find the objects in the first `clips` training clips of a dataset; clips that have a file are read from it.
-
-    `workers` processes look for objects; `folder` gets the cache files.
-
-    Raises:
-        CorruptFile: a file is damaged.
-        UsageError: the dataset has fewer clips.
-    """
-    paths = [folder / f"clip-{index:05d}.safetensors" for index in range(clips)]
+def find_examples(origin: Origin, data: Path, folder: Path, settings: FitSettings, say: Say) -> list[Examples]:
+    """Find objects in the first training clips of a dataset; clips that have a file in `folder` are read from it."""
+    paths = [folder / f"clip-{index:05d}.safetensors" for index in range(settings.clips)]
     missing = [index for index, path in enumerate(paths) if not path.exists()]
     say(f"Looking for objects in {counted(len(missing), 'clip')} of {data}.")
-    look = partial(_find_in, str(origin.folder), data)
-    for number, (index, contents) in enumerate(make_all(look, [("train", i) for i in missing], workers), start=1):
+    look = partial(_find_in, str(origin.folder), data, settings.refinements)
+    for number, (index, contents) in enumerate(
+        make_all(look, [("train", i) for i in missing], settings.workers), start=1
+    ):
         write_atomically(paths[index], contents)
         if number % 10 == 0:
             say(f"{number} of {counted(len(missing), 'clip')}")
@@ -74,10 +68,10 @@ def examples_of(model: ObPose, scene: Scene) -> bytes:
     return save({name: value.contiguous() for name, value in tensors.items()})
 
 
-def _find_in(checkpoint: str, data: Path, split: str, index: int) -> tuple[int, bytes]:
+def _find_in(checkpoint: str, data: Path, refinements: int, split: str, index: int) -> tuple[int, bytes]:
     """Infer a clip; give its index and the contents of its cache file."""
     origin = _load_once(checkpoint)
-    scene = infer_scene(origin, read_clip(data, split, index), refinements=STEPS)
+    scene = infer_scene(origin, read_clip(data, split, index), refinements=refinements)
     return index, examples_of(origin.model, scene)
 
 

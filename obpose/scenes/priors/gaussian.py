@@ -26,7 +26,6 @@ from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.interface import WEIGHTS, FitSettings, Say, ScenePrior, read_prior
 from obpose.scenes.priors.mixture import Mixture, fit_mixture
 from obpose.scenes.priors.tables import MOST, Tables, are_tables, find_tables, no_tables
-from obpose.scenes.refine import STEPS
 from obpose.storage.tensors import Form, Forms, pack
 from obpose.types import Observation
 
@@ -41,11 +40,7 @@ _MARGIN = 0.02
 
 
 def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Path:
-    """Fit mixtures to the training clips of a dataset, with the tables of the first ones, and write the file.
-
-    Raises:
-        UsageError: too few objects were found for a covariance.
-    """
+    """Fit mixtures to the training clips of a dataset, with the tables of the first ones, and write the file."""
     tables = min(settings.clips, MOST)
     say(f"Looking for lights and textures in {counted(tables, 'clip')}; each takes some seconds.")
 
@@ -55,7 +50,7 @@ def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) ->
                 say(f"{place} of {counted(tables, 'clip')}")
             yield read_clip(data, "train", place)
 
-    found = find_tables(origin, whole_clips(), refinements=STEPS)
+    found = find_tables(origin, whole_clips(), refinements=settings.refinements)
     say(f"Looking at the first frames of {counted(settings.clips, 'clip')}.")
     clips = (select_part(read_clip(data, "train", i), frames=slice(1)) for i in range(settings.clips))
     return save_gaussian(
@@ -65,11 +60,7 @@ def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) ->
 
 @torch.no_grad()
 def fit_codes(model: ObPose, clips: Iterable[Observation], tables: Tables) -> ScenePrior:
-    """Fit mixtures to the posterior means of the first frames of clips (each a batch of one); `tables` stay as given.
-
-    Raises:
-        UsageError: too few objects were found for a covariance.
-    """
+    """Fit mixtures to posterior means of the first frames of clips, each a batch of one; `tables` stay as given."""
     what, background, center = [], [], []
     for clip in clips:
         inference = model.segment(clip).inference
@@ -102,12 +93,7 @@ def save_gaussian(origin: Origin, prior: ScenePrior) -> Path:
 
 
 def load_gaussian(origin: Origin) -> ScenePrior:
-    """Load the fitted mixtures of a model.
-
-    Raises:
-        UsageError: there are none.
-        CorruptFile: the file is damaged, or belongs to another model.
-    """
+    """Load the fitted mixtures of a model."""
     path = origin.folder / FILE
     if not path.is_file():
         raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit-prior --kind gaussian first.")

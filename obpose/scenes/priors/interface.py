@@ -15,6 +15,7 @@ from obpose.scenes.appearance import Appearance
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.mixture import Mixture
 from obpose.scenes.priors.tables import Tables
+from obpose.scenes.refine import STEPS
 from obpose.storage.tensors import Expect, State, read_tensors
 
 WEIGHTS = "weights"
@@ -69,6 +70,16 @@ class FitSettings:
     seed: int
     workers: int
     """Number of processes that look for objects."""
+    refinements: int = STEPS
+    """Steps in which each clip is fitted to its frames."""
+    least_objects: int = 32
+    """Fewest objects that a flow is trained on."""
+    batch: int = 256
+    """Objects per training step of a flow."""
+    save_steps: int = 250
+    """Interval at which the training of a flow is saved and reported."""
+    compared: int = 200
+    """Number of samples, and of held-out objects, that are compared with the training objects."""
 
 
 @dataclass(frozen=True)
@@ -86,11 +97,7 @@ class PriorKind:
 
 
 def read_prior(origin: Origin, file: str, advice: str, expect: Expect) -> State:
-    """Read the tensors of a prior's file.
-
-    Raises:
-        CorruptFile: the file is damaged, or belongs to other weights.
-    """
+    """Read the tensors of a prior's file."""
     path = origin.folder / file
     tensors, metadata = read_tensors(path, advice, expect, most_bytes=_MOST_BYTES)
     if metadata.get(WEIGHTS) != origin.hash:

@@ -28,18 +28,14 @@ from obpose.storage.tensors import State, differences_of, forms_of, read_tensors
 
 PARTIAL = "flow.partial"
 """Folder of the unfinished flow, beside the weights."""
-COMPARED = 200
-"""Number of samples, and of held-out objects, that are compared with the training objects."""
 HELD = 20
 """Interval of held-out clips: the objects of every 20th clip only measure the held-out loss."""
-BATCH, RATE, WARM_STEPS, CLIP = 256, 1e-3, 200, 1.0
-"""Objects per step, learning rate, its warm-up steps, and gradient norm limit. The rate falls in the second half."""
+RATE, WARM_STEPS, CLIP = 1e-3, 200, 1.0
+"""Learning rate, its warm-up steps, and gradient norm limit. The rate falls in the second half."""
 MEMORY = 0.999
 """Decay of the moving average of the weights, which is the result."""
-SAVE_STEPS = 250
 _LOOKING, _LEARNING, _STATE = "looking.json", "learning.json", "state.safetensors"
 """Files of the unfinished flow: settings of the search for objects, of the training, and the training state."""
-_LEAST_OBJECTS = 32
 _MOST_SETTINGS_BYTES = 2**16
 
 
@@ -62,7 +58,7 @@ def fit_flow(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Pat
         _check_same(folder / _LOOKING, {"weights": origin.hash, "data": dataset})
         if (folder / _STATE).exists():
             _check_same(folder / _LEARNING, training)
-        found = find_examples(origin, data, folder, settings.clips, workers=settings.workers, say=say)
+        found = find_examples(origin, data, folder, settings, say)
         write_atomically(folder / _LEARNING, json.dumps(training, indent=1).encode())
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
@@ -95,10 +91,10 @@ def _check_same(path: Path, settings: dict[str, Any]) -> None:
 def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSettings, say: Say) -> Flow:
     """Train a flow; give the moving average of its weights."""
     held, learned = joined(found[::HELD]), joined([each for place, each in enumerate(found) if place % HELD])
-    if len(learned.half) < _LEAST_OBJECTS:
+    if len(learned.half) < settings.least_objects:
         raise UsageError(
             f"Examples of objects found: {len(learned.half)}, and {len(held.half)} that are held out, in "
-            f"{counted(len(found), 'clip')}; expected {_LEAST_OBJECTS}. Give more --clips."
+            f"{counted(len(found), 'clip')}; expected {settings.least_objects}. Give more --clips."
         )
     say(
         f"Learning from {counted(len(learned.half), 'example')} of objects, in some frames each; held out: "
@@ -112,7 +108,7 @@ def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSetting
     losses: list[float] = []
     for step in range(done, settings.steps):
         noise = torch.Generator().manual_seed((settings.seed << 32) + step)
-        batch = objects[torch.randint(len(objects), (BATCH,), generator=noise)]
+        batch = objects[torch.randint(len(objects), (settings.batch,), generator=noise)]
         for group in optimiser.param_groups:
             group["lr"] = RATE * _pace(step, settings.steps)
         with torch.random.fork_rng(devices=[]):
@@ -127,11 +123,11 @@ def _train(flow: Flow, found: list[Examples], folder: Path, settings: FitSetting
         optimiser.step()
         _follow(mean, flow, step)
         losses.append(loss.item())
-        if (step + 1) % SAVE_STEPS == 0:
+        if (step + 1) % settings.save_steps == 0:
             _save(folder / _STATE, flow, mean, optimiser, step + 1)
             say(f"step {step + 1} of {settings.steps}: loss {sum(losses) / len(losses):.4f}{_held_out(mean, others)}")
             losses.clear()
-    say(_likeness(mean, objects, others))
+    say(_likeness(mean, objects, others, settings.compared))
     return mean
 
 
@@ -144,12 +140,14 @@ def _held_out(flow: Flow, objects: Float[Tensor, "object value"]) -> str:
 
 
 @torch.no_grad()
-def _likeness(flow: Flow, learned: Float[Tensor, "one value"], held: Float[Tensor, "other value"]) -> str:
+def _likeness(
+    flow: Flow, learned: Float[Tensor, "one value"], held: Float[Tensor, "other value"], compared: int
+) -> str:
     """Report distances of samples and of held-out objects to the training objects; copies would have smaller ones."""
     generator = torch.Generator().manual_seed(0)
     others = {
-        "samples": flow.encode(sample_grids(flow, COMPARED, generator)),
-        "held-out objects": held[torch.randperm(len(held), generator=generator)[:COMPARED]],
+        "samples": flow.encode(sample_grids(flow, compared, generator)),
+        "held-out objects": held[torch.randperm(len(held), generator=generator)[:compared]],
     }
     words = [f"{name} {nearest(values, learned):.3f}" for name, values in others.items() if len(values)]
     return f"Distance to the nearest learned object, median: {', '.join(words)}"

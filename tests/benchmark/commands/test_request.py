@@ -9,7 +9,6 @@ import pytest
 from assets import CHECKPOINTS
 from benchmark.commands.arguments import Run
 from benchmark.commands.request import request_of
-from benchmark.models.registry import GROUPS, Group
 from datagen import config
 from datagen.errors import UsageError
 from datagen.storage import spec
@@ -35,10 +34,9 @@ def test_a_dataset_without_images_is_refused(tmp_path: Path):
         request(tmp_path)
 
 
-def test_an_equal_budget_goes_with_a_group_unless_another_is_given(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(GROUPS, "few", Group(("obpose", "obpose-loc"), budget=720.0))
-    assert request_of(Run(model=("few",))).seconds == 720.0
-    assert request_of(Run(model=("few",), budget=30.0)).seconds == 30.0
+def test_an_equal_budget_goes_with_a_group_unless_another_is_given():
+    assert request_of(Run(model=("paper",))).seconds == 720.0
+    assert request_of(Run(model=("paper",), budget=30.0)).seconds == 30.0
     assert request_of(Run(model=("obpose",))).seconds is None
 
 
@@ -91,6 +89,13 @@ def test_weights_whose_objects_have_no_poses_are_refused_for_editing(tmp_path: P
         ({"slots": (4, 256)}, "--slots is 256"),
         ({"slots": (4,), "pretrained": True}, "--slots is for models that are made here"),
         ({"steps": 0}, "--steps is 0"),
+        ({"steps": 10**100}, "--steps is 1000"),
+        ({"seeds": 1001}, "--seeds is 1001; expected 1 to 1000."),
+        ({"background_slot": -1}, "--background-slot is for --predictions"),
+        ({"budget": 0.0}, "--budget is 0; expected 0.001 to 2678400."),
+        ({"budget": float("nan")}, "--budget is nan; expected"),
+        ({"time_limit": float("-inf")}, "--time-limit is -inf; expected"),
+        ({"memory_limit": 1e30}, "expected 1 to 1073741824"),
     ],
 )
 def test_numbers_that_cannot_be_are_refused(facts: dict[str, Any], reason: str):

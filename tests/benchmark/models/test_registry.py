@@ -2,7 +2,7 @@ import pytest
 
 from benchmark.models.interface import Segmenter
 from benchmark.models.model_spec import KINDS, PRIORS
-from benchmark.models.registry import GROUPS, MODELS, Group, budget_of, discover, expand, find_model
+from benchmark.models.registry import GROUPS, MODELS, budget_of, discover, expand, find_model
 from benchmark.results.run_folder import digest
 from datagen.errors import UsageError
 
@@ -21,29 +21,6 @@ def test_training_free_is_everything_that_learns_nothing():
     assert not {MODELS[name].kind for name in expand(["training-free"])} - {"floor", "classical", "oracle"}
 
 
-@pytest.fixture
-def group(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(GROUPS, "few", Group(("one-cluster", "plane-dbscan", "kmeans-xyz-rgb"), budget=90.0))
-    monkeypatch.setitem(GROUPS, "fewer", Group(("plane-dbscan", "one-cluster"), budget=60.0))
-
-
-def test_what_is_in_two_groups_is_named_once(group):
-    assert expand(["few", "fewer"]) == ["one-cluster", "plane-dbscan", "kmeans-xyz-rgb"]
-
-
-def test_a_group_with_an_unknown_name_breaks_nothing_but_itself(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(GROUPS, "odd", Group(("plane-dbscan", "plane-dbscn")))
-    assert expand(["plane-dbscan"]) == ["plane-dbscan"]
-    with pytest.raises(UsageError, match="Unknown model 'plane-dbscn'"):
-        expand(["odd"])
-
-
-def test_an_equal_budget_goes_with_a_group(group):
-    assert budget_of(["few", "kmeans-xyz-rgb"]) == 90.0
-    assert budget_of(["few", "fewer"]) == 60.0
-    assert budget_of(["training-free", "obpose"]) is None
-
-
 def test_the_group_of_the_paper():
     assert list(GROUPS["paper"].members) == [
         "obpose-loc",
@@ -54,13 +31,14 @@ def test_the_group_of_the_paper():
         "obsurf-no-overlap",
         "obsurf-no-overlap-depth",
     ]
-    assert budget_of(["paper"]) == 12 * 60
+    assert budget_of(["paper"]) == budget_of(["training-free", "paper", "kmeans-xyz-rgb"]) == 12 * 60
+    assert budget_of(["training-free", "obpose"]) is None
 
 
 def test_a_model_named_twice_runs_once():
-    names = expand(["plane-dbscan", "classical", "plane-dbscan"])
+    names = expand(["plane-dbscan", "classical", "plane-dbscan", "training-free"])
     assert names[0] == "plane-dbscan"
-    assert len(names) == len(set(names)) == len(expand(["classical"]))
+    assert len(names) == len(set(names)) == len(expand(["training-free"]))
 
 
 TRAINING_FREE = sorted(expand(["training-free"]))

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from benchmark.commands.selftest import golden
-from benchmark.metrics import CLIP_METRICS, METRICS
-from benchmark.metrics.poses import POSE_METRICS
 from benchmark.ranking.columns import (
     MAIN_SCORES,
-    POSE_SCORES,
     SCORES,
     Row,
     blocks,
@@ -21,7 +18,6 @@ from benchmark.ranking.columns import (
     paper_scores,
     scenes_title,
     seeds_in_words,
-    table_notes,
     track_title,
 )
 from benchmark.ranking.standings import ModelResult, standings
@@ -44,13 +40,6 @@ def scored(**models: tuple[str, float]) -> list[ModelResult]:
 
 def rows_of(found: list[ModelResult]) -> dict[str, Row]:
     return {row.label: row for block in blocks(found) for row in block.rows}
-
-
-def test_every_score_has_one_column():
-    assert {score.name for score in SCORES} == {*METRICS, *CLIP_METRICS}
-    assert {score.name for score in POSE_SCORES} <= set(POSE_METRICS)
-    headings = [score.heading for score in SCORES]
-    assert len(set(headings)) == len(headings)
 
 
 def test_learned_models_come_first_and_baselines_have_blocks_of_their_own():
@@ -85,13 +74,6 @@ def test_failed_seeds_are_left_out_in_a_row_of_their_own():
     msc_fg = next(score for score in SCORES if score.name == "msc_fg")
     assert (msc_fg.cell(found["m"]), msc_fg.cell(found[label])) == ("0.70±0.20", "0.50")
     assert (group_letters(found["m"], msc_fg), group_letters(found[label], msc_fg)) == ("a", "")
-
-
-def test_a_model_that_does_not_depend_on_the_seed_has_one_run():
-    fixed = standings([run_row(seed=seed, random=False) for seed in range(3)], [ONES] * 3)
-    assert [row.seeds for row in rows_of(fixed).values()] == ["1"]
-    failed = standings([failed_row(seed=seed, random=False) for seed in range(3)], [None] * 3)
-    assert list(rows_of(failed)) == ["m", "– without the 1 failed of 1 seed (out of memory)"]
 
 
 @pytest.mark.parametrize(
@@ -136,11 +118,6 @@ def test_caveats_are_stated_where_they_apply():
     assert "number of slots: plane." in notes
     assert "No floor was scored on moving" in notes
     assert "because they do not depend on the seed: a, b." in notes
-
-
-def test_notes_state_the_number_of_seeds():
-    two = standings([run_row(seed=seed) for seed in range(2)], [ONES] * 2)
-    assert "here models have 2 seeds." in next(iter(table_notes(two)))
 
 
 def test_titles_name_the_track_the_weights_and_the_scenes():

@@ -9,7 +9,6 @@ from benchmark.ranking.standings import (
     RANKED_METRICS,
     SWITCHES,
     ModelResult,
-    best_first,
     comparable_groups,
     compare_results,
     letters_of_groups,
@@ -238,11 +237,6 @@ def test_the_rule_is_the_same_for_all_that_compete():
     assert {results[name].causes for name in ("low", "high", "oracle")} == {("",)}
 
 
-def test_the_bar_is_that_of_the_same_dataset():
-    floor = scored("floor", 0.5, kind="floor", track_spec="other")
-    assert results_of(scored("m", 0.3), floor)["m"].causes == ("",)
-
-
 def test_a_model_that_only_failed_has_no_scores():
     result = results_of((failed_row("m"), None), scored("other", 0.5))["m"]
     assert np.isnan(result.summary("msc_fg").mean)
@@ -309,24 +303,3 @@ def test_the_spread_of_one_run_is_unknown():
     assert results["fixed"].score("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
     assert results["half"].score("msc_fg") == (pytest.approx(mean), pytest.approx(np.nan, nan_ok=True))
     assert results["two"].score("msc_fg") == pytest.approx((mean + 0.1, 0.1))
-
-
-def test_entries_can_be_compared():
-    results = results_of(scored("a", 0.6), scored("b", 0.5))
-    found = compare_results(results["a"], results["b"], "msc_fg")
-    assert found.mean == pytest.approx(0.1)
-    assert (found.win_rate, found.n_scenes) == (1.0, N)
-
-
-def test_the_order_of_rows_does_not_matter(tmp_path: Path):
-    pairs = [scored(model, score, seed) for model, score in (("a", 0.5), ("b", 0.7)) for seed in range(2)]
-    for name, order in (("one", pairs), ("two", pairs[::-1])):
-        for row, table in order:
-            save_run(tmp_path / name, row, table)
-    one, two = (load_standings(tmp_path / name) for name in ("one", "two"))
-    assert names(best_first(one)) == names(best_first(two[::-1])) == ["b", "a"]
-    assert [result.summary("ari_fg") for result in one] == [result.summary("ari_fg") for result in two]
-
-
-def names(results: Sequence[ModelResult]) -> list[str]:
-    return [result.place[2] for result in results]

@@ -72,14 +72,6 @@ def test_costs_of_any_size_have_names() -> None:
     assert texts[-4:] == ["1 s", "10 s", "100 s", "1000 s"]
 
 
-def test_one_observation_is_singular() -> None:
-    chart = class_chart("t", "a", ["x", "y"], [1, 2], {0: [0.5, 0.5]})
-    assert [words.partition(" at ")[2] for *_, words in chart.curves[0].points] == [
-        "x, 1 observation",
-        "y, 2 observations",
-    ]
-
-
 @pytest.mark.parametrize("n", [2, 8, 25])
 def test_names_cover_neither_markers_nor_one_another(n: int) -> None:
     """Also where all markers lie close together, as those of models of one family do."""

@@ -1,17 +1,21 @@
 """Which scenes and which of their images are chosen, and boxes in images of moving cameras."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from benchmark.metrics.errors_by_type import ERROR_TYPES
-from benchmark.report import gallery
-from benchmark.report.gallery import disagreements, errors_in_words, telling_image, typical_scenes, worst_scenes
+from benchmark.report.gallery import (
+    corners_in_images,
+    disagreements,
+    errors_in_words,
+    telling_image,
+    typical_scenes,
+    worst_scenes,
+)
 from benchmark.report.observations import Objects
 from datagen.config import Rig
-from datagen.storage.reader import Dataset
+from datagen.storage.reader import Dataset, read_camera_poses
 from tests.worlds import moving_cameras, rendered
 
 NAN = np.nan
@@ -47,29 +51,16 @@ def test_errors_of_an_image_are_counted_in_words() -> None:
     assert errors_in_words(OBJECTS, (0, 0, 0), errors) == "no error"
 
 
-def test_boxes_surround_their_objects_in_images_of_moving_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_boxes_surround_their_objects_in_images_of_moving_cameras(tmp_path: Path):
     record = rendered.record(moving_cameras.orbiting())
     scenes = Dataset(rendered.write_dataset(tmp_path / "a", [record], rig=Rig(motion="orbit"))).split("train")
     corners = record["boxes/box_3d"][2, :3].astype(float)
     center, size = corners.mean(axis=1), np.ptp(corners, axis=1)  # upright boxes that hold the true ones
-    shape = (3, 1, 3)
-    boxes = [
-        np.broadcast_to(array, (*shape, *array.shape[1:])) for array in (center, np.tile(np.eye(3), (3, 1, 1)), size)
-    ]
-    drawn: list[np.ndarray] = []
-    monkeypatch.setattr(gallery, "boxes_picture", lambda _images, found, _colors: drawn.extend(found) or "")
-    analysis = SimpleNamespace(scenes=scenes, rows={0: SimpleNamespace(key=SimpleNamespace(name="model"))})
-    painter = object.__new__(gallery.Painter)
-    painter.__dict__.update(
-        _analysis=analysis,
-        _album=gallery.Album(),
-        _records={},
-        _maps={0: {0: SimpleNamespace(boxes=boxes)}},
-        _colors={(0, 0): np.zeros((3, 3), np.uint8)},
-    )
-    painter._boxes(0, 0, [(2, 0)])
+    arrays = (center, np.tile(np.eye(3), (3, 1, 1)), size)
+    boxes = tuple(np.broadcast_to(array, (3, 1, *array.shape)) for array in arrays)
+    (drawn,) = corners_in_images(boxes, record["camera/K"], read_camera_poses(scenes, 0), [(2, 0)])
     for row, (left, top, right, bottom) in enumerate(record["boxes/box_2d"][2, 0, :3].astype(float)):
-        low, high = drawn[0][row].min(axis=0), drawn[0][row].max(axis=0)
+        low, high = drawn[row].min(axis=0), drawn[row].max(axis=0)
         assert np.all(low <= [left + 1, top + 1])
         assert np.all(high >= [right - 1, bottom - 1])
         assert np.all(high - low < 2.5 * np.array([right - left, bottom - top]))

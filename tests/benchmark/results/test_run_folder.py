@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from benchmark.metrics import clip_scores
-from benchmark.ranking.standings import pooled
 from benchmark.results.run_folder import (
     COUNTS,
     Measured,
@@ -97,11 +96,6 @@ def test_rows_come_in_the_order_of_their_keys(tmp_path: Path):
     for row in rows:
         save_row(tmp_path, row)
     assert [row.key.seed for row in load_runs(tmp_path)] == [0, 2, 10]
-
-
-@pytest.mark.parametrize("change", [{"seed": 2}, {"version": 3}, {"config_hash": "e"}, {"track_spec": "e"}])
-def test_every_part_of_the_key_is_in_the_name(change: dict[str, object]):
-    assert dataclasses.replace(KEY, **change).name != KEY.name
 
 
 def test_no_rows_where_there_is_no_folder(tmp_path: Path):
@@ -216,12 +210,6 @@ def test_a_copy_of_a_row_is_not_another_seed(tmp_path: Path):
         load_runs(tmp_path)
 
 
-def test_a_table_without_a_metric_is_refused(tmp_path: Path):
-    save_scenes(tmp_path, KEY.name, [{name.replace("ari_fg", "xx"): line[name] for name in line} for line in lines()])
-    with pytest.raises(CorruptFile, match="no column ari_fg"):
-        load_scenes(tmp_path, ROW)
-
-
 def test_a_table_of_no_scenes_is_refused(tmp_path: Path):
     save_scenes(tmp_path, KEY.name, lines(scenes=1))
     path = tmp_path / "scenes" / f"{KEY.name}.csv"
@@ -265,12 +253,6 @@ def test_an_image_has_no_video_scores_and_is_not_undefined_for_that():
     line = scene_line(0, clip_scores(truth, truth))
     assert math.isnan(line["ari_video"])
     assert line["ari_video_n"] == line["undefined"] == 0
-
-
-def test_means_pool_frames_and_skip_scenes_without_values():
-    table = {"x": np.array([1.0, 0.5, np.nan]), "x_n": np.array([1.0, 3.0, 0.0])}
-    assert pooled(table, "x") == 0.625
-    assert math.isnan(pooled({"x": np.array([np.nan]), "x_n": np.zeros(1)}, "x"))
 
 
 def test_deleted_rows_leave_nothing(tmp_path: Path):

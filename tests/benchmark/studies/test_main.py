@@ -7,7 +7,7 @@ import benchmark.studies
 from benchmark.studies.__main__ import STUDIES, main
 from datagen.errors import EXIT_OK, EXIT_USAGE
 
-HELPERS = {"__init__", "__main__", "inputs", "drawing"}
+HELPERS = {"__init__", "__main__", "inputs"}
 
 
 def test_help_lists_every_study_in_one_line(capsys: pytest.CaptureFixture[str]):
@@ -26,15 +26,9 @@ def test_help_lists_every_study_in_one_line(capsys: pytest.CaptureFixture[str]):
         ("view", "Unknown study 'view'; did you mean 'views'?"),
         ("views --scenes 0", "--scenes 0: expected 1 or more."),
         ("views --frames 0", "--frames 0: expected 1 or more."),
-        ("probes --learn-scenes -1", "--learn-scenes -1: expected 1 or more."),
-        ("probes --split train", "--split train: probes are trained on it"),
-        ("probes --csv a.txt", "--csv a.txt: expected a name that ends with .csv."),
-        ("samples --seed -3", "--seed -3: expected 0 or more."),
-        ("samples --picture a.jpg", "--picture a.jpg: expected a name that ends with .png."),
-        ("samples --split val", "--split val: scenes of val are a reference"),
-        ("samples --track nowhere", "Unknown track"),
+        ("views --csv a.txt", "--csv a.txt: expected a name that ends with .csv."),
+        ("views --track nowhere", "Unknown track"),
         ("errors none.h5", "none.h5; expected label maps that a run of obpose-bench left"),
-        ("shadows none.h5", "none.h5; expected label maps that a run of obpose-bench left"),
         ("fitted_scenes --picture a.jpg", "--picture a.jpg: expected a name that ends with .png."),
     ],
 )

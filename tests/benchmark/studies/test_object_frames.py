@@ -5,15 +5,12 @@ import pytest
 import torch
 
 from benchmark.studies.__main__ import main
-from benchmark.studies.drawing import LINE, TILE
 from benchmark.studies.object_frames import (
     FRAMINGS,
     code_variance,
-    draw_frames,
     mean_variances,
     occupancy_variance,
     path_length,
-    turning_most,
     variances,
 )
 from datagen.errors import EXIT_OK, EXIT_USAGE
@@ -50,12 +47,6 @@ def test_a_rigid_object_does_not_vary_in_its_own_frame(oracle_dataset: Path):
     assert means["truth"] == 0
 
 
-def test_the_picture_has_a_row_for_each_frame_of_reference(oracle_dataset: Path):
-    clip = true_clip(oracle_dataset)
-    sheet = draw_frames(turning_most(dict.fromkeys(FRAMINGS, clip)), resolution=4)
-    assert sheet.height == LINE + len(FRAMINGS) * TILE
-
-
 def test_the_command_compares_models(oracle_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     for conditioning in FRAMINGS:
         model = untrained(conditioning)
@@ -65,10 +56,5 @@ def test_the_command_compares_models(oracle_dataset: Path, tmp_path: Path, capsy
     command = ["object_frames", *flags, "--csv", str(tmp_path / "frames.csv")]
     assert main([*command, *others]) == EXIT_OK
     assert (tmp_path / "frames.csv").exists()
-    assert main([*command, "--figure-scene", "1"]) == EXIT_USAGE
-    assert "--figure-scene 1: expected 0." in capsys.readouterr().err
     assert main([*command, others[0], str(tmp_path / "full")]) == EXIT_USAGE
     assert "The conditionings of the models are full; expected full, and at most one each" in capsys.readouterr().err
-    # Untrained models follow no object.
-    assert main([*command, "--picture", str(tmp_path / "frames.png")]) == EXIT_USAGE
-    assert "No object of this scene is followed" in capsys.readouterr().err

@@ -6,15 +6,7 @@ import torch
 from torch import Tensor
 
 from benchmark.studies.__main__ import main
-from benchmark.studies.drawing import LINE, TILE
-from benchmark.studies.voxel_shapes import (
-    draw_voxels,
-    estimate_voxels,
-    measure_times,
-    shape_errors,
-    summary,
-    true_center,
-)
+from benchmark.studies.voxel_shapes import measure_times, shape_errors, summary, true_center
 from datagen.errors import EXIT_OK
 from datagen.shapes.shape import Shape
 from obpose.model.nerf.field import Conditioning, Field, Hidden
@@ -76,15 +68,8 @@ def test_undefined_values_are_counted_and_left_out():
     assert np.isnan(summary("a", [np.inf])["median"])
 
 
-def test_the_picture_shows_voxels_in_every_tile(oracle_dataset: Path):
-    clip = true_clip(oracle_dataset)
-    sheet = draw_voxels(clip, estimate_voxels(clip, 4))
-    assert sheet.height == LINE + 3 * TILE
-    assert sheet.crop((sheet.width - TILE, LINE + TILE, sheet.width, LINE + 2 * TILE)).getextrema() != ((255, 255),) * 3
-
-
 @pytest.mark.slow
-def test_the_command_summarises_and_draws(oracle_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_summarises(oracle_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     model = untrained()
     save_model(tmp_path / "model", model.state_dict(), model.config, {})
     flags = ["--data", str(oracle_dataset), "--split", "val", "--checkpoint", str(tmp_path / "model")]

@@ -4,17 +4,15 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
-from datagen import schema, shapes, verify
+from datagen import schema, verify
 from datagen.config import Physics, load_recipe, names_without_meshes
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
-from datagen.pipeline import records
 from datagen.schema import SceneRecord
 from datagen.storage import spec
 from datagen.storage.reader import Dataset
@@ -25,13 +23,6 @@ from tests.worlds.rendered import change_scene
 
 SCENE = 1
 """Of the training split."""
-
-
-@pytest.fixture
-def folder(tiny_dataset: Path, tmp_path: Path) -> Path:
-    """Two scenes of the generated dataset, to be tampered with."""
-    scenes = Dataset(tiny_dataset).split("train")
-    return rendered.write_dataset(tmp_path / "two", [scenes[0], scenes[2]])
 
 
 @pytest.fixture
@@ -53,70 +44,13 @@ def test_workers_do_not_change_the_verdict(plain: Path):
     assert find(plain, workers=2) == find(plain, workers=1) != []
 
 
-def recount(record: SceneRecord) -> None:
-    count = int(record["objects/count"])
-    visible = records.visible_pixels(record["segmentation"], count)
-    amodal = np.maximum(record["visibility/amodal_pixels"][..., :count], visible)
-    record["visibility/visible_pixels"][..., :count] = visible
-    record["visibility/amodal_pixels"][..., :count] = amodal
-    record["visibility/visible_fraction"][..., :count] = visible / np.maximum(amodal, 1)
-    record["boxes/box_2d"][:, :, :count] = records.boxes_2d(record["segmentation"], count)
-
-
-def swap_labels(record: SceneRecord) -> None:
-    ids = record["segmentation"]
-    record["segmentation"] = np.where(ids == 1, 2, np.where(ids == 2, 1, ids)).astype(np.uint8)
-    recount(record)
-
-
 def lift_depth(record: SceneRecord) -> None:
     record["depth"] += (10 * (record["depth"] > 0)).astype(np.uint16)
 
 
-def lift_depth_of_an_object(record: SceneRecord) -> None:
-    record["depth"] += (10 * (record["segmentation"] == 1)).astype(np.uint16)
-
-
-def turn_by_a_degree(record: SceneRecord, row: int, axis: np.ndarray) -> None:
-    half = np.radians(0.5)
-    a = np.array([np.cos(half), *(np.sin(half) * axis / np.sqrt(axis @ axis))])
-    for quaternions in record["poses/quaternion_wxyz"]:
-        b = quaternions[row].astype(np.float64)
-        vector = a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-        quaternions[row] = [a[0] * b[0] - a[1:] @ b[1:], *vector]
-    world, path = records.scene_and_trajectory(record)
-    built = [shapes.build(body.shape) for body in world.bodies]
-    record["boxes/box_3d"][:, : len(built)] = records._boxes_3d(built, path)
-
-
-def shift_principal_point(axis: int) -> Callable[[SceneRecord], None]:
-    def shift(record: SceneRecord) -> None:
-        record["camera/K"][:, axis, 2] += 1
-
-    return shift
-
-
-def turn_camera(record: SceneRecord) -> None:
-    """About its vertical axis, until the picture has moved by a pixel."""
-    angle = 1 / record["camera/K"][0, 0, 0]
-    yaw = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    record["camera/world_from_camera"][0, :3, :3] = record["camera/world_from_camera"][0, :3, :3] @ yaw
-
-
-@pytest.mark.parametrize(
-    "tamper",
-    [
-        swap_labels,
-        lift_depth,
-        lift_depth_of_an_object,
-        shift_principal_point(0),
-        shift_principal_point(1),
-        turn_camera,
-    ],
-)
-def test_geometry_alone_finds_the_scene_that_was_tampered_with(folder: Path, tamper: Callable[[SceneRecord], None]):
-    change_scene(folder, "train", SCENE, tamper)
-    findings = find(folder)
+def test_geometry_alone_finds_the_scene_that_was_tampered_with(plain: Path):
+    change_scene(plain, "train", SCENE, lift_depth)
+    findings = find(plain)
     assert "surface" in {finding.check for finding in findings}
     assert "hash" not in {finding.check for finding in findings}
     assert {(finding.split, finding.scene) for finding in findings} == {("train", SCENE)}
@@ -126,29 +60,6 @@ def test_findings_are_listed(plain: Path, capsys: pytest.CaptureFixture[str]):
     change_scene(plain, "train", SCENE, lift_depth)
     assert verify.run(plain) == EXIT_VERIFICATION
     assert "train shard train-00000.h5 scene 1 frame 0 view 0: surface: " in capsys.readouterr().out
-
-
-def test_every_box_that_is_turned_by_a_degree_about_any_axis_is_found(tiny_dataset: Path, tmp_path: Path):
-    boxes = [
-        (split, index, row)
-        for split, size in Dataset(tiny_dataset).splits.items()
-        for index in range(size)
-        for row, name in enumerate(Dataset(tiny_dataset).split(split)[index]["objects/category"])
-        if name in (b"box", b"cube")
-    ]
-    assert boxes
-    rng = np.random.default_rng(0)
-    for split, index, row in boxes[:2]:
-        for axis in [*np.eye(3), *rng.normal(size=(2, 3))]:
-            record = {name: array.copy() for name, array in Dataset(tiny_dataset).split(split)[index].items()}
-            turn_by_a_degree(record, row, axis)
-            found = {finding.check for finding in verify.verify_record(record, rendered.GROUPS)}
-            assert found <= {"surface", "label", "amodal", "table", "overlap"}
-            assert "surface" in found
-    split, index, row = boxes[0]
-    folder = Path(shutil.copytree(tiny_dataset, tmp_path / "copy"))
-    change_scene(folder, split, index, lambda record: turn_by_a_degree(record, row, np.eye(3)[0]))
-    assert {(finding.split, finding.scene) for finding in find(folder)} == {(split, index)}
 
 
 @pytest.mark.parametrize("name", ["rgb", "depth", "segmentation"])
@@ -257,8 +168,9 @@ def test_the_recipe_says_how_deep_contacts_may_be(tmp_path: Path):
     assert [(finding.check, finding.frame) for finding in find(tmp_path / "default")] == [("overlap", 1)]
 
 
-def test_another_data_version_is_refused(plain: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(schema, "DATA_VERSION", schema.DATA_VERSION + 1)
+def test_another_data_version_is_refused(plain: Path):
+    other = spec.read_spec(plain) | {"data_version": schema.DATA_VERSION + 1}
+    (plain / spec.SPEC_FILE).write_text(spec.spec_text(spec.with_splits(other, other["splits"])))
     with pytest.raises(UsageError, match="data version"):
         find(plain)
 

@@ -40,13 +40,6 @@ def test_patches_have_one_label_and_no_edge():
     assert len(views.find_patches(make_case(record), 0, 0).label) == before - 18
 
 
-def test_patches_of_large_images_are_thinned_out(monkeypatch: pytest.MonkeyPatch):
-    case = make_case(rendered.record(world(1)))
-    every = len(views.find_patches(case, 0, 0).label)
-    monkeypatch.setattr(views, "MOST_PATCHES", 500)
-    assert 0.6 * 500 < len(views.find_patches(case, 0, 0).label) <= 500 < every
-
-
 def test_a_view_that_looks_through_a_surface_is_found():
     record = rendered.record(world())
     assert found(record) == []
@@ -76,12 +69,3 @@ def test_what_shows_in_one_view_and_between_the_pixels_of_another_is_no_contradi
 def test_gaps_between_teeth_are_no_contradiction(size: tuple[int, int]):
     gears = [(GEAR, (0.28, 0.0, 0.01 + 0.1 * level)) for level in range(3)]
     assert found(rendered.record(rendered.scene(gears, views=8, frames=1), resolution=size)) == []
-
-
-def test_of_many_views_each_is_compared_with_some(monkeypatch: pytest.MonkeyPatch):
-    pairs = []
-    monkeypatch.setattr(views, "_check_pair", lambda case, frame, patches, a, b: pairs.append((a, b)) or iter(()))
-    monkeypatch.setattr(views, "MOST_OTHERS", 4)
-    found(rendered.record(world(9), resolution=(8, 8)))
-    assert len(pairs) == 9 * 4
-    assert {(b - a) % 9 for a, b in pairs} == {1, 3, 5, 7}

@@ -1,6 +1,7 @@
 """Models, trainings that can go on, priors and scenes."""
 
 import shutil
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -12,7 +13,8 @@ from tests.fuzz.worlds.group import MOVING, TINY, Group, Target, run
 
 def build_models(world: Path) -> None:
     """A training that can go on, a model with its priors, a scene, and half of the learning of a flow."""
-    from obpose.training.record import Record  # late, as PyTorch takes seconds to import
+    from obpose.scenes.priors.interface import FitSettings  # late, as PyTorch takes seconds to import
+    from obpose.training.record import Record
 
     run(f"obpose-datagen {MOVING} --split train=12,val=1,test=1 --out {world}/data")
     log_step = Record.log_step
@@ -32,8 +34,7 @@ def build_models(world: Path) -> None:
     run(f"{infer} --data {world}/data --out {world}/scene")
     with (
         mock.patch("obpose.scenes.priors.train_flow.save_flow", side_effect=UsageError("interrupted")),
-        mock.patch("obpose.scenes.priors.train_flow.SAVE_STEPS", 1),
-        mock.patch("obpose.scenes.priors.examples.STEPS", 0),
+        mock.patch("obpose.commands.edit.FitSettings", partial(FitSettings, refinements=0, save_steps=1)),
     ):
         run(LEARN.format(w=world), code=2)
 

@@ -1,6 +1,7 @@
 """Sampling and priors of the command, with the weights that ship."""
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -9,11 +10,13 @@ import torch
 import assets
 from datagen.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
 from datagen.pipeline.generate import generate
+from obpose.commands import edit
 from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import load_origin
-from obpose.scenes.priors import examples, gaussian, train_flow
+from obpose.scenes.priors import train_flow
 from obpose.scenes.priors.flow_prior import save_flow
 from obpose.scenes.priors.gaussian import load_gaussian, save_gaussian
+from obpose.scenes.priors.interface import FitSettings
 from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.scene import Scene
 from obpose.scenes.storage import load_scene
@@ -66,7 +69,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_prior_is_fitted_beside_the_weights_and_takes_no_other_one_s_place(
     own_model: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(gaussian, "STEPS", 1)
+    monkeypatch.setattr(edit, "FitSettings", partial(FitSettings, refinements=1))
     folder = tmp_path / "own"
     shutil.copytree(own_model, folder)
     before = (folder / "prior.safetensors").read_bytes()
@@ -84,10 +87,8 @@ def test_a_prior_is_fitted_beside_the_weights_and_takes_no_other_one_s_place(
 def test_a_flow_is_learned_beside_the_weights(
     own_model: Path, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(examples, "STEPS", 1)
-    monkeypatch.setattr(train_flow, "COMPARED", 8)
-    monkeypatch.setattr(train_flow, "BATCH", 4)
-    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1)
+    small = partial(FitSettings, refinements=1, least_objects=1, batch=4, compared=8)
+    monkeypatch.setattr(edit, "FitSettings", small)
     folder = tmp_path / "own"
     shutil.copytree(own_model, folder, ignore=shutil.ignore_patterns("flow.safetensors"))
     flags = ["--checkpoint", folder, "--data", data, "--workers", 1]
@@ -99,11 +100,10 @@ def test_a_flow_is_learned_beside_the_weights(
     assert "--clips 1: expected 2 or more, of the training split" in capsys.readouterr().err
     assert run("fit-prior", "--kind", "flow", *flags[:4], "--workers", 0) == EXIT_USAGE
     assert "--workers 0: expected at least 1" in capsys.readouterr().err
-    monkeypatch.setattr(train_flow, "flow_loss", interrupting)
-    assert run("fit-prior", "--kind", "flow", *flags, "--steps", 1) == EXIT_INTERRUPTED
+    with monkeypatch.context() as patch:
+        patch.setattr(train_flow, "flow_loss", interrupting)
+        assert run("fit-prior", "--kind", "flow", *flags, "--steps", 1) == EXIT_INTERRUPTED
     assert "what was done is kept, and the same command resumes" in capsys.readouterr().err
-    monkeypatch.undo()
-    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1)
     assert run("fit-prior", "--kind", "flow", *flags, "--steps", 1) == EXIT_OK
     assert "Looking for objects in 0 clips" in (said := capsys.readouterr().out)
     assert "Fitted to 2 clips" in said

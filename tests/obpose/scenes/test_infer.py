@@ -1,19 +1,16 @@
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
 
 from obpose.data.resolution import fitting_model
-from obpose.model.obpose import ObPose
-from obpose.scenes import infer
+from obpose.scenes.appearance.find_light import find_light
+from obpose.scenes.appearance.find_table_texture import find_texture
 from obpose.scenes.appearance.light import no_light
 from obpose.scenes.appearance.table_texture import no_texture
-from obpose.scenes.infer import APPEARANCE_FRAMES, fit_to_frames, infer_labelled, infer_scene, views_as_trained
+from obpose.scenes.infer import fit_to_frames, infer_labelled, infer_scene, views_as_trained
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
-from obpose.scenes.scene import Scene
-from obpose.types import Observation
 from tests.obpose.scenes.small_scenes import alike, some_model
 from tests.worlds.observations import table_scene
 
@@ -43,58 +40,15 @@ def test_a_scene_can_be_refined_at_once():
     assert refined.appearance.detail.any()
 
 
-def test_a_light_and_then_a_pattern_are_looked_for_in_what_was_fitted_to_the_frames(monkeypatch: pytest.MonkeyPatch):
+def test_light_and_texture_are_those_of_the_fitted_scene():
     origin = Origin(some_model(), Path("folder"), "name", "hash")
     clip = table_scene(batch=1, frames=2, height=20, width=20)
-    light, fitted = torch.tensor([0.6, 0.0, 0.8, 0.3]), []
-
-    def found(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
-        assert observation.depth.shape[1] == scene.frames == clip.depth.shape[1]
-        fitted.append(bool(scene.appearance.detail.any()))
-        return light
-
-    def texture(model: ObPose, observation: Observation, scene: Scene) -> torch.Tensor:
-        return no_texture() + scene.appearance.light[0]
-
-    monkeypatch.setattr(infer, "find_light", found)
-    monkeypatch.setattr(infer, "find_texture", texture)
-    plain = infer_scene(origin, clip)
-    assert torch.equal(plain.appearance.light, no_light())
-    assert torch.equal(plain.appearance.texture, no_texture())
-    for scene in (
-        infer_scene(origin, clip, refinements=2),
-        fit_to_frames(plain, origin.model, clip, refinements=2),
-    ):
-        assert torch.equal(scene.appearance.light, light)
-        assert torch.equal(scene.appearance.texture, no_texture() + light[0])
-    assert torch.equal(fit_to_frames(plain, origin.model, clip, refinements=0).appearance.light, no_light())
-    assert fitted == [True, True]
-
-
-def test_light_and_pattern_are_looked_for_in_some_frames_of_a_long_clip(monkeypatch: pytest.MonkeyPatch):
-    origin, seen = Origin(some_model(), Path("folder"), "name", "hash"), []
-    clip = table_scene(batch=1, frames=APPEARANCE_FRAMES + 3, height=16, width=16)
-
-    def look(find: Callable[[], torch.Tensor]) -> Callable[..., torch.Tensor]:
-        return lambda model, observation, scene: (seen.append((observation, scene)), find())[1]
-
-    monkeypatch.setattr(infer, "find_light", look(no_light))
-    monkeypatch.setattr(infer, "find_texture", look(no_texture))
-    whole = infer_scene(origin, clip, refinements=1)
-    assert whole.frames == APPEARANCE_FRAMES + 3
-    assert len(seen) == 2
-    for observation, scene in seen:
-        assert observation.depth.shape[1] == scene.frames == APPEARANCE_FRAMES
-        for part, all_of_it in (
-            (observation.rgb[0], clip.rgb[0]),
-            (observation.depth[0], clip.depth[0]),
-            (scene.what, whole.what),
-            (scene.center, whole.center),
-            (scene.rotation, whole.rotation),
-            (scene.background, whole.background),
-        ):
-            # Every 4/3rd frame, rounded.
-            assert torch.equal(part[[0, 1, 2, -1]], all_of_it[[0, 1, 3, -1]])
+    model, refined = fitting_model(origin.model, clip), infer_scene(origin, clip, refinements=2)
+    plain = refined.with_appearance(light=no_light(), texture=no_texture())
+    light = find_light(model, clip, plain)
+    assert torch.equal(refined.appearance.light, light)
+    assert torch.equal(refined.appearance.texture, find_texture(model, clip, plain.with_appearance(light=light)))
+    assert refined.appearance.texture.any()
 
 
 def test_what_was_inferred_can_be_fitted_afterwards_to_the_views_that_the_model_gets():

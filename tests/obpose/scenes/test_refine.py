@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from obpose.data.resolution import fitting_model
-from obpose.geometry import all_rays, sample_rays_where, to_box, unproject
+from obpose.geometry import all_rays, to_box, unproject
 from obpose.model.losses.objective import observation_terms
 from obpose.model.nerf.along import fields_along
 from obpose.model.nerf.detail import Detail
@@ -16,7 +16,7 @@ from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
 from obpose.scenes.scene import Scene
-from obpose.types import Observation, Rays
+from obpose.types import Observation
 from tests.obpose.scenes.small_scenes import alike, equal, some_model
 from tests.worlds.observations import table_scene
 
@@ -120,46 +120,6 @@ def test_objects_are_shown_where_their_boxes_hold_what_rises_above_the_table():
     expected = torch.stack(inside).view(2, len(scene.ids), 20, 20).any(dim=1) & (points[..., 2] > 0.001)
     assert 0 < expected.float().mean() < 0.5
     assert torch.equal(shown[0, :, 0] > 0, expected)
-
-
-def test_the_prior_is_a_share_of_the_log_of_a_pixel(model: ObPose, monkeypatch: pytest.MonkeyPatch):
-    """So it weighs the less, the more pixels there are."""
-    observation, weights = clip(), []
-
-    def count(lattices: torch.Tensor, **_: float) -> torch.Tensor:
-        found = lattices.sum() * 0 + 1.0
-        found.register_hook(lambda slope: weights.append(1 / float(slope)))
-        return found
-
-    monkeypatch.setattr(refining, "roughness", count)
-    refine(model, observation, inferred(model, observation), steps=1)
-    assert weights == [pytest.approx(int(observation.valid.sum()))]
-
-
-def test_the_air_weighs_more_than_in_training(model: ObPose, monkeypatch: pytest.MonkeyPatch):
-    observation = clip()
-    scene = inferred(model, observation)
-    heavy = refine(model, observation, scene, steps=3)
-    monkeypatch.setattr(refining, "AIR", 1.0)
-    assert not alike(refine(model, observation, scene, steps=3), heavy)
-
-
-def test_long_clips_have_fewer_rays_a_frame(model: ObPose, monkeypatch: pytest.MonkeyPatch):
-    counts: list[int] = []
-
-    def spy(observation: Observation, count: int, *rest: torch.Tensor, **options: object) -> Rays:
-        counts.append(count)
-        return sample_rays_where(observation, count, *rest, **options)
-
-    monkeypatch.setattr(refining, "sample_rays_where", spy)
-    for frames in (2, 20, 200):
-        seen = table_scene(batch=1, frames=2, height=8, width=8)
-        index = torch.arange(frames) % 2
-        images = {name: getattr(seen, name)[:, index] for name in ("rgb", "depth", "valid")}
-        scene = inferred(model, seen)
-        long = {name: getattr(scene, name)[index] for name in ("what", "center", "rotation", "background")}
-        refine(model, replace(seen, **images), replace(scene, **long), steps=1)
-    assert counts == [512, 256, 32]
 
 
 def test_boxes_move_by_a_step_at_most_and_do_not_turn(model: ObPose):

@@ -1,6 +1,5 @@
-"""Record a session of the page as an animation: python -m tests.obpose.viewer.record DATA OUT.gif."""
+"""Record a session of the page as an animation: python -m tests.obpose.viewer.record DATA OUT.webp."""
 
-import io
 import sys
 import tempfile
 from contextlib import chdir
@@ -15,7 +14,7 @@ from tests.browser import browser
 from tests.obpose.viewer.driving import User, free_port
 
 WINDOW = (1120, 880)
-SIZE, COLOURS = (720, 566), 256
+SIZE = (720, 566)
 SECONDS, LONGER = 0.25, 1.5
 
 
@@ -34,16 +33,10 @@ class Film:
         self._seconds.append(seconds)
 
     def write(self, path: Path) -> None:
-        """Write all frames with one palette, so that static regions compress well."""
-        sheet = Image.new("RGB", (SIZE[0], SIZE[1] * len(self._frames)))
-        for place, frame in enumerate(self._frames):
-            sheet.paste(frame, (0, place * SIZE[1]))
-        palette = sheet.quantize(COLOURS)
-        first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in self._frames)
-        data = io.BytesIO()
+        """Write all frames."""
+        first, *rest = self._frames
         durations = [round(1000 * seconds) for seconds in self._seconds]
-        first.save(data, "GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=True)
-        path.write_bytes(data.getvalue())
+        first.save(path, "WEBP", save_all=True, append_images=rest, duration=durations, loop=0, quality=85, method=6)
 
 
 def play(user: User, film: Film) -> None:

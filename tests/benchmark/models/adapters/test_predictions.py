@@ -105,18 +105,6 @@ def test_several_folders_are_several_seeds(data: Path, truths: list[np.ndarray],
 
 
 @pytest.mark.slow
-def test_the_label_maps_of_a_run_are_predictions(data: Path, tmp_path: Path):
-    assert run_cli("--model", "plane-dbscan", "--seeds", 1, "--data", data, "--out", tmp_path / "out") == 0
-    (labels,) = (tmp_path / "out" / "labels").iterdir()
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "labels.h5").write_bytes(labels.read_bytes())
-    assert run_cli("--predictions", tmp_path / "mine", "--data", data, "--out", tmp_path / "out") == 0
-    mine, model = (load_scenes(tmp_path / "out", row) for row in load_runs(tmp_path / "out"))
-    for name, values in model.items():
-        np.testing.assert_array_equal(mine[name], values)
-
-
-@pytest.mark.slow
 def test_changed_predictions_are_another_row(data: Path, truths: list[np.ndarray], tmp_path: Path, capsys):
     write_npz(tmp_path / "mine", truths)
     command = ("--predictions", tmp_path / "mine", "--data", data, "--out", tmp_path / "out")
@@ -193,19 +181,6 @@ def test_an_array_that_cannot_be_unpacked_is_named(clip: Clip, tmp_path: Path):
         PredictionFolder(tmp_path).read(0, clip)
 
 
-def test_what_is_not_of_the_layout_is_named(clip: Clip, tmp_path: Path):
-    np.savez(tmp_path / "x.npz", other=np.zeros(3))
-    (tmp_path / "test").mkdir()
-    (tmp_path / "x.npz").rename(tmp_path / "test" / "00000.npz")
-    with pytest.raises(UsageError, match="no array `labels`"):
-        PredictionFolder(tmp_path).read(0, clip)
-    write_hdf5(tmp_path / "short", [np.zeros(clip.depth.shape, np.uint8)])
-    with pytest.raises(
-        UsageError, match=r"of shape \(1, 2, 2, 48, 64\); expected integers of shape \(2, 2, 2, 48, 64\)"
-    ):
-        PredictionFolder(tmp_path / "short").read(1, clip)
-
-
 def test_images_of_a_bad_kind_are_named(clip: Clip, truths: list[np.ndarray], tmp_path: Path):
     write_png(tmp_path, truths)
     path = tmp_path / "test" / "00000" / "view0_frame001.png"
@@ -269,9 +244,9 @@ def test_labels_out_of_range_are_a_failed_row(data: Path, truths: list[np.ndarra
     assert "00001.npz: the labels of scene 1 go from -1 to -1; expected 0 to 255" in row.reason
 
 
-def add_npz(folder: Path, scene: int = 0, **arrays: object) -> None:
-    """Add arrays to a scene, or replace some."""
-    path = folder / "test" / f"{scene:05d}.npz"
+def add_npz(folder: Path, **arrays: object) -> None:
+    """Add arrays to the first scene, or replace some."""
+    path = folder / "test" / "00000.npz"
     with np.load(path) as file:
         np.savez(path, **{**file, **arrays})
 
@@ -287,237 +262,105 @@ def change_hdf5(folder: Path, **arrays: object) -> None:
                 file[name] = values
 
 
-def put_poses(folder: Path, **arrays: object) -> None:
-    """Two poses as runs keep them, some of their arrays replaced."""
-    good = {
-        "index": np.array([[0, 0, 0, 1], [1, 1, 1, 2]]),
-        "center": np.ones((2, 3)),
-        "rotation": np.array([np.eye(3)] * 2),
-    }
-    change_hdf5(folder, **{f"poses__{name}": values for name, values in {**good, **arrays}.items()})
-
-
-ONES = np.ones((2, 2, 3, 3))
-FAULTS: dict[str, tuple[Writer, Callable[[Path, list[np.ndarray]], object], str]] = {
-    "more scenes": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, labels=np.stack([*t, t[0]])),
-        "(3, 2, 2, 48, 64); expected",
-    ),
-    "fewer scenes": (write_hdf5, lambda p, t: change_hdf5(p, labels=np.stack(t[:1])), "(1, 2, 2, 48, 64); expected"),
-    "more frames": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, labels=np.stack(t).repeat(2, 1)),
-        "(2, 4, 2, 48, 64); expected",
-    ),
-    "more views": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, labels=np.stack(t).repeat(2, 2)),
-        "(2, 2, 4, 48, 64); expected",
-    ),
-    "larger images": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, labels=np.stack(t).repeat(2, 3)),
-        "(2, 2, 2, 96, 64); expected",
-    ),
-    "one scene's axes": (write_hdf5, lambda p, t: change_hdf5(p, labels=t[0]), "(2, 2, 48, 64); expected"),
-    "one number": (write_hdf5, lambda p, t: change_hdf5(p, labels=7), "of shape (); expected"),
-    "decimal labels": (write_hdf5, lambda p, t: change_hdf5(p, labels=np.stack(t) / 2), "`labels` is float64"),
-    "no labels": (write_hdf5, lambda p, t: change_hdf5(p, labels=None), "has no array `labels`"),
-    "slots too short": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slots=[0]),
-        "`background_slots` is int64 of shape (1,); expected integers of shape (2,), [scene]",
-    ),
-    "slots too long": (write_hdf5, lambda p, t: change_hdf5(p, background_slots=[0] * 3), "of shape (3,); expected"),
-    "one slot": (write_hdf5, lambda p, t: change_hdf5(p, background_slots=0), "of shape (); expected"),
-    "slots of frames": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slots=[[0, 0]] * 2),
-        "of shape (2, 2); expected",
-    ),
-    "decimal slots": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slots=[0.0, 1.7]),
-        "`background_slots` is float64",
-    ),
-    "truths for slots": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slots=[True, False]),
-        "`background_slots` is bool",
-    ),
-    "negative slot": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slots=[0, -1]),
-        "`background_slots` holds -1; expected 0 to 255",
-    ),
-    "large slot": (write_hdf5, lambda p, t: change_hdf5(p, background_slots=[0, 256]), "`background_slots` holds 256"),
-    "texts for slots": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slots=["a", "b"]),
-        "background_slots has type object",
-    ),
-    "slots in a group": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slots=None, background_slots__x=1),
-        "background_slots is a group",
-    ),
-    "slots misspelt": (
-        write_hdf5,
-        lambda p, t: change_hdf5(p, background_slot=[0, 0]),
-        "holds an array `background_slot`",
-    ),
-    "poses misplaced": (write_hdf5, lambda p, t: change_hdf5(p, center=[0, 0]), "holds an array `center`"),
-    "both layouts": (write_hdf5, lambda p, t: write_npz(p, t), "holds both labels.h5 and test/"),
-    "negative pose index": (
-        write_hdf5,
-        lambda p, t: put_poses(p, index=[[0, 0, 0, 1], [1, 1, -1, 2]]),
-        "names view -1 in row 1; expected 0 to 1",
-    ),
-    "scene of a pose": (
-        write_hdf5,
-        lambda p, t: put_poses(p, index=[[0, 0, 0, 1], [2, 1, 1, 2]]),
-        "names scene 2 in row 1; expected 0 to 1",
-    ),
-    "frame of a pose": (
-        write_hdf5,
-        lambda p, t: put_poses(p, index=[[0, 9, 0, 1], [1, 1, 1, 2]]),
-        "names frame 9 in row 0",
-    ),
-    "label of a pose": (
-        write_hdf5,
-        lambda p, t: put_poses(p, index=[[0, 0, 0, 1], [1, 1, 1, 2**40]]),
-        "names label 1099511627776",
-    ),
-    "pose twice": (
-        write_hdf5,
-        lambda p, t: put_poses(p, index=[[0, 0, 0, 1]] * 2),
-        "names one label of an image twice",
-    ),
-    "decimal index": (write_hdf5, lambda p, t: put_poses(p, index=np.ones((2, 4))), "poses/index has type float64"),
-    "flat index": (
-        write_hdf5,
-        lambda p, t: put_poses(p, index=[0, 0, 0, 1]),
-        "poses/index has shape (4,); expected 2 axes",
-    ),
-    "short index": (write_hdf5, lambda p, t: put_poses(p, index=[[0, 0, 0]] * 2), "expected (poses, 4)"),
-    "no index": (write_hdf5, lambda p, t: put_poses(p, index=None), "poses/index is missing"),
-    "center missing": (write_hdf5, lambda p, t: put_poses(p, center=None), "rotation without center"),
-    "too many centers": (
-        write_hdf5,
-        lambda p, t: put_poses(p, center=np.ones((3, 3))),
-        "expected (2, 3), as index has",
-    ),
-    "whole centers": (
-        write_hdf5,
-        lambda p, t: put_poses(p, center=np.ones((2, 3), int)),
-        "poses/center has type int64",
-    ),
-    "infinite center": (
-        write_hdf5,
-        lambda p, t: put_poses(p, center=[[0, 0, 0.5], [0, np.inf, 0]]),
-        "poses of scene 1: of frame 1, view 1, label 2 the center is infinite",
-    ),
-    "partly nan center": (
-        write_hdf5,
-        lambda p, t: put_poses(p, center=[[0, 0, 0.5], [0, np.nan, 0]]),
-        "center is partly nan",
-    ),
-    "no rotation": (write_hdf5, lambda p, t: put_poses(p, rotation=np.ones((2, 3, 3))), "not a rotation matrix"),
-    "npz of one scene more": (
-        write_npz,
-        lambda p, t: write_more(p, "00002.npz", t),
-        "00002.npz: these label maps belong to nothing",
-    ),
-    "npz far beyond": (write_npz, lambda p, t: write_more(p, "00017.npz", t), "the dataset has 2 scenes"),
-    "npz of another width": (write_npz, lambda p, t: write_more(p, "000001.npz", t), "000001.npz: these label maps"),
-    "npz named otherwise": (write_npz, lambda p, t: write_more(p, "scene_3.npz", t), "scene_3.npz: these label maps"),
-    "npz and images": (write_npz, lambda p, t: write_png(p, t), "and the folder of the same name are both there"),
-    "npz of more frames": (
-        write_npz,
-        lambda p, t: add_npz(p, 1, labels=t[0].repeat(2, 0)),
-        "00001.npz: `labels` is uint8 of shape (4, 2, 48, 64); expected",
-    ),
-    "npz of one axis": (write_npz, lambda p, t: add_npz(p, labels=t[0].ravel()[:1]), "of shape (1,); expected"),
-    "npz of decimals": (write_npz, lambda p, t: add_npz(p, labels=t[0] / 1), "`labels` is float64"),
-    "npz slot of one axis": (
-        write_npz,
-        lambda p, t: add_npz(p, background_slot=[0]),
-        "of shape (1,); expected integers of shape (), one number",
-    ),
-    "npz decimal slot": (write_npz, lambda p, t: add_npz(p, background_slot=1.7), "`background_slot` is float64"),
-    "npz negative slot": (write_npz, lambda p, t: add_npz(p, background_slot=-1), "`background_slot` holds -1"),
-    "npz slots misspelt": (
-        write_npz,
-        lambda p, t: add_npz(p, background_slots=[0, 0]),
-        "holds an array `background_slots`",
-    ),
-    "npz infinite center": (write_npz, lambda p, t: add_npz(p, center=ONES * np.inf), "center is infinite"),
-    "npz without center": (
-        write_npz,
-        lambda p, t: add_npz(p, rotation=np.ones((2, 2, 3, 3, 3))),
-        "rotation without center",
-    ),
-    "npz center of one axis": (
-        write_npz,
-        lambda p, t: add_npz(p, center=ONES[0, 0, 0]),
-        "center of poses float64 (3,)",
-    ),
-    "npz center as text": (
-        write_npz,
-        lambda p, t: add_npz(p, center=np.full((2, 2, 3, 3), "a")),
-        "center of poses <U1",
-    ),
-    "image of one frame more": (
-        write_png,
-        lambda p, t: copy_image(p, "view0_frame002.png"),
-        "belong to nothing that is scored; clips have frames 0 to 1 and views 0 to 1",
-    ),
-    "image of one view more": (
-        write_png,
-        lambda p, t: copy_image(p, "view2_frame000.png"),
-        "view2_frame000.png: these label maps",
-    ),
-    "image named otherwise": (write_png, lambda p, t: copy_image(p, "frame0.PNG"), "frame0.PNG: these label maps"),
-    "images of one scene more": (write_png, lambda p, t: (p / "test" / "00002").mkdir(), "00002: these label maps"),
-}
-
-
-def write_more(folder: Path, name: str, truths: list[np.ndarray]) -> None:
-    np.savez(folder / "test" / name, labels=truths[0])
-
-
 def copy_image(folder: Path, name: str) -> None:
     scene = folder / "test" / "00001"
     (scene / name).write_bytes((scene / "view0_frame000.png").read_bytes())
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+def labels(*shape: int, dtype: type = np.uint8) -> np.ndarray:
+    return np.zeros(shape, dtype)
+
+
+Fault = tuple[Writer, Callable[[Path], None], str]
+
+
+def in_hdf5(message: str, **arrays: object) -> Fault:
+    return write_hdf5, lambda folder: change_hdf5(folder, **arrays), message
+
+
+def in_poses(message: str, **arrays: object) -> Fault:
+    """Two poses as runs keep them, some of their arrays replaced."""
+    good = {"index": [[0, 0, 0, 1], [1, 1, 1, 2]], "center": np.ones((2, 3)), "rotation": np.array([np.eye(3)] * 2)}
+    return in_hdf5(message, **{f"poses__{name}": values for name, values in {**good, **arrays}.items()})
+
+
+def in_npz(message: str, **arrays: object) -> Fault:
+    return write_npz, lambda folder: add_npz(folder, **arrays), message
+
+
+def more_npz(message: str, name: str) -> Fault:
+    return write_npz, lambda folder: np.savez(folder / "test" / name, labels=0), message
+
+
+def more_images(message: str, name: str) -> Fault:
+    return write_png, lambda folder: copy_image(folder, name), message
+
+
+FAULTS = [
+    in_hdf5("(3, 2, 2, 48, 64); expected", labels=labels(3, 2, 2, 48, 64)),
+    in_hdf5("(2, 4, 2, 48, 64); expected", labels=labels(2, 4, 2, 48, 64)),
+    in_hdf5("(2, 2, 2, 96, 64); expected", labels=labels(2, 2, 2, 96, 64)),
+    in_hdf5("(2, 2, 48, 64); expected", labels=labels(2, 2, 48, 64)),
+    in_hdf5("`labels` is float64", labels=labels(2, 2, 2, 48, 64, dtype=float)),
+    in_hdf5("has no array `labels`", labels=None),
+    in_hdf5("is int64 of shape (1,); expected integers of shape (2,), [scene]", background_slots=[0]),
+    in_hdf5("of shape (); expected", background_slots=0),
+    in_hdf5("`background_slots` is float64", background_slots=[0.0, 1.7]),
+    in_hdf5("`background_slots` is bool", background_slots=[True, False]),
+    in_hdf5("`background_slots` holds -1; expected 0 to 255", background_slots=[0, -1]),
+    in_hdf5("`background_slots` holds 256", background_slots=[0, 256]),
+    in_hdf5("background_slots has type object", background_slots=["a", "b"]),
+    in_hdf5("background_slots is a group", background_slots=None, background_slots__x=1),
+    in_hdf5("holds an array `background_slot`", background_slot=[0, 0]),
+    in_hdf5("holds an array `center`", center=[0, 0]),
+    (write_hdf5, lambda folder: (folder / "test").mkdir(), "holds both labels.h5 and test/"),
+    in_poses("names view -1 in row 1; expected 0 to 1", index=[[0, 0, 0, 1], [1, 1, -1, 2]]),
+    in_poses("names scene 2 in row 1; expected 0 to 1", index=[[0, 0, 0, 1], [2, 1, 1, 2]]),
+    in_poses("names label 1099511627776", index=[[0, 0, 0, 1], [1, 1, 1, 2**40]]),
+    in_poses("names one label of an image twice", index=[[0, 0, 0, 1]] * 2),
+    in_poses("poses/index has type float64", index=np.ones((2, 4))),
+    in_poses("expected (poses, 4)", index=[[0, 0, 0]] * 2),
+    in_poses("poses/index is missing", index=None),
+    in_poses("rotation without center", center=None),
+    in_poses("expected (2, 3), as index has", center=np.ones((3, 3))),
+    in_poses("scene 1: of frame 1, view 1, label 2 the center is infinite", center=[[0, 0, 0.5], [0, np.inf, 0]]),
+    in_poses("center is partly nan", center=[[0, 0, 0.5], [0, np.nan, 0]]),
+    in_poses("not a rotation matrix", rotation=np.ones((2, 3, 3))),
+    more_npz("00002.npz: these label maps belong to nothing that is scored; the dataset has 2 scenes", "00002.npz"),
+    more_npz("000001.npz: these label maps", "000001.npz"),
+    more_npz("scene_3.npz: these label maps", "scene_3.npz"),
+    (write_npz, lambda folder: (folder / "test" / "00001").mkdir(), "and the folder of the same name are both there"),
+    in_npz("`labels` is uint8 of shape (4, 2, 48, 64); expected", labels=labels(4, 2, 48, 64)),
+    in_npz("`labels` is float64", labels=labels(2, 2, 48, 64, dtype=float)),
+    in_npz("of shape (1,); expected integers of shape (), one number", background_slot=[0]),
+    in_npz("`background_slot` holds -1", background_slot=-1),
+    in_npz("holds an array `background_slots`", background_slots=[0, 0]),
+    in_npz("center is infinite", center=np.full((2, 2, 3, 3), np.inf)),
+    in_npz("rotation without center", rotation=np.ones((2, 2, 3, 3, 3))),
+    in_npz("center of poses <U1", center=np.full((2, 2, 3, 3), "a")),
+    more_images("scored; clips have frames 0 to 1 and views 0 to 1", "view0_frame002.png"),
+    more_images("view2_frame000.png: these label maps", "view2_frame000.png"),
+    more_images("frame0.PNG: these label maps", "frame0.PNG"),
+    (write_png, lambda folder: (folder / "test" / "00002").mkdir(), "00002: these label maps"),
+]
+
+
+@pytest.mark.parametrize(("write", "spoil", "message"), FAULTS)
 def test_what_does_not_fit_the_split_is_refused_before_anything_is_scored(
-    scenes: Split, truths: list[np.ndarray], tmp_path: Path, fault: str
+    scenes: Split,
+    truths: list[np.ndarray],
+    tmp_path: Path,
+    write: Writer,
+    spoil: Callable[[Path], object],
+    message: str,
 ):
-    write, spoil, message = FAULTS[fault]
     write(tmp_path / "mine", truths)
     folder = PredictionFolder(tmp_path / "mine")
     folder.check(scenes.labels_shape)
-    spoil(tmp_path / "mine", truths)
+    spoil(tmp_path / "mine")
     with pytest.raises((UsageError, CorruptFile), match=re.escape(message)) as error:
         folder.check(scenes.labels_shape)
     assert str(tmp_path / "mine") in str(error.value)
-
-
-def test_a_command_with_label_maps_that_do_not_fit_leaves_no_row(
-    data: Path, truths: list[np.ndarray], tmp_path: Path, capsys
-):
-    write_hdf5(tmp_path / "mine", [*truths, *truths])
-    assert run_cli("--predictions", tmp_path / "mine", "--data", data, "--out", tmp_path / "out") == 2
-    errors = capsys.readouterr().err
-    assert errors.count("\n") == 1
-    assert (
-        "labels.h5: `labels` is uint8 of shape (4, 2, 2, 48, 64); expected integers of shape (2, 2, 2, 48, 64)"
-        in errors
-    )
-    assert load_runs(tmp_path / "out") == []
 
 
 def test_hidden_files_and_notes_are_let_be(scenes: Split, truths: list[np.ndarray], tmp_path: Path):

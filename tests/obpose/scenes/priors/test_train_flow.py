@@ -11,7 +11,7 @@ import assets
 from datagen.pipeline.generate import generate
 from obpose.errors import CorruptFile, Diverged, UsageError
 from obpose.scenes.model_ref import Origin, load_origin
-from obpose.scenes.priors import examples, train_flow
+from obpose.scenes.priors import train_flow
 from obpose.scenes.priors.examples import find_examples
 from obpose.scenes.priors.flow import VALUES
 from obpose.scenes.priors.flow_prior import load_flow
@@ -22,7 +22,8 @@ from obpose.scenes.priors.train_flow import PARTIAL, fit_flow, nearest
 from tests.worlds import generated
 
 MODEL = "obpose--moving--64x64"
-SETTINGS = FitSettings(clips=4, steps=6, seed=0, workers=1)
+SMALL = {"refinements": 1, "least_objects": 6, "batch": 4, "save_steps": 2, "compared": 8}
+SETTINGS = FitSettings(clips=4, steps=6, seed=0, workers=1, **SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -37,19 +38,8 @@ def found(data: Path) -> Path:
     """Folder with what is found in the clips, which takes most of the time."""
     folder = data.parent / "found"
     folder.mkdir()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(examples, "STEPS", 1)
-        find_examples(load_origin(MODEL), data, folder, SETTINGS.clips, workers=1, say=print)
+    find_examples(load_origin(MODEL), data, folder, SETTINGS, print)
     return folder
-
-
-@pytest.fixture(autouse=True)
-def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(examples, "STEPS", 1)
-    monkeypatch.setattr(train_flow, "BATCH", 4)
-    monkeypatch.setattr(train_flow, "COMPARED", 8)
-    monkeypatch.setattr(train_flow, "SAVE_STEPS", 2)
-    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 6)
 
 
 def copied(folder: Path, found: Path) -> Origin:
@@ -182,14 +172,11 @@ def test_how_near_the_nearest_of_others_is():
     assert nearest(others[:3] + 1, others[:3]) == pytest.approx(1, abs=1e-3)
 
 
-def test_more_clips_can_be_asked_for_as_long_as_nothing_is_learned(
-    data: Path, found: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_more_clips_can_be_asked_for_as_long_as_nothing_is_learned(data: Path, found: Path, tmp_path: Path):
     of = copied(tmp_path / "model", found)
-    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1000)
-    with pytest.raises(UsageError, match=r"in 3 clips; expected 1000\. Give more --clips"):
-        learned(of, data, clips=3)
-    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 6)
+    message = r"Examples of objects found: .* in 3 clips; expected 1000\. Give more --clips"
+    with pytest.raises(UsageError, match=message):
+        learned(of, data, clips=3, least_objects=1000)
     with pytest.raises(KeyboardInterrupt):
         learned(of, data, say=stop_at("step 2"))
 
@@ -200,11 +187,3 @@ def test_a_loss_that_is_no_number_ends_it(data: Path, found: Path, tmp_path: Pat
     with pytest.raises(Diverged, match="The loss of step 1 is nan; delete"):
         learned(of, data)
     assert not (of.folder / "flow.safetensors").exists()
-
-
-def test_it_takes_some_objects(data: Path, found: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(train_flow, "_LEAST_OBJECTS", 1000)
-    with pytest.raises(
-        UsageError, match=r"Examples of objects found: .* in 4 clips; expected 1000\. Give more --clips"
-    ):
-        learned(copied(tmp_path / "model", found), data)
