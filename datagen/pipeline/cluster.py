@@ -11,11 +11,12 @@ from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
-from datagen.errors import DatagenError, UsageError
+from datagen.errors import Busy, DatagenError, UsageError
 from datagen.storage.atomic import temporary_path
 
 RETRIES = 2
-"""Number of times that an item is tried again after an exception; Dask counts lost workers apart."""
+"""Number of times that an item is tried again after an exception that the user cannot fix, or `Busy`; Dask counts lost
+workers apart."""
 _POLL_SECONDS = 0.1
 _SECONDS = 30
 """Time limit for a connection to the scheduler."""
@@ -39,7 +40,7 @@ class Cluster:
         from distributed import as_completed
 
         with self._explained():
-            futures = self._client.map(do, items, pure=False, retries=RETRIES, batch_size=10_000, **shared)
+            futures = self._client.map(_attempt, items, do=do, pure=False, retries=RETRIES, batch_size=10_000, **shared)
             item_of = {future.key: item for future, item in zip(futures, items, strict=True)}
             finished = as_completed(futures, loop=self._client.loop, with_results=True)
             # The cluster drops a result as soon as nothing here refers to its future.
@@ -47,19 +48,19 @@ class Cluster:
             for future, result in finished:
                 if future.cancelled():
                     raise CancelledError
-                yield item_of.pop(future.key), result
+                yield item_of.pop(future.key), _success(result)
             if item_of:  # the client has closed itself
                 raise CancelledError
 
     def call(self, do: Callable[..., Result], *arguments: Any, stop: threading.Event) -> Result | None:
         """Call `do(*arguments)` on a worker and wait for its result; None once `stop` is set. Raises as `map`."""
         with self._explained():
-            future = self._client.submit(do, *arguments, pure=False, retries=RETRIES)
+            future = self._client.submit(_attempt, *arguments, do=do, pure=False, retries=RETRIES)
             while not future.done():
                 if stop.wait(_POLL_SECONDS):
                     future.cancel()
                     return None
-            return future.result()
+            return _success(future.result())
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
@@ -80,6 +81,22 @@ class Cluster:
             raise DatagenError(
                 f"A Dask worker lacks a package ({error}); install the same version of obpose there as here."
             ) from None
+
+
+def _attempt(*arguments: Any, do: Callable[..., Result], **shared: Any) -> Result | DatagenError:
+    """Do a work item on a worker; errors that would come again are returned, so that Dask does not retry them."""
+    try:
+        return do(*arguments, **shared)
+    except Busy:
+        raise
+    except DatagenError as error:
+        return error
+
+
+def _success(result: Result | DatagenError) -> Result:
+    if isinstance(result, DatagenError):
+        raise result
+    return result
 
 
 class Cancellation(threading.Event):
