@@ -4,7 +4,7 @@ import logging
 import os
 import threading
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from math import inf
@@ -62,6 +62,10 @@ class Cluster:
                     return None
             return _success(future.result())
 
+    def keep(self, name: str) -> "Kept":
+        """Files that the scheduler holds under a name."""
+        return Kept(name, self._client)
+
     @contextmanager
     def _explained(self) -> Iterator[None]:
         from distributed import KilledWorker
@@ -112,6 +116,27 @@ class Cancellation(threading.Event):
     def is_set(self) -> bool:
         """Whether the task is cancelled."""
         return self._task.state == "cancelled"
+
+
+class Kept:
+    """Files that a scheduler holds under a name, so that they outlive workers and clients."""
+
+    def __init__(self, name: str, client: Any = None):
+        from distributed import Variable, get_client
+
+        # A task has a client of its own.
+        self._variable = Variable(name, client or get_client())
+
+    def read(self) -> dict[str, bytes]:
+        """The files; none if the scheduler holds none."""
+        try:
+            return self._variable.get(timeout=_POLL_SECONDS)
+        except TimeoutError:
+            return {}
+
+    def write(self, files: Mapping[str, bytes]) -> None:
+        """Replace the files."""
+        self._variable.set(dict(files))
 
 
 def memory_share() -> float:

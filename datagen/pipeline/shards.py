@@ -69,8 +69,8 @@ def _usable_scenes(folder: Path, spec: Spec, split: str, number: int) -> int:
 def write_shard(folder: Path, spec: Spec, task: ShardTask, new: Sequence[PackedScene]) -> None:
     """Write a shard of kept and new scenes, then its record, from which the manifest is merged.
 
-    A longer shard that another process has written meanwhile stays, such as one of a later run while a Dask worker still
-    finishes a task of a lost client.
+    A longer shard that another process has written meanwhile stays, for example if a Dask worker still finishes a task
+    of a lost client.
     """
     kept: list[PackedScene] = []
     if task.kept:
@@ -125,7 +125,8 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: st
     if _arithmetic() != arithmetic:
         raise UsageError(
             f"A Dask worker would make other scenes: it has {_arithmetic()}; expected {arithmetic}. Install the same "
-            "versions of obpose and its libraries there, and start workers with OPENBLAS_CORETYPE=Haswell in their environment."
+            "versions of obpose and its libraries there, and start workers with OPENBLAS_CORETYPE=Haswell in their "
+            "environment."
         )
     with _ONE_AT_A_TIME:
         new = [maker(task.split, index) for index in task.todo]

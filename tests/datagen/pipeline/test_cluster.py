@@ -142,36 +142,21 @@ def test_the_benchmark_gives_the_same_scores_though_a_worker_is_lost(cluster: Da
         assert (tmp_path / "run" / "scenes" / path.name).read_bytes() == path.read_bytes()
 
 
-@pytest.fixture(scope="module")
-def threads() -> Iterator[str]:
-    """The address of a cluster of one worker with four threads in this process."""
-    from distributed import LocalCluster
-
-    place = {
-        "protocol": "tcp://",
-        "host": "127.0.0.1",
-        "dashboard_address": "127.0.0.1:0",
-        "worker_dashboard_address": "127.0.0.1:0",
-    }
-    with LocalCluster(n_workers=1, threads_per_worker=4, processes=False, **place) as local:
-        yield local.scheduler_address
-
-
 @pytest.mark.parametrize(("error", "calls"), [(ImpossibleScene, 1), (Busy, 3), (OSError, 3)])
-def test_only_errors_that_may_pass_are_retried(threads: str, tmp_path: Path, error: type[Exception], calls: int):
+def test_only_errors_that_may_pass_are_retried(local_cluster: str, tmp_path: Path, error: type[Exception], calls: int):
     def fail(log: Path) -> None:
         with log.open("a") as file:
             file.write("called ")
         raise error("no")
 
-    with connected(threads) as cluster, pytest.raises(error, match="no"):
+    with connected(local_cluster) as cluster, pytest.raises(error, match="no"):
         list(cluster.map(fail, [tmp_path / "log"]))
     assert (tmp_path / "log").read_text() == calls * "called "
 
 
-def test_threads_of_a_worker_make_the_same_scenes(threads: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_threads_of_a_worker_make_the_same_scenes(local_cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(spec, "_MOST_SCENES_PER_SHARD", 1)
-    make(tmp_path / "threads", {"train": 4}, dask=threads)
+    make(tmp_path / "threads", {"train": 4}, dask=local_cluster)
     make(tmp_path / "alone", {"train": 4})
     check_same(tmp_path / "threads", tmp_path / "alone")
 

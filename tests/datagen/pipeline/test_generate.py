@@ -12,8 +12,8 @@ from datagen.config import Rig
 from datagen.errors import DatagenError, UsageError
 from datagen.pipeline.generate import Run, generate, regenerate, render
 from datagen.pipeline.make_scene import make_scene, object_rows
-from datagen.storage.atomic import write_atomically
 from datagen.storage import manifest
+from datagen.storage.atomic import write_atomically
 from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
