@@ -130,9 +130,10 @@ class Kept:
     def read(self) -> dict[str, bytes]:
         """The files; none if the scheduler holds none."""
         try:
-            return self._variable.get(timeout=_POLL_SECONDS)
+            files: Any = self._variable.get(timeout=_POLL_SECONDS)
         except TimeoutError:
             return {}
+        return files
 
     def write(self, files: Mapping[str, bytes]) -> None:
         """Replace the files."""
