@@ -58,3 +58,14 @@ def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recipe = dataclasses.replace(load_recipe("moving"), frames=4)
     generate(folder, recipe, splits={"train": 4, "val": 2, "test": 2}, resolution=(64, 64))
     return folder
+
+
+@pytest.fixture(scope="session")
+def local_cluster() -> Iterator[str]:
+    """The address of a Dask cluster of one worker with four threads in this process."""
+    distributed = pytest.importorskip("distributed")
+    place = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "worker_dashboard_address": "127.0.0.1:0"}
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=4, processes=False, protocol="tcp://", **place
+    ) as cluster:
+        yield cluster.scheduler_address

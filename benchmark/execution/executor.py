@@ -50,6 +50,11 @@ class Runnable(Protocol):
         """Names of the results that it writes; the first also names the log."""
         ...
 
+    @property
+    def state(self) -> tuple[Path, ...]:
+        """Files and folders in the run folder from which it resumes after an interruption."""
+        ...
+
     def run(self, announce: Callable[[str], None]) -> None:
         """Do the work. Calls `announce` with each of `results` once it is written; other events are allowed, too."""
         ...

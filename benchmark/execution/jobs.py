@@ -121,6 +121,11 @@ class Job:
         """Names of the targets' own rows."""
         return tuple(target.key.name for target in self.targets)
 
+    @property
+    def state(self) -> tuple[Path, ...]:
+        """The model's own files, and the validation scores of its training."""
+        return (self.folder, self.out / VALIDATION / f"{self.folder.name}.csv") if self.folder else ()
+
     def run(self, announce: Callable[[str], None] = lambda event: None) -> None:
         """Make all rows. Calls `announce` with "fitted", then with each target's row name once it is written.
 
@@ -248,11 +253,7 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     options |= {"changes": dict(changes)} if changes else {}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
-    scorer = (
-        ValidationScorer(val, truths, job.out / VALIDATION / f"{job.folder.name}.csv")
-        if job.folder and labelled
-        else None
-    )
+    scorer = ValidationScorer(val, truths, job.state[1]) if job.folder and labelled else None
     segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": scorer} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)
     seconds = float(getattr(segmenter, "fit_seconds", time.perf_counter() - started))

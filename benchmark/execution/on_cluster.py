@@ -3,16 +3,19 @@
 import dataclasses
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmark.execution.executor import SAVING_SECONDS, Limits, Outcome, Runnable, run_isolated, running_jobs_by
 from datagen.errors import Busy, UsageError
-from datagen.pipeline.cluster import Cancellation, connected, memory_share, shared_mark
+from datagen.pipeline.cluster import Cancellation, Kept, connected, memory_share, shared_mark
 from datagen.storage.atomic import write_atomically
+
+_COPY_SECONDS = 30
+"""Time between two copies of a job's state; a lost worker loses no more of a training."""
 
 
 @contextmanager
@@ -23,12 +26,15 @@ def on_cluster(address: str, out: Path) -> Iterator[None]:
 
         def run(job: Runnable, limits: Limits, stop: threading.Event, on_event: Callable[[str], None]) -> Outcome:
             job = with_paths(job, Path.absolute)
-            outcome, files = cluster.call(run_remotely, job, limits, mark, stop=stop) or (
-                Outcome((), "interrupted"),
-                {},
-            )
-            for name, content in files.items():
-                write_atomically(job.out / name, content)
+            # A task that Dask repeats, and a repeated command, resume from the newest state.
+            kept = cluster.keep(f"obpose {job.state[0]}") if job.state else None
+            if kept and not kept.read():
+                kept.write(_read(job.out, job.state))
+            made = cluster.call(run_remotely, job, limits, mark, stop=stop)
+            outcome, files = made or (Outcome((), "interrupted"), {})
+            _write(job.out, files)
+            if kept and made:
+                kept.write({})  # not deleted, which would take effect later
             for event in outcome.events:
                 on_event(event)
             return outcome
@@ -50,12 +56,56 @@ def run_remotely(job: Runnable, limits: Limits, mark: Path) -> tuple[Outcome, Ma
     if mark.exists():
         return _run(job, limits), {}
     with TemporaryDirectory() as place:
+        folder = Path(place)
         moved = with_paths(
-            job, lambda path: place / path.relative_to(job.out) if path.is_relative_to(job.out) else path
+            job, lambda path: folder / path.relative_to(job.out) if path.is_relative_to(job.out) else path
         )
-        outcome = _run(moved, limits)
-        files = {str(path.relative_to(place)): path.read_bytes() for path in Path(place).rglob("*") if path.is_file()}
-    return outcome, files
+        kept = Kept(f"obpose {job.state[0]}") if job.state else None
+        _write(folder, kept.read() if kept else {})
+        with _copying(folder, moved.state, kept) if kept else nullcontext():
+            outcome = _run(moved, limits)
+        return outcome, _read(folder, [folder])
+
+
+@contextmanager
+def _copying(folder: Path, state: Sequence[Path], kept: Kept) -> Iterator[None]:
+    """Copy the files of a job's state to the scheduler again and again, once they have changed."""
+    ended, copied = threading.Event(), _read(folder, state)
+
+    def copy() -> None:
+        nonlocal copied
+        files = _read(folder, state)
+        if files != copied:
+            kept.write(files)
+            copied = files
+
+    def repeat() -> None:
+        while not ended.wait(_COPY_SECONDS):
+            copy()
+
+    thread = threading.Thread(target=repeat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        copy()
+
+
+def _read(root: Path, places: Iterable[Path]) -> dict[str, bytes]:
+    """Content of files and of the files in folders, by their names below a folder, temporary ones aside."""
+    paths = (path for place in places for path in (place, *place.rglob("[!.]*")))
+    files = {}
+    for path in paths:
+        with suppress(FileNotFoundError, IsADirectoryError):
+            files[str(path.relative_to(root))] = path.read_bytes()
+    return files
+
+
+def _write(root: Path, files: Mapping[str, bytes]) -> None:
+    for name, content in files.items():
+        write_atomically(root / name, content)
 
 
 def _run(job: Runnable, limits: Limits) -> Outcome:

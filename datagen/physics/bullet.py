@@ -9,7 +9,9 @@ import functools
 import math
 import os
 import sys
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from operator import itemgetter
 from types import ModuleType
 from typing import Any
 
@@ -22,6 +24,9 @@ from datagen.geometry import rotation_from_quaternion
 from datagen.physics.rigid_body import multiply, principal_axes, shrink, wavefront_file, xyzw
 from datagen.scene import Scene, Trajectory
 from datagen.shapes.shape import Shape
+
+_BODIES_AND_FORCE = itemgetter(1, 2, 9)
+"""Entries of a contact point of PyBullet."""
 
 GAP_RANGE = 0.02
 """Metres; larger gaps are reported as inf."""
@@ -185,17 +190,17 @@ class World:
 
     def _advance(self, now: float) -> Float[np.ndarray, "body body"]:
         """Simulate one frame interval from `now` (seconds); normal impulses exchanged in it."""
-        step, contacts, client = self._bullet.stepSimulation, self._bullet.getContactPoints, self._client
-        impulses: dict[tuple[int, int], float] = {}  # plain numbers: most of the loop's time is not the engine's
+        step, contacts, client, dt = self._bullet.stepSimulation, self._bullet.getContactPoints, self._client, self._dt
+        # Plain numbers: much of the loop's time is not the engine's.
+        impulses: defaultdict[tuple[int, int], float] = defaultdict(float)
         pushed = any(body.push for body in self._scene.bodies)
         for number in range(self._steps):
             if pushed:
-                self._push(now + number * self._dt)
+                self._push(now + number * dt)
             step(physicsClientId=client)
-            for contact in contacts(physicsClientId=client):
-                if contact[9] > 0:
-                    pair = contact[1], contact[2]
-                    impulses[pair] = impulses.get(pair, 0.0) + contact[9] * self._dt
+            for one, other, force in map(_BODIES_AND_FORCE, contacts(physicsClientId=client)):
+                if force > 0:
+                    impulses[one, other] += force * dt
         impulse = np.zeros((len(self._ids),) * 2)
         for (one, other), value in impulses.items():
             impulse[self._rows[one], self._rows[other]] = value
@@ -229,12 +234,12 @@ class World:
         return gaps
 
     def _near_pairs(self, position: Float[np.ndarray, "object 3"]) -> Iterator[tuple[int, int]]:
-        for row in range(len(position)):
-            if position[row, 2] < self._radii[row] + GAP_RANGE:
+        places = position.tolist()
+        for row, place in enumerate(places):
+            if place[2] < self._radii[row] + GAP_RANGE:
                 yield row + 1, 0
             for other in range(row):
-                reach = self._radii[row] + self._radii[other] + GAP_RANGE
-                if np.sum((position[row] - position[other]) ** 2) < reach**2:
+                if math.dist(place, places[other]) < self._radii[row] + self._radii[other] + GAP_RANGE:
                     yield row + 1, other + 1
 
     def _gap(self, row: int, other: int, reach: float) -> float:

@@ -4,18 +4,19 @@ import logging
 import os
 import threading
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from math import inf
 from pathlib import Path
 from typing import Any, TypeVar
 
-from datagen.errors import DatagenError, UsageError
+from datagen.errors import Busy, DatagenError, UsageError
 from datagen.storage.atomic import temporary_path
 
 RETRIES = 2
-"""Number of times that an item is tried again after an exception; Dask counts lost workers apart."""
+"""Number of times that an item is tried again after an exception that the user cannot fix, or `Busy`; Dask counts lost
+workers apart."""
 _POLL_SECONDS = 0.1
 _SECONDS = 30
 """Time limit for a connection to the scheduler."""
@@ -39,7 +40,7 @@ class Cluster:
         from distributed import as_completed
 
         with self._explained():
-            futures = self._client.map(do, items, pure=False, retries=RETRIES, batch_size=10_000, **shared)
+            futures = self._client.map(_attempt, items, do=do, pure=False, retries=RETRIES, batch_size=10_000, **shared)
             item_of = {future.key: item for future, item in zip(futures, items, strict=True)}
             finished = as_completed(futures, loop=self._client.loop, with_results=True)
             # The cluster drops a result as soon as nothing here refers to its future.
@@ -47,19 +48,23 @@ class Cluster:
             for future, result in finished:
                 if future.cancelled():
                     raise CancelledError
-                yield item_of.pop(future.key), result
+                yield item_of.pop(future.key), _success(result)
             if item_of:  # the client has closed itself
                 raise CancelledError
 
     def call(self, do: Callable[..., Result], *arguments: Any, stop: threading.Event) -> Result | None:
         """Call `do(*arguments)` on a worker and wait for its result; None once `stop` is set. Raises as `map`."""
         with self._explained():
-            future = self._client.submit(do, *arguments, pure=False, retries=RETRIES)
+            future = self._client.submit(_attempt, *arguments, do=do, pure=False, retries=RETRIES)
             while not future.done():
                 if stop.wait(_POLL_SECONDS):
                     future.cancel()
                     return None
-            return future.result()
+            return _success(future.result())
+
+    def keep(self, name: str) -> "Kept":
+        """Files that the scheduler holds under a name."""
+        return Kept(name, self._client)
 
     @contextmanager
     def _explained(self) -> Iterator[None]:
@@ -82,6 +87,22 @@ class Cluster:
             ) from None
 
 
+def _attempt(*arguments: Any, do: Callable[..., Result], **shared: Any) -> Result | DatagenError:
+    """Do a work item on a worker; errors that would come again are returned, so that Dask does not retry them."""
+    try:
+        return do(*arguments, **shared)
+    except Busy:
+        raise
+    except DatagenError as error:
+        return error
+
+
+def _success(result: Result | DatagenError) -> Result:
+    if isinstance(result, DatagenError):
+        raise result
+    return result
+
+
 class Cancellation(threading.Event):
     """Is set once Dask has no use for the task that made it: its client has cancelled it, or is gone."""
 
@@ -95,6 +116,28 @@ class Cancellation(threading.Event):
     def is_set(self) -> bool:
         """Whether the task is cancelled."""
         return self._task.state == "cancelled"
+
+
+class Kept:
+    """Files that a scheduler holds under a name, so that they outlive workers and clients."""
+
+    def __init__(self, name: str, client: Any = None):
+        from distributed import Variable, get_client
+
+        # A task has a client of its own.
+        self._variable = Variable(name, client or get_client())
+
+    def read(self) -> dict[str, bytes]:
+        """The files; none if the scheduler holds none."""
+        try:
+            files: Any = self._variable.get(timeout=_POLL_SECONDS)
+        except TimeoutError:
+            return {}
+        return files
+
+    def write(self, files: Mapping[str, bytes]) -> None:
+        """Replace the files."""
+        self._variable.set(dict(files))
 
 
 def memory_share() -> float:

@@ -14,7 +14,7 @@ from datagen.pipeline.make_scene import SceneMaker
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS
 from datagen.storage.dataset_folder import write_file
-from datagen.storage.manifest import write_record
+from datagen.storage.manifest import package_version, write_record
 from datagen.storage.shard import PackedScene, Shard, shard_image
 from datagen.storage.spec import Spec, groups_of, settings_hash, shard_name, shard_ranges
 
@@ -67,7 +67,11 @@ def _usable_scenes(folder: Path, spec: Spec, split: str, number: int) -> int:
 
 
 def write_shard(folder: Path, spec: Spec, task: ShardTask, new: Sequence[PackedScene]) -> None:
-    """Write a shard of kept and new scenes, then its record, from which the manifest is merged."""
+    """Write a shard of kept and new scenes, then its record, from which the manifest is merged.
+
+    A longer shard that another process has written meanwhile stays, for example if a Dask worker still finishes a task
+    of a lost client.
+    """
     kept: list[PackedScene] = []
     if task.kept:
         with closing(Shard(folder, spec, task.split, task.number)) as shard:
@@ -79,7 +83,10 @@ def write_shard(folder: Path, spec: Spec, task: ShardTask, new: Sequence[PackedS
         "split": task.split,
         "first_scene": (task.kept or task.todo).start,
     }
-    write_file(folder, shard_name(task.split, task.number), shard_image([*kept, *new], attributes), settings)
+    image = shard_image([*kept, *new], attributes)
+    if _usable_scenes(folder, spec, task.split, task.number) > len(kept) + len(new):
+        return
+    write_file(folder, shard_name(task.split, task.number), image, settings)
     write_record(folder, spec, task.split, task.number)
 
 
@@ -118,7 +125,8 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: st
     if _arithmetic() != arithmetic:
         raise UsageError(
             f"A Dask worker would make other scenes: it has {_arithmetic()}; expected {arithmetic}. Install the same "
-            "version of obpose there, and start workers with OPENBLAS_CORETYPE=Haswell in their environment."
+            "versions of obpose and its libraries there, and start workers with OPENBLAS_CORETYPE=Haswell in their "
+            "environment."
         )
     with _ONE_AT_A_TIME:
         new = [maker(task.split, index) for index in task.todo]
@@ -129,8 +137,9 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: st
 
 
 def _arithmetic() -> str:
-    """Describe what decides the last bits of a scene: the data version and the kernels of OpenBLAS."""
+    """Describe what decides the last bits of a scene: the data version, libraries, and the kernels of OpenBLAS."""
     from threadpoolctl import threadpool_info
 
     kernels = {library["architecture"] for library in threadpool_info() if library["internal_api"] == "openblas"}
-    return f"data version {DATA_VERSION} and OpenBLAS kernels {', '.join(sorted(kernels))}"
+    libraries = ", ".join(f"{name} {package_version(name)}" for name in ("numpy", "numba", "pybullet"))
+    return f"data version {DATA_VERSION}, {libraries} and OpenBLAS kernels {', '.join(sorted(kernels))}"

@@ -145,9 +145,14 @@ class LightMap(NamedTuple):
     """Depth map seen from a light; see `light_vertices` and `rasterise_light`."""
 
     texels: np.ndarray
-    """Per texel: least d of faces towards the light, least d of faces away from it, and object of the former."""
+    """Three planes: least d of faces towards the light, least d of faces away from it, and object of the former."""
     tiles: np.ndarray
-    """Least d of faces towards the light in blocks of texels."""
+    """Per block of texels: least d of its first plane; least d at which it blocks an object's own light; the object if
+    it is the only one there, otherwise `NOTHING`."""
+    used: np.ndarray
+    """Whether a block has faces."""
+    counts: np.ndarray
+    """Number of blocks above and to the left of each that have faces."""
     frame: np.ndarray
     axes: np.ndarray
 
@@ -559,9 +564,19 @@ def light_vertices(world, axes, size, margin, light, frame):
 
 
 @kernel
-def rasterise_light(light, faces, face_start, texels, tiles):
+def rasterise_light(light, faces, face_start, map):
     """Fill a light's map; see `LightMap`."""
-    texels[:] = FAR
+    front, back, owner = map.texels[0], map.texels[1], map.texels[2]
+    tiles, used = map.tiles, map.used
+    tile = len(front) // len(tiles)
+    for y in range(len(tiles)):
+        for x in range(len(tiles)):
+            if used[y, x]:
+                used[y, x] = False
+                tiles[y, x, 0] = FAR
+                for j in range(tile * y, tile * y + tile):
+                    for i in range(tile * x, tile * x + tile):
+                        front[j, i] = back[j, i] = owner[j, i] = FAR
     for o in range(len(face_start) - 1):
         for f in range(face_start[o], face_start[o + 1]):
             i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -574,6 +589,9 @@ def rasterise_light(light, faces, face_start, texels, tiles):
             area = (xj - xi) * (yk - yi) - (yj - yi) * (xk - xi)
             if area == 0:
                 continue
+            for y in range(y0 // tile, y1 // tile + 1):
+                for x in range(x0 // tile, x1 // tile + 1):
+                    used[y, x] = True
             # The distance d is linear over the triangle; its gradient follows from the corners.
             di, dj, dk = light[i, 2], light[j, 2], light[k, 2]
             inverse = 1 / area
@@ -590,67 +608,104 @@ def rasterise_light(light, faces, face_start, texels, tiles):
                 b = by * (py - yk) + bx * (px - xk)
                 c = cy * (py - yi) + cx * (px - xi)
                 d = di + du * (px - xi) + dv * (py - yi)
+                entered = False
                 for x in range(x0, x1 + 1):
                     if a >= 0 and b >= 0 and c >= 0:
+                        entered = True
                         if not facing:
-                            texels[y, x, 1] = min(texels[y, x, 1], d)
-                        elif d < texels[y, x, 0]:
-                            texels[y, x, 0] = d
-                            texels[y, x, 2] = o
+                            back[y, x] = min(back[y, x], d)
+                        elif d < front[y, x]:
+                            front[y, x] = d
+                            owner[y, x] = o
+                    elif entered:
+                        break
                     a, b, c, d = a + ax, b + bx, c + cx, d + du
     for y in range(len(tiles)):
         for x in range(len(tiles)):
-            least = FAR
-            for j in range(TILE * y, TILE * y + TILE):
-                for i in range(TILE * x, TILE * x + TILE):
-                    least = min(least, texels[j, i, 0])
-            tiles[y, x] = least
+            if not used[y, x]:
+                continue
+            least, own, first, alone = FAR, FAR, FAR, True
+            for j in range(tile * y, tile * y + tile):
+                for i in range(tile * x, tile * x + tile):
+                    least = min(least, front[j, i])
+                    own = min(own, max(front[j, i], back[j, i]))
+                    if owner[j, i] < FAR:
+                        first = owner[j, i] if first == FAR else first
+                        alone &= owner[j, i] == first
+            tiles[y, x, 0], tiles[y, x, 1], tiles[y, x, 2] = least, own, first if alone else NOTHING
+    counts = map.counts
+    for y in range(len(tiles)):
+        row = 0
+        for x in range(len(tiles)):
+            row += used[y, x]
+            counts[y + 1, x + 1] = counts[y, x + 1] + row
 
 
 @kernel
-def _blocks(front, back, other, d):
+def _blocks(front, back, owner, y, x, receiver, d):
     """Whether a texel's surface lies between the light and a receiver at `d`.
 
-    An object's lit side is compared with its own far side, which leaves no room for shadow acne and needs no bias.
+    An object's lit side is compared with its own far side, which leaves no room for shadow acne and needs no bias. The
+    receiver is an object, or None for the table, for which numba compiles shorter code.
     """
+    if receiver is None:
+        return 1.0 * (front[y, x] <= d)
     # Bitwise, for a processor guesses badly here.
-    return 1.0 * ((front <= d) & (other | (back < d - 1e-4)))
+    return 1.0 * ((front[y, x] <= d) & ((owner[y, x] != receiver) | (back[y, x] < d - 1e-4)))
 
 
 @kernel
-def _tile_before(tiles, u, v, reach, deepest):
+def _may_block(tiles, counts, tile, u, v, d, du, dv, reach, receiver):
+    """Range of rows and of columns of texels within `reach` that may lie between the light and the receiver's plane."""
     last = len(tiles) - 1
-    x0, x1 = max(int((u - reach) / TILE), 0), min(int((u + reach) / TILE), last)
-    y0, y1 = max(int((v - reach) / TILE), 0), min(int((v + reach) / TILE), last)
+    x0, x1 = max(int((u - reach) / tile), 0), min(int((u + reach) / tile), last)
+    y0, y1 = max(int((v - reach) / tile), 0), min(int((v + reach) / tile), last)
+    top, bottom, left, right = last + 1, -1, last + 1, -1
+    if counts[y1 + 1, x1 + 1] - counts[y0, x1 + 1] - counts[y1 + 1, x0] + counts[y0, x0] == 0:
+        return 0, -1, 0, -1
     for y in range(y0, y1 + 1):
+        # The outer tiles stand for all that lies beyond the map.
+        low = max(tile * y - v, -reach) if y > 0 else -reach
+        high = min(tile * (y + 1) - v, reach) if y < last else reach
+        across = d + max(dv * low, dv * high) + 1e-6
         for x in range(x0, x1 + 1):
-            if tiles[y, x] < deepest:
-                return True
-    return False
+            if tiles[y, x, 0] >= FAR:
+                continue
+            low = max(tile * x - u, -reach) if x > 0 else -reach
+            high = min(tile * (x + 1) - u, reach) if x < last else reach
+            if tiles[y, x, 1 if tiles[y, x, 2] == receiver else 0] < across + max(du * low, du * high):
+                top, bottom, left, right = min(top, y), max(bottom, y), min(left, x), max(right, x)
+    return tile * top, tile * bottom + tile - 1, tile * left, tile * right + tile - 1
 
 
 @kernel
-def _blockers(texels, u, v, d, du, dv, reach, receiver):
-    """Share of blockers on a grid of texels within `reach`, and their mean distance from the receiver's plane."""
-    last = len(texels) - 1
+def _blockers(front, back, owner, box, u, v, d, du, dv, reach, receiver):
+    """Share of blockers on a grid of texels within `reach`, and their mean distance from the receiver's plane.
+
+    Texels outside of `box`, the ranges of rows and columns, are known to block nothing.
+    """
+    last = len(front) - 1
     half = 2 if reach < COARSE else 3
     count, total, step = 0.0, 0.0, reach / half
     for j in range(-half, half + 1):
         y = min(max(int(v + j * step), 0), last)
+        if y < box[0] or y > box[1]:
+            continue
         for i in range(-half, half + 1):
             x = min(max(int(u + i * step), 0), last)
+            if x < box[2] or x > box[3]:
+                continue
             at = d + (du * i + dv * j) * step
-            front = texels[y, x, 0]
-            hit = _blocks(front, texels[y, x, 1], texels[y, x, 2] != receiver, at)
+            hit = _blocks(front, back, owner, y, x, receiver, at)
             count += hit
-            total += hit * (at - front)
+            total += hit * (at - front[y, x])
     return count / (2 * half + 1) ** 2, total / max(count, 1.0)
 
 
 @kernel
-def _dark_share(texels, disc, u, v, d, du, dv, radius, receiver):
+def _dark_share(front, back, owner, disc, u, v, d, du, dv, radius, receiver):
     """Share of a disc of texels that blocks the light, each point of it interpolated between four texels."""
-    last = len(texels) - 2
+    last = len(front) - 2
     dark = 0.0
     for i in range(len(disc)):
         su, sv = disc[i, 0] * radius, disc[i, 1] * radius
@@ -658,13 +713,24 @@ def _dark_share(texels, disc, u, v, d, du, dv, radius, receiver):
         fu, fv = min(max(u + su - 0.5, 0.0), last), min(max(v + sv - 0.5, 0.0), last)
         x, y = int(fu), int(fv)
         fu, fv = fu - x, fv - y
-        a = _blocks(texels[y, x, 0], texels[y, x, 1], texels[y, x, 2] != receiver, at)
-        b = _blocks(texels[y, x + 1, 0], texels[y, x + 1, 1], texels[y, x + 1, 2] != receiver, at)
+        a = _blocks(front, back, owner, y, x, receiver, at)
+        b = _blocks(front, back, owner, y, x + 1, receiver, at)
         top = a + fu * (b - a)
-        a = _blocks(texels[y + 1, x, 0], texels[y + 1, x, 1], texels[y + 1, x, 2] != receiver, at)
-        b = _blocks(texels[y + 1, x + 1, 0], texels[y + 1, x + 1, 1], texels[y + 1, x + 1, 2] != receiver, at)
+        a = _blocks(front, back, owner, y + 1, x, receiver, at)
+        b = _blocks(front, back, owner, y + 1, x + 1, receiver, at)
         dark += top + fv * (a + fu * (b - a) - top)
     return dark / len(disc)
+
+
+@kernel
+def _lit_share(front, back, owner, box, u, v, d, du, dv, reach, spread, blur, scale, receiver):
+    """Share of the light that arrives: the mean distance of the blockers gives the radius over which it is averaged."""
+    found, height = _blockers(front, back, owner, box, u, v, d, du, dv, reach, receiver)
+    if found == 0 or found == 1:
+        return 1 - found
+    radius = (spread * max(height, 0.0) + blur) * scale
+    disc = COARSE_DISC if radius < COARSE else FINE_DISC
+    return 1 - _dark_share(front, back, owner, disc, u, v, d, du, dv, radius, receiver)
 
 
 # --- The room of rich images --------------------------------------------------------------------------------------
@@ -720,7 +786,7 @@ def _mirror(s, materials, row, q, n, e, roughness):
     x, y, z = row.point[q, 0], row.point[q, 1], row.point[q, 2]
     rx, ry, rz = toward * n[0] - e[0], toward * n[1] - e[1], toward * n[2] - e[2]
     least_x, least_y, scale = s.occlusion_frame[0], s.occlusion_frame[1], s.occlusion_frame[2]
-    own, size = row.owner[q], len(s.below)
+    own, size = row.owner[q], len(s.occlusion)
     ground = -max(z, 0.0) / rz if rz < -0.02 else FAR
     t, step = 0.0, MIRROR_STEP
     for _ in range(MIRROR_STEPS):
@@ -729,7 +795,7 @@ def _mirror(s, materials, row, q, n, e, roughness):
         u, v = int((x + t * rx - least_x) * scale), int((-y - t * ry - least_y) * scale)
         if h > s.highest or u < 0 or v < 0 or u >= size or v >= size:
             break
-        low, top, o = s.below[v, u, 0], s.below[v, u, 1], int(s.below[v, u, 2])
+        low, top, o = s.below[0, v, u], s.below[1, v, u], int(s.below[2, v, u])
         if top < FAR and o != own and h <= top and (h >= low or (t == ground and low < 0.01)):
             shade = 0.3 + 0.4 * h / top
             for c in range(3):
@@ -758,10 +824,10 @@ def occlusion_map(texels, scale, length, occlusion):
 
     It falls off over `length` metres, in height as along the table.
     """
-    size = len(texels)
+    size = len(occlusion)
     for y in range(size):
         for x in range(size):
-            low, high = texels[y, x, 0], texels[y, x, 1]
+            low, high = texels[0, y, x], texels[1, y, x]
             if low >= FAR:
                 occlusion[y, x] = 0
                 continue
@@ -1113,10 +1179,11 @@ def _shadow(s, shadow, row, count):
     The receiver is taken as a plane around each sample, so that a tilted surface does not shade itself.
     """
     receiver, point, normal, light, blur = row.owner, row.point, row.normal, row.light, row.blur
-    texels, tiles, axes = shadow.texels, shadow.tiles, shadow.axes
+    front, back, owner = shadow.texels[0], shadow.texels[1], shadow.texels[2]
+    tiles, counts, axes = shadow.tiles, shadow.counts, shadow.axes
     low_u, low_v, scale, least = shadow.frame
     spread = s.lights[0, 7]
-    size = len(texels)
+    size, tile = len(front), len(front) // len(tiles)
     for r in range(count):
         o = receiver[r]
         if o == NOTHING:
@@ -1137,16 +1204,13 @@ def _shadow(s, shadow, row, count):
         steep = 1 / (max(facing, 0.25) * scale)
         du = (axes[0, 0] * nx + axes[0, 1] * ny + axes[0, 2] * nz) * steep
         dv = (axes[1, 0] * nx + axes[1, 1] * ny + axes[1, 2] * nz) * steep
-        if not _tile_before(tiles, u, v, reach, d + (abs(du) + abs(dv)) * reach):
+        box = _may_block(tiles, counts, tile, u, v, d, du, dv, reach, o)
+        if box[0] > box[1]:
             continue
-        # Mean distance of the blockers gives the penumbra's radius; the light's share is averaged over it.
-        found, height = _blockers(texels, u, v, d, du, dv, reach, o)
-        if found == 1:
-            light[r, 0] = 0.0
-        elif found > 0:
-            radius = (spread * max(height, 0.0) + blur[r]) * scale
-            disc = COARSE_DISC if radius < COARSE else FINE_DISC
-            light[r, 0] = 1 - _dark_share(texels, disc, u, v, d, du, dv, radius, o)
+        if o == TABLE:
+            light[r, 0] = _lit_share(front, back, owner, box, u, v, d, du, dv, reach, spread, blur[r], scale, None)
+        else:
+            light[r, 0] = _lit_share(front, back, owner, box, u, v, d, du, dv, reach, spread, blur[r], scale, o)
 
 
 @kernel

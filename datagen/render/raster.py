@@ -152,8 +152,8 @@ class RasterRenderer:
         )
 
     def _light_map(self, m: kernels.LightMap, margin: float) -> None:
-        kernels.light_vertices(self._world, m.axes, len(m.texels), margin, self._light, m.frame)
-        kernels.rasterise_light(self._light, self._casters, self._caster_start, m.texels, m.tiles)
+        kernels.light_vertices(self._world, m.axes, m.texels.shape[1], margin, self._light, m.frame)
+        kernels.rasterise_light(self._light, self._casters, self._caster_start, m)
 
 
 class _Buffers:
@@ -205,10 +205,12 @@ def _row(width: int) -> kernels.Row:
 
 
 def _light_map(size: int, axes: np.ndarray) -> kernels.LightMap:
-    tiles = size // kernels.TILE
+    tiles = size // max(kernels.TILE, size // 64)
     return kernels.LightMap(
-        texels=np.empty((size, size, 3), np.float32),
-        tiles=np.empty((tiles, tiles), np.float32),
+        texels=np.full((3, size, size), kernels.FAR, np.float32),
+        tiles=np.full((tiles, tiles, 3), kernels.FAR, np.float32),
+        used=np.zeros((tiles, tiles), np.uint8),
+        counts=np.zeros((tiles + 1, tiles + 1), np.int64),
         frame=np.zeros(4),
         axes=axes,
     )

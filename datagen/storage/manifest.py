@@ -68,16 +68,30 @@ def file_facts(folder: Path, spec: Spec) -> Facts:
 def recorded_facts(folder: Path, spec: Spec) -> Facts | None:
     """Facts about the shards, from the records that were written beside them; None while scenes are missing.
 
-    A shard without a record that fits is read and hashed.
+    A shard without a record that fits is read and hashed, once no scene is missing.
     """
     if not _has_all_shards(folder, spec):
         return None
+    places = {
+        (split, number): len(scenes)
+        for split in SPLITS
+        for number, scenes in enumerate(shard_ranges(spec["splits"][split], spec["scenes_per_shard"]))
+    }
+    records = {place: _record(folder, spec, *place) for place in places}
+    # Shards at the end are those that a run has made longer.
+    for place, scenes in reversed(places.items()):
+        record = records[place]
+        if (record["scenes"] if record else _length(folder, spec, *place)) < scenes:
+            return None
     facts: Facts = {split: [] for split in SPLITS}
-    for split, shards in facts.items():
-        for number in _numbers(spec, split):
-            shards.append(_record(folder, spec, split, number) or shard_facts(folder, spec, split, number))
-    complete = all(sum(shard["scenes"] for shard in shards) == spec["splits"][split] for split, shards in facts.items())
-    return facts if complete else None
+    for place, record in records.items():
+        facts[place[0]].append(record or shard_facts(folder, spec, *place))
+    return facts
+
+
+def _length(folder: Path, spec: Spec, split: str, number: int) -> int:
+    with closing(Shard(folder, spec, split, number)) as shard:
+        return len(shard)
 
 
 def _record(folder: Path, spec: Spec, split: str, number: int) -> dict[str, Any] | None:

@@ -18,6 +18,7 @@ The spec is a plain dict:
     spec_hash ....... SHA-256 of all the above: the dataset's identity
 """
 
+import functools
 import hashlib
 import json
 import math
@@ -290,11 +291,17 @@ def recipe_of(spec: Spec) -> Recipe:
     """
     check_generated(spec)
     try:
-        return recipe_from_dict(spec["recipe"])
+        return _recipe(json.dumps(spec["recipe"]))
     except UsageError as error:
         raise UsageError(f"{SPEC_FILE} holds a recipe that this version does not take: {error}") from None
     except ValueError as error:
         raise CorruptFile(f"{SPEC_FILE} holds no recipe ({error}); restore the original.") from None
+
+
+@functools.lru_cache(maxsize=8)
+def _recipe(text: str) -> Recipe:
+    """The recipe of a JSON text; the last few are cached, for each scene asks for its own."""
+    return recipe_from_dict(json.loads(text))
 
 
 def check_generated(spec: Spec) -> None:

@@ -57,6 +57,11 @@ class EditJob:
         """Path of the job's lines."""
         return path_of(self.out, self.name)
 
+    @property
+    def state(self) -> tuple[Path, ...]:
+        """The job's lines, to which it adds the missing ones."""
+        return (self.path,)
+
     def missing(self) -> list[int]:
         """Scenes that have no line yet."""
         lines = load_lines(self.path)

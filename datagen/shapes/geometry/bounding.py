@@ -75,14 +75,14 @@ class Outline:
         lows, highs = [], []
         if len(self.points):
             along = directions @ self.points.T
-            lows.append(along.min(axis=1))
-            highs.append(along.max(axis=1))
+            lows.append(np.minimum.reduce(along, axis=1))
+            highs.append(np.maximum.reduce(along, axis=1))
         if len(self.centers):
             along = directions @ self.centers.T
             reach = (directions @ self.matrices.reshape(-1, 3).T).reshape(len(directions), -1, 3)
             reach = np.sqrt(np.einsum("dri,dri->dr", reach, reach)) + self.roundings
-            lows.append((along - reach).min(axis=1))
-            highs.append((along + reach).max(axis=1))
+            lows.append(np.minimum.reduce(along - reach, axis=1))
+            highs.append(np.maximum.reduce(along + reach, axis=1))
         return np.minimum(lows[0], lows[-1]), np.maximum(highs[0], highs[-1])
 
 

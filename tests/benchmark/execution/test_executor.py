@@ -17,6 +17,7 @@ class Steps:
 
     out: Path
     results: tuple[str, ...]
+    state: tuple[Path, ...] = ()
 
     def run(self, announce: Callable[[str], None]) -> None:
         for name in self.results:

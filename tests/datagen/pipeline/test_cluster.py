@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, ImpossibleScene
+from datagen.pipeline.cluster import connected
+from datagen.storage import spec
 from datagen.storage.manifest import read_manifest
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 from tests.worlds.dask_workers import DaskWorkers
-from tests.worlds.generated import hashes
+from tests.worlds.generated import hashes, make
 
 pytest.importorskip("distributed")
 
@@ -138,6 +140,25 @@ def test_the_benchmark_gives_the_same_scores_though_a_worker_is_lost(cluster: Da
         assert names[0] == names[1]
     for path in (tmp_path / "alone" / "scenes").iterdir():
         assert (tmp_path / "run" / "scenes" / path.name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(("error", "calls"), [(ImpossibleScene, 1), (Busy, 3), (OSError, 3)])
+def test_only_errors_that_may_pass_are_retried(local_cluster: str, tmp_path: Path, error: type[Exception], calls: int):
+    def fail(log: Path) -> None:
+        with log.open("a") as file:
+            file.write("called ")
+        raise error("no")
+
+    with connected(local_cluster) as cluster, pytest.raises(error, match="no"):
+        list(cluster.map(fail, [tmp_path / "log"]))
+    assert (tmp_path / "log").read_text() == calls * "called "
+
+
+def test_threads_of_a_worker_make_the_same_scenes(local_cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(spec, "_MOST_SCENES_PER_SHARD", 1)
+    make(tmp_path / "threads", {"train": 4}, dask=local_cluster)
+    make(tmp_path / "alone", {"train": 4})
+    check_same(tmp_path / "threads", tmp_path / "alone")
 
 
 def test_without_a_scheduler_the_command_says_how_to_start_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -12,6 +12,7 @@ from datagen.config import Rig
 from datagen.errors import DatagenError, UsageError
 from datagen.pipeline.generate import Run, generate, regenerate, render
 from datagen.pipeline.make_scene import make_scene, object_rows
+from datagen.storage import manifest
 from datagen.storage.atomic import write_atomically
 from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
@@ -172,6 +173,22 @@ def test_a_smaller_run_that_began_meanwhile_does_not_hide_scenes(whole, tmp_path
     assert make(tmp_path, SIZES, progress=progress).spec["splits"] == SIZES
     assert Dataset(tmp_path).splits == SIZES
     assert read_manifest(tmp_path)["splits"] == read_manifest(whole)["splits"]
+
+
+def test_a_smaller_run_that_ends_later_does_not_shorten_a_shard(whole, tmp_path):
+    @contextmanager
+    def progress(_total: int):
+        make(tmp_path, SIZES)
+        yield lambda: None
+
+    make(tmp_path, {"train": 1}, progress=progress)
+    assert shards(tmp_path) == shards(whole)
+
+
+def test_a_job_hashes_nothing_while_another_s_shard_is_too_short(tmp_path, monkeypatch):
+    make(tmp_path, {"train": 3})
+    monkeypatch.setattr(manifest, "shard_facts", lambda *_: pytest.fail("a shard was hashed"))
+    assert not make(tmp_path, {"train": 4}, share=(0, 2)).complete
 
 
 def test_progress_is_told_of_every_scene(tmp_path):

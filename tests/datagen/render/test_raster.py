@@ -12,6 +12,7 @@ import pytest
 
 from datagen.commands import cli
 from datagen.geometry import pixel_rays, rigid
+from datagen.render.kernels import FAR
 from datagen.render.kernels import NEAR as NEAREST
 from datagen.render.raster import RasterRenderer
 from datagen.scene import Camera, Material, Table
@@ -297,6 +298,21 @@ def test_an_image_does_not_depend_on_what_was_rendered_before(raster, made):
     used = render(raster, made, width=96, height=64)
     for name in ("rgb", "depth", "segmentation", "amodal_pixels"):
         np.testing.assert_array_equal(getattr(used, name), getattr(fresh, name))
+
+
+@pytest.mark.parametrize("size", [64, 402])
+def test_blocks_that_are_not_searched_for_shadows_cast_none(monkeypatch, size: int):
+    world, searcher = six_objects(), RasterRenderer()
+    searcher.load(world, [build(each.shape) for each in world.bodies])
+    image, rasterise = searcher.render(poses(world), FRONT, size, size), searcher._light_map
+
+    def search_everything(light_map, margin):
+        rasterise(light_map, margin)
+        light_map.tiles[:] = -FAR
+        light_map.counts[:] = np.multiply.outer(*2 * [np.arange(len(light_map.counts))])
+
+    monkeypatch.setattr(searcher, "_light_map", search_everything)
+    np.testing.assert_array_equal(searcher.render(poses(world), FRONT, size, size).rgb, image.rgb)
 
 
 def test_images_own_their_memory(raster):
