@@ -21,7 +21,7 @@ STUDIES = {
     "mesh_extents": "Compare the extents of meshes with true sizes, at several surface densities",
     "object_frames": "Measure and draw how much objects vary over time in their own frames",
     "probes": "Read shape, colour, size and position from the objects' latents with linear probes",
-    "real_frames": "Segment and score frames of your own with weights and methods without training",
+    "real_frames": "List the scores of each frame of runs on the track real-table",
     "samples": "Compare sampled scenes with real ones",
     "shadows": "Measure how much of a segmentation's error is due to shadows",
     "views": "Compare rendered pictures with the input view and with other views",
