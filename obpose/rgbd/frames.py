@@ -15,7 +15,7 @@ from obpose.errors import UsageError
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.reading import parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.recording import Recording
-from obpose.rgbd.workspace import UNSUPPORTED, Workspace, doubts, find_workspace, within
+from obpose.rgbd.workspace import UNSUPPORTED, Workspace, doubts, find_workspace, rectangle
 from obpose.rgbd.world import World, choose_world, table_clouds, table_frames
 from obpose.systems import architecture_of
 from obpose.trainable import Configuration
@@ -113,11 +113,11 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
     world = choose_world(recording, table, trained.center)
     shown = table_frames(recording)
     clouds = table_clouds(recording, world.poses)
-    workspace = find_workspace(clouds, world.poses[shown, :3, 3], world.table)
+    workspace = find_workspace(np.concatenate(clouds), world.table)
     reasons = (*world.warnings, *doubts(clouds[0], workspace, world.poses[0, :3, 3])) if world.table is None else ()
     warnings = (*reasons, UNSUPPORTED) if reasons else ()
     if frames.workspace is not None:
-        workspace = within(workspace, parse_rectangle(frames.workspace))
+        workspace = rectangle(parse_rectangle(frames.workspace), workspace.floor)
     some = replace(recording, rgb=recording.rgb[shown], depth=recording.depth[shown], poses=None)
     spacing = surface_spacing(observe(some, world.poses[shown], workspace, trained))
     if spacing is None:

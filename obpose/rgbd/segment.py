@@ -69,19 +69,19 @@ def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarra
 
 def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.ndarray) -> np.ndarray:
     full = frames.points(frame)
-    camera = frames.world.poses[frame, :3, 3]
-    standing = frames.workspace.standing(full, camera, share=LEAST_HEIGHT) & (frames.recording.depth[frame] > 0)
+    depth = frames.recording.depth[frame]
+    standing = frames.workspace.standing(full, depth, share=LEAST_HEIGHT) & (depth > 0)
     found = np.zeros(standing.shape, np.uint8)
     seen = frames.observation.valid[0, frame, 0].numpy()
     if not (labels[seen] > 0).any() or not standing.any():
         return found
     # Spacing of the reduced points, which depends on their distance from the camera.
-    spacing = frames.every * np.median(frames.recording.depth[frame][standing]) / frames.recording.k[0, 0]
+    spacing = frames.every * np.median(depth[standing]) / frames.recording.k[0, 0]
     distance, nearest = KDTree(points[seen]).query(full[standing], distance_upper_bound=NEAR * spacing)
     near = np.isfinite(distance)
     found[standing] = np.where(near, labels[seen][np.where(near, nearest, 0)], 0)
     # Bumps of the table are low.
-    masks = (standing, frames.workspace.standing(full, camera))
+    masks = (standing, frames.workspace.standing(full, depth))
     sizes, high = (np.bincount(found[mask], minlength=256) for mask in masks)
     return np.where((high >= LEAST_STANDING * sizes)[found], found, 0).astype(np.uint8)
 

@@ -1,10 +1,9 @@
 """The part of a recording that is segmented: what stands on the visible table."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.ndimage import binary_closing, label
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
@@ -21,10 +20,6 @@ FLOOR_NOISE = 4.0
 """Height from which points belong to objects, in standard deviations of the table's points."""
 CEILING = 0.6
 """Greatest height of objects, metres."""
-RING, GROUND_QUANTILE, GROUND_SLOPE = 0.05, 0.1, 0.1
-"""Width in metres of rings around the camera, share of a ring's points that are taken for the table, and greatest slope
-of the table as it is measured. Objects hardly ever fill a ring, and they rise more steeply than the error of depth. Set
-on scenes of `desk`, never on real frames."""
 RIM = 0.03
 """Distance in metres by which objects may overhang the table."""
 
@@ -50,8 +45,6 @@ class Workspace:
     """Height in metres from which points belong to objects."""
     rim: float = RIM
     """Distance in metres by which objects may overhang the outline."""
-    ground: Float[np.ndarray, "ring"] = field(default_factory=lambda: np.zeros(1))
-    """Height at which the table is measured, in rings of width `RING` around the camera: distant depth is biased."""
 
     def holds(self, points: Float[np.ndarray, "*shape 3"]) -> Bool[np.ndarray, "*shape"]:
         """Whether points are on the table or above it, within the outline."""
@@ -63,32 +56,31 @@ class Workspace:
         return inside & (points[..., 2] > -MOST_FLOOR)
 
     def standing(
-        self, points: Float[np.ndarray, "*shape 3"], camera: Float[np.ndarray, "3"], *, share: float = 1.0
+        self, points: Float[np.ndarray, "*shape 3"], depth: Float[np.ndarray, "*shape"], *, share: float = 1.0
     ) -> Bool[np.ndarray, "*shape"]:
-        """Whether points are above the table, as the camera measures it, by more than a share of the floor."""
-        rings = np.minimum(_rings(points, camera), len(self.ground) - 1)
-        return self.holds(points) & (points[..., 2] - self.ground[rings] > share * self.floor)
+        """Whether points are above the table by more than a share of its noise.
+
+        Beyond the median depth of the table, noise grows with the square of depth (Khoshelham and Elberink 2012).
+        """
+        held = self.holds(points)
+        table = held & (np.abs(points[..., 2]) < self.floor) & (depth > 0)
+        middle = np.median(depth[table]) if table.any() else np.inf
+        return held & (points[..., 2] > share * np.clip(self.floor * (depth / middle) ** 2, self.floor, MOST_FLOOR))
 
 
-def find_workspace(
-    clouds: Sequence[Float[np.ndarray, "point 3"]],
-    cameras: Float[np.ndarray, "cloud 3"],
-    at: Float[np.ndarray, "2"] | None = None,
-) -> Workspace:
+def find_workspace(points: Float[np.ndarray, "point 3"], at: Float[np.ndarray, "2"] | None = None) -> Workspace:
     """Find the visible part of the table at z = 0, and the noise of its points.
 
     The table's points are counted in cells. The largest region of occupied cells is the table, and its outline is the
     convex hull. So a floor or a table behind, at the same height but apart, does not belong to it.
 
     Args:
-        clouds: Points of some frames, world frame, metres.
-        cameras: Position of the camera in each of them.
+        points: World frame, metres.
         at: Place on the table; None for the largest region.
 
     Raises:
         UsageError: too few points are near z = 0.
     """
-    points = np.concatenate(clouds)
     on_table = points[np.abs(points[:, 2]) < TOLERANCE]
     cells = np.floor(on_table[:, :2] / CELL).astype(np.int64)
     outline = _outline(cells, at) if len(cells) else None
@@ -101,26 +93,7 @@ def find_workspace(
     heights = on_table[everything.holds(on_table), 2]
     # The median is robust against the lower ends of objects; 1.4826 scales it to the deviation of a Gaussian.
     spread = 1.4826 * float(np.median(np.abs(heights - np.median(heights))))
-    floor = float(np.clip(FLOOR_NOISE * spread, LEAST_FLOOR, MOST_FLOOR))
-    rings = np.concatenate([_rings(cloud, camera) for cloud, camera in zip(clouds, cameras, strict=True)])
-    kept = everything.holds(points)
-    return Workspace(outline, floor, ground=_ground(points[kept, 2], rings[kept]))
-
-
-def _rings(points: Float[np.ndarray, "*shape 3"], camera: Float[np.ndarray, "3"]) -> Int[np.ndarray, "*shape"]:
-    """Number of each point's ring around the foot of the camera."""
-    return (np.hypot(points[..., 0] - camera[0], points[..., 1] - camera[1]) / RING).astype(np.int64)
-
-
-def _ground(heights: Float[np.ndarray, "point"], rings: Int[np.ndarray, "point"]) -> Float[np.ndarray, "ring"]:
-    """Height of the lowest points in each ring, from the ring of the median distance outwards, with a limited slope."""
-    ground = np.zeros(int(rings.max(initial=0)) + 1)
-    ordered = heights[np.argsort(rings, kind="stable")]
-    parts = np.split(ordered, np.cumsum(np.bincount(rings))[:-1]) if len(rings) else []
-    for ring in range(int(np.median(rings)) + 1 if len(rings) else 0, len(ground)):
-        lowest = np.quantile(parts[ring], GROUND_QUANTILE) if len(parts[ring]) else ground[ring - 1]
-        ground[ring] = np.clip(lowest, 0, ground[ring - 1] + GROUND_SLOPE * RING)
-    return ground
+    return Workspace(outline, float(np.clip(FLOOR_NOISE * spread, LEAST_FLOOR, MOST_FLOOR)))
 
 
 def doubts(
@@ -157,10 +130,10 @@ def _rim_places(workspace: Workspace) -> Float[np.ndarray, "place 2"]:
     return np.repeat(corners, counts, axis=0) + share[:, None] * np.repeat(after - corners, counts, axis=0)
 
 
-def within(workspace: Workspace, corners: tuple[float, float, float, float]) -> Workspace:
-    """Give a workspace the outline of a rectangle, from its least and greatest x, then y, metres."""
+def rectangle(corners: tuple[float, float, float, float], floor: float) -> Workspace:
+    """Build a workspace from its least and greatest x, then y, metres."""
     (x0, x1, y0, y1) = corners
-    return replace(workspace, outline=np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), rim=0.0)
+    return Workspace(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]), floor, rim=0.0)
 
 
 def _outline(cells: np.ndarray, at: np.ndarray | None) -> np.ndarray | None:

@@ -23,7 +23,7 @@ def world() -> tuple[PreparedFrames, np.ndarray]:
     clip, truth = clip_and_truth(frames=2, resolution=(160, 120))
     recording = Recording((Path("a.png"), Path("b.png")), clip.rgb[:, 0], clip.depth[:, 0], clip.k[0])
     world = World(np.repeat(clip.world_from_camera, 2, axis=0), "")
-    workspace = find_workspace([clip.points()[0, 0][clip.valid[0, 0]]], clip.world_from_camera[:, :3, 3])
+    workspace = find_workspace(clip.points()[0, 0][clip.valid[0, 0]])
     observation = observe(recording.every(EVERY), world.poses, workspace, Trained(0.01))
     return PreparedFrames(recording, observation, world, workspace, EVERY, ""), truth[:, 0]
 
@@ -99,7 +99,7 @@ def test_objects_of_a_video_keep_their_labels_though_the_camera_moves():
     depth, truth = (np.stack([image[part] for image in images]) for part in (0, 1))
     rgb = np.array([(90, 90, 90), (200, 40, 40), (40, 40, 200)], np.uint8)[truth]
     recording = Recording(tuple(Path(f"{i}.png") for i in range(count)), rgb, depth.astype(np.float32), k)
-    workspace = find_workspace([unproject(recording.depth[0], k, poses[0]).reshape(-1, 3)], poses[:1, :3, 3])
+    workspace = find_workspace(unproject(recording.depth[0], k, poses[0]).reshape(-1, 3))
     observation = observe(recording, poses, workspace, Trained(0.01))
     frames = PreparedFrames(recording, observation, World(poses, ""), workspace, 1, "")
     calls = iter(range(count))

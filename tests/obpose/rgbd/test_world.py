@@ -28,8 +28,7 @@ def recording(boxes: list[Box], position: tuple[float, ...], **changes) -> tuple
 
 def reasons(frame: Recording, world: World) -> list[str]:
     points = unproject(frame.depth[0], K, world.poses[0])[frame.depth[0] > 0]
-    workspace = find_workspace([points], world.poses[:1, :3, 3])
-    return [*world.warnings, *doubts(points, workspace, world.poses[0, :3, 3])]
+    return [*world.warnings, *doubts(points, find_workspace(points), world.poses[0, :3, 3])]
 
 
 def is_on_table(world: World, pose: np.ndarray) -> bool:
