@@ -59,6 +59,8 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
     Raises:
         UsageError: no plane is found.
     """
+    if not (recording.depth > 0).any():
+        raise UsageError("No frame has a depth nearer than --depth-max; expected a table in view.")
     given, frames = recording.poses, len(recording.depth)
     relative = np.tile(np.eye(4), (frames, 1, 1)) if given is None else invert_rigid(given[0]) @ given
     points = np.concatenate(table_clouds(recording, relative))

@@ -210,16 +210,14 @@ def test_bad_requests_end_with_one_line(scene: Path, tmp_path: Path, capsys, cha
     assert not (tmp_path / "out").exists()
 
 
-def test_a_first_frame_without_depth_is_refused(scene: Path, tmp_path: Path, capsys):
+def test_a_first_frame_without_depth_is_skipped(scene: Path, tmp_path: Path):
     depth = tmp_path / "depth"
     shutil.copytree(scene / "depth", depth)
     first = min(depth.iterdir())
     Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
-    assert run(scene, tmp_path / "out", "--camera-pose", scene / "pose.txt", depth=depth) == EXIT_USAGE
-    assert (
-        "first frame has no depth, and objects are looked for there: leave out its image and its depth"
-        in capsys.readouterr().err
-    )
+    flags = {"checkpoint": None, "method": "one-object", "depth": depth}
+    assert run(scene, tmp_path / "out", **flags) == EXIT_OK
+    assert [labels.max() for labels in labels_of(tmp_path / "out")] == [0, 1]
 
 
 def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path: Path):
