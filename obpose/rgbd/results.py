@@ -89,7 +89,11 @@ def write_results(
         new.mkdir()
         objects = _write(new, frames, labels, facts)
         out.rename(old)
-        new.rename(out)
+        try:
+            new.rename(out)
+        except BaseException:
+            old.rename(out)
+            raise
     return objects
 
 

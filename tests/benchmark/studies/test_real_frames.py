@@ -50,7 +50,9 @@ def test_true_and_predicted_masks_are_rows_of_their_own(
     assert "Masks of 2 recordings left out" in capsys.readouterr().out
     drawn, table = tmp_path / "drawn", tmp_path / "a.csv"
     assert main(["real_frames", str(out), "--csv", str(table), "--pictures", str(drawn)]) == EXIT_OK
-    lines = {(line["masks"], line["model"], line["frame"]): line for line in csv.DictReader(table.read_text().splitlines())}
+    lines = {
+        (line["masks"], line["model"], line["frame"]): line for line in csv.DictReader(table.read_text().splitlines())
+    }
     assert {(masks, frame) for masks, model, frame in lines if model == WEIGHTS} == {
         ("real-table", "balls"), ("real-table", "noise"), ("real-table", "mean of 2"),
         ("real-table-predicted", "guessed"), ("real-table-predicted", "mean of 1"),

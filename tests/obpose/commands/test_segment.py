@@ -9,6 +9,7 @@ from PIL import Image
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
 from datagen.geometry import look_at, pixel_rays
+from obpose.commands import segment
 from obpose.commands.segment import Arguments, _prepared, _unlike_training, main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
@@ -101,6 +102,16 @@ def test_a_method_without_training_segments_what_stands_on_the_table(scene: Path
     assert np.mean(found[truth == 0] == 0) > 0.99
     (entry,) = facts_of(tmp_path)["frames"][0]["objects"]
     assert len(entry["size"]) == 3
+
+
+def test_objects_wider_than_in_training_are_reported(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    flags = {"checkpoint": None, "method": "one-object"}
+    for widest, warned in ((1.0, False), (0.1, True)):
+        monkeypatch.setattr(segment, "WIDEST", widest)
+        assert run(scene, tmp_path / str(widest), **flags) == EXIT_OK
+        assert ("Warning: Wider than 10 cm, the widest object in training: 1." in capsys.readouterr().out) == warned
 
 
 def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
