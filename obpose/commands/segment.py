@@ -119,25 +119,27 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
 
 def _prepared(values: Arguments, find_method: FindMethod, most: int) -> "tuple[str, Method, PreparedFrames]":
     """Name and function of the chosen method, and the frames as it needs them."""
-    from obpose.rgbd.frames import prepare_frames
+    from obpose.rgbd.frames import prepare
+    from obpose.rgbd.reading import read_frames
     from obpose.rgbd.segment import UNTRAINED
     from obpose.rgbd.weights import DEFAULT, method_of
 
+    if values.method != AUTO and values.checkpoint is not None:
+        raise UsageError("--method and --checkpoint exclude each other; give one of them.")
+    recording = read_frames(values)
     if values.method == AUTO and values.checkpoint is None:
         method, trained = method_of(DEFAULT, most)
-        frames = prepare_frames(values, trained)
+        frames = prepare(recording, values, trained)
         if not (unlike := _unlike_training(frames.world)):
             return f"weights {DEFAULT}, chosen because the camera is as in their training", method, frames
         name = f"{UNTRAINED_CHOICE}, without training, chosen because {unlike} the weights were trained for"
-        return name, find_method(UNTRAINED_CHOICE, most), prepare_frames(values, UNTRAINED)
+        return name, find_method(UNTRAINED_CHOICE, most), prepare(recording, values, UNTRAINED)
     if values.method != AUTO:
-        if values.checkpoint is not None:
-            raise UsageError("--method and --checkpoint exclude each other; give one of them.")
         method = find_method(values.method, most)
-        return f"{values.method}, without training", method, prepare_frames(values, UNTRAINED)
+        return f"{values.method}, without training", method, prepare(recording, values, UNTRAINED)
     assert values.checkpoint is not None
     method, trained = method_of(values.checkpoint, most)
-    return f"weights {values.checkpoint}", method, prepare_frames(values, trained)
+    return f"weights {values.checkpoint}", method, prepare(recording, values, trained)
 
 
 def _unlike_training(world: "World") -> str:

@@ -114,8 +114,8 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
     shown = table_frames(recording)
     clouds = table_clouds(recording, world.poses)
     workspace = find_workspace(np.concatenate(clouds), world.table)
-    reasons = (*world.warnings, *doubts(clouds[0], workspace, world.poses[0, :3, 3])) if world.table is None else ()
-    warnings = (*reasons, UNSUPPORTED) if reasons else ()
+    seen = () if world.table is not None else doubts(clouds[0], workspace, world.poses[shown[0], :3, 3])
+    warnings = (*world.warnings, *seen, UNSUPPORTED) if (*world.warnings, *seen) else ()
     if frames.workspace is not None:
         workspace = rectangle(parse_rectangle(frames.workspace), workspace.floor)
     some = replace(recording, rgb=recording.rgb[shown], depth=recording.depth[shown], poses=None)
