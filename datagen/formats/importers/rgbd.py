@@ -54,10 +54,8 @@ def find_rgbd(source: Path, options: ReadOptions) -> Found:
     if left_out:
         notes.append(f"{counted(left_out, 'image')} without depth or pose at their time left out.")
     if no_truth:
-        notes.append(
-            f"Masks of {counted(no_truth, 'recording')} left out: {CAMERA} says that they are predictions "
-            "(--predicted-masks imports those), or that they do not tell objects apart."
-        )
+        masks = f"Masks of {counted(no_truth, 'recording')} left out"
+        notes.append(f"{masks}: predictions (see --predicted-masks), or objects are not told apart.")
     return Found(found, "clip", tuple(notes))
 
 
