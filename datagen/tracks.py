@@ -31,6 +31,8 @@ PROFILES: tuple[Profile, ...] = get_args(Profile)
 SQUARE: dict[Profile, tuple[int, int]] = {"cpu": (64, 64), "gpu": (128, 128)}
 WIDE: dict[Profile, tuple[int, int]] = {"cpu": (80, 60), "gpu": (128, 96)}
 """Width and height of the images; used for recipes whose images are not square."""
+REAL_TABLE = "real-table"
+"""Track whose data are the user's: see `RealTable`."""
 GROUPS = {"paper": ("moving", "static", "clevr3d", "multishape")}
 """Names that stand for several tracks; `paper` holds the tracks for which the paper has tables."""
 
@@ -164,12 +166,23 @@ class DataFolder:
         return self.folder
 
 
+@dataclass(frozen=True)
+class RealTable(DataFolder):
+    """Frames of tables, given by the user, in which models segment what stands on the table."""
+
+    @property
+    def name(self) -> str:
+        """Name of the track; masks that are predictions of another model have a track of their own."""
+        origin = Dataset(self.folder).spec.get("import") or {}
+        return REAL_TABLE + ("-predicted" if origin.get("predicted_masks") else "")
+
+
 Source = Track | DataFolder
 """Dataset to fit or score on."""
 
 
-def find_data_folder(folder: Path) -> DataFolder:
-    """Load the dataset of images in a folder.
+def find_data_folder(folder: Path, kind: type[DataFolder] = DataFolder) -> DataFolder:
+    """Load the dataset of images in a folder, as a source of this kind.
 
     Raises:
         UsageError: the folder holds no dataset or none with images, or has a name that cannot be part of file names.
@@ -177,7 +190,7 @@ def find_data_folder(folder: Path) -> DataFolder:
     """
     if Dataset(folder).spec["resolution"] is None:
         raise UsageError(f"{folder} holds no images; make them with: obpose-datagen render --from {folder}.")
-    found = DataFolder(folder)
+    found = kind(folder)
     check_dataset_name(found.name)
     return found
 
@@ -191,6 +204,8 @@ def find_track(name: str, profile: Profile = "cpu") -> Track:
     names = names_without_meshes()
     if name in names:
         return Track(name, profile)
+    if name == REAL_TABLE:
+        raise UsageError(f"Track {name!r} is of your own frames: name a dataset that holds them with --data.")
     if name in GROUPS:
         raise UsageError(f"{name!r} is a group of tracks; expected one of its members: {', '.join(GROUPS[name])}.")
     raise unknown_name("track", name, [*names, *GROUPS])

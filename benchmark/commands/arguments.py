@@ -18,7 +18,8 @@ class Run:
     model: tuple[str, ...] = ()
     """Names of models and groups, such as training-free or paper; the latter sets an equal budget of 12 minutes."""
     track: tuple[str, ...] = ()
-    """Names of tracks and groups, such as paper; moving if left out. Their datasets are generated on first use."""
+    """Names of tracks and groups, such as paper; moving if left out. Their datasets are generated on first use. Track
+    real-table takes the dataset of --data, and segments what stands on its tables as obpose-segment does."""
     task: Task = "segmentation"
     """`editing` compares removed, moved and copied objects of inferred scenes with ground truth; it needs --pretrained
     or --checkpoint. See docs/benchmark.md."""

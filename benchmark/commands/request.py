@@ -15,10 +15,12 @@ from benchmark.models.registry import budget_of, discover, expand, find_model, r
 from benchmark.names import check_model_name, find_twin
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset
-from datagen.tracks import DEFAULT, DataFolder, Source, find_data_folder, find_track, find_tracks
+from datagen.tracks import DEFAULT, REAL_TABLE, DataFolder, RealTable, Source, find_data_folder, find_track, find_tracks
 from obpose.storage.pretrained import find_checkpoint
 from obpose.systems import system_of
 
+FITTED_ON = "desk"
+"""Track on which models for real tables are fitted and tuned: never on the real frames."""
 _OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
 """Flags that do not apply to --predictions."""
 
@@ -27,7 +29,8 @@ def request_of(values: arguments.Run) -> Request:
     """Build the request that the flags describe."""
     _check(values)
     names = values.track or (values.fit_track or DEFAULT,)
-    sources: list[Source] = [_scored_folder(values.data)] if values.data else [*find_tracks(names, values.profile)]
+    sources: list[Source] = [*find_tracks(names, values.profile)] if values.data is None else [_scored_folder(values)]
+    fit_track = values.fit_track or (FITTED_ON if isinstance(sources[0], RealTable) else None)
     if values.predictions and values.task == "editing":
         raise UsageError("--task editing is for models; label maps cannot be edited.")
     if values.predictions:
@@ -44,7 +47,7 @@ def request_of(values: arguments.Run) -> Request:
         models=models,
         sources=tuple(sources),
         seeds=values.seeds,
-        fit_source=find_track(values.fit_track, values.profile) if values.fit_track else None,
+        fit_source=find_track(fit_track, values.profile) if fit_track else None,
         seconds=values.budget if values.budget is not None else budget_of(values.model),
         steps=values.steps,
         pretrained=values.pretrained,
@@ -75,7 +78,7 @@ def places(values: arguments.Run, jobs: Sequence[Runnable]) -> Iterator[int]:
 
 
 def _check(values: arguments.Run) -> None:
-    places = bool(values.track) + (values.data is not None)
+    places = bool(values.track) + (values.data is not None and values.track != (REAL_TABLE,))
     models = bool(values.model or values.checkpoint)
     if models == bool(values.predictions) or places > 1 or (values.predictions and not places):
         raise UsageError(
@@ -105,8 +108,10 @@ def _check(values: arguments.Run) -> None:
         raise UsageError(f"{values.out} is a dataset, whose manifest would be lost; give another folder with --out.")
 
 
-def _scored_folder(folder: Path) -> DataFolder:
-    source = find_data_folder(folder)
+def _scored_folder(values: arguments.Run) -> DataFolder:
+    assert values.data is not None
+    folder = values.data
+    source = find_data_folder(folder, RealTable if values.track else DataFolder)
     if not source.size("test"):
         raise UsageError(f"{folder} has no test scenes to score on; generate some with --scenes or --split test=N.")
     if "segmentation" not in Dataset(folder).fields("test"):

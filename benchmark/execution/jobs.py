@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, TruthSequence
@@ -39,7 +40,7 @@ from benchmark.results.scoring import SPLIT, score_labels
 from datagen.errors import UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset, Split
-from datagen.tracks import Profile
+from datagen.tracks import REAL_TABLE, Profile
 
 GRACE_SECONDS = 3600.0
 """Time that a job may take in addition to training."""
@@ -273,7 +274,12 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
     segmenter, options = _for_target(job, fitted, target)
     scenes = _scenes(target)
     clips = _clips(scenes, fitted.spec)
-    seconds_per_frame = _score(job, target, lambda _, clip: segmenter.segment(clip), scenes, clips)
+    segment = segmenter.segment
+    if target.key.track.startswith(REAL_TABLE):
+        from benchmark.models.adapters.own_frames import segment_table  # late: PyTorch takes seconds to import
+
+        segment = partial(segment_table, segmenter)
+    seconds_per_frame = _score(job, target, lambda _, clip: segment(clip), scenes, clips)
     row = dataclasses.replace(
         blank_row(target.key, fitted.spec, status="ok"),
         config={**(getattr(segmenter, "fitted_settings", None) or fitted.spec.settings_in(job.profile)), **options},

@@ -18,7 +18,7 @@ from benchmark.results.run_folder import TRAINING, RunKey, RunRow, digest
 from benchmark.results.scoring import SPLIT
 from datagen.console.text import counted
 from datagen.errors import UsageError
-from datagen.tracks import Profile, Source
+from datagen.tracks import Profile, RealTable, Source
 from obpose.storage.pretrained import content_hash, find_shipped
 
 SCENE_SECONDS = 0.1
@@ -266,7 +266,8 @@ class _ModelSetup:
             fit_spec=self.fit.spec_hash,
             track_spec=source.spec_hash,
         )
-        extra = {other: dataclasses.replace(key, model=f"{name}-{other}") for other in self.spec.extra}
+        others = () if isinstance(source, RealTable) else self.spec.extra  # obpose-segment gives one segmentation
+        extra = {other: dataclasses.replace(key, model=f"{name}-{other}") for other in others}
         return Target(key, source.folder, self.slots or source.slots, extra)
 
     def job(self, seed: int, targets: tuple[Target, ...], out: Path) -> Job:

@@ -27,6 +27,9 @@ class ReadOptions:
     """File with the camera, where it is not beside the images."""
     ignore_masks: bool = False
     """Leave masks out."""
+    predicted_masks: bool = False
+    """For rgbd: import only recordings whose masks are predictions of another model, as camera.json says. By default,
+    such masks are left out, and so are masks that do not tell objects apart."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -101,7 +101,7 @@ def animation_frames(records: dict[str, SceneRecord], title: str = "") -> Iterat
 def save_animation(path: Path, frames: list[Rgb], fps: float, palette: UInt8[np.ndarray, "color 3"]) -> None:
     """Write an MP4 if the name ends in .mp4, otherwise a GIF of the palette's colours that loops forever."""
     if path.suffix.lower() == ".mp4":
-        _save_mp4(path, frames, fps)
+        save_mp4(path, frames, fps)
         return
     colors = Image.new("P", (1, 1))
     colors.putpalette(palette.tobytes())
@@ -318,7 +318,8 @@ def _grid(blocks: list[Rgb]) -> Rgb:
     return _stacked(wide)
 
 
-def _save_mp4(path: Path, frames: list[Rgb], fps: float) -> None:
+def save_mp4(path: Path, frames: Sequence[Rgb], fps: float) -> None:
+    """Write a video; raises UsageError if there is no codec for MP4."""
     import imageio.v3
 
     # Video codecs work in blocks of 16 pixels.
@@ -328,6 +329,6 @@ def _save_mp4(path: Path, frames: list[Rgb], fps: float) -> None:
         imageio.v3.imwrite(path, padded, plugin="FFMPEG", fps=fps)
     except ImportError as error:
         raise UsageError(
-            f"Cannot write {path.name}: there is no MP4 codec. Install one with `pip install imageio[ffmpeg]`, or end "
+            f"Cannot write {path.name}: there is no MP4 codec. Install one with `pip install 'obpose[video]'`, or end "
             "the name in .gif."
         ) from error

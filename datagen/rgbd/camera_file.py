@@ -1,5 +1,6 @@
 """The camera of a recording: `camera.json`, or arrays beside the frames in an NPZ file."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -35,8 +36,9 @@ class Camera:
     poses: Any = None
     """world_from_camera as JSON values: one matrix, or one for each image; None if missing."""
     fps: float | None = None
-    predicted: bool = False
-    """Whether masks are predictions of another model: `mask` of camera.json begins with "predicted"."""
+    masks: str = ""
+    """First word of `mask` in camera.json, in lower case: "predicted" by another model, "foreground" without separate
+    objects, or anything else for true masks of objects."""
     file: Path | None = None
 
     def k(self, number: int = 0) -> Float64[np.ndarray, "3 3"]:
@@ -98,7 +100,7 @@ def read_camera(
         euclidean=kind == "euclidean",
         poses=values.get("world_from_camera"),
         fps=None if fps is None else _positive(fps, f"{path}: fps"),
-        predicted=str(values.get("mask")).lower().startswith("predicted"),
+        masks=(re.findall("[a-z]+", str(values.get("mask", "")).lower()) or [""])[0],
         file=path,
     )
 

@@ -226,6 +226,8 @@ def _archive(place: Path) -> FrameFiles | None:
             raise UsageError(
                 f"{place}: {colour} has {count} frames, {wrong[0]} another number; expected equal numbers."
             )
+    if 0 in shape:
+        raise UsageError(f"{place}: {colour} has shape {shape}, which holds no pixel; expected at least one frame.")
     lists = [_members(place, name, count) for name in (colour, depth, mask)]
     poses: list[Pose] = []
     if "world_from_camera" in headers:

@@ -27,7 +27,7 @@ from obpose.scenes.clip import name_clip, one_of, read_clip
 from obpose.scenes.infer import infer_scene, views_as_trained
 from obpose.scenes.meshes import FORMATS, object_mesh, write_mesh
 from obpose.scenes.model_ref import Origin, load_origin, origin_of
-from obpose.scenes.pictures import PICTURE, strip, turntable, write_gif, write_png
+from obpose.scenes.pictures import PICTURE, strip, turned, turntable, write_gif, write_png
 from obpose.scenes.priors import PRIORS, load_prior
 from obpose.scenes.priors.interface import FitSettings
 from obpose.scenes.priors.sample import default_camera, sample_scene
@@ -167,7 +167,8 @@ def render(values: Render) -> None:
     scene = load_scene(values.scene)
     frame = one_of("--frame", values.frame or 0, scene.frames)
     camera = scene.cameras[one_of("--view", values.view, len(scene.cameras))]
-    camera, origin = _sized(camera, values.resolution), origin_of(scene, values.checkpoint)
+    origin = origin_of(scene, values.checkpoint)
+    camera = turned(_sized(camera, values.resolution), origin.model.center, math.radians(values.beside))
     check_new_file(values.out)
     renderer = Renderer(origin.model)
     with new_file(values.out) as out:

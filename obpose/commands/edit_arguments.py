@@ -133,6 +133,9 @@ class Render(_OfScene):
     """Index of the frame; default 0."""
     view: int = 0
     """Index of the camera."""
+    beside: float = 0.0
+    """Degrees by which the camera is turned around the middle of the workspace; positive is counterclockwise, seen from
+    above."""
     turntable: int | None = None
     """Number of pictures of a full turn around the scene, as a GIF."""
     clip: Switch = False

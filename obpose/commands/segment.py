@@ -33,6 +33,8 @@ UNTRAINED_CHOICE = "plane-hdbscan"
 FARTHEST, LOWEST = 1.65, 21.0
 """Greatest distance (metres) and least elevation (degrees) of cameras for which `auto` takes the weights. The recipe
 `desk`, on which they were trained, has 0.5 to 1.3 m and 25 to 85 degrees; docs/own_frames.md has scores beyond."""
+WIDEST = 0.35
+"""Greatest width of the upright box of an object in 100 validation scenes of `desk`, metres."""
 OBJECTS = 16
 """Most objects that are looked for if the user does not say."""
 
@@ -72,7 +74,7 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     """Segment the frames and write all files."""
     # Late, because PyTorch takes seconds to import.
     with interruptible_imports(PROGRAM):
-        from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, write_results
+        from obpose.rgbd.results import OBJECTS_FILE, SUMMARY, check_target, objects_of, write_results
         from obpose.rgbd.segment import MOST_OBJECTS, segment_frames
 
     if values.objects is not None and not 1 <= values.objects <= MOST_OBJECTS:
@@ -86,6 +88,12 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     warnings = list(frames.warnings)
     if labels.max() == most:
         warnings.append(f"As many objects were found as were looked for, {most}: there may be more; see --objects.")
+    objects = objects_of(labels[0], frames.points(0))
+    if wide := [str(each.label) for each in objects if each.box.size[:2].max() > WIDEST]:
+        warnings.append(
+            f"Wider than {100 * WIDEST:.0f} cm, the widest object in training: {', '.join(wide)}. Each may be several "
+            "objects, or a part of a floor or wall; see --workspace and --depth-max."
+        )
     facts = {
         "method": name,
         "world": frames.world.note,
@@ -111,25 +119,27 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
 
 def _prepared(values: Arguments, find_method: FindMethod, most: int) -> "tuple[str, Method, PreparedFrames]":
     """Name and function of the chosen method, and the frames as it needs them."""
-    from obpose.rgbd.frames import prepare_frames
+    from obpose.rgbd.frames import prepare
+    from obpose.rgbd.reading import read_frames
     from obpose.rgbd.segment import UNTRAINED
     from obpose.rgbd.weights import DEFAULT, method_of
 
+    if values.method != AUTO and values.checkpoint is not None:
+        raise UsageError("--method and --checkpoint exclude each other; give one of them.")
+    recording = read_frames(values)
     if values.method == AUTO and values.checkpoint is None:
         method, trained = method_of(DEFAULT, most)
-        frames = prepare_frames(values, trained)
+        frames = prepare(recording, values, trained)
         if not (unlike := _unlike_training(frames.world)):
             return f"weights {DEFAULT}, chosen because the camera is as in their training", method, frames
         name = f"{UNTRAINED_CHOICE}, without training, chosen because {unlike} the weights were trained for"
-        return name, find_method(UNTRAINED_CHOICE, most), prepare_frames(values, UNTRAINED)
+        return name, find_method(UNTRAINED_CHOICE, most), prepare(recording, values, UNTRAINED)
     if values.method != AUTO:
-        if values.checkpoint is not None:
-            raise UsageError("--method and --checkpoint exclude each other; give one of them.")
         method = find_method(values.method, most)
-        return f"{values.method}, without training", method, prepare_frames(values, UNTRAINED)
+        return f"{values.method}, without training", method, prepare(recording, values, UNTRAINED)
     assert values.checkpoint is not None
     method, trained = method_of(values.checkpoint, most)
-    return f"weights {values.checkpoint}", method, prepare_frames(values, trained)
+    return f"weights {values.checkpoint}", method, prepare(recording, values, trained)
 
 
 def _unlike_training(world: "World") -> str:

@@ -16,7 +16,7 @@ from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.reading import parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.workspace import UNSUPPORTED, Workspace, doubts, find_workspace, rectangle
-from obpose.rgbd.world import World, choose_world
+from obpose.rgbd.world import World, choose_world, table_clouds, table_frames
 from obpose.systems import architecture_of
 from obpose.trainable import Configuration
 from obpose.types import Observation
@@ -25,8 +25,6 @@ _COARSE = 5.0
 """Pixel spacing relative to the training above which the unit of depth is most likely wrong."""
 _LEAST_EDGE = 24
 """Least height and width in pixels of the images that a model gets, unless the frames are smaller."""
-_TABLE_FRAMES = 5
-"""Number of frames in which the visible part of the table is looked for."""
 _STILL = 2e-3
 """Largest difference between poses, metres and radians, that counts as a static camera."""
 
@@ -102,22 +100,29 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
         UsageError: flags or files are missing or wrong, contradict each other, hold no depth, or show no table.
         CorruptFile: a file cannot be read.
     """
-    recording = read_frames(frames)
+    return prepare(read_frames(frames), frames, trained)
+
+
+def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedFrames:
+    """Find the table of a recording, and choose the resolution for a model, as the flags `frames` say.
+
+    Raises:
+        UsageError: flags are wrong, or the frames show no table.
+    """
     table = None if frames.table is None else parse_pixel(frames.table)
     world = choose_world(recording, table, trained.center)
-    shown = np.unique(np.linspace(0, len(recording.depth) - 1, _TABLE_FRAMES).round().astype(int))
-    clouds = [unproject(recording.depth[i], recording.k, world.poses[i])[recording.depth[i] > 0] for i in shown]
+    shown = table_frames(recording)
+    clouds = table_clouds(recording, world.poses)
     workspace = find_workspace(np.concatenate(clouds), world.table)
-    reasons = (*world.warnings, *doubts(clouds[0], workspace, world.poses[0, :3, 3])) if world.table is None else ()
-    warnings = (*reasons, UNSUPPORTED) if reasons else ()
+    seen = () if world.table is not None else doubts(clouds[0], workspace, world.poses[shown[0], :3, 3])
+    warnings = (*world.warnings, *seen, UNSUPPORTED) if (*world.warnings, *seen) else ()
     if frames.workspace is not None:
         workspace = rectangle(parse_rectangle(frames.workspace), workspace.floor)
-    first = replace(recording, rgb=recording.rgb[:1], depth=recording.depth[:1], poses=None)
-    spacing = surface_spacing(observe(first, world.poses, workspace, trained))
+    some = replace(recording, rgb=recording.rgb[shown], depth=recording.depth[shown], poses=None)
+    spacing = surface_spacing(observe(some, world.poses[shown], workspace, trained))
     if spacing is None:
         raise UsageError(
-            "The workspace shows no points in the first frame; give another --workspace or --depth-max, or the table "
-            "with --table."
+            "The workspace shows no points; give another --workspace or --depth-max, or the table with --table."
         )
     every = frames.every or _step(spacing, trained.spacing, recording)
     observation = observe(recording.every(every), world.poses, workspace, trained)

@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from datagen.rgbd.camera_file import Camera, read_camera
+from datagen.rgbd.camera_file import CAMERA, Camera, read_camera
 from datagen.rgbd.layouts import FrameFiles, find_frames, read_poses
 from obpose.errors import UsageError
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.recording import Recording, named_files, parse_intrinsics, read_recording
+
+_EXAMPLE = '{"fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5, "depth_scale": 0.001}'
 
 
 def read_frames(frames: Frames) -> Recording:
@@ -52,7 +54,8 @@ def _files(frames: Frames) -> tuple[FrameFiles, Camera]:
     if frames.camera_pose is not None:
         files = replace(files, poses=read_poses(frames.camera_pose, len(files.colour)))
     if files.camera is None:
-        k = parse_intrinsics(None) if k is None else k
+        if k is None:
+            raise UsageError(f"{files.place} has no {CAMERA}; write one such as {_EXAMPLE}, or give --intrinsics.")
         camera = Camera(k[None], frames.depth_scale or files.depth_scale, euclidean=frames.euclidean)
     else:
         kind = "euclidean" if frames.euclidean else None

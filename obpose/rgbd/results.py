@@ -15,6 +15,7 @@ from jaxtyping import Float, Integer, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from datagen.geometry import invert_rigid, transform
+from datagen.inspect.preview import save_mp4
 from datagen.rgbd.camera_pose import Pose
 from datagen.storage.atomic import check_new_folder, new_folder
 from obpose.errors import UsageError
@@ -23,7 +24,7 @@ from obpose.rgbd.boxes import Box, upright_box
 from obpose.rgbd.frames import PreparedFrames
 from obpose.scenes.pictures import write_gif, write_png
 
-OBJECTS_FILE, SUMMARY, ANIMATION, CLOUDS = "objects.json", "summary.png", "overlay.gif", "clouds"
+OBJECTS_FILE, SUMMARY, ANIMATION, CLOUDS = "objects.json", "summary.png", "overlay", "clouds"
 OPACITY = 0.5
 """Opacity of labels in overlays."""
 LEAST_POINTS = 4
@@ -31,7 +32,7 @@ LEAST_POINTS = 4
 FPS = 10.0
 """Frames per second of the animation."""
 
-_OWN = re.compile(rf"\d{{4,}}_(labels|overlay)\.png|{SUMMARY}|{ANIMATION}|{OBJECTS_FILE}|{CLOUDS}")
+_OWN = re.compile(rf"\d{{4,}}_(labels|overlay)\.png|{SUMMARY}|{ANIMATION}\.(mp4|gif)|{OBJECTS_FILE}|{CLOUDS}")
 """Names of the files and of the folder of a result."""
 
 Labels = Integer[np.ndarray, "height width"]
@@ -88,7 +89,11 @@ def write_results(
         new.mkdir()
         objects = _write(new, frames, labels, facts)
         out.rename(old)
-        new.rename(out)
+        try:
+            new.rename(out)
+        except BaseException:
+            old.rename(out)
+            raise
     return objects
 
 
@@ -131,7 +136,10 @@ def _write(
         entries.append({"rgb": str(recording.files[i]), "world_from_camera": pose, **names, "objects": plain})
     write_png(folder / SUMMARY, np.concatenate([recording.rgb[0], overlays[0]], axis=1))
     if len(overlays) > 1:
-        write_gif(folder / ANIMATION, overlays, fps=FPS)
+        try:
+            save_mp4(folder / f"{ANIMATION}.mp4", overlays, FPS)
+        except UsageError:  # there is no codec
+            write_gif(folder / f"{ANIMATION}.gif", overlays, fps=FPS)
     table = {"outline": frames.workspace.outline.round(4).tolist(), "least_height": round(frames.workspace.floor, 5)}
     page = {**facts, "table": table, "frames": entries}
     (folder / OBJECTS_FILE).write_text(json.dumps(page, indent=1) + "\n")

@@ -21,6 +21,8 @@ UNTRAINED = Trained(spacing=0.006, learned=False)
 """Pixel spacing that methods without training get."""
 GAP = 0.06
 """Points of a video that belong to no object so far start new ones, connected if at most so many metres apart."""
+MOST_POINTS = 2000
+"""Points of a frame that are followed through a video; the time grows with their number times that of the objects."""
 LEAST_SHARE = 4e-4
 """Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
 NEAR = 3.0
@@ -40,42 +42,47 @@ def segment_frames(
     gets the label of the nearest reduced point in space. So the outlines are those of the depth image.
     """
     points = [unproject(frames.still(frame)).numpy()[0, 0, 0] for frame in range(len(frames.recording.depth))]
-    labels = _followed(frames, method, points) if video else method(frames.observation)
+    labels = _followed(frames, method, points, most) if video else method(frames.observation)
     labels = _largest(labels, MOST_OBJECTS)
     refined = [_refined(frames, frame, *pair) for frame, pair in enumerate(zip(labels, points, strict=True))]
     return _largest(np.stack(refined), most)
 
 
-def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarray]) -> Labels:
-    """Label each frame on its own, and follow the objects through the video in the world frame."""
-    clouds, objects, masks = [], [], []
+def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarray], most: int) -> Labels:
+    """Label each frame on its own, and follow its largest objects through the video in the world frame."""
+    clouds, thinned, objects, masks = [], [], [], []
     for frame, places in enumerate(points):
         still = frames.still(frame)
-        found = _largest(np.where(still.valid[:, 0, 0].numpy(), method(still), 0), MOST_OBJECTS)[0].astype(np.int64)
-        mask = found > 0
-        masks.append(mask)
-        clouds.append(Cloud(places[mask], COLOUR_SCALE * still.rgb[0, 0, 0].numpy()[mask]))
-        objects.append(found[mask] - 1)
+        found = _largest(np.where(still.valid[:, 0, 0].numpy(), method(still), 0), most)[0].astype(np.int64)
+        masks.append(found > 0)
+        clouds.append(Cloud(places[found > 0], COLOUR_SCALE * still.rgb[0, 0, 0].numpy()[found > 0]))
+        some = np.arange(0, len(clouds[-1].points), 1 + len(clouds[-1].points) // MOST_POINTS)
+        thinned.append(clouds[-1].part(some))
+        objects.append(found[found > 0][some] - 1)
     labels = np.zeros((len(masks), *masks[0].shape), np.int64)
-    for frame, found in enumerate(follow_objects(clouds, objects, gap=GAP)):
-        labels[frame][masks[frame]] = found + 1
+    for frame, found in enumerate(follow_objects(thinned, objects, gap=GAP)):
+        if len(found):
+            nearest = KDTree(thinned[frame].features).query(clouds[frame].features)[1]
+            labels[frame][masks[frame]] = found[nearest] + 1
     return labels
 
 
 def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.ndarray) -> np.ndarray:
     full = frames.points(frame)
-    standing = frames.workspace.standing(full, share=LEAST_HEIGHT) & (frames.recording.depth[frame] > 0)
+    depth = frames.recording.depth[frame]
+    standing = frames.workspace.standing(full, depth, share=LEAST_HEIGHT) & (depth > 0)
     found = np.zeros(standing.shape, np.uint8)
     seen = frames.observation.valid[0, frame, 0].numpy()
     if not (labels[seen] > 0).any() or not standing.any():
         return found
     # Spacing of the reduced points, which depends on their distance from the camera.
-    spacing = frames.every * np.median(frames.recording.depth[frame][standing]) / frames.recording.k[0, 0]
+    spacing = frames.every * np.median(depth[standing]) / frames.recording.k[0, 0]
     distance, nearest = KDTree(points[seen]).query(full[standing], distance_upper_bound=NEAR * spacing)
     near = np.isfinite(distance)
     found[standing] = np.where(near, labels[seen][np.where(near, nearest, 0)], 0)
     # Bumps of the table are low.
-    sizes, high = (np.bincount(found[mask], minlength=256) for mask in (standing, frames.workspace.standing(full)))
+    masks = (standing, frames.workspace.standing(full, depth))
+    sizes, high = (np.bincount(found[mask], minlength=256) for mask in masks)
     return np.where((high >= LEAST_STANDING * sizes)[found], found, 0).astype(np.uint8)
 
 

@@ -13,7 +13,7 @@ from obpose.errors import UsageError
 from obpose.model.attention.icsbp import ICSBP
 from obpose.model.obpose import ObPose
 from obpose.rgbd.frame_arguments import Frames
-from obpose.rgbd.frames import PreparedFrames, Trained, prepare_frames, trained_on
+from obpose.rgbd.frames import PreparedFrames, Trained, prepare, trained_on
 from obpose.rgbd.segment import Labels, Method, segment_frames
 from obpose.storage.checkpoint import load
 from obpose.storage.pretrained import find_checkpoint
@@ -52,7 +52,7 @@ def segment_reduced(checkpoint: str, flags: Frames, frames: PreparedFrames) -> I
         UsageError: as `method_of`.
     """
     method, trained = method_of(checkpoint)
-    labels = torch.from_numpy(segment_frames(prepare_frames(flags, trained), method)).long()
+    labels = torch.from_numpy(segment_frames(prepare(frames.recording, flags, trained), method)).long()
     start = frames.every // 2
     reduced = labels[:, start :: frames.every, start :: frames.every]
     height, width = frames.observation.depth.shape[-2:]

@@ -55,9 +55,17 @@ class Workspace:
             inside &= distance < self.rim
         return inside & (points[..., 2] > -MOST_FLOOR)
 
-    def standing(self, points: Float[np.ndarray, "*shape 3"], *, share: float = 1.0) -> Bool[np.ndarray, "*shape"]:
-        """Whether points are above the table by more than its noise, or than a share of it."""
-        return self.holds(points) & (points[..., 2] > share * self.floor)
+    def standing(
+        self, points: Float[np.ndarray, "*shape 3"], depth: Float[np.ndarray, "*shape"], *, share: float = 1.0
+    ) -> Bool[np.ndarray, "*shape"]:
+        """Whether points are above the table by more than a share of its noise.
+
+        Beyond the median depth of the table, noise grows with the square of depth (Khoshelham and Elberink 2012).
+        """
+        held = self.holds(points)
+        table = held & (np.abs(points[..., 2]) < self.floor) & (depth > 0)
+        middle = np.median(depth[table]) if table.any() else np.inf
+        return held & (points[..., 2] > share * np.clip(self.floor * (depth / middle) ** 2, self.floor, MOST_FLOOR))
 
 
 def find_workspace(points: Float[np.ndarray, "point 3"], at: Float[np.ndarray, "2"] | None = None) -> Workspace:

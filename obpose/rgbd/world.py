@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from datagen.geometry import invert_rigid, transform, unproject
 from datagen.rgbd.plane import Plane
@@ -17,7 +17,11 @@ FITTED = (
     "stands on the table: z = 0 is its plane and z points up, x points horizontally towards the camera, and the origin "
     "is the median of the plane's points. The table is"
 )
-FOUND = "the largest plane near the camera in the first frame"
+FOUND = "the largest plane near the camera"
+TABLE_FRAMES = 5
+"""Number of frames, evenly spread, in which the table is looked for."""
+_MOST_POINTS = 400_000
+"""Points of a frame that are used to find the table."""
 _MOST_TILT, _MOST_HEIGHT, _MOST_DISTANCE = 10.0, 0.02, 0.5
 """Largest tilt in degrees, height and distance from the middle in metres of the table in a given world. Models expect
 objects to stand on z = 0 and ignore everything below."""
@@ -53,16 +57,14 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
         center: Middle of the table in the world of the training, metres.
 
     Raises:
-        UsageError: the first frame has no depth, or no plane is found.
+        UsageError: no plane is found.
     """
-    surface = unproject(recording.depth[0], recording.k, np.eye(4))
-    points = surface[recording.depth[0] > 0]
-    if not len(points):
-        raise UsageError(
-            "The first frame has no depth, and objects are looked for there: leave out its image and its depth."
-        )
+    if not (recording.depth > 0).any():
+        raise UsageError("No frame has a depth nearer than --depth-max; expected a table in view.")
     given, frames = recording.poses, len(recording.depth)
-    named = None if table is None else _point(surface, table)
+    relative = np.tile(np.eye(4), (frames, 1, 1)) if given is None else invert_rigid(given[0]) @ given
+    points = np.concatenate(table_clouds(recording, relative))
+    named = None if table is None else _point(unproject(recording.depth[0], recording.k, np.eye(4)), table)
     if named is not None:
         plane, reason = find_table(points, near=named), "that of the pixel --table"
     elif given is not None:
@@ -78,9 +80,24 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
         plane, reason = find_table(points), FOUND
     fitted = pose_over_table(points, center=center, plane=plane)
     warnings = (WALL,) if plane is not None and given is None and named is None and is_wall(plane) else ()
-    still = np.tile(np.eye(4), (frames, 1, 1)) if given is None else invert_rigid(given[0]) @ given
     place = None if named is None else transform(fitted, named)[:2]
-    return World(fitted @ still, f"{FITTED} {reason}", warnings, place)
+    return World(fitted @ relative, f"{FITTED} {reason}", warnings, place)
+
+
+def table_frames(recording: Recording) -> Int[np.ndarray, "some"]:
+    """Choose the frames in which the table is looked for: evenly spread ones that have a depth."""
+    seen = np.flatnonzero((recording.depth > 0).any(axis=(1, 2)))
+    return seen[np.unique(np.linspace(0, len(seen) - 1, TABLE_FRAMES).round().astype(int))]
+
+
+def table_clouds(recording: Recording, poses: Float64[np.ndarray, "frame 4 4"]) -> list[Float64[np.ndarray, "point 3"]]:
+    """Unproject these frames into the frame of reference of the poses, metres."""
+    clouds = []
+    for frame in table_frames(recording):
+        depth = recording.depth[frame]
+        points = unproject(depth, recording.k, poses[frame])[depth > 0]
+        clouds.append(points[:: 1 + len(points) // _MOST_POINTS])
+    return clouds
 
 
 def _point(surface: Float64[np.ndarray, "height width 3"], pixel: tuple[int, int]) -> Float64[np.ndarray, "3"]:
@@ -90,6 +107,8 @@ def _point(surface: Float64[np.ndarray, "height width 3"], pixel: tuple[int, int
     if not (0 <= column < width and 0 <= row < height):
         raise UsageError(f"--table {column},{row}: expected column and row of a pixel of the {width}x{height} images.")
     rows, columns = np.nonzero(surface[..., 2] > 0)
+    if not len(rows):
+        raise UsageError("The first frame has no depth, so that --table names no point; leave it out.")
     nearest = int(np.argmin((rows - row) ** 2 + (columns - column) ** 2))
     return surface[rows[nearest], columns[nearest]]
 

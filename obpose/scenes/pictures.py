@@ -43,13 +43,14 @@ def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
     write_atomically(path, data.getvalue())
 
 
+def turned(camera: Camera, center: Tensor, angle: float) -> Camera:
+    """Rotate a camera by an angle in radians around the vertical axis through `center`."""
+    turn, pose = upright(angle, camera.k), camera.world_from_camera.clone()
+    pose[:3, :3] = turn @ pose[:3, :3]
+    pose[:3, 3] = center + turn @ (pose[:3, 3] - center)
+    return Camera(camera.k, pose, camera.width, camera.height)
+
+
 def turntable(camera: Camera, center: Tensor, count: int) -> list[Camera]:
     """Rotate a camera around the vertical axis through `center`, in equal steps."""
-    cameras = []
-    for step in range(count):
-        turn = upright(2 * math.pi * step / count, camera.k)
-        pose = camera.world_from_camera.clone()
-        pose[:3, :3] = turn @ pose[:3, :3]
-        pose[:3, 3] = center + turn @ (pose[:3, 3] - center)
-        cameras.append(Camera(camera.k, pose, camera.width, camera.height))
-    return cameras
+    return [turned(camera, center, 2 * math.pi * step / count) for step in range(count)]

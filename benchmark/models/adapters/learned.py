@@ -35,6 +35,8 @@ class LearnedSegmenter:
     learning_curve: list[dict[str, float]] | None = None
     fit_seconds: float = float("nan")
     """Training time on the budget's clock, in seconds; includes the time before an interruption."""
+    config: Any = None
+    """Configuration of the training that made the weights."""
     fitted_settings: Mapping[str, Any] | None = None
     """Settings of the training that made the weights, budget and scene included, in the format of `settings_of`."""
 
@@ -60,8 +62,8 @@ class LearnedSegmenter:
         torch.set_num_threads(1)
         keep_memory()
         if self._checkpoint:
-            model, config, _ = load(self._checkpoint)
-            self._model, self._views, self.fitted_settings = model, config.train.views, settings_of(config)
+            self._model, self.config, _ = load(self._checkpoint)
+            self._views, self.fitted_settings = self.config.train.views, settings_of(self.config)
         else:
             self._model = self._train(train, val, seed=seed, budget=budget)
         self.parameters = sum(parameter.numel() for parameter in self._model.parameters())
@@ -96,7 +98,7 @@ class LearnedSegmenter:
             )
         kind = LabelledArrayClips if self._system.uses_labels else ArrayClips
         source, validation = kind(clips), kind(val) if len(val) else None
-        config = self._config(source, seed, budget)
+        self.config = config = self._config(source, seed, budget)
         self._views, self.fitted_settings = config.train.views, settings_of(config)
         trained = train(source, validation, config, folder=self._folder, look=self._look)
         self.learning_curve = [_point(point) for point in trained.curve]

@@ -137,14 +137,15 @@ def _assign(groups: list[list[Unit]], request: Request) -> tuple[dict[str, list[
     units = [unit for members in groups for unit in members]
     labelled = [unit.facts.objects is not None for unit in units]
     notes: tuple[str, ...] = ()
-    if request.split:
+    if any(labelled) and not all(labelled) and (request.split or not all(unit.recording.split for unit in units)):
+        places, kept = iter(range(len(units))), (request.split,) * 2 if request.split else ("test", "val")
+        splits = [kept[next(places) % 2] if known else "train" for known in labelled]
+        given = f"are split {request.split}" if request.split else "are shared between test and val"
+        notes = (f"Scenes without masks are the training split; those with masks {given}.",)
+    elif request.split:
         splits = [request.split] * len(units)
     elif all(unit.recording.split for unit in units):
         splits = [str(unit.recording.split) for unit in units]
-    elif any(labelled) and not all(labelled):
-        places = iter(range(len(units)))
-        splits = [("test", "val")[next(places) % 2] if known else "train" for known in labelled]
-        notes = ("Scenes without masks are the training split; those with masks are shared between test and val.",)
     elif len(groups) >= _FEW or len(units) == len(groups):
         splits = [_share(place) for place, members in enumerate(groups) for _ in members]
     else:

@@ -31,19 +31,32 @@ OBJECTS = "objects.json"
 
 def find_rgbd(source: Path, options: ReadOptions) -> Found:
     """Find recordings of RGB-D image files; see `interface.Importer`."""
-    found, left_out = [], 0
+    found, left_out, no_truth = [], 0, 0
     for split, name, views in _recordings(source):
         views = [_view(view, source, options) for view in views]
+        cameras = [_camera(view, options) for view in views]
+        kind = cameras[0].masks if views[0].masks else ""
+        if options.predicted_masks and kind != "predicted":
+            continue
+        if not options.predicted_masks and kind in ("predicted", "foreground"):
+            views, no_truth = [replace(view, masks=[]) for view in views], no_truth + 1
         left_out += sum(view.left_out for view in views)
-        reader = _Reader(views, [_camera(view, options) for view in views])
+        reader = _Reader(views, cameras)
         found.append(Recording(str(name), split, reader.survey, reader.read, reader.cameras[0].fps))
+    if not found and options.predicted_masks:
+        raise UsageError(f"{source} holds no recording whose {CAMERA} has a `mask` that begins with predicted.")
     if not found:
         raise UsageError(
             f"{source} holds no recording: expected rgb/*.png, depth/*.png and {CAMERA}, in it or in folders below it, "
             "or another layout of docs/import.md."
         )
-    notes = (f"{counted(left_out, 'image')} without depth or pose at their time left out.",) if left_out else ()
-    return Found(found, "clip", notes)
+    notes = []
+    if left_out:
+        notes.append(f"{counted(left_out, 'image')} without depth or pose at their time left out.")
+    if no_truth:
+        masks = f"Masks of {counted(no_truth, 'recording')} left out"
+        notes.append(f"{masks}: predictions (see --predicted-masks), or objects are not told apart.")
+    return Found(found, "clip", tuple(notes))
 
 
 def _recordings(source: Path) -> list[tuple[str | None, Path, list[FrameFiles]]]:

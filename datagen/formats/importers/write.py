@@ -92,6 +92,8 @@ def _fields(plan: Plan, split: str) -> tuple[str, ...]:
 
 def _spec(request: Request, plan: Plan, fields: Mapping[str, tuple[str, ...]], fps: float | None) -> Spec:
     reading = {name: str(value) if isinstance(value, Path) else value for name, value in vars(request.reading).items()}
+    if not reading["predicted_masks"]:
+        del reading["predicted_masks"]  # datasets from before this choice existed keep their identity
     source = _printable(request.source.resolve().name or str(request.source))
     origin: dict[str, Any] = {
         "format": request.format,
@@ -100,6 +102,10 @@ def _spec(request: Request, plan: Plan, fields: Mapping[str, tuple[str, ...]], f
         "grouping": request.group,
         **reading,
     }
+    if request.format == "rgbd":
+        origin["recordings"] = {
+            split: [_printable(Path(unit.name).name) for unit in units] for split, units in plan.units.items()
+        }
     facts = {
         "name": f"{request.format}-import",
         "description": f"Imported from {source}, format {request.format}.",

@@ -6,46 +6,68 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmark.commands import cli
 from benchmark.studies.__main__ import main
+from datagen import tracks
+from datagen.commands.cli import main as datagen
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from tests.worlds.sphere_clips import clip_and_truth
 
+WEIGHTS = "supervised--desk--128x96"
+
 
 @pytest.fixture
-def frames(tmp_path: Path) -> Path:
-    """A frame with a mask, and one that shows no table."""
+def source(tmp_path: Path) -> Path:
+    """A frame with a true mask, one with a predicted mask, one whose mask does not tell objects apart, and one without
+    a table."""
     clip, truth = clip_and_truth(frames=1, resolution=(160, 120))
-    k = clip.k[0]
-    facts = {"K": k.tolist(), "pixel_center": 0.5, "depth_scale_m": 0.0001, "mask": "PREDICTED by a model"}
-    depth = (clip.depth[0, 0] * 10_000).round().astype(np.uint16)
-    noise = np.random.default_rng(0).integers(8000, 30_000, depth.shape, dtype=np.uint16)
-    for name, values in (("balls", depth), ("noise", noise)):
-        (tmp_path / name).mkdir()
-        Image.fromarray(clip.rgb[0, 0]).save(tmp_path / name / "color.png")
-        Image.fromarray(values).save(tmp_path / name / "depth.png")
-        (tmp_path / name / "camera.json").write_text(json.dumps(facts))
-    Image.fromarray(truth[0, 0]).save(tmp_path / "balls" / "mask.png")
-    return tmp_path
+    noise = np.random.default_rng(0).integers(8000, 30_000, truth[0, 0].shape, dtype=np.uint16)
+    exact = (clip.depth[0, 0] * 10_000).round().astype(np.uint16)
+    masks = {"balls": "by hand", "guessed": "PREDICTED by a model", "joined": "foreground", "noise": "by hand"}
+    for name, mask in masks.items():
+        folder = tmp_path / "source" / name
+        folder.mkdir(parents=True)
+        Image.fromarray(clip.rgb[0, 0]).save(folder / "color.png")
+        Image.fromarray(noise if name == "noise" else exact).save(folder / "depth.png")
+        Image.fromarray(truth[0, 0]).save(folder / "mask.png")
+        facts = {"K": clip.k[0].tolist(), "pixel_center": 0.5, "depth_scale_m": 0.0001, "mask": mask}
+        (folder / "camera.json").write_text(json.dumps(facts))
+    return tmp_path / "source"
 
 
-def test_frames_are_scored_and_drawn(frames: Path, capsys: pytest.CaptureFixture[str]):
-    flags = ["--methods", "plane-hdbscan", "supervised--desk--128x96", "--csv", str(frames / "a.csv")]
-    assert main(["real_frames", str(frames), *flags, "--pictures", str(frames / "drawn")]) == EXIT_OK
-    lines = list(csv.DictReader((frames / "a.csv").read_text().splitlines()))
-    assert [(line["frame"], line["method"]) for line in lines] == [
-        (frame, method)
-        for frame in ("balls", "noise", "mean of 1")
-        for method in ("plane-hdbscan", "supervised--desk--128x96")
-    ]
-    assert [line["masks"] for line in lines] == ["predicted"] * 2 + ["none"] * 2 + ["predicted"] * 2
-    assert [line["ari_fg"] for line in lines[:2]] == [line["ari_fg"] for line in lines[4:]]
-    for line in lines[:2]:
-        assert float(line["ari_fg"]) > 0.9
-        assert float(line["miou_bg"]) > 0.9
-        assert (frames / "drawn" / f"balls--{line['method']}.png").exists()
-    assert "| balls" in capsys.readouterr().out
+def test_true_and_predicted_masks_are_rows_of_their_own(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(tracks, "SIZES", {"train": 0, "val": 2, "test": 0})
+    monkeypatch.setenv(tracks.CACHE, str(tmp_path / "cache"))
+    command = ["import", "--format", "rgbd", str(source), "--split", "test"]
+    out = tmp_path / "run"
+    for name, flags in {"true": [], "predicted": ["--predicted-masks"]}.items():
+        assert datagen([*command, *flags, "--out", str(tmp_path / name)]) == EXIT_OK
+        models = ["--checkpoint", WEIGHTS, *(["--model", "plane-components"] if name == "true" else [])]
+        run = ["--track", tracks.REAL_TABLE, "--data", str(tmp_path / name), *models, "--seeds", "1"]
+        assert cli.main([*run, "--out", str(out), "--workers", "1"]) == EXIT_OK
+    assert "Masks of 2 recordings left out" in capsys.readouterr().out
+    drawn, table = tmp_path / "drawn", tmp_path / "a.csv"
+    assert main(["real_frames", str(out), "--csv", str(table), "--pictures", str(drawn)]) == EXIT_OK
+    lines = {
+        (line["masks"], line["model"], line["frame"]): line for line in csv.DictReader(table.read_text().splitlines())
+    }
+    assert {(masks, frame) for masks, model, frame in lines if model == WEIGHTS} == {
+        ("real-table", "balls"), ("real-table", "noise"), ("real-table", "mean of 2"),
+        ("real-table-predicted", "guessed"), ("real-table-predicted", "mean of 1"),
+    }  # fmt: skip
+    for masks, frame in (("real-table", "balls"), ("real-table-predicted", "guessed")):
+        assert float(lines[masks, WEIGHTS, frame]["ari_fg"]) > 0.9
+        assert (drawn / f"{frame}--{WEIGHTS}.png").exists()
+    assert float(lines["real-table", "plane-components", "balls"]["ari_fg"]) > 0.9
 
 
-def test_a_folder_without_frames_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_run_without_real_tables_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["real_frames", str(tmp_path)]) == EXIT_USAGE
-    assert "holds no frames; expected folders with a camera.json each" in capsys.readouterr().err
+    assert "has no results on track real-table" in capsys.readouterr().err
+
+
+def test_the_track_needs_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert cli.main(["--track", "real-table", "--model", "one-cluster", "--out", str(tmp_path)]) == EXIT_USAGE
+    assert "name a dataset that holds them with --data" in capsys.readouterr().err

@@ -9,6 +9,7 @@ from PIL import Image
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
 from datagen.geometry import look_at, pixel_rays
+from obpose.commands import segment
 from obpose.commands.segment import Arguments, _prepared, _unlike_training, main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
@@ -101,6 +102,16 @@ def test_a_method_without_training_segments_what_stands_on_the_table(scene: Path
     assert np.mean(found[truth == 0] == 0) > 0.99
     (entry,) = facts_of(tmp_path)["frames"][0]["objects"]
     assert len(entry["size"]) == 3
+
+
+def test_objects_wider_than_in_training_are_reported(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    flags = {"checkpoint": None, "method": "one-object"}
+    for widest, warned in ((1.0, False), (0.1, True)):
+        monkeypatch.setattr(segment, "WIDEST", widest)
+        assert run(scene, tmp_path / str(widest), **flags) == EXIT_OK
+        assert ("Warning: Wider than 10 cm, the widest object in training: 1." in capsys.readouterr().out) == warned
 
 
 def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
@@ -210,16 +221,14 @@ def test_bad_requests_end_with_one_line(scene: Path, tmp_path: Path, capsys, cha
     assert not (tmp_path / "out").exists()
 
 
-def test_a_first_frame_without_depth_is_refused(scene: Path, tmp_path: Path, capsys):
+def test_a_first_frame_without_depth_is_skipped(scene: Path, tmp_path: Path):
     depth = tmp_path / "depth"
     shutil.copytree(scene / "depth", depth)
     first = min(depth.iterdir())
     Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
-    assert run(scene, tmp_path / "out", "--camera-pose", scene / "pose.txt", depth=depth) == EXIT_USAGE
-    assert (
-        "first frame has no depth, and objects are looked for there: leave out its image and its depth"
-        in capsys.readouterr().err
-    )
+    flags = {"checkpoint": None, "method": "one-object", "depth": depth}
+    assert run(scene, tmp_path / "out", **flags) == EXIT_OK
+    assert [labels.max() for labels in labels_of(tmp_path / "out")] == [0, 1]
 
 
 def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path: Path):

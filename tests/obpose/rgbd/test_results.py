@@ -1,3 +1,4 @@
+import importlib.util
 import json
 from pathlib import Path
 
@@ -9,10 +10,11 @@ from PIL import Image
 from datagen.geometry import intrinsics, look_at
 from obpose.errors import UsageError
 from obpose.pictures import PALETTE
+from obpose.rgbd import results
 from obpose.rgbd.frames import PreparedFrames, Trained, observe
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.results import label_image, objects_of, overlay, write_results
-from obpose.rgbd.workspace import Workspace, rectangle
+from obpose.rgbd.workspace import Workspace
 from obpose.rgbd.world import World
 
 WIDTH, HEIGHT = 64, 48
@@ -24,7 +26,11 @@ LABELS[:, 20:30, 20:30] = 2
 LABELS[1, 0, 0] = 1
 
 
-SQUARE = rectangle((-0.2, 0.2, -0.2, 0.2), 0.004)
+def square(low: float, high: float) -> Workspace:
+    return Workspace(np.array([(low, low), (high, low), (high, high), (low, high)]), 0.004)
+
+
+SQUARE = square(-0.2, 0.2)
 
 
 def frames(workspace: Workspace = SQUARE) -> PreparedFrames:
@@ -58,9 +64,7 @@ def test_an_overlay_shows_labels_boxes_and_the_table():
     assert (image == 255).all(axis=-1).sum() > 20
     changed = np.argwhere((image != RGB).any(axis=-1) & ~(image == 255).all(axis=-1))
     assert np.ptp(changed, axis=0).min() >= 10
-    np.testing.assert_array_equal(
-        overlay(RGB, 0 * LABELS[0], [], frames(rectangle((2.0, 3.0, 2.0, 3.0), 0.004)), 0), RGB
-    )
+    np.testing.assert_array_equal(overlay(RGB, 0 * LABELS[0], [], frames(square(2.0, 3.0)), 0), RGB)
 
 
 def test_every_frame_gets_all_its_files(tmp_path: Path):
@@ -79,8 +83,21 @@ def test_every_frame_gets_all_its_files(tmp_path: Path):
         cloud = trimesh.load(tmp_path / "out" / entry["cloud"])
         assert len(cloud.vertices) == 100
     assert (tmp_path / "out" / "summary.png").exists()
-    with Image.open(tmp_path / "out" / "overlay.gif") as animation:
+
+
+def test_a_video_is_an_mp4_or_without_its_codec_a_gif(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    if importlib.util.find_spec("imageio_ffmpeg"):
+        write_results(tmp_path / "mp4", frames(), LABELS, {})
+        assert (tmp_path / "mp4" / "overlay.mp4").read_bytes()[4:8] == b"ftyp"
+
+    def without_codec(*_: object):
+        raise UsageError("there is no MP4 codec")
+
+    monkeypatch.setattr(results, "save_mp4", without_codec)
+    write_results(tmp_path / "gif", frames(), LABELS, {})
+    with Image.open(tmp_path / "gif" / "overlay.gif") as animation:
         assert animation.n_frames == 2
+    assert not (tmp_path / "gif" / "overlay.mp4").exists()
 
 
 def test_only_an_earlier_result_is_replaced(tmp_path: Path):

@@ -38,7 +38,7 @@ def test_it_holds_what_is_above_the_table():
     outside = np.array([(0, 0, -0.1), (0, 0, 1), (0.5, 0, 0.1), (0, -0.4, 0.1)])
     assert space.holds(inside).all()
     assert not space.holds(outside).any()
-    np.testing.assert_array_equal(space.standing(inside), [False, True, True, True])
+    np.testing.assert_array_equal(space.standing(inside, np.ones(4)), [False, True, True, True])
 
 
 @pytest.mark.parametrize(("noise", "floor"), [(0.0, LEAST_FLOOR), (0.002, 0.008), (0.1, MOST_FLOOR)])
@@ -49,6 +49,13 @@ def test_objects_begin_above_the_noise(noise: float, floor: float):
 def test_a_rectangle_is_given_by_its_bounds():
     space = rectangle((-0.1, 0.3, -0.2, 0.2), 0.004)
     np.testing.assert_array_equal(space.holds(np.array([(0.0, 0.0, 0.1), (-0.101, 0.0, 0.1)])), [True, False])
+
+
+def test_objects_begin_higher_where_depth_is_noisier():
+    space = find_workspace(table(noise=0.002))
+    points = np.array([(x, 0, z) for x in np.arange(-0.3, 0.3, 0.01) for z in (0.0, 0.015)])
+    depth = np.where(points[:, 0] > 0.2, 2.0, 1.0)
+    np.testing.assert_array_equal(space.standing(points, depth), (points[:, 2] > 0) & (depth < 2))
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((9, 3), 0.5), np.zeros((2, 3))])

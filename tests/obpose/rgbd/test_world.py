@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from datagen.geometry import unproject
 from obpose.errors import UsageError
@@ -43,6 +44,19 @@ def test_a_table_is_found_with_and_without_a_wall_behind_it(wall: list[Box], pos
     world = choose_world(frame, None, CENTER)
     assert is_on_table(world, pose)
     assert reasons(frame, world) == []
+
+
+def test_a_table_that_only_later_frames_of_a_moving_camera_show_is_found():
+    room = [TABLE, FLOOR, *THINGS]
+    (first, pose), (second, other) = recording(room, (0.8, 0.2, 0.5)), recording(room, (0.3, 0.1, 0.9))
+    depth = np.concatenate([first.depth, second.depth])
+    depth[0][unproject(depth[0], K, pose)[..., 2] < 0.02] = 0
+    tilted = np.eye(4)
+    tilted[:3, :3] = Rotation.from_euler("x", 40, degrees=True).as_matrix()
+    frame = replace(first, depth=depth, rgb=np.repeat(first.rgb, 2, axis=0), poses=tilted @ np.stack([pose, other]))
+    world = choose_world(frame, None, CENTER)
+    assert is_on_table(world, pose)
+    assert world.poses[1, 2, 3] == pytest.approx(other[2, 3], abs=0.02)
 
 
 def test_the_floor_before_a_wall_is_the_table_and_not_the_wall_straight_ahead():

@@ -65,6 +65,10 @@ def test_scenes_without_masks_are_for_training():
     found = splits(plan)
     assert [name for name, _ in found["train"]] == ["b", "d"]
     assert [name for name, _ in found["test"]] == ["a", "e"]
+    only = splits(plan_scenes(recordings, wanted("clip", split="test")))
+    assert {name: [each for each, _ in units] for name, units in only.items()} == {
+        "train": ["b", "d"], "test": ["a", "c", "e"],
+    }  # fmt: skip
     with pytest.raises(UsageError, match="e has masks and d has none"):
         plan_scenes(recordings, wanted("clip", split="train"))
 
