@@ -126,17 +126,18 @@ def register(
     names = np.array([*objects])
     predicted = {name: seen.cloud.points + seen.velocity for name, seen in objects.items()}
     features, distances, nearest = cloud.features, np.full(len(cloud.points), np.inf), np.zeros(0, np.int64)
+    sizes = [len(seen.cloud.points) for seen in objects.values()]
+    owner, start = np.repeat(np.arange(len(names)), sizes), np.cumsum([0, *sizes])
     for turn in range(ROUNDS if objects else 0):
-        queries = [
-            KDTree(np.hstack([predicted[name], objects[name].cloud.colours])).query(features) for name in objects
-        ]
-        table = np.stack([distance for distance, _ in queries])
-        nearest, distances = table.argmin(axis=0), table.min(axis=0)
+        models = [np.hstack([predicted[name], objects[name].cloud.colours]) for name in objects]
+        # One tree of all objects: the nearest point belongs to the nearest object.
+        distances, places = map(np.asarray, KDTree(np.concatenate(models)).query(features))
+        nearest = owner[places]
         for number, name in enumerate(objects):
             mine = nearest == number
             if np.count_nonzero(mine) >= 3:
                 model = Cloud(predicted[name], objects[name].cloud.colours)
-                pairs = correspondences(model, cloud.part(mine), np.asarray(queries[number][1])[mine])
+                pairs = correspondences(model, cloud.part(mine), places[mine] - start[number])
                 predicted[name] = move(predicted[name], pairs, turning=turn >= TRANSLATIONS)
     if not objects:
         return np.full(len(cloud.points), -1), distances, predicted

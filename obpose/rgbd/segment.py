@@ -21,8 +21,6 @@ UNTRAINED = Trained(spacing=0.006, learned=False)
 """Pixel spacing that methods without training get."""
 GAP = 0.06
 """Points of a video that belong to no object so far start new ones, connected if at most so many metres apart."""
-MOST_POINTS = 2000
-"""Points of a frame that are followed through a video; the time grows with their number times that of the objects."""
 LEAST_SHARE = 4e-4
 """Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
 NEAR = 3.0
@@ -50,20 +48,16 @@ def segment_frames(
 
 def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarray], most: int) -> Labels:
     """Label each frame on its own, and follow its largest objects through the video in the world frame."""
-    clouds, thinned, objects, masks = [], [], [], []
+    clouds, objects, masks = [], [], []
     for frame, places in enumerate(points):
         still = frames.still(frame)
         found = _largest(np.where(still.valid[:, 0, 0].numpy(), method(still), 0), most)[0].astype(np.int64)
         masks.append(found > 0)
         clouds.append(Cloud(places[found > 0], COLOUR_SCALE * still.rgb[0, 0, 0].numpy()[found > 0]))
-        some = np.arange(0, len(clouds[-1].points), 1 + len(clouds[-1].points) // MOST_POINTS)
-        thinned.append(clouds[-1].part(some))
-        objects.append(found[found > 0][some] - 1)
+        objects.append(found[found > 0] - 1)
     labels = np.zeros((len(masks), *masks[0].shape), np.int64)
-    for frame, found in enumerate(follow_objects(thinned, objects, gap=GAP)):
-        if len(found):
-            nearest = KDTree(thinned[frame].features).query(clouds[frame].features)[1]
-            labels[frame][masks[frame]] = found[nearest] + 1
+    for frame, found in enumerate(follow_objects(clouds, objects, gap=GAP)):
+        labels[frame][masks[frame]] = found + 1
     return labels
 
 

@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from datagen.geometry import intrinsics, look_at, unproject
-from obpose.rgbd import segment
 from obpose.rgbd.frames import PreparedFrames, Trained, observe
 from obpose.rgbd.recording import Recording
 from obpose.rgbd.segment import segment_frames
@@ -90,10 +89,8 @@ def test_pixels_outside_of_the_workspace_have_no_depth(world: tuple[PreparedFram
     assert ((observation.depth > 0) == observation.valid).all()
 
 
-@pytest.mark.parametrize("most", [2000, 100])
-def test_objects_of_a_video_keep_their_labels_though_the_camera_moves(most: int, monkeypatch: pytest.MonkeyPatch):
+def test_objects_of_a_video_keep_their_labels_though_the_camera_moves():
     """Two balls, one of which rolls, seen by a camera on a circle; the method numbers them anew in each frame."""
-    monkeypatch.setattr(segment, "MOST_POINTS", most)
     k, size, count = intrinsics(np.radians(60), 96, 72), (96, 72), 4
     angles = np.linspace(0, 0.8, count)
     poses = np.stack([look_at(np.array([0.7 * np.cos(a), 0.7 * np.sin(a), 0.7]), np.zeros(3)) for a in angles])
