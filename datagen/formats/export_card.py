@@ -48,7 +48,7 @@ tags:
 ## Loading
 
 ```python
-{exporter.loading.format(folder="path/to/this/folder")}
+{exporter.loading.format(folder="path/to/this/folder", split=next(iter(counts)))}
 ```
 
 ## Layout

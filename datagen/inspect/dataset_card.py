@@ -65,6 +65,7 @@ def card(spec: Spec, figures: Summary, seen: Mapping[str, Collection[str]] | Non
     rendered = f"rendered with `{figures['renderer']}`" if figures["renderer"] else "simulated, without images"
     fields = '["rgb", "depth", "segmentation"]' if figures["resolution"] else '["poses/position"]'
     renderer = spec["renderer"] and f"{spec['renderer']['name']} {spec['renderer']['version']}"
+    split = next(name for name, scenes in spec["splits"].items() if scenes)
     return f"""---
 license: {license_of(spec).hub}
 task_categories:
@@ -90,12 +91,12 @@ recipe is in `dataset.json`.
 ```python
 from datagen.storage.reader import Dataset
 
-scenes = Dataset("path/to/this/folder").split("train")
+scenes = Dataset("path/to/this/folder").split("{split}")
 record = scenes[0]  # every array of a scene, by name
 part = scenes.read(0, {fields}, frames=slice(0, 1))
 ```
 
-The files are plain HDF5 (`h5py.File("train-00000.h5")["objects/size"][0]`); `obpose.data.datasets.SceneDataset` is a
+The files are plain HDF5 (`h5py.File("{split}-00000.h5")["objects/size"][0]`); `obpose.data.datasets.SceneDataset` is a
 PyTorch dataset over the folder.
 
 ## Conventions
@@ -112,7 +113,7 @@ PyTorch dataset over the folder.
 | renderer and version | {renderer or "-"} |
 
 The hash of every scene's arrays is stored beside it; `obpose-datagen verify` proves arrays, hashes and geometry, and
-`obpose-datagen regenerate --split train --scene 0` makes a scene again and compares.
+`obpose-datagen regenerate --split {split} --scene 0` makes a scene again and compares.
 """
 
 

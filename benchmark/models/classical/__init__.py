@@ -62,7 +62,9 @@ FLOORS = {
 
 CLASSICAL = {
     "plane-dbscan": _plane(PlaneDbscan, "RANSAC plane removal, then DBSCAN on the points", DBSCAN),
-    "plane-dbscan-colour": _plane(PlaneDbscan, "the same on points and colours", DBSCAN_COLOUR),
+    "plane-dbscan-colour": _plane(
+        PlaneDbscan, "RANSAC plane removal, then DBSCAN on points and colours", DBSCAN_COLOUR
+    ),
     "plane-dbscan-tracked": _plane(
         PlaneDbscanTracked, "plane-dbscan, its clusters followed over frames by nearest centroid", DBSCAN
     ),

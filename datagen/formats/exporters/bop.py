@@ -207,7 +207,7 @@ EXPORTER = Exporter(
 import json
 from pathlib import Path
 
-scene = Path("{folder}/train/000000")
+scene = Path("{folder}/{split}/000000")
 poses = json.loads((scene / "scene_gt.json").read_text())["0"]  # of image 0
 cameras = json.loads((scene / "scene_camera.json").read_text())""",
     layout="""\

@@ -142,8 +142,8 @@ EXPORTER = Exporter(
     loading="""\
 from pycocotools.coco import COCO
 
-coco = COCO("{folder}/annotations/instances_train.json")
-image = coco.loadImgs(1)[0]  # its file: train/ and image["file_name"]
+coco = COCO("{folder}/annotations/instances_{split}.json")
+image = coco.loadImgs(1)[0]  # its file: {split}/ and image["file_name"]
 masks = [coco.annToMask(each) for each in coco.loadAnns(coco.getAnnIds(imgIds=1))]""",
     layout="""\
 | file | content |

@@ -26,7 +26,7 @@ class Exporter:
     files: dict[str, Files]
     """Kinds of files by name."""
     loading: str
-    """Python code that reads the export; `{folder}` stands for its path."""
+    """Python code that reads the export; `{folder}` stands for its path, `{split}` for a split with scenes."""
     layout: str
     """Description of the files, Markdown."""
     loses: str

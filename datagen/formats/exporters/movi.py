@@ -193,7 +193,7 @@ EXPORTER = Exporter(
     loading="""\
 import numpy as np
 
-clip = np.load("{folder}/train/000000.npz")  # files of several views: 000000-0.npz
+clip = np.load("{folder}/{split}/000000.npz")  # files of several views: 000000-0.npz
 low, high = clip["metadata/depth_range"]
 depth = clip["depth"] / 65535 * (high - low) + low  # as for MOVi""",
     layout="""\

@@ -76,7 +76,7 @@ EXPORTER = Exporter(
     loading="""\
 import numpy as np
 
-frames = np.load("{folder}/train/0.npy", allow_pickle=True)  # runs code of the file: only for files that you trust
+frames = np.load("{folder}/{split}/0.npy", allow_pickle=True)  # runs code of the file: only for files that you trust
 first = frames[0] if frames.ndim else frames.item()  # a clip, or one view of a still scene""",
     layout="""\
 `SPLIT/N.npy` is a pickled list of frames, or one view of a still scene (N = scene times views plus view). Each is a

@@ -67,7 +67,7 @@ from pathlib import Path
 
 import imageio.v3 as iio
 
-clip = Path("{folder}/train/000000")  # several views: 000000/view0
+clip = Path("{folder}/{split}/000000")  # several views: 000000/view0
 camera = json.loads((clip / "camera.json").read_text())
 rgb = iio.imread(clip / "rgb" / "000000.png")
 depth = iio.imread(clip / "depth" / "000000.png") * camera["depth_scale_m"]  # metres, 0 = no return""",

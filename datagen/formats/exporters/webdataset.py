@@ -91,7 +91,7 @@ EXPORTER = Exporter(
     loading="""\
 import datasets
 
-clips = datasets.load_dataset("webdataset", data_files={{"train": "{folder}/train-*.tar"}}, split="train")
+clips = datasets.load_dataset("webdataset", data_files={{"{split}": "{folder}/{split}-*.tar"}}, split="{split}")
 video = clips.with_format("numpy")[0]["video.npy"]""",
     layout="""\
 | file of a sample | array | meaning |

@@ -35,6 +35,11 @@ def test_the_card_says_how_to_load_the_export(dataset_for, tmp_path: Path, name:
     exec(code, {})
 
 
+def test_the_card_loads_a_split_that_was_exported(clips: Path):
+    text = export_card(Dataset(clips).spec, EXPORTERS["rgbd"], {"test": 2})
+    assert "path/to/this/folder/test/000000" in text
+
+
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.filterwarnings("ignore")
 def test_croissant_metadata_is_valid_and_every_pattern_finds_files(dataset_for, tmp_path: Path, name: Format):

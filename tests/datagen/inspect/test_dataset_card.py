@@ -37,6 +37,13 @@ def test_the_loading_code_of_the_card_runs(tiny_dataset: Path):
     assert names["part"]["rgb"].shape == (1, 1, 64, 64, 3)
 
 
+def test_the_loading_code_reads_a_split_that_has_scenes(tiny_dataset: Path):
+    spec = Dataset(tiny_dataset).spec | {"splits": {"train": 0, "val": 0, "test": 2}}
+    text = dataset_card.card(spec, stats.summary(tiny_dataset))
+    assert '.split("test")' in text
+    assert "test-00000.h5" in text
+
+
 def test_sizes_are_the_hub_s():
     assert [dataset_card.size_category(n) for n in (10, 999, 1000, 99_999, 10**8)] == [
         "n<1K",
