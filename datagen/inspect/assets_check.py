@@ -59,7 +59,8 @@ def run(folder: Path, reading: Reading, out: Path) -> int:
     console = Console(markup=False, highlight=False, emoji=False, soft_wrap=True)
     console.print(_line(widths, widths))
     tiles, unusable = [], 0
-    with Console(stderr=True).status("") as status:
+    # On a terminal, one console must draw both, or rows would be appended to the status line.
+    with (console if console.is_terminal else Console(stderr=True)).status("") as status:
         for number, (file, name) in enumerate(zip(files, names, strict=True), 1):
             status.update(
                 escape(
