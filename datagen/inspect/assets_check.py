@@ -55,7 +55,7 @@ def run(folder: Path, reading: Reading, out: Path) -> int:
         raise UsageError(f"--out {out}: expected a name that ends in {', '.join(_ENDINGS)}.")
     files = find_files(folder)
     names = name_files(files)
-    widths = {"mesh": max(map(len, names)), **_WIDTHS}
+    widths = {"mesh": max(map(len, ("mesh", *names))), **_WIDTHS}
     console = Console(markup=False, highlight=False, emoji=False, soft_wrap=True)
     console.print(_line(widths, widths))
     tiles, unusable = [], 0
