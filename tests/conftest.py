@@ -60,9 +60,12 @@ def tiny_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def local_cluster() -> Iterator[str]:
-    """The address of a Dask cluster of one worker with four threads in this process."""
+    """The address of a Dask cluster of one worker with four threads in this process.
+
+    It ends with the module: its threads draw random numbers, which Hypothesis takes for an error of later tests.
+    """
     distributed = pytest.importorskip("distributed")
     place = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "worker_dashboard_address": "127.0.0.1:0"}
     with distributed.LocalCluster(

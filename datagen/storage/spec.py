@@ -18,7 +18,6 @@ The spec is a plain dict:
     spec_hash ....... SHA-256 of all the above: the dataset's identity
 """
 
-import functools
 import hashlib
 import json
 import math
@@ -282,6 +281,10 @@ def groups_of(spec: Spec) -> tuple[str, ...]:
     return "simulation", *moving, "pixels", *sensor, *edits_of(spec), *signals_of(spec)
 
 
+_RECIPES: dict[str, Recipe] = {}
+"""The last recipe, by its JSON text: every scene asks for its own."""
+
+
 def recipe_of(spec: Spec) -> Recipe:
     """The recipe of a spec.
 
@@ -291,17 +294,15 @@ def recipe_of(spec: Spec) -> Recipe:
     """
     check_generated(spec)
     try:
-        return _recipe(json.dumps(spec["recipe"]))
+        text = json.dumps(spec["recipe"])
+        if text not in _RECIPES:
+            _RECIPES.clear()
+            _RECIPES[text] = recipe_from_dict(spec["recipe"])
+        return _RECIPES[text]
     except UsageError as error:
         raise UsageError(f"{SPEC_FILE} holds a recipe that this version does not take: {error}") from None
     except ValueError as error:
         raise CorruptFile(f"{SPEC_FILE} holds no recipe ({error}); restore the original.") from None
-
-
-@functools.lru_cache(maxsize=8)
-def _recipe(text: str) -> Recipe:
-    """The recipe of a JSON text; the last few are cached, for each scene asks for its own."""
-    return recipe_from_dict(json.loads(text))
 
 
 def check_generated(spec: Spec) -> None:
