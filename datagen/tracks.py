@@ -33,6 +33,8 @@ WIDE: dict[Profile, tuple[int, int]] = {"cpu": (80, 60), "gpu": (128, 96)}
 """Width and height of the images; used for recipes whose images are not square."""
 REAL_TABLE = "real-table"
 """Track whose data are the user's: see `RealTable`."""
+REAL_TABLES = (REAL_TABLE, f"{REAL_TABLE}-predicted")
+"""Names of that track: with true masks, and with masks that are predictions of another model."""
 GROUPS = {"paper": ("moving", "static", "clevr3d", "multishape")}
 """Names that stand for several tracks; `paper` holds the tracks for which the paper has tables."""
 
@@ -174,7 +176,7 @@ class RealTable(DataFolder):
     def name(self) -> str:
         """Name of the track; masks that are predictions of another model have a track of their own."""
         origin = Dataset(self.folder).spec.get("import") or {}
-        return REAL_TABLE + ("-predicted" if origin.get("predicted_masks") else "")
+        return REAL_TABLES[bool(origin.get("predicted_masks"))]
 
 
 Source = Track | DataFolder

@@ -15,7 +15,17 @@ from benchmark.models.registry import budget_of, discover, expand, find_model, r
 from benchmark.names import check_model_name, find_twin
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset
-from datagen.tracks import DEFAULT, REAL_TABLE, DataFolder, RealTable, Source, find_data_folder, find_track, find_tracks
+from datagen.tracks import (
+    DEFAULT,
+    REAL_TABLE,
+    REAL_TABLES,
+    DataFolder,
+    RealTable,
+    Source,
+    find_data_folder,
+    find_track,
+    find_tracks,
+)
 from obpose.storage.pretrained import find_checkpoint
 from obpose.systems import system_of
 
@@ -94,6 +104,8 @@ def _check(values: arguments.Run) -> None:
         raise UsageError("--name is for --predictions or one --checkpoint; models go by their own names.")
     if values.scenes is not None and values.task != "editing":
         raise UsageError("--scenes is for --task editing; segmentations are scored on all test scenes.")
+    if values.task == "editing" and REAL_TABLE in values.track:
+        raise UsageError(f"--track {REAL_TABLE} is for segmentations; for --task editing, leave it out.")
     if values.refine and values.task != "editing":
         raise UsageError("--refine is for --task editing; segmentations are scored as they are inferred.")
     if values.background_slot is not None and not values.predictions:
@@ -112,6 +124,8 @@ def _scored_folder(values: arguments.Run) -> DataFolder:
     assert values.data is not None
     folder = values.data
     source = find_data_folder(folder, RealTable if values.track else DataFolder)
+    if not values.track and source.name in REAL_TABLES:
+        raise UsageError(f"{folder} has the name of a track; add --track {REAL_TABLE}, or rename the folder.")
     if not source.size("test"):
         raise UsageError(f"{folder} has no test scenes to score on; generate some with --scenes or --split test=N.")
     if "segmentation" not in Dataset(folder).fields("test"):

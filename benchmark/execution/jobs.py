@@ -40,7 +40,7 @@ from benchmark.results.scoring import SPLIT, score_labels
 from datagen.errors import UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset, Split
-from datagen.tracks import REAL_TABLE, Profile
+from datagen.tracks import REAL_TABLES, Profile
 
 GRACE_SECONDS = 3600.0
 """Time that a job may take in addition to training."""
@@ -275,7 +275,7 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
     scenes = _scenes(target)
     clips = _clips(scenes, fitted.spec)
     segment = segmenter.segment
-    if target.key.track.startswith(REAL_TABLE):
+    if target.key.track in REAL_TABLES:
         from benchmark.models.adapters.own_frames import segment_table  # late: PyTorch takes seconds to import
 
         segment = partial(segment_table, segmenter)

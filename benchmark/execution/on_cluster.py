@@ -15,7 +15,7 @@ from datagen.pipeline.cluster import Cancellation, Kept, connected, memory_share
 from datagen.storage.atomic import write_atomically
 
 _COPY_SECONDS = 30
-"""Time between two copies of a job's state; a lost worker loses no more of a training."""
+"""Time between two copies of a job's state. A lost worker loses the training since the last copied checkpoint."""
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from benchmark.results.run_folder import load_runs, load_scenes
 from benchmark.studies.inputs import TableFlags
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset
-from datagen.tracks import REAL_TABLE
+from datagen.tracks import REAL_TABLE, REAL_TABLES
 from obpose.pictures import tint
 from obpose.rgbd.results import OPACITY
 from obpose.scenes.pictures import write_png
@@ -42,7 +42,7 @@ def run(flags: Flags) -> Iterator[Line]:
         UsageError: the folder has no results on that track.
         CorruptFile: a file cannot be read.
     """
-    rows = [row for row in load_runs(flags.folder) if row.key.track.startswith(REAL_TABLE) and row.status == "ok"]
+    rows = [row for row in load_runs(flags.folder) if row.key.track in REAL_TABLES and row.status == "ok"]
     if not rows:
         raise UsageError(f"{flags.folder} has no results on track {REAL_TABLE}; make some with obpose-bench.")
     for row in sorted(rows, key=lambda row: row.key.place):

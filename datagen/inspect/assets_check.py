@@ -55,11 +55,12 @@ def run(folder: Path, reading: Reading, out: Path) -> int:
         raise UsageError(f"--out {out}: expected a name that ends in {', '.join(_ENDINGS)}.")
     files = find_files(folder)
     names = name_files(files)
-    widths = {"mesh": max(map(len, names)), **_WIDTHS}
+    widths = {"mesh": max(map(len, ("mesh", *names))), **_WIDTHS}
     console = Console(markup=False, highlight=False, emoji=False, soft_wrap=True)
     console.print(_line(widths, widths))
     tiles, unusable = [], 0
-    with Console(stderr=True).status("") as status:
+    # On a terminal, one console must draw both, or rows would be appended to the status line.
+    with (console if console.is_terminal else Console(stderr=True)).status("") as status:
         for number, (file, name) in enumerate(zip(files, names, strict=True), 1):
             status.update(
                 escape(

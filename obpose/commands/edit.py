@@ -158,6 +158,8 @@ def render(values: Render) -> None:
     """Render a scene into a picture or an animation."""
     if values.turntable is not None and not 0 < values.turntable <= MOST_TURNS:
         raise UsageError(f"--turntable {values.turntable}: expected 1 to {MOST_TURNS}.")
+    if not math.isfinite(values.beside):
+        raise UsageError(f"--beside {values.beside}: expected a finite number.")
     if values.clip and (values.turntable is not None or values.frame is not None):
         raise UsageError("--clip shows all frames from where the camera is; leave out --turntable and --frame, or it.")
     moving = values.turntable is not None or values.clip

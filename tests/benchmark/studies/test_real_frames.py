@@ -71,3 +71,13 @@ def test_a_run_without_real_tables_is_refused(tmp_path: Path, capsys: pytest.Cap
 def test_the_track_needs_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert cli.main(["--track", "real-table", "--model", "one-cluster", "--out", str(tmp_path)]) == EXIT_USAGE
     assert "name a dataset that holds them with --data" in capsys.readouterr().err
+
+
+def test_only_the_track_itself_has_its_name(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = str(tmp_path / "real-table")
+    assert datagen(["import", "--format", "rgbd", str(source), "--split", "test", "--out", folder]) == EXIT_OK
+    run = ["--data", folder, "--model", "one-cluster", "--out", str(tmp_path / "out")]
+    assert cli.main(run) == EXIT_USAGE
+    assert "has the name of a track; add --track real-table" in capsys.readouterr().err
+    assert cli.main(["--track", "real-table", "--task", "editing", *run]) == EXIT_USAGE
+    assert "--track real-table is for segmentations" in capsys.readouterr().err

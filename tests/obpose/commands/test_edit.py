@@ -195,6 +195,16 @@ def test_a_clear_turn_is_not_said_to_have_fog(inferred: Path, tmp_path: Path, ca
     assert "fog" not in capsys.readouterr().out
 
 
+def test_the_camera_is_turned_beside_the_scene(inferred: Path, tmp_path: Path):
+    def rendered(degrees: int) -> np.ndarray:
+        out = tmp_path / f"{degrees}.png"
+        assert run("render", inferred, "--beside", degrees, *SMALL, "--out", out) == EXIT_OK
+        return np.asarray(Image.open(out)).astype(int)
+
+    front, back, around = rendered(0), rendered(180), rendered(360)
+    assert np.abs(front - around).mean() < 1 < np.abs(front - back).mean()
+
+
 def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
     name = load_scene(inferred).ids[0]
     assert run("mesh", inferred, "--object", name, "--out", tmp_path / "object.glb") == EXIT_OK
@@ -220,6 +230,7 @@ def test_an_object_is_written_as_a_mesh(inferred: Path, tmp_path: Path, capsys):
         (["render", "SCENE", "--out", "SCENE/picture.png"], "already exists"),
         (["render", "SCENE", "--out", "a.jpg"], "expected a name that ends with .png"),
         (["render", "SCENE", "--turntable", "999", "--out", "a.gif"], "--turntable 999: expected 1 to 360"),
+        (["render", "SCENE", "--beside", "inf", "--out", "a.png"], "--beside inf: expected a finite number"),
         (["render", "SCENE", "--turntable", "0", "--out", "a.gif"], "--turntable 0: expected 1 to 360"),
         (["render", "SCENE", "--frame", "4", "--out", "a.png"], "--frame 4: expected 0 to 3"),
         (["render", "SCENE", "--view", "1", "--out", "a.png"], "--view 1: expected 0"),
