@@ -10,13 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from datagen.config import load_recipe, names_without_meshes
+from datagen.config import Recipe, load_recipe, names_without_meshes
 from datagen.console.progress import Progress, no_progress
 from datagen.console.text import counted
 from datagen.errors import DatagenError, UsageError, unknown_name
 from datagen.schema import EditKind
 from datagen.storage.portable_names import check_dataset_name
 from datagen.storage.reader import Dataset
+from datagen.storage.spec import recipe_of
 
 CACHE = "OBPOSE_CACHE"
 """Environment variable that names the cache folder; the default is `~/.cache/obpose`."""
@@ -64,7 +65,7 @@ class Track:
     def slots(self) -> int:
         """Slots that every model may use: its largest object count, plus one for the background."""
         recipe = load_recipe(self.name)
-        return _slots(recipe.objects.maximum, recipe.parts)
+        return _slots(recipe)
 
     @cached_property
     def spec_hash(self) -> str:
@@ -132,8 +133,8 @@ class DataFolder:
     @property
     def slots(self) -> int:
         """Slots that every model may use: its recipe's largest object count, plus one for the background."""
-        recipe = Dataset(self.folder).spec["recipe"]
-        return _slots(recipe["objects"]["maximum"], recipe["parts"])
+        spec = Dataset(self.folder).spec
+        return _slots(recipe_of(spec)) if spec["recipe"]["parts"] else 1 + spec["recipe"]["objects"]["maximum"]
 
     @cached_property
     def spec_hash(self) -> str:
@@ -242,5 +243,5 @@ def cache_folder() -> Path:
     return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()
 
 
-def _slots(maximum: int, parts: Iterable[str]) -> int:
-    return 1 + max([load_recipe(part).objects.maximum for part in parts], default=maximum)
+def _slots(recipe: Recipe) -> int:
+    return 1 + max(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts))))

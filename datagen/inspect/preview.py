@@ -327,7 +327,7 @@ def save_mp4(path: Path, frames: Sequence[Rgb], fps: float) -> None:
     padded = np.stack([np.pad(frame, (*padding, (0, 0)), constant_values=255) for frame in frames])
     try:
         imageio.v3.imwrite(path, padded, plugin="FFMPEG", fps=fps)
-    except ImportError as error:
+    except (ImportError, RuntimeError) as error:
         raise UsageError(
             f"Cannot write {path.name}: there is no MP4 codec. Install one with `pip install 'obpose[video]'`, or end "
             "the name in .gif."

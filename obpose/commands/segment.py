@@ -91,8 +91,8 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     objects = objects_of(labels[0], frames.points(0))
     if wide := [str(each.label) for each in objects if each.box.size[:2].max() > WIDEST]:
         warnings.append(
-            f"Wider than {100 * WIDEST:.0f} cm, the widest object in training: {', '.join(wide)}. Each may be several "
-            "objects, or a part of a floor or wall; see --workspace and --depth-max."
+            f"Labels {', '.join(wide)} are wider than the widest object in training, {100 * WIDEST:.0f} cm. Each may "
+            "be several objects, or a part of a floor or wall; see --workspace and --depth-max."
         )
     facts = {
         "method": name,

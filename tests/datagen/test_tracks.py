@@ -40,7 +40,7 @@ def test_every_recipe_is_a_track():
     assert set(ISSUE) <= {track.name for track in all_tracks()}
 
 
-@pytest.mark.parametrize("name", ISSUE)
+@pytest.mark.parametrize("name", [*ISSUE, "desk"])
 def test_slots_are_the_most_objects_and_the_background(name: str):
     recipe = load_recipe(name)
     maxima = [recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts)))]

@@ -111,7 +111,9 @@ def test_objects_wider_than_in_training_are_reported(
     for widest, warned in ((1.0, False), (0.1, True)):
         monkeypatch.setattr(segment, "WIDEST", widest)
         assert run(scene, tmp_path / str(widest), **flags) == EXIT_OK
-        assert ("Warning: Wider than 10 cm, the widest object in training: 1." in capsys.readouterr().out) == warned
+        assert (
+            "Warning: Labels 1 are wider than the widest object in training, 10 cm." in capsys.readouterr().out
+        ) == warned
 
 
 def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
