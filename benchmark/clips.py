@@ -39,6 +39,9 @@ class ClipSequence(_Lazy[Clip]):
     """The clips of one split, read on access, with the depth of the recipe's sensor if it has one.
 
     With `uses_labels` the clips carry the ground truth, for oracles and supervised models only.
+
+    Raises:
+        UsageError: the dataset holds no images, or its cameras move.
     """
 
     def __init__(self, scenes: Split, *, uses_labels: bool = False):

@@ -21,7 +21,11 @@ _RESERVED = re.compile(rf".*({PRETRAINED}|{ATTENTION}|{REFINED}|{SLOTS.format('[
 
 
 def check_model_name(name: str, advice: str) -> None:
-    """Check a model's name; `advice` is how to choose another one."""
+    """Check a model's name; `advice` is how to choose another one.
+
+    Raises:
+        UsageError: it cannot be part of a file name, or has the form of the names that the benchmark makes itself.
+    """
     check_row_name(name, advice)
     if _RESERVED.fullmatch(name.casefold()):
         raise UsageError(
@@ -31,7 +35,11 @@ def check_model_name(name: str, advice: str) -> None:
 
 
 def check_row_name(name: str, advice: str) -> None:
-    """Check the name of a row of tables, which may be derived from a model's name."""
+    """Check the name of a row of tables, which may be derived from a model's name.
+
+    Raises:
+        UsageError: it cannot be part of a file name.
+    """
     if not is_portable(name):
         raise UsageError(f"{shown(name)} cannot be a model's name, which is part of file names; {EXPECTED}. {advice}")
 

@@ -20,7 +20,11 @@ LIMITS: dict[str, tuple[float, float]] = {
 
 
 def check_flag(flag: str, value: float | None) -> None:
-    """Check the value of a flag; None stands for a flag that was left out."""
+    """Check the value of a flag; None stands for a flag that was left out.
+
+    Raises:
+        UsageError: the value is out of range; states the range.
+    """
     low, high = LIMITS[flag]
     if value is not None and not low <= value <= high:  # also nan
         shown = str(value) if isinstance(value, int) else plain_number(value)

@@ -113,7 +113,11 @@ def _names(result: ModelResult) -> tuple[str, str]:
 
 
 def prepare(splits: Mapping[Source, tuple[str, ...]], *, workers: int) -> None:
-    """Generate the missing scenes of these splits, and report it."""
+    """Generate the missing scenes of these splits, and report it.
+
+    Raises:
+        DatagenError: scenes could not be made.
+    """
     console = status_console()
     for source, names in splits.items():
         source.prepare(names, workers=workers, progress=partial(track_progress, console, source.name, source.folder))

@@ -36,7 +36,11 @@ _OF_MODELS = ("slots", "pretrained", "fit_track", "budget", "steps")
 
 
 def request_of(values: arguments.Run) -> Request:
-    """Build the request that the flags describe."""
+    """Build the request that the flags describe.
+
+    Raises:
+        UsageError: flags contradict each other, or name something that does not exist.
+    """
     _check(values)
     names = values.track or (values.fit_track or DEFAULT,)
     sources: list[Source] = [*find_tracks(names, values.profile)] if values.data is None else [_scored_folder(values)]

@@ -136,7 +136,11 @@ def run_jobs(
 
 
 def run_isolated(job: Runnable, limits: Limits, stop: threading.Event, on_event: Callable[[str], None]) -> Outcome:
-    """Run a job in its own process. A failure leaves a log."""
+    """Run a job in its own process. A failure leaves a log.
+
+    Raises:
+        Busy: another process already does this work; nothing is wrong with the job.
+    """
     log = job.out / LOGS / f"{job.results[0]}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as errors:

@@ -146,7 +146,11 @@ class Job:
 def run_all(
     jobs: Sequence[Job], limits_of: Callable[[Job], Limits], workers: int, on_row: Callable[[RunRow], None]
 ) -> None:
-    """Run jobs within limits, and call `on_row` with every target's row, failed ones included."""
+    """Run jobs within limits, and call `on_row` with every target's row, failed ones included.
+
+    Raises:
+        Busy: another process makes one of the rows.
+    """
 
     def on_event(job: Job, event: str) -> None:
         for target in job.targets:

@@ -20,7 +20,11 @@ _COPY_SECONDS = 30
 
 @contextmanager
 def on_cluster(address: str, out: Path) -> Iterator[None]:
-    """Make `run_jobs` run all jobs on the cluster; results come back where workers do not share the folder `out`."""
+    """Make `run_jobs` run all jobs on the cluster; results come back where workers do not share the folder `out`.
+
+    Raises:
+        UsageError: no scheduler answers at this address.
+    """
     out.mkdir(parents=True, exist_ok=True)
     with connected(address) as cluster, shared_mark(out) as mark:
 
@@ -44,7 +48,11 @@ def on_cluster(address: str, out: Path) -> Iterator[None]:
 
 
 def run_remotely(job: Runnable, limits: Limits, mark: Path) -> tuple[Outcome, Mapping[str, bytes]]:
-    """Run a job on a worker; returns the files that it wrote unless the worker shares the run folder, see `mark`."""
+    """Run a job on a worker; returns the files that it wrote unless the worker shares the run folder, see `mark`.
+
+    Raises:
+        UsageError: the worker does not see a dataset or another file of the job.
+    """
 
     def check(path: Path) -> Path:
         if not (path.is_relative_to(job.out) or path.exists()):

@@ -114,7 +114,11 @@ def _makespan(durations: Iterable[float], workers: int) -> float:
 
 
 def make_plan(request: Request, rows: Sequence[RunRow], out: Path) -> Plan:
-    """Plan the jobs for a request, given the rows that the run folder already has."""
+    """Plan the jobs for a request, given the rows that the run folder already has.
+
+    Raises:
+        UsageError: the request asks for weights that do not exist.
+    """
     if request.predictions:
         return _predictions_plan(request, rows, out)
     done = {row.key for row in rows}
@@ -168,7 +172,11 @@ def superseded(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> list[RunRow]:
 
 
 def check_places(keys: Iterable[RunKey], rows: Iterable[RunRow]) -> None:
-    """Check that no wanted row shares its place with a row of other settings."""
+    """Check that no wanted row shares its place with a row of other settings.
+
+    Raises:
+        UsageError: names the first such row and the settings that differ.
+    """
     there = {row.key.place: row for row in rows}
     for key in keys:
         row = there.get(key.place)
@@ -304,7 +312,11 @@ def _setups(request: Request) -> Iterator[tuple[_ModelSetup, tuple[Source, ...]]
 
 
 def trained(request: Request, fit: Source) -> list[Weights]:
-    """List all trained weights that a request uses: shipped ones for this track, and given ones."""
+    """List all trained weights that a request uses: shipped ones for this track, and given ones.
+
+    Raises:
+        UsageError: requested weights do not ship with the package.
+    """
     shipped = [_shipped(request, model, fit) for model in request.models]
     return [*filter(None, shipped), *request.weights]
 

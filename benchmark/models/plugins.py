@@ -77,7 +77,11 @@ def load(taken: Collection[str] = ()) -> tuple[dict[str, ModelSpec], list[Proble
 
 
 def spec_of(model: Any) -> ModelSpec:
-    """Build the specification of a class from its attributes and defaults, and check it."""
+    """Build the specification of a class from its attributes and defaults, and check it.
+
+    Raises:
+        UsageError: it is not a model, or an attribute is invalid.
+    """
     for method in ("fit", "segment"):
         if not inspect.isclass(model) or not callable(getattr(model, method, None)):
             raise UsageError(f"{model!r} has no method {method!r}; a model is a class with fit and segment.")

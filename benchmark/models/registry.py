@@ -72,7 +72,11 @@ def row_names(models: Mapping[str, ModelSpec]) -> set[str]:
 
 
 def find_model(name: str) -> ModelSpec:
-    """Find a model by name."""
+    """Find a model by name.
+
+    Raises:
+        UsageError: it does not exist (suggests a similar name), or is a broken plug-in (names its problem).
+    """
     if name in MODELS:
         return MODELS[name]
     models, problems = discover()
@@ -85,7 +89,11 @@ def find_model(name: str) -> ModelSpec:
 
 
 def expand(names: Iterable[str]) -> list[str]:
-    """Replace groups by their members, and check that all models exist; each name appears once."""
+    """Replace groups by their members, and check that all models exist; each name appears once.
+
+    Raises:
+        UsageError: as `find_model`.
+    """
     members = [member for name in names for member in (GROUPS[name].members if name in GROUPS else [name])]
     for member in members:
         find_model(member)

@@ -64,7 +64,12 @@ class Comparison:
 def compare(
     folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS, progress: Progress = silent
 ) -> list[Comparison]:
-    """Compare every metric on every track on which both models have scores, fitted on the same track."""
+    """Compare every metric on every track on which both models have scores, fitted on the same track.
+
+    Raises:
+        UsageError: a model has no scores in this folder, or the two have no track in common.
+        CorruptFile: a finished row is damaged.
+    """
     check_runs(folder)
     everything = unranked(*load_scores(folder, progress))
     results = [result for result in everything if result.n_scenes > 0]

@@ -68,7 +68,12 @@ SUMMARISED = (*METRICS, *CLIP_METRICS, SWITCHES)
 
 
 def write(folder: Path, progress: Progress = silent) -> list[ModelResult]:
-    """Write all tables into a run folder, and return the results that they show."""
+    """Write all tables into a run folder, and return the results that they show.
+
+    Raises:
+        CorruptFile: a finished row is damaged.
+        DatagenError: a table cannot be written.
+    """
     results = load_standings(folder, progress)
     texts = (
         to_csv(leaderboard_lines(progress(results, "summarising scores"))),

@@ -190,7 +190,11 @@ def silent(items: Sequence[Item], title: str) -> Iterable[Item]:
 
 
 def load_standings(folder: Path, progress: Progress = silent) -> list[ModelResult]:
-    """Load and rank all results of a run folder."""
+    """Load and rank all results of a run folder.
+
+    Raises:
+        CorruptFile: a row or its scene table is damaged.
+    """
     return standings(*load_scores(folder, progress), progress)
 
 

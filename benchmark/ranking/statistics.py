@@ -123,6 +123,9 @@ def difference(one: tuple[Scores, Scores], two: tuple[OtherScores, OtherScores],
 
     The p-value is that of the bootstrap centred on the difference found (Hall and Wilson, 1991); with N resamples it is
     at least 1 / (N + 1).
+
+    Raises:
+        ValueError: the numbers of scenes differ.
     """
     first, second = mean_over_seeds(*one), mean_over_seeds(*two)
     both = (first[1] > 0) & (second[1] > 0)

@@ -42,7 +42,12 @@ class Analysis:
 
 
 def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, Sequence[RunRow]]) -> Analysis:
-    """Analyse all label maps of every model; `seeds` holds each model's finished runs."""
+    """Analyse all label maps of every model; `seeds` holds each model's finished runs.
+
+    Raises:
+        UsageError: no run has label maps, or no scene shows an object.
+        CorruptFile: label maps are damaged, or of other scenes.
+    """
     with_maps = {model: [row for row in rows if labels_path(folder, row).exists()] for model, rows in seeds.items()}
     kept = {model: rows if rows[0].random else rows[:1] for model, rows in with_maps.items() if rows}
     if not kept:

@@ -36,6 +36,10 @@ def write(
 
     Command and date are shown at the top. A page larger than `largest` bytes gets fewer pictures. Without a dataset, or
     without label maps, the sections that need them say so.
+
+    Raises:
+        UsageError: the folder holds no runs.
+        CorruptFile: a run is damaged.
     """
     check_runs(folder)
     names = model_names(results)

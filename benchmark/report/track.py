@@ -52,7 +52,12 @@ class Datasets:
         self._known: dict[str, tuple[Split, Objects]] = {}
 
     def load(self, track: str, spec_hash: str) -> tuple[Split, Objects]:
-        """Load the scored split of a track and its objects."""
+        """Load the scored split of a track and its objects.
+
+        Raises:
+            UsageError: the dataset is not on this machine.
+            DatagenError: the dataset cannot be read.
+        """
         folder = self._find(track, spec_hash)
         if folder is None:
             raise UsageError("The dataset is not on this machine.")

@@ -52,7 +52,11 @@ def save_curve(path: Path, curve: Sequence[Mapping[str, float]]) -> None:
 
 
 def load_curve(path: Path) -> Curve | None:
-    """Load a learning curve; None if the file does not exist."""
+    """Load a learning curve; None if the file does not exist.
+
+    Raises:
+        CorruptFile: the file is damaged.
+    """
     if not path.exists():
         return None
     try:

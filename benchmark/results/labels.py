@@ -56,7 +56,11 @@ def write_labels(path: Path, scenes: int, data: Path) -> Iterator[LabelWriter]:
 
 
 def check_labels(*paths: Path) -> None:
-    """Check that files of label maps exist."""
+    """Check that files of label maps exist.
+
+    Raises:
+        UsageError: one does not.
+    """
     for path in paths:
         if not path.is_file():
             raise UsageError(
@@ -74,7 +78,12 @@ def _reading(path: Path) -> Iterator[h5py.File]:
 
 
 def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view height width"], int]]:
-    """Read label maps and background slot of every scene, in order."""
+    """Read label maps and background slot of every scene, in order.
+
+    Raises:
+        UsageError: the file does not exist.
+        CorruptFile: it is damaged.
+    """
     with _reading(path) as file:
         labels, slots = _labels_of(file), hdf5_dataset(file, "background_slots", ndim=1, kinds="u")
         if slots.shape != labels.shape[:1]:
@@ -84,14 +93,24 @@ def read_labels(path: Path) -> Iterator[tuple[UInt8[np.ndarray, "frame view heig
 
 
 def read_poses(path: Path, scenes: Sequence[int] | None = None) -> list[Poses] | None:
-    """Read the poses of some scenes, by default of all in order; None if the model gave none."""
+    """Read the poses of some scenes, by default of all in order; None if the model gave none.
+
+    Raises:
+        UsageError: the file does not exist.
+        CorruptFile: it is damaged.
+    """
     with _reading(path) as file:
         every = range(len(hdf5_dataset(file, "labels", ndim=5)))
         return poses_in(file, every if scenes is None else scenes)
 
 
 def check_labels_fit(path: Path, scenes: Split) -> None:
-    """Check that a file has label maps of exactly these scenes, frames, views and pixels; reads only its header."""
+    """Check that a file has label maps of exactly these scenes, frames, views and pixels; reads only its header.
+
+    Raises:
+        UsageError: the file does not exist.
+        CorruptFile: it is damaged, or has label maps of another shape.
+    """
     with _reading(path) as file:
         found = _labels_of(file).shape
     if found != (expected := scenes.labels_shape):
@@ -109,7 +128,12 @@ def _labels_of(file: h5py.File) -> h5py.Dataset:
 
 
 def dataset_of(path: Path) -> Path:
-    """Read the folder of the dataset of some label maps, on the machine that made them."""
+    """Read the folder of the dataset of some label maps, on the machine that made them.
+
+    Raises:
+        UsageError: the file does not exist.
+        CorruptFile: it is damaged.
+    """
     with _reading(path) as file:
         return Path(hdf5_attribute(file, "data", str))
 

@@ -72,6 +72,12 @@ def pack(runs: Sequence[Path], out: Path) -> int:
 
     Returns:
         The number of rows that were added; the others were there already.
+
+    Raises:
+        UsageError: no run folder is given, one has no rows, or the packed folder holds other files or another result
+            in the place of a new one.
+        CorruptFile: a row or a table is damaged.
+        DatagenError: a file cannot be written.
     """
     if not runs:
         raise UsageError("No run folder is named; give those whose rows are to be packed.")

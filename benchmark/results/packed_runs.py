@@ -52,7 +52,11 @@ def is_packed(folder: Path) -> bool:
 
 
 def refuse_packed(folder: Path) -> None:
-    """Check that runs may write to a folder."""
+    """Check that runs may write to a folder.
+
+    Raises:
+        UsageError: it holds packed runs.
+    """
     if is_packed(folder):
         raise UsageError(
             f"{folder} holds packed results, which are read-only. Write to another folder; to add its rows to these, "
@@ -61,14 +65,22 @@ def refuse_packed(folder: Path) -> None:
 
 
 def packed_rows(folder: Path) -> Iterator[Fields]:
-    """Yield the fields of every row, `name` and `learning_curve` included, ordered by name."""
+    """Yield the fields of every row, `name` and `learning_curve` included, ordered by name.
+
+    Raises:
+        CorruptFile: a file is damaged or missing.
+    """
     for name in stored_rows(folder):
         place, row = _resolve(folder, name)
         yield {**row, "learning_curve": _curve(place, row)}
 
 
 def packed_scenes(folder: Path, name: str) -> Columns:
-    """Per-scene scores of one row."""
+    """Per-scene scores of one row.
+
+    Raises:
+        CorruptFile: a file is damaged or missing, or does not have these scores.
+    """
     place, owner = owner_of(*_resolve(folder, name), "scenes")
     if (table := stored_scenes(place).get(owner)) is None:
         raise _damaged(place / SCENES_FILE, f"it has no scores of {owner}")
@@ -114,7 +126,11 @@ def _follow(folder: Path, relative: object) -> Path:
 
 
 def stored_rows(folder: Path) -> dict[str, Fields]:
-    """Load the lines of `runs.jsonl.xz` by name, without following references."""
+    """Load the lines of `runs.jsonl.xz` by name, without following references.
+
+    Raises:
+        CorruptFile: the file is damaged or missing.
+    """
     return _load(folder / ROWS_FILE, _parse_rows)
 
 
@@ -191,7 +207,11 @@ def _columns(names: Sequence[str], lines: list[list[str]]) -> Columns:
 
 
 def unpacked(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
-    """Read an xz-compressed UTF-8 text of limited size."""
+    """Read an xz-compressed UTF-8 text of limited size.
+
+    Raises:
+        CorruptFile: the file is missing, damaged, or longer than `most_bytes` once it is decompressed.
+    """
     try:
         decompressor = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=MOST_MEMORY)
         text = decompressor.decompress(read_bytes(path), max_length=most_bytes + 1)

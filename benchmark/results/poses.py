@@ -25,7 +25,11 @@ class PoseRows:
     values: dict[str, list[np.ndarray]] = field(default_factory=dict)
 
     def put(self, scene: int, poses: Poses) -> None:
-        """Add the poses of one scene, except those that are nan."""
+        """Add the poses of one scene, except those that are nan.
+
+        Raises:
+            UsageError: the scene has other arrays than earlier scenes.
+        """
         given = {name for name in ARRAYS if getattr(poses, name) is not None}
         if self.index and given != set(self.values):
             before = ", ".join(sorted(self.values))

@@ -25,6 +25,9 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
 
     Returns the number of frames; each view counts as a frame. Pixels without depth are ignored, as geometry gives no
     information about them.
+
+    Raises:
+        CorruptFile: the label maps do not fit the scenes.
     """
     check_labels_fit(path, scenes)
     clips, poses = ClipSequence(scenes), read_poses(path) if has_true_poses(scenes) else None
@@ -49,6 +52,10 @@ def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, 
     """Recompute the scene tables of all finished rows of a run folder from their label maps; return their number.
 
     The datasets are searched in the folders `data` first.
+
+    Raises:
+        DatagenError: the label maps or the dataset of a row are missing.
+        CorruptFile: label maps are damaged.
     """
     finished = [row for row in rows if row.status == "ok"]
     # Find all before writing any table, so that an incomplete folder stays unchanged.

@@ -44,7 +44,11 @@ class Flags:
 
 
 def run(flags: Flags) -> None:
-    """Draw the picture."""
+    """Draw the picture.
+
+    Raises:
+        UsageError: there is no such scene, or the dataset has no edits.
+    """
     check_suffix("--picture", flags.picture, ".png")
     dataset = Dataset(flags.data)
     count, kinds = dataset.splits[SPLIT], kinds_in(dataset)

@@ -84,7 +84,11 @@ class ModelFlags:
         return load_origin(self._model)
 
     def check(self, **least: int) -> None:
-        """Check that options, given by name, have at least these values."""
+        """Check that options, given by name, have at least these values.
+
+        Raises:
+            UsageError: one has not.
+        """
         for name, smallest in least.items():
             if (value := getattr(self, name)) < smallest:
                 raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")
@@ -137,7 +141,11 @@ class InferredClip:
 
 
 def infer_clips(model: ObPose, folder: Path, split: str, count: int) -> Iterator[InferredClip]:
-    """Infer the first clips of a split."""
+    """Infer the first clips of a split.
+
+    Raises:
+        UsageError: the clips have several views.
+    """
     dataset = Dataset(folder)
     if dataset.views > 1:
         raise UsageError(f"{folder} has {dataset.views} views; expected clips of one camera.")
@@ -162,7 +170,11 @@ def matched_slots(
 
 
 def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
-    """Check the ending of a file's name."""
+    """Check the ending of a file's name.
+
+    Raises:
+        UsageError: it differs.
+    """
     if path is not None and path.suffix != suffix:
         raise UsageError(f"{flag} {path}: expected a name that ends with {suffix}.")
 

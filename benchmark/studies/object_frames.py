@@ -58,7 +58,11 @@ class Cells:
 
 
 def run(flags: Flags) -> Iterator[Line]:
-    """Compare variances over objects that move, and over those that turn."""
+    """Compare variances over objects that move, and over those that turn.
+
+    Raises:
+        UsageError: a model has the wrong conditioning.
+    """
     flags.check(scenes=1)
     others = [load_obpose(find_checkpoint(Path(name))) for name in flags.other_checkpoints]
     models = {model.config.model.pose.conditioning: model for model in (flags.origin().model, *others)}

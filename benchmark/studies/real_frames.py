@@ -53,7 +53,10 @@ def run(flags: Flags) -> Iterator[Line]:
             truth = read_truth(scenes, index)
             if flags.pictures is not None:
                 picture = tint(scenes.read(index, ["rgb"])["rgb"][0, 0], labels[0, 0], OPACITY)
-                write_png(flags.pictures / f"{names[index]}--{row.key.model}.png", np.asarray(picture))
+                write_png(
+                    flags.pictures / f"{index:02d}-{names[index]}--{row.key.model}-{row.key.seed}.png",
+                    np.asarray(picture),
+                )
             sizes, hits = (np.bincount(values.ravel(), minlength=256)[1:] for values in (labels, labels[truth > 0]))
             found: Line = {name: float(table[name][index]) for name in METRICS}
             found["false objects"] = int(np.sum(hits < FALSE * sizes))

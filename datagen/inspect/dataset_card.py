@@ -19,7 +19,11 @@ SIZES = [(10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "1
 
 
 def write_card(folder: str | Path) -> Path:
-    """Write DIR/README.md and DIR/croissant.json of a complete dataset, and give the path of the former."""
+    """Write DIR/README.md and DIR/croissant.json of a complete dataset, and give the path of the former.
+
+    Raises:
+        DatagenError: the folder holds no complete dataset.
+    """
     spec = Dataset(folder).spec
     figures = summary(folder)
     text = imported.card(spec, figures) if is_imported(spec) else card(spec, figures, meshes_seen(folder))

@@ -63,6 +63,9 @@ def run(
     By default, these are the first four scenes of the first split that has any. The contact sheet (PNG or JPEG) goes to
     `out`, by default `preview.png` in the dataset's folder. An animation (GIF, or MP4 with a codec) goes to `video`, by
     default `preview.gif` for clips; stills have none.
+
+    Raises:
+        UsageError: there are no images, no such scenes, no codec, or a file's name has another ending.
     """
     dataset = Dataset(folder)
     if dataset.spec["resolution"] is None:
@@ -99,7 +102,11 @@ def animation_frames(records: dict[str, SceneRecord], title: str = "") -> Iterat
 
 
 def save_animation(path: Path, frames: list[Rgb], fps: float, palette: UInt8[np.ndarray, "color 3"]) -> None:
-    """Write an MP4 if the name ends in .mp4, otherwise a GIF of the palette's colours that loops forever."""
+    """Write an MP4 if the name ends in .mp4, otherwise a GIF of the palette's colours that loops forever.
+
+    Raises:
+        UsageError: there is no codec for MP4.
+    """
     if path.suffix.lower() == ".mp4":
         save_mp4(path, frames, fps)
         return

@@ -42,7 +42,11 @@ _VISIBILITY = "visibility/visible_fraction"
 
 
 def summary(folder: str | Path) -> Summary:
-    """Statistics of a dataset as plain values; shares are 0 to 1, lengths in metres."""
+    """Statistics of a dataset as plain values; shares are 0 to 1, lengths in metres.
+
+    Raises:
+        DatagenError: the folder holds no complete dataset.
+    """
     dataset = Dataset(folder)
     dataset.check_complete()
     if dataset.imported:
@@ -53,7 +57,11 @@ def summary(folder: str | Path) -> Summary:
 
 
 def run(folder: str | Path) -> None:
-    """Print the figures of a dataset."""
+    """Print the figures of a dataset.
+
+    Raises:
+        DatagenError: the folder holds no complete dataset.
+    """
     table = Table("figure", "value", title=escape(str(folder)), title_style="bold")
     for name, value in summary(folder).items():
         table.add_row(name.replace("_", " "), escape(_text(value)))
@@ -61,7 +69,12 @@ def run(folder: str | Path) -> None:
 
 
 def inspect(folder: str | Path, split: str, scene: int) -> None:
-    """Print the facts of one scene."""
+    """Print the facts of one scene.
+
+    Raises:
+        UsageError: there is no such split or scene.
+        DatagenError: it has not been made yet, or its file is damaged.
+    """
     scenes = Dataset(folder).split(split)
     if not 0 <= scene < len(scenes):
         raise UsageError(f"Split {split} has scenes 0 to {len(scenes) - 1}, but {scene} was requested.")

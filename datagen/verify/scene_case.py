@@ -184,7 +184,11 @@ class ViewRays:
 
 
 def make_case(record: Mapping[str, np.ndarray], allowed: Allowed = DEFAULT, meshes: MeshSource | None = None) -> Case:
-    """Build the geometry that a record describes."""
+    """Build the geometry that a record describes.
+
+    Raises:
+        ValueError, KeyError or TypeError: the description cannot be read or built.
+    """
     scene = scene_from_json(bytes(record["scene/description"].item()).decode())
     shapes = [build(body.shape, meshes) for body in scene.bodies]
     poses = rigid_poses(record["poses/position"], record["poses/quaternion_wxyz"])

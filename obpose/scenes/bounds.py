@@ -37,7 +37,11 @@ def objects_outside(scene: Scene, model: ObPose) -> list[int]:
 
 
 def check_inside(scene: Scene, model: ObPose) -> None:
-    """Check that all objects are inside the workspace in all frames."""
+    """Check that all objects are inside the workspace in all frames.
+
+    Raises:
+        UsageError: some are outside; the message lists them and the bounds.
+    """
     if names := objects_outside(scene, model):
         low, high = workspace_bounds(model)
         within = zip("xyz", (low * 100).ceil() / 100, (high * 100).floor() / 100, strict=True)

@@ -28,7 +28,12 @@ class Origin:
 
 
 def load_origin(checkpoint: str) -> Origin:
-    """Load the model of a folder, or of weights that ship under this name."""
+    """Load the model of a folder, or of weights that ship under this name.
+
+    Raises:
+        UsageError: there is no model, or its objects have no poses.
+        CorruptFile: a file is damaged.
+    """
     folder = find_checkpoint(Path(checkpoint))
     check_poses(read_config(folder), checkpoint)
     model = load_obpose(folder)
@@ -36,7 +41,11 @@ def load_origin(checkpoint: str) -> Origin:
 
 
 def check_poses(config: Configuration, place: str) -> None:
-    """Check that the objects of a model with this configuration have poses."""
+    """Check that the objects of a model with this configuration have poses.
+
+    Raises:
+        UsageError: the objects have no poses.
+    """
     architecture = architecture_of(config)
     if isinstance(config, Config) and architecture is OBPOSE:
         if config.model.pose.conditioning in ("location", "full"):
@@ -51,7 +60,12 @@ def check_poses(config: Configuration, place: str) -> None:
 
 
 def origin_of(scene: Scene, checkpoint: str | None = None) -> Origin:
-    """Load the model of a scene from the place that the scene names, or from `checkpoint`."""
+    """Load the model of a scene from the place that the scene names, or from `checkpoint`.
+
+    Raises:
+        UsageError: as in `load_origin`, or the weights differ from those that made the scene.
+        CorruptFile: a file or the scene is damaged.
+    """
     place = checkpoint or scene.checkpoint
     try:
         found = load_origin(place)

@@ -49,6 +49,10 @@ def open_path(path: Path, *, checkpoint: str | None, data: Path | None, split: S
     """Load a saved scene, or infer one from a clip of a dataset, or of `data` if the path is a model.
 
     A dataset without `checkpoint` uses the shipped weights that render best for its recipe.
+
+    Raises:
+        UsageError: the path is none of these, or another argument is missing or contradicts it.
+        CorruptFile: a file is damaged.
     """
     kind = _kind_of(path)
     if kind == "scene":
@@ -120,7 +124,12 @@ class Sampler:
         """Seed of the newest scene; -1 before the first."""
 
     def next(self, objects: int, cameras: tuple[Camera, ...]) -> Scene:
-        """Sample a scene with the next seed."""
+        """Sample a scene with the next seed.
+
+        Raises:
+            UsageError: there is no room for this many objects.
+            CorruptFile: the file of a prior is damaged.
+        """
         if self._prior is None:
             self._prior = load_prior(self._origin)
         self.seed += 1
@@ -129,7 +138,12 @@ class Sampler:
 
 
 def save_new(root: Path, scene: Scene, renderer: Renderer) -> Path:
-    """Write a scene and its picture into the first folder `scene-N` that does not exist; give the folder."""
+    """Write a scene and its picture into the first folder `scene-N` that does not exist; give the folder.
+
+    Raises:
+        UsageError: `root` is a file, or an object is outside the workspace.
+        DatagenError: it cannot be written, for example because the disk is full.
+    """
     check_inside(scene, renderer.model)
     picture = strip(renderer.render(scene), scene.ids)
     folder = _new_folder(root)

@@ -36,7 +36,11 @@ HEADERS = {
 
 
 def open_server(host: str, port: int, title: str) -> viser.ViserServer:
-    """Start a server at exactly this port."""
+    """Start a server at exactly this port.
+
+    Raises:
+        UsageError: another process uses the port.
+    """
     with redirect_stdout(StringIO()), _guarded(host):
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
     if server.get_port() != port:

@@ -50,7 +50,12 @@ class PredictionFolder:
     """Background label of clips whose files do not name one."""
 
     def check(self, shape: Shape) -> None:
-        """Check that the folder has label maps of exactly the scenes, frames and views of a split."""
+        """Check that the folder has label maps of exactly the scenes, frames and views of a split.
+
+        Raises:
+            UsageError: a file is missing, there is one too many, or an array does not fit the split's `shape`.
+            CorruptFile: a file is damaged.
+        """
         if self._is_hdf5():
             with open_hdf5(self.folder / HDF5, ADVICE) as file:
                 _check_hdf5(self.folder / HDF5, file, shape)
@@ -75,7 +80,12 @@ class PredictionFolder:
         return found.hexdigest()
 
     def read(self, scene: int, clip: Clip) -> Prediction:
-        """Read the label maps of one scene, which must fit its clip."""
+        """Read the label maps of one scene, which must fit its clip.
+
+        Raises:
+            UsageError: they are missing, or do not fit.
+            CorruptFile: a file is damaged.
+        """
         size = clip.depth.shape
         if self._is_hdf5():
             path = self.folder / HDF5

@@ -63,7 +63,12 @@ class EditJob:
         return (self.path,)
 
     def missing(self) -> list[int]:
-        """Scenes that have no line yet."""
+        """Scenes that have no line yet.
+
+        Raises:
+            UsageError: the file has lines of another track or model, whose names together make the same file name.
+            CorruptFile: the file is damaged.
+        """
         lines = load_lines(self.path)
         if others := [line for line in lines if (line["track"], line["model"]) != (self.track, self.model)]:
             raise UsageError(
@@ -74,7 +79,11 @@ class EditJob:
         return [scene for scene in range(self.scenes) if scene not in done]
 
     def run(self, announce: Callable[[str], None], read: ReadEdits = read_edits) -> None:
-        """Score the missing scenes; calls `announce` after every scene, and with the job's name at the end."""
+        """Score the missing scenes; calls `announce` after every scene, and with the job's name at the end.
+
+        Raises:
+            DatagenError: the dataset or the weights are damaged.
+        """
         dataset = Dataset(self.data)
         scenes, kinds = dataset.split(SPLIT), kinds_in(dataset)
         clips, answer = ClipSequence(scenes), self._answer()

@@ -58,7 +58,11 @@ def save_lines(path: Path, lines: Sequence[Line]) -> None:
 
 
 def load_lines(path: Path) -> list[Line]:
-    """Load the lines of a job; none if it has not begun."""
+    """Load the lines of a job; none if it has not begun.
+
+    Raises:
+        CorruptFile: the file is damaged.
+    """
     if not path.exists():
         return []
     try:

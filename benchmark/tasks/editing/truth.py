@@ -90,7 +90,11 @@ def _pairs(
 
 
 def kinds_in(dataset: Dataset) -> tuple[EditKind, ...]:
-    """Kinds of edits in a dataset."""
+    """Kinds of edits in a dataset.
+
+    Raises:
+        UsageError: it has no edits.
+    """
     if kinds := dataset.edits:
         return kinds
     if dataset.imported:

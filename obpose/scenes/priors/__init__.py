@@ -24,5 +24,10 @@ def available_priors(origin: Origin) -> list[PriorName]:
 
 
 def load_prior(origin: Origin, name: PriorName | None = None) -> ScenePrior:
-    """Load a prior of a model by name, by default the best that it has."""
+    """Load a prior of a model by name, by default the best that it has.
+
+    Raises:
+        UsageError: the prior is missing.
+        CorruptFile: a file is damaged, or belongs to another model.
+    """
     return PRIORS[name or available_priors(origin)[0]].load(origin)

@@ -41,7 +41,12 @@ class Examples:
 
 
 def find_examples(origin: Origin, data: Path, folder: Path, settings: FitSettings, say: Say) -> list[Examples]:
-    """Find objects in the first training clips of a dataset; clips that have a file in `folder` are read from it."""
+    """Find objects in the first training clips of a dataset; clips that have a file in `folder` are read from it.
+
+    Raises:
+        CorruptFile: a file is damaged.
+        UsageError: the dataset has fewer clips.
+    """
     paths = [folder / f"clip-{index:05d}.safetensors" for index in range(settings.clips)]
     missing = [index for index, path in enumerate(paths) if not path.exists()]
     say(f"Looking for objects in {counted(len(missing), 'clip')} of {data}.")

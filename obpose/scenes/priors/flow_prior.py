@@ -52,7 +52,12 @@ def save_flow(origin: Origin, flow: Flow) -> Path:
 
 
 def load_flow(origin: Origin) -> ScenePrior:
-    """Load the learned flow of a model, together with its fitted mixtures."""
+    """Load the learned flow of a model, together with its fitted mixtures.
+
+    Raises:
+        UsageError: one of them is missing.
+        CorruptFile: a file is damaged, or belongs to another model.
+    """
     if not (origin.folder / FILE).is_file():
         raise UsageError(
             f"{origin.folder} has no {FILE}; make one with obpose-edit fit-prior --kind flow, or give another --prior."

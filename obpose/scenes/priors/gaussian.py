@@ -40,7 +40,11 @@ _MARGIN = 0.02
 
 
 def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) -> Path:
-    """Fit mixtures to the training clips of a dataset, with the tables of the first ones, and write the file."""
+    """Fit mixtures to the training clips of a dataset, with the tables of the first ones, and write the file.
+
+    Raises:
+        UsageError: too few objects were found for a covariance.
+    """
     tables = min(settings.clips, MOST)
     say(f"Looking for lights and textures in {counted(tables, 'clip')}; each takes some seconds.")
 
@@ -60,7 +64,11 @@ def fit_gaussian(origin: Origin, data: Path, settings: FitSettings, say: Say) ->
 
 @torch.no_grad()
 def fit_codes(model: ObPose, clips: Iterable[Observation], tables: Tables) -> ScenePrior:
-    """Fit mixtures to posterior means of the first frames of clips, each a batch of one; `tables` stay as given."""
+    """Fit mixtures to posterior means of the first frames of clips, each a batch of one; `tables` stay as given.
+
+    Raises:
+        UsageError: too few objects were found for a covariance.
+    """
     what, background, center = [], [], []
     for clip in clips:
         inference = model.segment(clip).inference
@@ -93,7 +101,12 @@ def save_gaussian(origin: Origin, prior: ScenePrior) -> Path:
 
 
 def load_gaussian(origin: Origin) -> ScenePrior:
-    """Load the fitted mixtures of a model."""
+    """Load the fitted mixtures of a model.
+
+    Raises:
+        UsageError: there are none.
+        CorruptFile: the file is damaged, or belongs to another model.
+    """
     path = origin.folder / FILE
     if not path.is_file():
         raise UsageError(f"{origin.folder} has no {FILE}; make one with obpose-edit fit-prior --kind gaussian first.")

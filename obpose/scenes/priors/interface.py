@@ -97,7 +97,11 @@ class PriorKind:
 
 
 def read_prior(origin: Origin, file: str, advice: str, expect: Expect) -> State:
-    """Read the tensors of a prior's file."""
+    """Read the tensors of a prior's file.
+
+    Raises:
+        CorruptFile: the file is damaged, or belongs to other weights.
+    """
     path = origin.folder / file
     tensors, metadata = read_tensors(path, advice, expect, most_bytes=_MOST_BYTES)
     if metadata.get(WEIGHTS) != origin.hash:

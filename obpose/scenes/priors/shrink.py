@@ -17,6 +17,10 @@ def shrink_checkpoint(folder: Path, precision: Precision = "float16") -> None:
     """Store the weights of a folder in a precision, and its priors anew beside them.
 
     Priors hold the hash of the weights that they belong to. Scenes of the former weights become unreadable.
+
+    Raises:
+        UsageError: there is no model, or it is not a variant of ObPose with poses.
+        CorruptFile: a file is damaged, or a prior belongs to other weights.
     """
     origin = load_origin(str(folder))
     names = available_priors(origin)
