@@ -32,8 +32,9 @@ class BackboneConfig:
 class AttentionConfig:
     """Attention, which turns embeddings into masks. `slot_distribution` is for slot attention, the rest for IC-SBP."""
 
-    kind: Literal["icsbp", "slots"] = "icsbp"
-    """Source of the masks: IC-SBP, or slot attention, whose slots replace the object encoder. [paper: both]"""
+    kind: Literal["icsbp", "slots", "given"] = "icsbp"
+    """Source of the masks: IC-SBP; slot attention, whose slots replace the object encoder; or a segmentation that is
+    `given` by another model, only for `obpose-contact`. [paper: the first two; ours: given]"""
     semi_convolution: float = 8.0
     """World position in metres, times this, is added to the first three channels of the colour embedding; 0 for none.
     The most important setting for learning in few steps. [ours; Novotny et al. 2018]"""

@@ -16,7 +16,14 @@ from obpose.baselines.obsurf.config_bounds import check_obsurf_bounds
 from obpose.config import Config, override
 from obpose.config_bounds import check_bounds
 from obpose.config_text import dotted_values
-from obpose.contact.config import ContactConfig, OgcConfig, SupervisedConfig, check_contact_bounds
+from obpose.contact.config import (
+    ContactConfig,
+    ContactObPoseConfig,
+    OgcConfig,
+    SupervisedConfig,
+    check_contact_bounds,
+    check_contact_obpose_bounds,
+)
 from obpose.errors import unknown_name
 from obpose.variants import PROFILES, SEARCHED, VARIANTS, make_config, searched_in
 
@@ -57,7 +64,8 @@ class System:
     uses_labels: bool = False
     """Whether the system is trained with labels."""
     extra: tuple[str, ...] = ("att",)
-    """Outputs that tables show beside the labels: `att`, the attention masks."""
+    """Name of `Segmentation.attention` in tables, which show it beside the labels: `att`, masks without the decoder or
+    the clip; `density`, labels by the composed density."""
     searched: Changes = field(default_factory=dict)
     """Further changes in the profile `cpu`, chosen for it by a search."""
     on_tracks: Mapping[str, Changes] = field(default_factory=dict)
@@ -103,6 +111,12 @@ def _build_contact(config: ContactConfig) -> "Trainable":
     return ContactModel(config)
 
 
+def _build_contact_obpose(config: Any) -> "Trainable":
+    from obpose.contact.scene_model import build_contact_obpose
+
+    return build_contact_obpose(config)
+
+
 def _build_ogc(config: OgcConfig) -> "Trainable":
     from obpose.baselines.ogc import Ogc
 
@@ -115,7 +129,12 @@ _CONTACT_PROFILES: dict[str, Changes] = {"cpu": {}, "gpu": {"train.batch": 256, 
 SUPERVISED = Architecture("supervised", SupervisedConfig, _CONTACT_PROFILES, _build_supervised, check_contact_bounds)
 CONTACT = Architecture("contact", ContactConfig, _CONTACT_PROFILES, _build_contact, check_contact_bounds)
 OGC = Architecture("ogc", OgcConfig, _CONTACT_PROFILES, _build_ogc, check_contact_bounds)
-ARCHITECTURES = {architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED, CONTACT, OGC)}
+OBPOSE_CONTACT = Architecture(
+    "obpose-contact", ContactObPoseConfig, PROFILES, _build_contact_obpose, check_contact_obpose_bounds
+)
+ARCHITECTURES = {
+    architecture.name: architecture for architecture in (OBPOSE, OBSURF, SUPERVISED, CONTACT, OGC, OBPOSE_CONTACT)
+}
 
 DESCRIPTIONS = {
     "obpose": "objects encoded at their location and rotation",
@@ -130,9 +149,10 @@ DESCRIPTIONS = {
     "obsurf": "ObSuRF with depth supervision and its overlap loss",
     "obsurf-no-overlap": "obsurf without the overlap loss",
     "obsurf-no-overlap-depth": "obsurf-no-overlap with depth as an input, too",
-    "supervised": "network and losses of obpose-contact, trained with labels",
-    "ogc": "network of obpose-contact, trained by rigid motion between frames (OGC)",
-    "obpose-contact": "masks alone, from pasted contacts, followed through the clip",
+    "supervised": "network and losses of contact-masks, trained with labels",
+    "ogc": "network of contact-masks, trained by rigid motion between frames (OGC)",
+    "contact-masks": "masks alone, learned from pasted contacts, decided over the clip",
+    "obpose-contact": "obpose with the masks of contact-masks",
 }
 
 
@@ -192,12 +212,21 @@ SYSTEMS: dict[str, System] = {
         uses_labels=True,
     ),
     "ogc": System(OGC, {}, DESCRIPTIONS["ogc"], ("slots", "background slot", "camera pose", "plane")),
-    "obpose-contact": System(
+    "contact-masks": System(
         CONTACT,
         {},
-        DESCRIPTIONS["obpose-contact"],
+        DESCRIPTIONS["contact-masks"],
         ("background slot", "camera pose", "plane"),
         version=2,
+    ),
+    "obpose-contact": System(
+        OBPOSE_CONTACT,
+        {"model.attention.kind": "given", "train.minutes": 30.0},
+        DESCRIPTIONS["obpose-contact"],
+        ("background slot", "camera pose", "plane", "object size"),
+        version=3,
+        extra=("density",),
+        on_tracks=_LARGER_BOXES,
     ),
 }
 """Systems by the names of the benchmark's models and of `obpose-train --variant`."""

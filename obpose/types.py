@@ -65,6 +65,31 @@ class PastedObservation(Observation):
 
 
 @dataclass(frozen=True, eq=False)
+class ContactObservation(PastedObservation):
+    """Clips with their pseudo-objects, the same over time, and for each clip some pasted images."""
+
+    pasted_rgb: Float[Tensor, "batch image height width 3"]
+    pasted_depth: Float[Tensor, "batch image height width"]
+    pasted_labels: Int[Tensor, "batch image height width"]
+    pasted_k: Float[Tensor, "batch image 3 3"]
+    pasted_world_from_camera: Float[Tensor, "batch image 4 4"]
+
+    @property
+    def clips(self) -> PastedObservation:
+        """The clips alone."""
+        return PastedObservation(**{each.name: getattr(self, each.name) for each in fields(PastedObservation)})
+
+    @property
+    def pasted(self) -> PastedObservation:
+        """The pasted images, each as a clip of one frame and view."""
+        rgb, depth, labels = (
+            each.flatten(0, 1)[:, None, None] for each in (self.pasted_rgb, self.pasted_depth, self.pasted_labels)
+        )
+        k, poses = (each.flatten(0, 1)[:, None] for each in (self.pasted_k, self.pasted_world_from_camera))
+        return PastedObservation(rgb, depth, depth > 0, k, poses, labels)
+
+
+@dataclass(frozen=True, eq=False)
 class Embeddings:
     """Embeddings of the points of the grid (paper, section Encoder)."""
 

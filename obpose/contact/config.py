@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass, field
 
-from obpose.config import TrainConfig
-from obpose.config_bounds import TRAINING, Rule, check_values, expect, not_negative, positive
+from obpose.config import Config, TrainConfig
+from obpose.config_bounds import TRAINING, Rule, check_bounds, check_values, expect, not_negative, positive
 
 LEAST_FLOOR = 0.0015
 """Height in metres above the table from which points belong to objects, for exact depth."""
@@ -52,6 +52,13 @@ class ContactConfig:
 
 
 @dataclass(frozen=True)
+class ContactObPoseConfig(Config):
+    """All settings of a run of ObPose with the masks of the contact model, except for its data."""
+
+    contact: ContactModelConfig = field(default_factory=ContactModelConfig)
+
+
+@dataclass(frozen=True)
 class SupervisedConfig(ContactConfig):
     """Configuration of `obpose.baselines.supervised`, with the same defaults."""
 
@@ -74,13 +81,14 @@ class OgcConfig(ContactConfig):
     )
 
 
-_RULES: tuple[Rule, ...] = (
-    *TRAINING,
-    positive("model.gap"),
-    ("model.division_gap", lambda value: value is None or 0 < value < math.inf, "none, or more than 0 and finite"),
-    positive("model.spacing"),
-    not_negative("model.noise"),
-)
+def model_rules(part: str) -> tuple[Rule, ...]:
+    """Give the rules for a `ContactModelConfig` that is the value `part` of a configuration."""
+    division = f"{part}.division_gap"
+    return (
+        positive(f"{part}.gap {part}.spacing"),
+        (division, lambda value: value is None or 0 < value < math.inf, "none, or more than 0 and finite"),
+        not_negative(f"{part}.noise"),
+    )
 
 
 def check_contact_bounds(config: ContactConfig) -> None:
@@ -89,8 +97,23 @@ def check_contact_bounds(config: ContactConfig) -> None:
     Raises:
         UsageError: a value is out of bounds; the message names the first one and what is expected.
     """
-    check_values(config, _RULES)
+    check_values(config, (*TRAINING, *model_rules("model")))
     frames, views = config.train.frames, config.train.views
     needed = 2 if isinstance(config, OgcConfig) else 1
     expect(frames == needed, "train.frames", frames, f"{needed}, as the network sees single images, or pairs of them")
     expect(views == "separate", "train.views", views, "separate, as the network sees single images")
+
+
+def check_contact_obpose_bounds(config: ContactObPoseConfig) -> None:
+    """Check that a configuration can be built and trained.
+
+    Raises:
+        UsageError: a value is out of bounds; the message names the first one and what is expected.
+    """
+    check_bounds(config)
+    check_values(config, model_rules("contact"))
+    model, views = config.model, config.train.views
+    kind, background = model.attention.kind, model.background
+    expect(kind == "given", "model.attention.kind", kind, "given, as the masks are those of the contact model")
+    expect(background == "component", "model.background", background, "component, as masks have a background")
+    expect(views != "separate", "train.views", views, "random or all, as for other variants of ObPose")

@@ -4,7 +4,7 @@ The connected components of a clip's clearest frame serve as pseudo-objects. Som
 to a component of another clip. Which pixel belongs to which is then known, although the pixels touch.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_ed
 from torch import Tensor
 
 from obpose.contact.components import image_components
+from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
@@ -32,6 +33,8 @@ LEAST_VISIBLE, LEAST_LEFT = 0.5, 0.4
 """Shares of a pasted object and of each other one that must be visible afterwards."""
 CHECKED = 32
 """Number of clips, from the first on, one of which must show pseudo-objects."""
+IMAGES = 16
+"""Number of pasted images for each window of `ClipsWithPasted`."""
 APART = 0.2
 """Probability that a place without contact is accepted."""
 
@@ -55,6 +58,13 @@ class PseudoScene:
     def count(self) -> int:
         """Number of pseudo-objects."""
         return int(self.labels.max())
+
+    def points(self, mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "pixel 3"]:
+        """Surface points of the pixels of a mask, world frame, metres."""
+        rows, columns = np.nonzero(mask)
+        rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))]) * self.depth[mask]
+        camera = np.linalg.inv(self.k) @ rays
+        return (self.world_from_camera[:3, :3] @ camera).T + self.world_from_camera[:3, 3]
 
     def slope(self, rows: np.ndarray | float, columns: np.ndarray | float) -> np.ndarray | float:
         """Change of height per metre of planar depth, along the rays through places of the image."""
@@ -100,6 +110,7 @@ class PastedClips:
         """
         self._source, self._table, self._floor, self._gap, self._seed = source, table, floor, gap, seed
         self._scenes: dict[int, PseudoScene] = {}
+        self._labels: dict[int, UInt8[np.ndarray, "frame view height width"]] = {}
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
             raise UsageError(
                 f"The first training clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
@@ -140,6 +151,62 @@ class PastedClips:
             scenes = pseudo_scenes(self._source, index, table=self._table, floor=self._floor, gap=self._gap)
             self._scenes[index] = max(scenes, key=lambda scene: scene.count)
         return self._scenes[index]
+
+    def pseudo_labels(self, index: int) -> UInt8[np.ndarray, "frame view height width"]:
+        """Pseudo-objects of a clip, followed from the frame of each view that shows the most; 0 elsewhere."""
+        if index not in self._labels:
+            scenes = list(pseudo_scenes(self._source, index, table=self._table, floor=self._floor, gap=self._gap))
+            views = len(scenes) // self._source.frames_of_clip
+            followed = [_followed(scenes[view::views], self._gap) for view in range(views)]
+            self._labels[index] = np.stack(followed, axis=1)
+        return self._labels[index]
+
+
+class ClipsWithPasted:
+    """Source of clips with pseudo-objects and pasted images: fields of `obpose.types.ContactObservation`."""
+
+    def __init__(self, source: ClipSource, pasted: PastedClips, *, seed: int):
+        """Combine clips and the images that are pasted from them."""
+        self._source, self._pasted, self._seed = source, pasted, seed
+
+    @property
+    def frames_of_clip(self) -> int:
+        """Frames of every clip."""
+        return self._source.frames_of_clip
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
+        """Read a window of a clip, with `IMAGES` pasted images that depend on the seed, the clip and its start."""
+        rng = np.random.default_rng([self._seed, 3, index, start])
+        places = rng.integers((len(self), self._pasted.frames_of_clip), size=(IMAGES, 2)).tolist()
+        images = [self._pasted.window(other, first, 1) for other, first in places]
+        pasted = {name: torch.stack([image[name] for image in images]) for name in images[0]}
+        labels = self._pasted.pseudo_labels(index)[start : start + frames]
+        return {
+            **self._source.window(index, start, frames),
+            "pseudo_labels": torch.from_numpy(labels.astype(np.int64)),
+            "pasted_rgb": pasted["rgb"][:, 0, 0],
+            "pasted_depth": pasted["depth"][:, 0, 0],
+            "pasted_labels": pasted["pseudo_labels"][:, 0, 0],
+            "pasted_k": pasted["k"][:, 0],
+            "pasted_world_from_camera": pasted["world_from_camera"][:, 0],
+        }
+
+
+def _followed(scenes: Sequence[PseudoScene], gap: float) -> UInt8[np.ndarray, "frame height width"]:
+    """Pseudo-objects of the images of one view, with one label each over time."""
+    masks = [scene.labels > 0 for scene in scenes]
+    clouds = [
+        Cloud(scene.points(mask), COLOUR_SCALE * scene.rgb[mask]) for scene, mask in zip(scenes, masks, strict=True)
+    ]
+    key = int(np.argmax([scene.count for scene in scenes]))
+    labels = np.zeros((len(scenes), *masks[0].shape), np.uint8)
+    found = track(clouds, key, scenes[key].labels[masks[key]].astype(np.int64) - 1, gap)
+    for frame, mask in enumerate(masks):
+        labels[frame][mask] = np.minimum(found[frame] + 1, 255)
+    return labels
 
 
 def pseudo_scenes(source: ClipSource, index: int, *, table: float, floor: float, gap: float) -> Iterator[PseudoScene]:

@@ -39,8 +39,8 @@ class SceneMeasures:
     """Median over the images of the standard deviation of the largest plane's points, metres; 0 without planes."""
 
     def changes(self) -> dict[str, Any]:
-        """Give the statistics as configuration changes for `obpose.variants.make_config`."""
-        return {f"model.{name}": value for name, value in vars(self).items()}
+        """Give the statistics as configuration changes; `obpose.systems.System.known` selects those of a system."""
+        return {f"{part}.{name}": value for part in ("model", "contact") for name, value in vars(self).items()}
 
 
 def measure_scene(source: ClipSource) -> SceneMeasures:

@@ -1,6 +1,9 @@
 """Builder of ObPose: the parts of a configuration, composed."""
 
+from typing import Any
+
 from obpose.config import Config, ModelConfig
+from obpose.model.attention.given import GivenMasks
 from obpose.model.attention.heads import Heads
 from obpose.model.attention.icsbp import ICSBP
 from obpose.model.attention.interface import Attention
@@ -14,10 +17,15 @@ from obpose.model.pose.where import Where
 
 
 def build_obpose(config: Config) -> ObPose:
-    """Build a model with fresh weights from PyTorch's global generator, which are drawn in the order below."""
+    """Build a model with fresh weights from PyTorch's global generator."""
+    return ObPose(config, **build_parts(config))
+
+
+def build_parts(config: Config) -> dict[str, Any]:
+    """Build the parts of a model by the names of `ObPose`'s arguments; weights are drawn in the order below."""
     model = config.model
     # Embeddings and masks.
-    backbone = Backbone(model.backbone, scene_code=model.has_background and model.attention.kind == "icsbp")
+    backbone = Backbone(model.backbone, scene_code=model.has_background and model.attention.kind != "slots")
     heads = Heads(model)
     attention = build_attention(model, heads)
     # Poses and latents.
@@ -37,23 +45,24 @@ def build_obpose(config: Config) -> ObPose:
     # Fields.
     object_field = Field(model.object_field, LATENT, model.weights)
     background_field = Field(model.background_field, LATENT, model.weights) if model.has_background else None
-    return ObPose(
-        config,
-        backbone=backbone,
-        heads=heads,
-        attention=attention,
-        where_encoder=where_encoder,
-        where=where,
-        what_encoder=what_encoder,
-        what=what,
-        background=background,
-        object_field=object_field,
-        background_field=background_field,
-    )
+    return {
+        "backbone": backbone,
+        "heads": heads,
+        "attention": attention,
+        "where_encoder": where_encoder,
+        "where": where,
+        "what_encoder": what_encoder,
+        "what": what,
+        "background": background,
+        "object_field": object_field,
+        "background_field": background_field,
+    }
 
 
 def build_attention(model: ModelConfig, heads: Heads) -> Attention:
     """Build the attention part of a configuration."""
     if model.attention.kind == "icsbp":
         return ICSBP(model)
+    if model.attention.kind == "given":
+        return GivenMasks()
     return SlotAttention(model, features=heads.feature_size)

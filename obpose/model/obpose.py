@@ -41,6 +41,7 @@ from obpose.model.pose.where import Where
 from obpose.trainable import Trainable
 from obpose.types import (
     Boxes,
+    ComponentRays,
     Decoded,
     Draw,
     Embeddings,
@@ -119,7 +120,11 @@ class ObPose(Trainable):
     ) -> Inference:
         """Masks, poses and latents of a clip. Attention follows the rules for training in training mode."""
         views = self._embed(observation)
-        return self._encode(views, self.attention(views.embeddings, generator), draw=draw, generator=generator)
+        return self._encode(views, self._attend(views, generator), draw=draw, generator=generator)
+
+    def _attend(self, views: EmbeddedViews, generator: torch.Generator | None) -> Attended:
+        """Masks of the views that are encoded."""
+        return self.attention(views.embeddings, generator)
 
     def _embed(self, observation: Observation) -> EmbeddedViews:
         points = unproject(observation)
@@ -216,15 +221,18 @@ class ObPose(Trainable):
         for _ in range(self.config.model.attention.posterior_refinements):
             masks = self._posterior_masks(observation, inference)
             inference = self._encode(views, replace(attended, masks=masks))
-        # Argmax of the density at the observed surface; outside of all boxes it is the background.
-        rays = all_rays(observation)
-        surface = rays.origin + rays.direction * rays.depth[..., None]
-        logits = self.decode(inference, surface, rays.direction, where_background="in boxes").logits
         return SceneSegmentation(
-            labels=(logits.argmax(dim=2) * rays.valid).reshape(observation.depth.shape),
+            labels=self.labels_by_density(observation, inference),
             attention=self.pixel_owners(attended.masks, views.embeddings, observation),
             inference=inference,
         )
+
+    def labels_by_density(self, observation: Observation, inference: Inference) -> Labels:
+        """Argmax of the composed density at the observed surface; 0, the background, outside of all boxes."""
+        rays = all_rays(observation)
+        surface = rays.origin + rays.direction * rays.depth[..., None]
+        logits = self.decode(inference, surface, rays.direction, where_background="in boxes").logits
+        return (logits.argmax(dim=2) * rays.valid).reshape(observation.depth.shape)
 
     def _segment_as_labelled(self, views: EmbeddedViews, labels: Labels) -> SceneSegmentation:
         grid = self.backbone.grid_size(*labels.shape[3:])
@@ -263,7 +271,7 @@ class ObPose(Trainable):
         if embeddings.log_prescope is not None:
             rays = self._sample_rays(views, observation, embeddings.log_prescope[..., 1].exp(), generator)
         # Inference, with latents drawn from their posteriors.
-        inference = self._encode(views, self.attention(embeddings, generator), draw="sample", generator=generator)
+        inference = self._encode(views, self._attend(views, generator), draw="sample", generator=generator)
         masks, active = inference.masks, inference.masks.active
         if rays is None:
             rays = self._sample_rays(views, observation, not_largest(masks.log_masks.detach()), generator)
@@ -273,10 +281,8 @@ class ObPose(Trainable):
         terms = self._observation_terms(fields, views, observation, decode, generator)
         if inference.background is not None:
             terms["kl_background"] = kl(inference.background)
-        # L_att.
-        terms["attention"] = attention_loss(self._masks_at(masks.log_masks, rays, views), fields, self.config.loss)
+        terms |= self._mask_terms(masks, self._masks_at(masks.log_masks, rays, views), fields, embeddings)
         # L_others.
-        terms["scope"] = remaining_scope(masks.log_scope, embeddings.valid)
         terms["kl_what"] = kl(inference.what, active[:, None])
         if inference.where is not None:
             # T_shape on one random frame per clip, for speed; the authors take all frames.
@@ -288,6 +294,15 @@ class ObPose(Trainable):
             terms["translation"] = translation(inference.boxes.center, shape.center, shape.found, active)
             terms["kl_where"] = kl(inference.where, active[:, None])
         return terms
+
+    def _mask_terms(
+        self, masks: Masks, log_masks: ComponentRays, fields: FieldsAlongRays, embeddings: Embeddings
+    ) -> dict[str, Tensor]:
+        """Terms that the masks are learned by: L_att on the masks at the rays, and the remaining scope of L_others."""
+        return {
+            "attention": attention_loss(log_masks, fields, self.config.loss),
+            "scope": remaining_scope(masks.log_scope, embeddings.valid),
+        }
 
     def _warmup_terms(
         self, observation: Observation, views: EmbeddedViews, generator: torch.Generator | None

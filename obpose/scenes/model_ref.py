@@ -11,7 +11,7 @@ from obpose.model.obpose import ObPose
 from obpose.scenes.scene import Scene
 from obpose.storage.checkpoint import MODEL, load_obpose, read_config
 from obpose.storage.pretrained import find_checkpoint
-from obpose.systems import OBPOSE, architecture_of
+from obpose.systems import architecture_of
 from obpose.trainable import Configuration
 
 
@@ -47,7 +47,7 @@ def check_poses(config: Configuration, place: str) -> None:
         UsageError: the objects have no poses.
     """
     architecture = architecture_of(config)
-    if isinstance(config, Config) and architecture is OBPOSE:
+    if isinstance(config, Config):
         if config.model.pose.conditioning in ("location", "full"):
             return
         what = f"with model.pose.conditioning={config.model.pose.conditioning}"

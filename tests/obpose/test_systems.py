@@ -8,7 +8,7 @@ from obpose.baselines.obsurf.model import Obsurf
 from obpose.baselines.supervised import Supervised
 from obpose.config import Config
 from obpose.config_text import from_plain, to_plain
-from obpose.contact.config import ContactConfig, OgcConfig, SupervisedConfig
+from obpose.contact.config import ContactConfig, ContactObPoseConfig, OgcConfig, SupervisedConfig
 from obpose.data.scene_stats import SceneMeasures
 from obpose.errors import UsageError
 from obpose.model.obpose import ObPose
@@ -46,8 +46,10 @@ def test_every_name_says_what_it_is():
 
 
 def test_the_measures_of_a_scene_reach_whoever_has_a_value_for_them():
-    obpose, obsurf, contact = (SYSTEMS[name] for name in ("obpose", "obsurf", "obpose-contact"))
-    assert {*obpose.known(MEASURES), *contact.known(MEASURES)} == {*MEASURES}
+    obsurf, masks, contact = (SYSTEMS[name] for name in ("obsurf", "contact-masks", "obpose-contact"))
+    known = {*masks.known(MEASURES), *contact.known(MEASURES)}
+    assert {name.split(".")[1] for name in known} == {name.split(".")[1] for name in MEASURES}
+    assert "contact.noise" in contact.known(MEASURES)
     config = obsurf.config("cpu", obsurf.known(MEASURES))
     assert config.model.workspace_center == (0.1, 0.2, 0.3)
     assert set(obsurf.known(MEASURES)) == {"model.workspace_center"}
@@ -71,6 +73,7 @@ def test_a_configuration_says_which_model_it_is_of():
         SupervisedConfig,
         ContactConfig,
         OgcConfig,
+        ContactObPoseConfig,
     }
     with pytest.raises(TypeError, match="configured by SceneMeasures"):
         architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0, 0.0))
@@ -78,7 +81,7 @@ def test_a_configuration_says_which_model_it_is_of():
 
 def test_a_system_that_uses_labels_is_one_whose_model_sees_them():
     torch.manual_seed(0)
-    for name in ("obpose", "obsurf", "supervised", "obpose-contact", "ogc"):
+    for name in ("obpose", "obsurf", "supervised", "contact-masks", "ogc", "obpose-contact"):
         system = SYSTEMS[name]
         assert (build_model(system.config()).observation_type is LabelledObservation) is system.uses_labels
 

@@ -19,6 +19,7 @@ AUTHORS = {
     "obsurf-no-overlap": _OBSURF,
     "obsurf-no-overlap-depth": _OBSURF,
     "supervised": None,
+    "contact-masks": None,
     "obpose-contact": None,
 }
 """Parameters, CPU seconds an image of 128x128 on one thread, peak gigabytes: measured once with stand-ins for what only

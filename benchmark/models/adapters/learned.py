@@ -23,10 +23,6 @@ from obpose.trainable import Trainable
 from obpose.training.devices import keep_memory
 from obpose.training.loop import CurvePoint, train
 
-ATTENTION = "att"
-"""Name of the attention masks in `Prediction.extra`."""
-
-
 class LearnedSegmenter:
     """One of `obpose.systems.SYSTEMS`, trained on clips or loaded from a checkpoint; implements `Segmenter`."""
 
@@ -69,7 +65,7 @@ class LearnedSegmenter:
         self.parameters = sum(parameter.numel() for parameter in self._model.parameters())
 
     def segment(self, clip: Clip) -> Prediction:
-        """Segment a clip. Slot 0 is the background if the model has one; `att` holds the attention masks.
+        """Segment a clip. Slot 0 is the background if the model has one; `extra` holds `Segmentation.attention`.
 
         Poses are included if the model gives objects poses and segments each view separately.
         """
@@ -87,7 +83,7 @@ class LearnedSegmenter:
             found, axes = model.segment(apart), "view frame 1 h w -> frame view h w"
             poses = poses_of(model, found, apart)
         labels, attention = (rearrange(maps, axes).cpu().numpy() for maps in (found.labels, found.attention))
-        extra = {ATTENTION: attention} if ATTENTION in self._system.extra else {}
+        extra = dict.fromkeys(self._system.extra, attention)
         return Prediction(labels, model.background_slot, extra, poses)
 
     def _train(self, clips: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> Trainable:

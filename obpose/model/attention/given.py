@@ -11,6 +11,20 @@ from obpose.types import Embeddings, Masks
 Labels = Int[Tensor, "batch frame view height width"]
 
 
+class GivenMasks(Attention):
+    """Part without weights for models whose masks are given: without a segmentation there are no objects."""
+
+    def forward(self, embeddings: Embeddings, generator: torch.Generator | None) -> Attended:
+        """Give every point to the background, and none to the one slot, which is inactive."""
+        batch, frames, points = embeddings.valid.shape
+        nothing = embeddings.valid.new_zeros((batch, frames, 1, 1, points), dtype=torch.int64)
+        return attended_as_labelled(nothing, embeddings, self, grid=(1, points))
+
+    def background_code(self, embeddings: Embeddings, generator: torch.Generator | None) -> Tensor:
+        """Code of the scene."""
+        return embeddings.scene
+
+
 def attended_as_labelled(
     labels: Labels, embeddings: Embeddings, attention: Attention, *, grid: tuple[int, int]
 ) -> Attended:

@@ -23,6 +23,7 @@ def weighted_terms(terms: dict[str, Tensor], config: LossConfig, *, fraction: fl
         "surface": 1.0,
         "air": growth(config.air_growth, fraction),
         "attention": config.attention_weight,
+        "assignment": 1.0,
         "scope": SCOPE,
         "translation": config.translation,
         "kl_background": KL,

@@ -56,7 +56,8 @@ def estimate_shape(
     # Shapes in the chosen frames, put in their place among all frames.
     here = replace(boxes, center=_pick(boxes.center, frame), rotation=_pick(boxes.rotation, frame))
     images = {name: _pick(getattr(observation, name), frame) for name in ("rgb", "depth", "valid")}
-    seen, codes = replace(observation, **images), _pick(z_what, frame)
+    seen = Observation(**images, k=observation.k, world_from_camera=observation.world_from_camera)
+    codes = _pick(z_what, frame)
     shape = shape_of(occupied_voxels(object_field, here, active, codes, seen, **options))
     at = torch.arange(z_what.shape[1], device=frame.device) == frame[:, None]
     return Shape(center=shape.center * at[..., None, None], found=shape.found & at[..., None])

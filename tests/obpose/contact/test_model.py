@@ -106,7 +106,7 @@ def test_segmentations_have_the_shape_of_the_clip_and_leave_out_pixels_without_d
 
 
 def test_settings_that_cannot_work_are_refused():
-    system = find_system("obpose-contact")
+    system = find_system("contact-masks")
     for name, value, message in (("frames", 2, "expected 1"), ("views", "all", "expected separate")):
         with pytest.raises(UsageError, match=message):
             check_contact_bounds(system.config("cpu", {f"train.{name}": value}))

@@ -1,0 +1,109 @@
+"""ObPose with the masks of the contact model: masks, poses and fields of the objects of a clip.
+
+The contact model segments the clip (`obpose.contact.model`), and ObPose encodes each of its objects (where, what,
+minimum-volume pose, NeRF). Both are trained in the same steps, without labels: the contact model on pasted images, the
+rest on clips in which connected components, followed over time, serve as objects.
+"""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from obpose.contact.config import ContactConfig, ContactObPoseConfig
+from obpose.contact.model import ContactModel
+from obpose.contact.pasting import ClipsWithPasted
+from obpose.data.clips import ClipSource
+from obpose.model.attention.given import Labels, attended_as_labelled
+from obpose.model.attention.interface import Attended
+from obpose.model.build import build_parts
+from obpose.model.layers.numerics import log_sum_exp
+from obpose.model.losses.observation import mean_over
+from obpose.model.nerf.along import FieldsAlongRays
+from obpose.model.nerf.compose import log_share
+from obpose.model.obpose import EmbeddedViews, ObPose
+from obpose.types import (
+    ComponentRays,
+    ContactObservation,
+    Embeddings,
+    Masks,
+    Observation,
+    PastedObservation,
+    RayValues,
+    SceneSegmentation,
+)
+
+LEAST_SHARE = -18.0
+"""Least logarithm of a share: rays whose object has no density in its box do not pull."""
+
+
+class ContactObPose(ObPose):
+    """ObPose whose masks come from the contact model."""
+
+    observation_type = ContactObservation
+
+    def __init__(self, config: ContactObPoseConfig, *, contact: ContactModel, **parts: Any):
+        """Compose the contact model and the parts of ObPose (`obpose.model.build.build_parts`)."""
+        super().__init__(config, **parts)
+        self.contact = contact
+
+    def training_source(self, source: ClipSource) -> ClipSource:
+        """Add pseudo-objects and pasted images to clips; labels of the source are not read."""
+        return ClipsWithPasted(source, self.contact.training_source(source), seed=self.config.train.seed)
+
+    def losses(
+        self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
+    ) -> dict[str, Tensor]:
+        """Compute the terms of ObPose on the clips, and those of the contact model on the pasted images."""
+        assert isinstance(observation, ContactObservation)
+        parts = [
+            super().losses(observation.clips, step=step, fraction=fraction, generator=generator),
+            self.contact.losses(observation.pasted, step=step, fraction=fraction, generator=generator),
+        ]
+        total = parts[0].pop("total") + parts[1].pop("total")
+        return {"total": total, **parts[0], **parts[1]}
+
+    def _attend(self, views: EmbeddedViews, generator: torch.Generator | None) -> Attended:
+        """Masks of the pseudo-objects in training."""
+        observation = views.observation
+        if not isinstance(observation, PastedObservation):
+            return super()._attend(views, generator)
+        grid = self.backbone.grid_size(*observation.depth.shape[3:])
+        return attended_as_labelled(observation.pseudo_labels, views.embeddings, self.attention, grid=grid)
+
+    def _mask_terms(
+        self, masks: Masks, log_masks: ComponentRays, fields: FieldsAlongRays, embeddings: Embeddings
+    ) -> dict[str, Tensor]:
+        """Term by which fields learn from the masks."""
+        return {"assignment": assignment_loss(log_masks, fields.surface.logits, fields.rays.weight)}
+
+    @torch.no_grad()
+    def segment(self, observation: Observation, labels: Labels | None = None) -> SceneSegmentation:
+        """Label every pixel by the contact model, and encode the objects.
+
+        `attention` holds the labels by the argmax of the fields' composed density.
+
+        Args:
+            observation: Clips.
+            labels: Segmentation by another model, instead of the contact model's; constant over time.
+        """
+        given = self.contact.segment(observation).labels if labels is None else labels
+        found = super().segment(observation, given)
+        return SceneSegmentation(found.labels, self.labels_by_density(observation, found.inference), found.inference)
+
+
+def assignment_loss(log_masks: ComponentRays, logits: ComponentRays, weight: RayValues) -> Float[Tensor, ""]:
+    """Cross-entropy between given masks and the shares of the density at the surface: -log sum_k m_k sigma_hat_k.
+
+    This is the second sum of the mixture loss (paper, eq. attention_mask), with the gradient to the fields instead of
+    the masks.
+    """
+    shares = log_sum_exp(log_masks + log_share(logits), dim=2)
+    return mean_over(-shares.clamp(min=LEAST_SHARE), weight)
+
+
+def build_contact_obpose(config: ContactObPoseConfig) -> ContactObPose:
+    """Build a model with fresh weights from PyTorch's global generator."""
+    contact = ContactModel(ContactConfig(model=config.contact, train=config.train))
+    return ContactObPose(config, contact=contact, **build_parts(config))
