@@ -36,6 +36,10 @@ class Trainable(nn.Module, ABC):
         """Give the source of the clips of training steps, from that of the dataset's clips."""
         return source
 
+    def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
+        """All parameters in their order, in groups, each with a factor of the learning rate."""
+        return [([*self.parameters()], 1.0)]
+
     @abstractmethod
     def losses(
         self, observation: Observation, *, step: int, fraction: float, generator: torch.Generator | None

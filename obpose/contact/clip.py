@@ -71,7 +71,14 @@ def segment_clip(
     keys = evenly_spread(clouds)
     if not keys:
         return np.stack([image.label_map(image.groups(bias)) for image in images])
-    candidates = [track(clouds, key, images[key].groups(bias - finer), gap) for finer in (0, FINER) for key in keys]
+    coarse = {key: images[key].groups(bias) for key in keys}
+    fine = {key: images[key].groups(bias - FINER) for key in keys}
+    candidates = [track(clouds, key, coarse[key], gap) for key in keys]
+    # Most key frames are grouped alike by both, and then followed alike.
+    candidates += [
+        found if np.array_equal(fine[key], coarse[key]) else track(clouds, key, fine[key], gap)
+        for key, found in zip(keys, candidates, strict=True)
+    ]
     # Errors of means over n images decrease with the root of n.
     caution = CAUTION * (1 - len(images) ** -0.5) / (1 - 10**-0.5)
     # Join fragments that the network joins in most images.

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from obpose.contact.config import ContactConfig, ContactObPoseConfig
 from obpose.contact.model import ContactModel
@@ -34,6 +34,10 @@ from obpose.types import (
     SceneSegmentation,
 )
 
+CONTACT = 0.25
+"""Weight of the contact model's loss. It only matters to the common clipping of gradients."""
+LEARNING_RATE = 3.0
+"""Factor of the contact model's learning rate."""
 LEAST_SHARE = -18.0
 """Least logarithm of a share: rays whose object has no density in its box do not pull."""
 
@@ -52,6 +56,12 @@ class ContactObPose(ObPose):
         """Add pseudo-objects and pasted images to clips; labels of the source are not read."""
         return ClipsWithPasted(source, self.contact.training_source(source), seed=self.config.train.seed)
 
+    def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
+        """Parameters of ObPose, then of the contact model, which learns faster."""
+        contact = {*self.contact.parameters()}
+        others = [parameter for parameter in self.parameters() if parameter not in contact]
+        return [(others, 1.0), ([*self.contact.parameters()], LEARNING_RATE)]
+
     def losses(
         self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
     ) -> dict[str, Tensor]:
@@ -61,7 +71,7 @@ class ContactObPose(ObPose):
             super().losses(observation.clips, step=step, fraction=fraction, generator=generator),
             self.contact.losses(observation.pasted, step=step, fraction=fraction, generator=generator),
         ]
-        total = parts[0].pop("total") + parts[1].pop("total")
+        total = parts[0].pop("total") + CONTACT * parts[1].pop("total")
         return {"total": total, **parts[0], **parts[1]}
 
     def _attend(self, views: EmbeddedViews, generator: torch.Generator | None) -> Attended:

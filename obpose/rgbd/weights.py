@@ -8,6 +8,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from obpose.contact.model import ContactModel
+from obpose.contact.scene_model import ContactObPose
 from obpose.data.resolution import fitting_model
 from obpose.errors import UsageError
 from obpose.model.attention.icsbp import ICSBP
@@ -65,12 +66,18 @@ def segment_clip(checkpoint: str, clip: Observation) -> Int[Tensor, "1 frame vie
     Raises:
         UsageError: as `method_of`, or the weights are of another system.
     """
-    model = load(find_checkpoint(Path(checkpoint)))[0]
+    model = _masks_alone(load(find_checkpoint(Path(checkpoint)))[0])
     if not isinstance(model, ContactModel):
-        raise UsageError(f"--masks {checkpoint}: expected weights of obpose-contact or supervised.")
+        raise UsageError(f"--masks {checkpoint}: expected weights of obpose-contact, contact-masks or supervised.")
     return model.segment(clip).labels
 
 
 def _segment(model: Trainable, observation: Observation) -> Labels:
+    model = _masks_alone(model)
     fitting = fitting_model(model, observation) if isinstance(model, ObPose) else model
     return fitting.segment(observation).labels[0, :, 0].cpu().numpy()
+
+
+def _masks_alone(model: Trainable) -> Trainable:
+    """Leave out the encoders and fields of objects where masks do not depend on them."""
+    return model.contact if isinstance(model, ContactObPose) else model

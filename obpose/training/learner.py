@@ -37,7 +37,8 @@ class Learner:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.train.seed)
             self.model: Trainable = build(config)
-        optimizer = torch.optim.Adam(self.model.parameters(), lr=config.train.learning_rate, fused=True)
+        groups = [{"params": params, "factor": factor} for params, factor in self.model.parameter_groups()]
+        optimizer = torch.optim.Adam(groups, lr=config.train.learning_rate, fused=True)
         self._module, self._optimizer = fabric.setup(_Losses(self.model, config), optimizer)
 
     def step(self, batch: Mapping[str, Tensor], *, step: int, fraction: float, learning_rate: float) -> StepResult:
@@ -47,7 +48,7 @@ class Learner:
             Diverged: losses or gradients are not finite; the weights are unchanged.
         """
         for group in self._optimizer.param_groups:
-            group["lr"] = learning_rate
+            group["lr"] = learning_rate * group["factor"]
         self._optimizer.zero_grad()
         device = self._fabric.device
         tensors = {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}

@@ -106,7 +106,7 @@ def test_the_contact_model_finds_the_objects_of_frames(frames: list[str], tmp_pa
 def test_masks_come_from_weights_of_the_contact_model(tiny_dataset: Path, tmp_path: Path, capsys):
     flags = ("--data", tiny_dataset, "--masks", MODEL, "--out", tmp_path / "out")
     assert run("infer", "--checkpoint", MODEL, *flags) == EXIT_USAGE
-    assert "expected weights of obpose-contact or supervised" in capsys.readouterr().err
+    assert "expected weights of obpose-contact, contact-masks or supervised" in capsys.readouterr().err
 
 
 def test_what_frames_show_outside_the_workspace_is_left_out(frames: list[str], tmp_path: Path, capsys):

@@ -64,6 +64,11 @@ def test_every_weight_is_trained(model: ContactObPose, clips: ArrayClips):
     model.zero_grad()
 
 
+def test_parameters_are_grouped_in_their_order(model: ContactObPose):
+    grouped = [parameter for group, _ in model.parameter_groups() for parameter in group]
+    assert [*map(id, grouped)] == [*map(id, model.parameters())]
+
+
 def test_objects_are_those_of_the_contact_model_however_many(model: ContactObPose, clips: ArrayClips):
     observation = observation_of([clips.window(0, 0, 3)])
     truth = torch.from_numpy(balls(PATHS)[1].astype(np.int64))[None]
