@@ -221,7 +221,13 @@ SYSTEMS: dict[str, System] = {
     ),
     "obpose-contact": System(
         OBPOSE_CONTACT,
-        {"model.attention.kind": "given", "train.minutes": 30.0},
+        {
+            "model.attention.kind": "given",
+            "model.pose.observed": "standing",
+            "model.pose.max_translation": 0.02,
+            "loss.air_growth": 10.0,
+            "train.minutes": 30.0,
+        },
         DESCRIPTIONS["obpose-contact"],
         ("background slot", "camera pose", "plane", "object size"),
         version=3,

@@ -36,7 +36,7 @@ from obpose.model.perception import Points, embed, pixel_owners, select_input_vi
 from obpose.model.pose.crop import BoxSamples, gather_box
 from obpose.model.pose.encoder import ObjectEncoder
 from obpose.model.pose.location import observed_center
-from obpose.model.pose.orientation import observed_rotation
+from obpose.model.pose.orientation import observed_rotation, standing_boxes
 from obpose.model.pose.where import Where
 from obpose.trainable import Trainable
 from obpose.types import (
@@ -141,17 +141,23 @@ class ObPose(Trainable):
             masks.log_masks, embeddings.points, embeddings.valid, exponent=model.attention.mask_exponent
         )
         upright = torch.eye(3, dtype=center.dtype, device=center.device).expand(*center.shape, 3)
+        # R: the minimum volume principle, on the pixels of each slot.
+        rotation = upright
+        if model.pose.conditioning == "full":
+            owners = self.pixel_owners(masks, embeddings, observation)
+            if model.pose.observed == "visible":
+                rotation = observed_rotation(points, owners, slots=center.shape[2])
+            else:
+                middle, rotation, found = standing_boxes(
+                    points, owners, slots=center.shape[2], table=model.table or 0.0
+                )
+                center = torch.where(found[..., None], middle, center)
         # Where: boxes {T_hat, R}; without pose conditioning every box is the workspace.
         where = None
         boxes = Boxes(self.center.expand_as(center), upright, model.workspace_size)
         if self.where is not None and self.where_encoder is not None:
             at_observed = Boxes(center, upright, model.pose.box_size)
             where = self.where(self.where_encoder(self._crop(embeddings, masks, at_observed)), draw, generator)
-            # R: the minimum volume principle, on the pixels of each slot.
-            rotation = upright
-            if model.pose.conditioning == "full":
-                owners = self.pixel_owners(masks, embeddings, observation)
-                rotation = observed_rotation(points, owners, slots=center.shape[2])
             # T_hat = T + T_max tanh(f_where(z_where)).
             boxes = Boxes(center + self.where.translation(where.z), rotation, model.pose.box_size)
         # What: shape and appearance in the frame of the box.
