@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from obpose.model.pose.orientation import MIN_PIXELS, observed_rotation
+from obpose.model.pose.orientation import MIN_PIXELS, observed_rotation, standing_boxes
 from obpose.model.pose.rotations import equivalents, geodesic_distance, rotation_from_vector
 from tests.obpose.clouds import random_boxes
 
@@ -85,3 +85,38 @@ def angles_modulo_symmetry(found: torch.Tensor, truth: torch.Tensor) -> torch.Te
     """By the best of the 24 names of a box, radians."""
     named = equivalents(found)
     return geodesic_distance(named, truth[..., None, :, :].expand_as(named)).amin(dim=-1)
+
+
+def upper_half(lift: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Points of the upper half of a block of 10 x 6 x 8 cm, turned by 20 degrees, and its centre; and their owners."""
+    turn = rotation_from_vector(torch.tensor([0.0, 0.0, math.radians(20)]))
+    unit = torch.rand(PIXELS, 3, generator=torch.Generator().manual_seed(3)) - 0.5
+    unit[::2, 2] = 0.5  # the top
+    unit[1::2, 0] = 0.5  # one side
+    local = unit * torch.tensor([0.1, 0.06, 0.04]) + torch.tensor([0.0, 0.0, 0.02])
+    points = local @ turn.mT + torch.tensor([0.2, -0.1, 0.04 + lift])
+    owners = torch.ones(1, 1, 1, ROWS, COLUMNS, dtype=torch.long)
+    return points.view(1, 1, 1, ROWS, COLUMNS, 3), owners
+
+
+def test_boxes_of_standing_objects_reach_down_to_the_table():
+    points, owners = upper_half(lift=-0.02)  # visible from 2 cm above the table
+    center, rotation, found = standing_boxes(points, owners, slots=2, table=0.0)
+    assert found[0, 0].tolist() == [True, False]
+    torch.testing.assert_close(center[0, 0, 0], torch.tensor([0.2, -0.1, 0.03]), atol=2e-3, rtol=0)
+    up = rotation[0, 0, 0].abs()[2].amax()
+    assert up > math.cos(math.radians(2))
+
+
+def test_boxes_of_objects_above_the_table_end_where_their_points_end():
+    points, owners = upper_half(lift=0.05)
+    center, _, _ = standing_boxes(points, owners, slots=1, table=0.0)
+    torch.testing.assert_close(center[0, 0, 0], torch.tensor([0.2, -0.1, 0.11]), atol=2e-3, rtol=0)
+
+
+def test_standing_boxes_move_with_the_world():
+    points, owners = upper_half(lift=-0.02)
+    turn, shift = rotation_from_vector(torch.tensor([0.0, 0.0, 1.0])), torch.tensor([1.0, -2.0, 0.5])
+    center, _, _ = standing_boxes(points, owners, slots=1, table=0.0)
+    moved, _, _ = standing_boxes(points @ turn.mT + shift, owners, slots=1, table=0.5)
+    torch.testing.assert_close(moved, center @ turn.mT + shift, atol=2e-3, rtol=0)
