@@ -4,7 +4,7 @@ The connected components of a clip's clearest frame serve as pseudo-objects. Som
 to a component of another clip. Which pixel belongs to which is then known, although the pixels touch.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,7 +110,6 @@ class PastedClips:
         """
         self._source, self._table, self._floor, self._gap, self._seed = source, table, floor, gap, seed
         self._scenes: dict[int, PseudoScene] = {}
-        self._labels: dict[int, UInt8[np.ndarray, "frame view height width"]] = {}
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
             raise UsageError(
                 f"The first training clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
@@ -148,18 +147,16 @@ class PastedClips:
     def _scene(self, index: int) -> PseudoScene:
         """Image of a clip that shows the most pseudo-objects."""
         if index not in self._scenes:
-            scenes = pseudo_scenes(self._source, index, table=self._table, floor=self._floor, gap=self._gap)
+            window = self._source.window(index, 0, self._source.frames_of_clip)
+            scenes = pseudo_scenes(window, table=self._table, floor=self._floor, gap=self._gap)
             self._scenes[index] = max(scenes, key=lambda scene: scene.count)
         return self._scenes[index]
 
-    def pseudo_labels(self, index: int) -> UInt8[np.ndarray, "frame view height width"]:
-        """Pseudo-objects of a clip, followed from the frame of each view that shows the most; 0 elsewhere."""
-        if index not in self._labels:
-            scenes = list(pseudo_scenes(self._source, index, table=self._table, floor=self._floor, gap=self._gap))
-            views = len(scenes) // self._source.frames_of_clip
-            followed = [_followed(scenes[view::views], self._gap) for view in range(views)]
-            self._labels[index] = np.stack(followed, axis=1)
-        return self._labels[index]
+    def pseudo_labels(self, window: Mapping[str, Tensor]) -> UInt8[np.ndarray, "frame view height width"]:
+        """Pseudo-objects of a window of a clip, followed from the frame that shows the most; 0 elsewhere."""
+        scenes = list(pseudo_scenes(window, table=self._table, floor=self._floor, gap=self._gap))
+        views = len(window["k"])
+        return np.stack([_followed(scenes[view::views], self._gap) for view in range(views)], axis=1)
 
 
 class ClipsWithPasted:
@@ -183,10 +180,10 @@ class ClipsWithPasted:
         places = rng.integers((len(self), self._pasted.frames_of_clip), size=(IMAGES, 2)).tolist()
         images = [self._pasted.window(other, first, 1) for other, first in places]
         pasted = {name: torch.stack([image[name] for image in images]) for name in images[0]}
-        labels = self._pasted.pseudo_labels(index)[start : start + frames]
+        window = self._source.window(index, start, frames)
         return {
-            **self._source.window(index, start, frames),
-            "pseudo_labels": torch.from_numpy(labels.astype(np.int64)),
+            **window,
+            "pseudo_labels": torch.from_numpy(self._pasted.pseudo_labels(window).astype(np.int64)),
             "pasted_rgb": pasted["rgb"][:, 0, 0],
             "pasted_depth": pasted["depth"][:, 0, 0],
             "pasted_labels": pasted["pseudo_labels"][:, 0, 0],
@@ -209,9 +206,9 @@ def _followed(scenes: Sequence[PseudoScene], gap: float) -> UInt8[np.ndarray, "f
     return labels
 
 
-def pseudo_scenes(source: ClipSource, index: int, *, table: float, floor: float, gap: float) -> Iterator[PseudoScene]:
-    """Find the pseudo-objects in all images of a clip, by frames and views."""
-    observation = observation_of([source.window(index, 0, source.frames_of_clip)])
+def pseudo_scenes(window: Mapping[str, Tensor], *, table: float, floor: float, gap: float) -> Iterator[PseudoScene]:
+    """Find the pseudo-objects in all images of a clip's window (`ClipSource`), by frames and views."""
+    observation = observation_of([window])
     points = unproject(observation)[0].numpy()
     rgb, depth, valid = (getattr(observation, name)[0].numpy() for name in ("rgb", "depth", "valid"))
     least = max(LEAST_PIXELS, round(LEAST_PIXELS * depth[0, 0].size / 64**2))

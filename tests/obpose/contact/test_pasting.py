@@ -75,7 +75,7 @@ def test_the_image_with_the_most_objects_is_used():
     apart = np.array([[[-0.15, 0, RADIUS], [0.15, 0, RADIUS]]])
     together = np.array([[[-0.04, 0, RADIUS], [0.04, 0, RADIUS]]])
     clips = ArrayClips([balls(np.concatenate([together, apart, together]))[0]])
-    assert [scene.count for scene in pseudo_scenes(clips, 0, **SETTINGS)] == [1, 2, 1]
+    assert [scene.count for scene in pseudo_scenes(clips.window(0, 0, 3), **SETTINGS)] == [1, 2, 1]
     image = PastedClips(clips, **SETTINGS, seed=0).window(0, 0, 1)
     assert int(image["pseudo_labels"].max()) >= 2
 
