@@ -224,9 +224,9 @@ SYSTEMS: dict[str, System] = {
         {
             "model.attention.kind": "given",
             "model.pose.observed": "standing",
-            "model.pose.max_translation": 0.02,
+            "model.pose.max_translation": 0.0,
             "loss.air_growth": 10.0,
-            "train.minutes": 30.0,
+            "train.minutes": 24.0,
         },
         DESCRIPTIONS["obpose-contact"],
         ("background slot", "camera pose", "plane", "object size"),

@@ -12,7 +12,14 @@ from benchmark.models.interface import Segmenter
 from benchmark.models.model_spec import ModelSpec, Options, Views, settings_of
 from obpose.systems import SYSTEMS, System, priors_of
 
-LABELLED_TRIALS: dict[str, int] = {"obpose": 70, "supervised": 12, "obsurf": 30, "contact": 12, "ogc": 0}
+LABELLED_TRIALS: dict[str, int] = {
+    "obpose": 70,
+    "supervised": 12,
+    "obsurf": 30,
+    "contact": 12,
+    "ogc": 0,
+    "obpose-contact": 12,
+}
 """Approximate number of short runs that were compared with labels of validation scenes, by architecture; see
 docs/results/search.md."""
 

@@ -23,6 +23,7 @@ from obpose.trainable import Trainable
 from obpose.training.devices import keep_memory
 from obpose.training.loop import CurvePoint, train
 
+
 class LearnedSegmenter:
     """One of `obpose.systems.SYSTEMS`, trained on clips or loaded from a checkpoint; implements `Segmenter`."""
 
