@@ -1,6 +1,6 @@
 """The command `obpose-train`: train a model on a track or on a dataset of your own.
 
-obpose-train --track moving                                    23 minutes of one CPU core
+obpose-train --track moving                                    24 minutes of one CPU core
 obpose-train --data DIR --variant obpose-loc --minutes 6
 obpose-train --track moving --set model.pose.box_size=0.3
 torchrun --nproc-per-node 2 -m benchmark.commands.train --track moving       two processes, each with a batch of its own
@@ -41,7 +41,7 @@ class Train:
     """Name of a track of obpose-bench; its dataset is made on first use."""
     data: Path | None = None
     """Folder of a dataset, instead of a track."""
-    variant: str = "obpose"
+    variant: str = "obpose-contact"
     """Name of the system; obpose/systems.py lists them."""
     profile: str = "cpu"
     """Size of the model and of the track's images: cpu, gpu or paper."""
