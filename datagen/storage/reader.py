@@ -17,7 +17,7 @@ import numpy as np
 
 from datagen.errors import DatagenError, UsageError
 from datagen.schema import SPLITS, EditKind, SceneRecord, Signal, decode_depth
-from datagen.storage.shard import PackedScene, Shard, scenes_present
+from datagen.storage.shard import Checked, PackedScene, Shard, scenes_present
 from datagen.storage.spec import (
     Spec,
     edits_of,
@@ -133,7 +133,10 @@ class Split(Sequence[SceneRecord]):
     def __init__(self, folder: Path, spec: Spec, name: str):
         self.folder, self.spec, self.name = folder, spec, name
         self._per_shard: int = spec["scenes_per_shard"]
+        self.settings_hash = settings_hash(spec)
+        """SHA-256 of the settings; equal hashes mean equal scenes at equal indices, whatever the number of scenes."""
         self._shards: OrderedDict[int, Shard] = OrderedDict()
+        self._checked: dict[int, Checked] = {}
         self._process = os.getpid()
 
     def __len__(self) -> int:
@@ -184,11 +187,6 @@ class Split(Sequence[SceneRecord]):
         """Shape of the label maps of a split with images: scenes, frames, views, height, width."""
         width, height = self.spec["resolution"]
         return len(self), self.spec["recipe"]["frames"], self.views, height, width
-
-    @property
-    def settings_hash(self) -> str:
-        """SHA-256 of the settings; equal hashes mean equal scenes at equal indices, whatever the number of scenes."""
-        return settings_hash(self.spec)
 
     def hash(self, index: SupportsIndex) -> str:
         """The stored SHA-256 of one scene."""
@@ -258,9 +256,18 @@ class Split(Sequence[SceneRecord]):
             if next(reversed(self._shards), None) == number - 1:
                 # A pass in order is done with the shard before; HDF5 holds half a MiB for each open file.
                 self._shards.popitem()[1].close()
-            self._shards[number] = Shard(self.folder, self.spec, self.name, number)
+            self._shards[number] = Shard(
+                self.folder,
+                self.spec,
+                self.name,
+                number,
+                settings=self.settings_hash,
+                checked=self._checked.get(number),
+            )
             if len(self._shards) > _MOST_OPEN_FILES:
-                self._shards.popitem(last=False)[1].close()
+                oldest, shard = self._shards.popitem(last=False)
+                self._checked[oldest] = shard.checked
+                shard.close()
         self._shards.move_to_end(number)
         return self._shards[number]
 
