@@ -230,8 +230,8 @@ class Split(Sequence[SceneRecord]):
 
     def close(self) -> None:
         """Close all files; they are opened again when needed."""
-        while self._shards:
-            self._shards.popitem()[1].close()
+        for number in list(self._shards):
+            self._close_shard(number)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_shards": OrderedDict(), "_process": -1}
@@ -255,7 +255,7 @@ class Split(Sequence[SceneRecord]):
         if number not in self._shards:
             if next(reversed(self._shards), None) == number - 1:
                 # A pass in order is done with the shard before; HDF5 holds half a MiB for each open file.
-                self._shards.popitem()[1].close()
+                self._close_shard(number - 1)
             self._shards[number] = Shard(
                 self.folder,
                 self.spec,
@@ -265,11 +265,14 @@ class Split(Sequence[SceneRecord]):
                 checked=self._checked.get(number),
             )
             if len(self._shards) > _MOST_OPEN_FILES:
-                oldest, shard = self._shards.popitem(last=False)
-                self._checked[oldest] = shard.checked
-                shard.close()
+                self._close_shard(next(iter(self._shards)))
         self._shards.move_to_end(number)
         return self._shards[number]
+
+    def _close_shard(self, number: int) -> None:
+        shard = self._shards.pop(number)
+        self._checked[number] = shard.checked
+        shard.close()
 
 
 def read_camera_poses(scenes: Split, index: SupportsIndex, frames: slice | None = None) -> np.ndarray:

@@ -380,6 +380,13 @@ class Shard:
                 f"{self.path} belongs to another dataset, which was made with other settings. "
                 "Move it away and run the command that made the dataset again."
             )
+        self._check_place(spec, split, number)
+        for name, value in (("data_version", spec["data_version"]), ("depth_scale", DEPTH_SCALE)):
+            stored = hdf5_attribute(self._file, name, type(value))
+            if stored != value:
+                raise ValueError(f"attribute {name} is {stored}, expected {value}")
+
+    def _check_place(self, spec: Spec, split: str, number: int) -> None:
         place = hdf5_attribute(self._file, "split", str), hdf5_attribute(self._file, "first_scene", int)
         expected = split, number * spec["scenes_per_shard"]
         if place != expected:
@@ -388,10 +395,6 @@ class Shard:
                 f"{expected[1]} on. It was copied, renamed or swapped. Move it away and run the command that made the "
                 "dataset again."
             )
-        for name, value in (("data_version", spec["data_version"]), ("depth_scale", DEPTH_SCALE)):
-            stored = hdf5_attribute(self._file, name, type(value))
-            if stored != value:
-                raise ValueError(f"attribute {name} is {stored}, expected {value}")
 
 
 def scenes_present(folder: Path, spec: Spec, split: str, first: int = 0) -> int:
