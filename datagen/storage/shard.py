@@ -183,7 +183,7 @@ def _chunk_offsets(row: int, shape: tuple[int, ...]) -> Iterator[tuple[int, ...]
     return ((row, frame, view, *zeros) for frame, view in itertools.product(range(shape[0]), range(shape[1])))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Checked:
     """Checks that a shard has passed, which need no repetition while its file stays the same."""
 
