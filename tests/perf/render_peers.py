@@ -34,7 +34,7 @@ def mitsuba(scene: Scene, shapes: list[Shape], size: int) -> Frame:
 def mujoco(scene: Scene, shapes: list[Shape], size: int) -> Frame:
     """MuJoCo on EGL: a pass for colour with shadow, one for depth, one for ids; the model is kept."""
     os.environ.setdefault("MUJOCO_GL", "egl")
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = pytest.importorskip("mujoco", exc_type=ImportError)
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
     half = scene.table.size / 2
@@ -72,7 +72,7 @@ def mujoco(scene: Scene, shapes: list[Shape], size: int) -> Frame:
 
 def open3d(scene: Scene, shapes: list[Shape], size: int) -> Frame:
     """Open3D's ray caster (Embree), one ray per pixel, a hard shadow, Lambert's law in NumPy; the scene is kept."""
-    o3d = pytest.importorskip("open3d")
+    o3d = pytest.importorskip("open3d", exc_type=ImportError)
     world = o3d.t.geometry.RaycastingScene(nthreads=1)
     half = scene.table.size / 2
     corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
