@@ -18,7 +18,7 @@ INDEX = "index"
 """Scene, frame, view and label of each row."""
 
 
-_BLOCK = 4096
+_BLOCK = 1024
 """Rows that are collected before they are written."""
 
 
@@ -55,7 +55,7 @@ class PoseWriter:
             block = np.concatenate(blocks)
             if f"{GROUP}/{name}" not in self._file:
                 shape = block.shape[1:]
-                chunk = (_BLOCK // 8, *shape)
+                chunk = (_BLOCK // 2, *shape)
                 self._file.create_dataset(
                     f"{GROUP}/{name}", (0, *shape), block.dtype, chunks=chunk, maxshape=(None, *shape)
                 )
