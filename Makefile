@@ -66,6 +66,9 @@ check: .venv/.dev
 
 bench: .venv/.dev
 	$(BIN)/python -m pytest tests/perf -o addopts= --benchmark-columns=median,min,max,rounds --benchmark-group-by=group -s
+	$(BIN)/python -m tests.perf.scene_costs moving static cluttered
+	$(BIN)/python -m tests.perf.dask_overhead
+	$(BIN)/python -m tests.perf.growth
 
 docs: .venv/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from benchmark.models.interface import Poses, Prediction
-from benchmark.results.poses import PoseRows, poses_in
+from benchmark.results.poses import PoseWriter, poses_in
 from benchmark.results.run_folder import LABELS, RunRow
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.storage.atomic import replacing
@@ -28,10 +28,10 @@ class LabelWriter:
     def __init__(self, file: h5py.File, scenes: int):
         self._file, self._scenes = file, scenes
         self._slots = file.create_dataset("background_slots", (scenes,), np.uint8)
-        self.poses = PoseRows()
+        self.poses = PoseWriter(file)
 
     def put(self, scene: int, prediction: Prediction) -> None:
-        """Store one scene's labels, 0 to 255, and its background slot; poses are written at the end."""
+        """Store one scene's labels, 0 to 255, and its background slot; poses are written in blocks."""
         labels = np.asarray(prediction.labels).astype(np.uint8)
         if "labels" not in self._file:
             shape, chunks = (self._scenes, *labels.shape), (1, *labels.shape)
@@ -52,7 +52,7 @@ def write_labels(path: Path, scenes: int, data: Path) -> Iterator[LabelWriter]:
         file.attrs["data"] = str(data.resolve())
         writer = LabelWriter(file, scenes)
         yield writer
-        writer.poses.write(file)
+        writer.poses.flush()
 
 
 def check_labels(*paths: Path) -> None:
@@ -100,8 +100,17 @@ def read_poses(path: Path, scenes: Sequence[int] | None = None) -> list[Poses] |
         CorruptFile: it is damaged.
     """
     with _reading(path) as file:
-        every = range(len(hdf5_dataset(file, "labels", ndim=5)))
-        return poses_in(file, every if scenes is None else scenes)
+        if (stored := poses_in(file)) is None:
+            return None
+        return [stored[scene] for scene in (range(len(stored)) if scenes is None else scenes)]
+
+
+def each_pose(path: Path) -> Iterator[Poses | None]:
+    """Read the poses of every scene, in order; None for each if the model gave none. Raises as `read_poses`."""
+    with _reading(path) as file:
+        stored = poses_in(file)
+        for scene in range(len(hdf5_dataset(file, "labels", ndim=5))):
+            yield stored[scene] if stored else None
 
 
 def check_labels_fit(path: Path, scenes: Split) -> None:

@@ -1,7 +1,8 @@
 """Poses on disk: the group `poses` of a file of label maps, with one row per pose, as images may have few of them."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import h5py
 import numpy as np
@@ -17,12 +18,17 @@ INDEX = "index"
 """Scene, frame, view and label of each row."""
 
 
-@dataclass
-class PoseRows:
-    """Collects the poses of a split."""
+_BLOCK = 1024
+"""Rows that are collected before they are written."""
 
-    index: list[Int64[np.ndarray, "pose 4"]] = field(default_factory=list)
-    values: dict[str, list[np.ndarray]] = field(default_factory=dict)
+
+class PoseWriter:
+    """Writes the poses of a split, block by block."""
+
+    def __init__(self, file: h5py.File):
+        self._file, self._names = file, set[str]()
+        self._rows: dict[str, list[np.ndarray]] = {}
+        self._collected = 0
 
     def put(self, scene: int, poses: Poses) -> None:
         """Add the poses of one scene, except those that are nan.
@@ -31,45 +37,82 @@ class PoseRows:
             UsageError: the scene has other arrays than earlier scenes.
         """
         given = {name for name in ARRAYS if getattr(poses, name) is not None}
-        if self.index and given != set(self.values):
-            before = ", ".join(sorted(self.values))
+        if self._names and given != self._names:
+            before = ", ".join(sorted(self._names))
             raise UsageError(f"Scene {scene} has poses with {', '.join(sorted(given))}, those before with {before}.")
+        self._names = given
         there = np.argwhere(np.isfinite(poses.center).all(axis=-1))
-        self.index.append(np.column_stack([np.full(len(there), scene), there]))
+        self._rows.setdefault(INDEX, []).append(np.column_stack([np.full(len(there), scene), there]))
         for name in given:
-            self.values.setdefault(name, []).append(getattr(poses, name)[tuple(there.T)])
+            self._rows.setdefault(name, []).append(getattr(poses, name)[tuple(there.T)])
+        self._collected += len(there)
+        if self._collected >= _BLOCK:
+            self.flush()
 
-    def write(self, file: h5py.File) -> None:
-        """Write all poses; nothing if no scene has any."""
-        if not self.index:
-            return
-        group = file.create_group(GROUP)
-        group[INDEX] = np.concatenate(self.index)
-        for name, arrays in self.values.items():
-            group[name] = np.concatenate(arrays)
+    def flush(self) -> None:
+        """Write what was collected."""
+        for name, blocks in self._rows.items():
+            block = np.concatenate(blocks)
+            if f"{GROUP}/{name}" not in self._file:
+                shape = block.shape[1:]
+                chunk = (_BLOCK // 2, *shape)
+                self._file.create_dataset(
+                    f"{GROUP}/{name}", (0, *shape), block.dtype, chunks=chunk, maxshape=(None, *shape)
+                )
+            stored = self._file[f"{GROUP}/{name}"]
+            assert isinstance(stored, h5py.Dataset)
+            stored.resize(len(stored) + len(block), axis=0)
+            stored[len(stored) - len(block) :] = block
+        self._rows, self._collected = {}, 0
 
 
-def poses_in(file: h5py.File, scenes: Sequence[int]) -> list[Poses] | None:
-    """Read the poses of some scenes from an open file of label maps; None if it has none.
+class StoredPoses(Sequence[Poses]):
+    """Poses of all scenes in an open file of label maps; those of a scene are read and checked when it is accessed.
 
     Raises:
         ValueError: they are damaged, or break the contract (`benchmark.models.contract`).
     """
-    if GROUP not in file:
-        return None
-    count, frames, views = hdf5_dataset(file, "labels", ndim=5).shape[:3]
-    stored = hdf5_dataset(file, f"{GROUP}/{INDEX}", ndim=2, kinds="iu")
-    # Check before reading: a few bytes can declare millions of rows.
-    if len(stored) > (most := count * frames * views * (LARGEST_LABEL + 1)):
-        raise ValueError(f"{GROUP}/{INDEX} has {len(stored)} rows; expected at most {most}, one for each label")
-    index = read_hdf5(stored)
-    _check_index(index, (count, frames, views, LARGEST_LABEL + 1))
-    rows = {name: _values(file, name, len(index)) for name in ARRAYS if f"{GROUP}/{name}" in file}
-    every = [_scene(index, rows, scene, (frames, views)) for scene in scenes]
-    for scene, arrays in zip(scenes, every, strict=True):
-        if fault := pose_fault(arrays, (frames, views)):
+
+    def __init__(self, file: h5py.File):
+        self._file = file
+        self._count, *images = hdf5_dataset(file, "labels", ndim=5).shape[:3]
+        self._images = images[0], images[1]
+        stored = hdf5_dataset(file, f"{GROUP}/{INDEX}", ndim=2, kinds="iu")
+        sizes = (self._count, *self._images, LARGEST_LABEL + 1)
+        # Check before reading: a few bytes can declare millions of rows.
+        if len(stored) > (most := math.prod(sizes)):
+            raise ValueError(f"{GROUP}/{INDEX} has {len(stored)} rows; expected at most {most}, one for each label")
+        index = read_hdf5(stored)
+        _check_index(index, sizes)
+        # Files of other projects may have their rows in any order.
+        self._order = np.argsort(index[:, 0], kind="stable").astype(np.int32)
+        self._starts = np.searchsorted(index[self._order, 0], np.arange(self._count + 1)).astype(np.int32)
+        self._datasets = {name: _values(file, name, len(index)) for name in ARRAYS if f"{GROUP}/{name}" in file}
+        self._index = stored
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, scene: Any) -> Any:
+        rows = self._order[self._starts[scene] : self._starts[scene + 1]]
+        place = _rows(self._index, rows)[:, 1:].astype(np.int64)
+        size = (*self._images, int(place[:, 2].max(initial=0)) + 1)
+        values = {name: _rows(dataset, rows).astype(np.float64) for name, dataset in self._datasets.items()}
+        arrays = {name: _filled(array, place, size) for name, array in values.items()}
+        if fault := pose_fault(arrays, self._images):
             raise ValueError(f"poses of scene {scene}: {fault}")
-    return [Poses(**arrays) for arrays in every]
+        return Poses(**arrays)
+
+
+def poses_in(file: h5py.File) -> StoredPoses | None:
+    """Open the poses of a file of label maps; None if it has none. Raises as `StoredPoses`."""
+    return StoredPoses(file) if GROUP in file else None
+
+
+def _rows(dataset: h5py.Dataset, rows: Integer[np.ndarray, "row"]) -> np.ndarray:
+    """Read some rows, which are neighbours in files of ours."""
+    first, last = (int(rows.min()), int(rows.max())) if len(rows) else (0, -1)
+    return read_hdf5(dataset, slice(first, last + 1))[rows - first]
 
 
 def _check_index(index: Integer[np.ndarray, "pose column"], sizes: tuple[int, int, int, int]) -> None:
@@ -82,25 +125,16 @@ def _check_index(index: Integer[np.ndarray, "pose column"], sizes: tuple[int, in
         row, column = wrong[0].tolist()
         what = ("scene", "frame", "view", "label")[column]
         raise ValueError(f"{name} names {what} {index[row, column]} in row {row}; expected 0 to {sizes[column] - 1}")
-    if len(np.unique(index, axis=0)) < len(index):
+    places = np.sort(np.ravel_multi_index(tuple(index.T.astype(np.int64)), sizes))
+    if np.any(places[1:] == places[:-1]):
         raise ValueError(f"{name} names one label of an image twice; expected one pose each")
 
 
-def _values(file: h5py.File, name: str, count: int) -> np.ndarray:
+def _values(file: h5py.File, name: str, count: int) -> h5py.Dataset:
     dataset = hdf5_dataset(file, f"{GROUP}/{name}", kinds="f")
     if dataset.shape != (count, *ARRAYS[name]):
         raise ValueError(f"{GROUP}/{name} has shape {dataset.shape}; expected {(count, *ARRAYS[name])}, as {INDEX} has")
-    return read_hdf5(dataset).astype(np.float64)
-
-
-def _scene(
-    index: Integer[np.ndarray, "pose 4"], rows: Mapping[str, np.ndarray], scene: int, images: tuple[int, int]
-) -> dict[str, np.ndarray]:
-    """Build the arrays of one scene, nan where it has no pose."""
-    mine = index[:, 0] == scene
-    place = index[mine, 1:].astype(np.int64)
-    size = (*images, int(place[:, 2].max(initial=0)) + 1)
-    return {name: _filled(values[mine], place, size) for name, values in rows.items()}
+    return dataset
 
 
 def _filled(

@@ -16,7 +16,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from pathlib import Path
@@ -268,10 +268,16 @@ def scene_line(scene: int, scores: Mapping[str, np.ndarray]) -> dict[str, float 
     }
 
 
-def save_scenes(folder: Path, name: str, lines: Sequence[Mapping[str, float | int]]) -> None:
-    """Write a scene table; floats keep full precision."""
-    rows = [",".join(lines[0]), *(",".join(repr(value) for value in line.values()) for line in lines)]
-    write_atomically(folder / SCENES / f"{name}.csv", ("\n".join(rows) + "\n").encode())
+def save_scenes(folder: Path, name: str, lines: Iterable[Mapping[str, float | int]]) -> None:
+    """Write a scene table line by line; floats keep full precision."""
+    write_atomically(folder / SCENES / f"{name}.csv", (f"{row}\n".encode() for row in _csv_rows(lines)))
+
+
+def _csv_rows(lines: Iterable[Mapping[str, float | int]]) -> Iterator[str]:
+    for number, line in enumerate(lines):
+        if number == 0:
+            yield ",".join(line)
+        yield ",".join(map(repr, line.values()))
 
 
 def load_scenes(folder: Path, row: RunRow) -> SceneTable:

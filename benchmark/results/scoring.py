@@ -1,14 +1,15 @@
 """Score stored label maps into scene tables; no model runs."""
 
-from collections.abc import Sequence
-from itertools import islice
+from collections.abc import Iterator, Sequence
+from itertools import islice, repeat
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, has_true_poses, read_true_poses, read_truth
 from benchmark.metrics import clip_scores_of, count_clip, other_scores
 from benchmark.metrics.poses import pose_scores
+from benchmark.metrics.score import ClipScores
 from benchmark.ranking.standings import Progress, silent
-from benchmark.results.labels import check_labels_fit, labels_path, locate, read_labels, read_poses
+from benchmark.results.labels import check_labels_fit, each_pose, labels_path, locate, read_labels
 from benchmark.results.run_folder import RunRow, save_scenes, scene_line
 from datagen.errors import DatagenError
 from datagen.storage.reader import Dataset, Split, read_depth
@@ -30,22 +31,34 @@ def score_labels(path: Path, scenes: Split, out: Path, name: str) -> int:
         CorruptFile: the label maps do not fit the scenes.
     """
     check_labels_fit(path, scenes)
-    clips, poses = ClipSequence(scenes), read_poses(path) if has_true_poses(scenes) else None
-    lines: list[dict[str, float | int]] = []
-    predictions = enumerate(read_labels(path))
+    frames = 0
+
+    def lines() -> Iterator[dict[str, float | int]]:
+        nonlocal frames
+        for index, scores in enumerate(_scene_scores(path, scenes)):
+            line = scene_line(index, scores)
+            frames += int(line["n_frames"])
+            yield line
+
+    save_scenes(out, name, lines())
+    return frames
+
+
+def _scene_scores(path: Path, scenes: Split) -> Iterator[ClipScores]:
+    """Score stored label maps and poses scene by scene; no more than a batch is in memory."""
+    clips, poses = ClipSequence(scenes), each_pose(path) if has_true_poses(scenes) else repeat(None)
+    predictions = enumerate(zip(read_labels(path), poses, strict=False))
     while batch := list(islice(predictions, BATCH)):
         counted, found = [], []
-        for index, (labels, slot) in batch:
+        for index, ((labels, slot), placed) in batch:
             truth, (_, valid) = read_truth(scenes, index), read_depth(scenes, index)
             counted.append(count_clip(truth, labels, slot, ~valid))
             found.append(clip_scores_of(counted[-1]))
-            if poses is not None:
+            if placed is not None:
                 true = read_true_poses(scenes, index, clips[index], truth)
-                found[-1] |= pose_scores(true, poses[index], truth, labels, slot, ~valid)
-        others = other_scores(counted)
-        lines += [scene_line(len(lines) + i, one | two) for i, (one, two) in enumerate(zip(found, others, strict=True))]
-    save_scenes(out, name, lines)
-    return int(sum(line["n_frames"] for line in lines))
+                found[-1] |= pose_scores(true, placed, truth, labels, slot, ~valid)
+        for one, two in zip(found, other_scores(counted), strict=True):
+            yield one | two
 
 
 def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, progress: Progress = silent) -> int:

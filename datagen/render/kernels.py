@@ -82,6 +82,9 @@ def _srgb_table() -> np.ndarray:
 SRGB = _srgb_table()
 
 kernel = njit(cache=True, error_model="numpy")
+"""Compiles a function for calls from Python and from other kernels."""
+inner = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""Compiles a function for calls from other kernels only, which takes less time."""
 
 
 def _windows() -> np.ndarray:
@@ -138,7 +141,6 @@ class Mesh(NamedTuple):
     """Object that each face belongs to."""
     normals: np.ndarray
     face_normals: np.ndarray
-    skins: Skins
 
 
 class LightMap(NamedTuple):
@@ -167,8 +169,6 @@ class Surroundings(NamedTuple):
     backdrop: np.ndarray
     occlusion: np.ndarray
     occlusion_frame: np.ndarray
-    rich: bool
-    """Whether surfaces reflect a room, and the table fades into the backdrop."""
     turn: np.ndarray
     """Cosine and sine of the room's angle about the vertical."""
     arriving: np.ndarray
@@ -212,13 +212,13 @@ class Row(NamedTuple):
 # --- Solid textures -----------------------------------------------------------------------------------------------
 
 
-@kernel
+@inner
 def _ramp(x):
     """Linear step from 0 to 1 around x = 0, one unit wide."""
     return min(max(0.5 + x, 0.0), 1.0)
 
 
-@kernel
+@inner
 def _square_wave(x, period, width):
     """+1 around multiples of the period, -1 between them, its edges smoothed over `width`."""
     s = x / period
@@ -226,7 +226,7 @@ def _square_wave(x, period, width):
     return 2 * _ramp(distance / width) - 1
 
 
-@kernel
+@inner
 def _hash(x, y, z):
     """Hash of a lattice point, 32 bits: multiply by primes, then mix the bits."""
     h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
@@ -235,32 +235,32 @@ def _hash(x, y, z):
     return h ^ (h >> 13)
 
 
-@kernel
+@inner
 def _lattice(x, y, z):
     """Random value of a lattice point, 0..1."""
     return (_hash(x, y, z) & 0xFFFF) / 65535.0
 
 
-@kernel
+@inner
 def _slope(x, y, z, dx, dy, dz):
     """Value at an offset from a lattice point of the plane through 0 with the point's random slope."""
     h = _hash(x, y, z)
     return ((h & 1023) - 511.5) * dx + (((h >> 10) & 1023) - 511.5) * dy + (((h >> 20) & 1023) - 511.5) * dz
 
 
-@kernel
+@inner
 def _slopes(x, y, z, fx, fy, fz, sx, sy):
     a = _slope(x, y, z, fx, fy, fz) * (1 - sx) + _slope(x + 1, y, z, fx - 1, fy, fz) * sx
     b = _slope(x, y + 1, z, fx, fy - 1, fz) * (1 - sx) + _slope(x + 1, y + 1, z, fx - 1, fy - 1, fz) * sx
     return a * (1 - sy) + b * sy
 
 
-@kernel
+@inner
 def _fade(f):
     return f * f * f * (f * (6 * f - 15) + 10)
 
 
-@kernel
+@inner
 def _clouds(x, y, z):
     """Gradient noise (Perlin 1985) with the spread of `_noise` around 0.5; shows no squares of the lattice."""
     ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
@@ -273,14 +273,14 @@ def _clouds(x, y, z):
     return 0.5 + value / 450
 
 
-@kernel
+@inner
 def _noise_layer(x, y, z, fx, fy):
     a = _lattice(x, y, z) * (1 - fx) + _lattice(x + 1, y, z) * fx
     b = _lattice(x, y + 1, z) * (1 - fx) + _lattice(x + 1, y + 1, z) * fx
     return a * (1 - fy) + b * fy
 
 
-@kernel
+@inner
 def _noise(x, y, z):
     """Value noise on the integer lattice, 0..1."""
     ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
@@ -293,7 +293,7 @@ def _noise(x, y, z):
     return value
 
 
-@kernel
+@inner
 def _wood(x, y, z, period, ax, ay, az):
     """Rings around the axis, wavering along it; the trunk's middle lies outside of most objects."""
     along = x * ax + y * ay + z * az
@@ -307,7 +307,7 @@ def _wood(x, y, z, period, ax, ay, az):
     return rise * rise * (3 - 2 * rise)
 
 
-@kernel
+@inner
 def _dots(x, y, z, period, width):
     """Balls on a body-centred cubic lattice, so that no plane misses them all."""
     nearest = 1.0
@@ -318,8 +318,8 @@ def _dots(x, y, z, period, width):
     return _ramp((0.3 - math.sqrt(nearest)) * period / width)
 
 
-@kernel
-def _texture(pattern, period, axis, x, y, z, width):
+@inner
+def _texture(rich, pattern, period, axis, x, y, z, width):
     """Share of the second colour at a point of the object frame, averaged over about `width` metres."""
     ax, ay, az = axis
     # Numbers are indices into PATTERNS.
@@ -336,7 +336,7 @@ def _texture(pattern, period, axis, x, y, z, width):
         return _dots(x, y, z, period, width)
     if pattern == 5:
         value = _wood(x, y, z, period, ax, ay, az)
-    elif pattern == 8:
+    elif rich is not None and pattern == 8:
         # The second layer is turned by atan(3/4), so that the axes of the lattices do not add up.
         scale = 1.5 / period
         value = 0.65 * _clouds(scale * x, scale * y, scale * z)
@@ -357,7 +357,7 @@ def texture_weights(pattern, period, axis, points, width):
     """Share of the second colour at points of the object frame, averaged over about `width` metres."""
     weights = np.empty(len(points))
     for i in range(len(points)):
-        weights[i] = _texture(pattern, period, axis, points[i, 0], points[i, 1], points[i, 2], width)
+        weights[i] = _texture(True, pattern, period, axis, points[i, 0], points[i, 1], points[i, 2], width)
     return weights
 
 
@@ -377,14 +377,14 @@ def encoded(colors):
 # --- Textures of meshes -------------------------------------------------------------------------------------------
 
 
-@kernel
+@inner
 def _texel(skins, level, x, y, c):
     """Linear value of one channel of a texel; textures repeat."""
     width, height = skins.images[level, 1], skins.images[level, 2]
     return LINEAR[skins.texels[skins.images[level, 0] + (y % height) * width + x % width, c]]
 
 
-@kernel
+@inner
 def _bilinear(skins, level, u, v, c):
     x, y = u * skins.images[level, 1] - 0.5, v * skins.images[level, 2] - 0.5
     i, j = math.floor(x), math.floor(y)
@@ -394,7 +394,7 @@ def _bilinear(skins, level, u, v, c):
     return top * (1 - fy) + bottom * fy
 
 
-@kernel
+@inner
 def _bicubic(skins, level, u, v, c):
     """Cubic B-spline through 4x4 texels, which shows no texels however near they are."""
     x, y = u * skins.images[level, 1] - 0.5, v * skins.images[level, 2] - 0.5
@@ -406,7 +406,7 @@ def _bicubic(skins, level, u, v, c):
     return value
 
 
-@kernel
+@inner
 def _spline(t):
     t = abs(t)
     return (4 - 6 * t * t + 3 * t * t * t) / 6 if t < 1 else (2 - t) ** 3 / 6
@@ -523,7 +523,7 @@ def rasterise(world, homogeneous, screen, faces, face_start, view, triangle, inv
                         triangle[y, x] = f
 
 
-@kernel
+@inner
 def _behind_table(view, sx, sy, inverse):
     """Whether a sample's ray meets the table at an inverse depth above `inverse`."""
     nearer = -(view[2, 0] * sx + view[2, 1] * sy + view[2, 2]) / view[2, 3]
@@ -641,7 +641,7 @@ def rasterise_light(light, faces, face_start, map):
             counts[y + 1, x + 1] = counts[y, x + 1] + row
 
 
-@kernel
+@inner
 def _blocks(front, back, owner, y, x, receiver, d):
     """Whether a texel's surface lies between the light and a receiver at `d`.
 
@@ -654,7 +654,7 @@ def _blocks(front, back, owner, y, x, receiver, d):
     return 1.0 * ((front[y, x] <= d) & ((owner[y, x] != receiver) | (back[y, x] < d - 1e-4)))
 
 
-@kernel
+@inner
 def _may_block(tiles, counts, tile, u, v, d, du, dv, reach, receiver):
     """Range of rows and of columns of texels within `reach` that may lie between the light and the receiver's plane."""
     last = len(tiles) - 1
@@ -678,7 +678,7 @@ def _may_block(tiles, counts, tile, u, v, d, du, dv, reach, receiver):
     return tile * top, tile * bottom + tile - 1, tile * left, tile * right + tile - 1
 
 
-@kernel
+@inner
 def _blockers(front, back, owner, box, u, v, d, du, dv, reach, receiver):
     """Share of blockers on a grid of texels within `reach`, and their mean distance from the receiver's plane.
 
@@ -702,7 +702,7 @@ def _blockers(front, back, owner, box, u, v, d, du, dv, reach, receiver):
     return count / (2 * half + 1) ** 2, total / max(count, 1.0)
 
 
-@kernel
+@inner
 def _dark_share(front, back, owner, disc, u, v, d, du, dv, radius, receiver):
     """Share of a disc of texels that blocks the light, each point of it interpolated between four texels."""
     last = len(front) - 2
@@ -722,7 +722,7 @@ def _dark_share(front, back, owner, disc, u, v, d, du, dv, radius, receiver):
     return dark / len(disc)
 
 
-@kernel
+@inner
 def _lit_share(front, back, owner, box, u, v, d, du, dv, reach, spread, blur, scale, receiver):
     """Share of the light that arrives: the mean distance of the blockers gives the radius over which it is averaged."""
     found, height = _blockers(front, back, owner, box, u, v, d, du, dv, reach, receiver)
@@ -736,7 +736,7 @@ def _lit_share(front, back, owner, box, u, v, d, du, dv, reach, spread, blur, sc
 # --- The room of rich images --------------------------------------------------------------------------------------
 
 
-@kernel
+@inner
 def _pane(a, size, blur):
     """Share of a window that is seen at `a` half sizes from its middle, where a bar divides it."""
     width = blur / size
@@ -744,7 +744,7 @@ def _pane(a, size, blur):
     return _ramp((1 - abs(a)) / width) * (1 - bar)
 
 
-@kernel
+@inner
 def _sky(turn, x, y, z, blur):
     """Radiance of the room above the table in a direction, averaged over about `blur` radians.
 
@@ -773,7 +773,7 @@ def sky(turn, directions, blur):
     return values
 
 
-@kernel
+@inner
 def _mirror(s, materials, row, q, n, e, roughness):
     """Compute the colour of the table or of another object where the mirror direction of a sample meets it.
 
@@ -809,7 +809,7 @@ def _mirror(s, materials, row, q, n, e, roughness):
     x, y = x + t * rx, y + t * ry
     m = materials[len(materials) - 1]
     width = row.blur[q] + t * (0.05 + roughness * roughness)
-    second = _texture(int(m[6]), m[7], (m[8], m[9], m[10]), x, y, 0.0, width)
+    second = _texture(True, int(m[6]), m[7], (m[8], m[9], m[10]), x, y, 0.0, width)
     open_share = 1 - _occlusion_at(s.occlusion, s.occlusion_frame, x, y)
     for c in range(3):
         row.mirrored[q, c] = open_share * s.arriving[c] * (m[c] + second * (m[3 + c] - m[c]))
@@ -841,7 +841,7 @@ def occlusion_map(texels, scale, length, occlusion):
         _smooth_columns(occlusion.T, a)
 
 
-@kernel
+@inner
 def _smooth_columns(image, a):
     """Two-sided exponential filter down each column."""
     for y in range(1, len(image)):
@@ -852,7 +852,7 @@ def _smooth_columns(image, a):
             image[y, x] = image[y + 1, x] + a * (image[y, x] - image[y + 1, x])
 
 
-@kernel
+@inner
 def _occlusion_at(occlusion, frame, x, y):
     u, v = (x - frame[0]) * frame[2] - 0.5, (-y - frame[1]) * frame[2] - 0.5
     size = len(occlusion)
@@ -868,14 +868,14 @@ def _occlusion_at(occlusion, frame, x, y):
 # --- Shading --------------------------------------------------------------------------------------------------------
 
 
-@kernel
+@inner
 def _unit(x, y, z):
     """Normalise a vector."""
     inverse = 1 / math.sqrt(x * x + y * y + z * z)
     return x * inverse, y * inverse, z * inverse
 
 
-@kernel
+@inner
 def _tone(x):
     """Identity up to 0.6, then a shoulder that approaches 1."""
     if x <= 0.6:
@@ -884,12 +884,12 @@ def _tone(x):
     return 0.6 + 0.4 * excess / (1 + excess)
 
 
-@kernel
+@inner
 def _fifth(x):
     return x * x * x * x * x
 
 
-@kernel
+@inner
 def _highlight(light, radius, facing, toward, n, e, roughness):
     """GGX lobe D G / (4 (n.l) (n.e)) of one light, and Schlick's Fresnel weight (1 - e.h)^5.
 
@@ -906,8 +906,8 @@ def _highlight(light, radius, facing, toward, n, e, roughness):
     return 0.25 * a * a / (spread * spread * smith), grazing
 
 
-@kernel
-def _reflect(row, count, s, materials):
+@inner
+def _reflect(row, count, s, rich, materials):
     """Linear RGB, after the tone curve, that each sample sends along its `look`, the unit vector towards the camera.
 
     Lambert's law for dielectrics, highlights of the lights, and a reflection of the surroundings.
@@ -937,7 +937,7 @@ def _reflect(row, count, s, materials):
         # Straight down, a mirror sees the shade of the object itself.
         earth = (1 - share) * below * above * (0.8 - 0.5 * max(-r[2], 0.0))
         earth_r, earth_g, earth_b = ground[0], ground[1], ground[2]
-        if s.rich:
+        if rich is not None:
             sky = share * above
             if roughness < GLOSSY:
                 sky *= _sky(s.turn, r[0], r[1], max(r[2], 0.0), 0.03 + 1.2 * roughness * roughness)
@@ -949,7 +949,7 @@ def _reflect(row, count, s, materials):
         base_b = sky * ambient[2] + earth * earth_b
         # Every light is also a square panel that glossy surfaces mirror; Schlick's rim brightens grazing views.
         panel_size, panel_scale = 1 / (0.06 + 0.5 * roughness), 0.5 * (1 - roughness) * share * above
-        if s.rich:  # its windows take the panels' place
+        if rich is not None:  # its windows take the panels' place
             panel_scale = 0.0
         rim = _fifth(1 - toward) * (1 - roughness)
         edge_r, edge_g, edge_b = rim * base_r, rim * base_g, rim * base_b
@@ -958,7 +958,7 @@ def _reflect(row, count, s, materials):
             red, green, blue = lights[i, 3], lights[i, 4], lights[i, 5]
             panel = panel_scale * _ramp((r[0] * light[0] + r[1] * light[1] + r[2] * light[2] - 0.9) * panel_size)
             facing = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
-            arriving = max(facing, 0.0) * (light_share[q, 0] if i == 0 else (above if s.rich else 1.0))
+            arriving = max(facing, 0.0) * (light_share[q, 0] if i == 0 else (1.0 if rich is None else above))
             glow, rim = 0.0, 0.0
             # The other lights are large and faint; they show as panels alone.
             if i == 0 and arriving > 0:
@@ -983,12 +983,12 @@ def _reflect(row, count, s, materials):
             base = base_r if c == 0 else (base_g if c == 1 else base_b)
             edge = edge_r if c == 0 else (edge_g if c == 1 else edge_b)
             colors[q, c] = _tone(matte * albedo * diffuse + (plain + metalness * albedo) * base + edge)
-        if s.rich and row.fade[q] > 0:
+        if rich is not None and row.fade[q] > 0:
             for c in range(3):
                 colors[q, c] += row.fade[q] * (backdrop[c] - colors[q, c])
 
 
-@kernel
+@inner
 def _world_ray(view, sx, sy):
     return (
         view[0, 0] * sx + view[0, 1] * sy + view[0, 2],
@@ -997,7 +997,7 @@ def _world_ray(view, sx, sy):
     )
 
 
-@kernel
+@inner
 def _table_hit(view, sx, sy):
     """Depth at which a sample's ray meets the table, 0 where it does not; whether its edge is within a pixel."""
     ray = _world_ray(view, sx, sy)
@@ -1010,7 +1010,7 @@ def _table_hit(view, sx, sy):
     return t if beyond <= 0 else 0.0, abs(beyond) < footprint
 
 
-@kernel
+@inner
 def _weights(q, i, j, k, sx, sy):
     """Perspective-correct barycentric weights of a sample and its depth; see `rasterise`."""
     qix, qiy, zi = q[i, 0], q[i, 1], q[i, 2]
@@ -1024,7 +1024,7 @@ def _weights(q, i, j, k, sx, sy):
     return a / total, b / total, c / total, (qix * ax + qiy * ay + zi * az) / total
 
 
-@kernel
+@inner
 def _smooth(owners, n, face, other):
     """Whether two triangles belong to one smooth stretch of surface."""
     if owners[face] != owners[other]:
@@ -1032,7 +1032,7 @@ def _smooth(owners, n, face, other):
     return n[face, 0] * n[other, 0] + n[face, 1] * n[other, 1] + n[face, 2] * n[other, 2] > CREASE
 
 
-@kernel
+@inner
 def _single(triangle, x, y, face):
     """Whether all samples of a pixel see the same triangle, or none."""
     for j in range(SUB * y, SUB * y + SUB):
@@ -1042,7 +1042,7 @@ def _single(triangle, x, y, face):
     return True
 
 
-@kernel
+@inner
 def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
     """Collect the samples of image row `y` to shade: one per pixel, or one per surface if several meet there."""
     faces, owners, normals = mesh.faces, mesh.owners, mesh.face_normals
@@ -1091,8 +1091,8 @@ def _collect(view, mesh, q, triangle, y, row, depth, segmentation):
     return count
 
 
-@kernel
-def _locate(view, mesh, q, poses, materials, s, row, count):
+@inner
+def _locate(view, mesh, skins, q, poses, materials, s, rich, row, count):
     """Compute position, normal, texture and ambient light of each collected sample."""
     faces, owners, v, w = mesh.faces, mesh.owners, mesh.vertices, mesh.normals
     kind, owner, at, point, normal, look = row.kind, row.owner, row.at, row.point, row.normal, row.look
@@ -1105,7 +1105,9 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         row.fade[r] = 0.0
         if face == NOTHING:
             owner[r] = NOTHING
-            if not s.rich or ray[2] * up >= 0:
+            if rich is None:
+                continue
+            if ray[2] * up >= 0:
                 continue
             # The table goes on beyond its border and fades into the backdrop.
             at[r, 2] = -view[2, 3] / ray[2]
@@ -1149,18 +1151,18 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
         toward = n[0] * e[0] + n[1] * e[1] + n[2] * e[2]
         axis = (materials[o, 8], materials[o, 9], materials[o, 10])
         width = view[3, 1] * z / max(toward, 0.3)
-        if materials[o, 6] == IMAGE and face >= 0:
+        if skins is not None and materials[o, 6] == IMAGE and face >= 0:
             # Between the sides of the pixel's footprint, which is longer along the slope.
             across = view[3, 1] * z / math.sqrt(max(toward, 0.1))
             row.second[r] = 0.0
-            _skin(mesh.skins, face, wa, wb, wc, across, s.rich, row.albedo[r])
+            _skin(skins, face, wa, wb, wc, across, rich is not None, row.albedo[r])
         else:
-            row.second[r] = _texture(int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
+            row.second[r] = _texture(rich, int(materials[o, 6]), materials[o, 7], axis, x, y, h, width)
         shade = _occlusion_at(occlusion, occlusion_frame, p[0], p[1])
         light[r, 0] = 1.0
         light[r, 1] = min(0.75 * shade, 1.0) if o == TABLE else 0.0
         light[r, 2] = 0.0 if o == TABLE else min(1.2 * shade * AO_LENGTH / (AO_LENGTH + max(p[2], 0.0)), 1.0)
-        if s.rich:
+        if rich is not None:
             row.mirrored[r, 0] = -1.0
             if o == TABLE:
                 light[r, 1] = shade
@@ -1172,7 +1174,7 @@ def _locate(view, mesh, q, poses, materials, s, row, count):
                     _mirror(s, materials, row, r, n, e, materials[o, 11])
 
 
-@kernel
+@inner
 def _shadow(s, shadow, row, count):
     """Share of the first light's disc that each collected sample sees: percentage-closer soft shadows (Fernando 2005).
 
@@ -1214,19 +1216,38 @@ def _shadow(s, shadow, row, count):
 
 
 @kernel
-def shade(view, mesh, homogeneous, triangle, poses, materials, surroundings, shadow, row, rgb, depth, segmentation):
-    """Colour, depth and id of every pixel; the last row of `materials` is the table's."""
+def shade(
+    view,
+    mesh,
+    skins,
+    homogeneous,
+    triangle,
+    poses,
+    materials,
+    surroundings,
+    rich,
+    shadow,
+    row,
+    rgb,
+    depth,
+    segmentation,
+):
+    """Colour, depth and id of every pixel; the last row of `materials` is the table's.
+
+    `skins` is None without textures. `rich` is True if surfaces reflect a room and the table fades into the backdrop,
+    and None if not. For None, numba leaves out what is not needed, which shortens the first run on a machine.
+    """
     for y in range(len(depth)):
         count = _collect(view, mesh, homogeneous, triangle, y, row, depth, segmentation)
-        _locate(view, mesh, homogeneous, poses, materials, surroundings, row, count)
+        _locate(view, mesh, skins, homogeneous, poses, materials, surroundings, rich, row, count)
         if surroundings.casts_shadow:
             _shadow(surroundings, shadow, row, count)
-        _reflect(row, count, surroundings, materials)
+        _reflect(row, count, surroundings, rich, materials)
         row.total[:] = 0
         _blend(row.color, row.share, row.pixel, count, row.total, y, rgb)
 
 
-@kernel
+@inner
 def _blend(color, share, pixel, count, total, y, rgb):
     for r in range(count):
         for c in range(3):

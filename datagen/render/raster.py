@@ -37,6 +37,7 @@ class RasterRenderer:
     def load(self, scene: Scene, shapes: Sequence[Shape]) -> None:
         """Load a scene's materials, lights and shapes; rows follow `scene.bodies`."""
         self._mesh, self._vertex_start, self._face_start = _pack_mesh(shapes)
+        self._skins = _pack_skins(shapes, self._face_start)
         self._casters, self._caster_start = _casters(shapes, self._mesh.faces, self._face_start)
         materials = *(b.material for b in scene.bodies), scene.table.material
         self._materials = np.array([_pack_material(x, self._rich) for x in materials])
@@ -69,11 +70,13 @@ class RasterRenderer:
         kernels.shade(
             view,
             self._mesh,
+            self._skins,
             self._homogeneous,
             buffers.triangle,
             poses,
             self._materials,
             self._surroundings(buffers),
+            self._rich or None,
             shadow,
             buffers.row,
             image.rgb,
@@ -144,7 +147,6 @@ class RasterRenderer:
             self._backdrop,
             buffers.occlusion,
             below.frame,
-            self._rich,
             self._turn,
             self._arriving,
             below.texels,
@@ -248,7 +250,6 @@ def _pack_mesh(shapes: Sequence[Shape]) -> tuple[kernels.Mesh, np.ndarray, np.nd
         owners=np.repeat(np.arange(len(shapes)), np.diff(face_start)).astype(np.int32),
         normals=normals.astype(np.float32),
         face_normals=(across / np.where(length > 0, length, 1)).astype(np.float32),
-        skins=_pack_skins(shapes, face_start),
     )
     return mesh, vertex_start, face_start
 
@@ -262,10 +263,12 @@ def _casters(shapes: Sequence[Shape], faces: np.ndarray, face_start: np.ndarray)
     return np.concatenate(parts), np.cumsum([0, *(len(part) for part in parts)])
 
 
-def _pack_skins(shapes: Sequence[Shape], face_start: np.ndarray) -> kernels.Skins:
-    """Textures and colours of all meshes; arrays have rows for all faces only if there is a mesh with colours."""
+def _pack_skins(shapes: Sequence[Shape], face_start: np.ndarray) -> kernels.Skins | None:
+    """Textures and colours of all meshes; None if no mesh has any."""
     skins = [shape.skin for shape in shapes]
-    count = int(face_start[-1]) if any(skins) else 0
+    if not any(skins):
+        return None
+    count = int(face_start[-1])
     uv, colors = np.zeros((count, 3, 2), np.float32), np.zeros((count, 3, 3), np.float32)
     density, texture = np.zeros(count, np.float32), np.zeros(count, np.int32)
     levels, images, texels = [0], [], [np.zeros((0, 3), np.uint8)]

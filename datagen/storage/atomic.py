@@ -23,12 +23,12 @@ _ABANDONED_SECONDS = 3600
 """Age from which a temporary file of another host counts as abandoned."""
 
 
-def write_atomically(path: Path, data: bytes, *, check: Callable[[], object] = lambda: None) -> None:
+def write_atomically(path: Path, data: bytes | Iterable[bytes], *, check: Callable[[], object] = lambda: None) -> None:
     """Write a file atomically and durably; create its folder if necessary.
 
     Args:
         path: The file.
-        data: Its content.
+        data: Its content, whole or in parts.
         check: Called just before the file takes its name; if it raises, the previous file stays.
 
     Raises:
@@ -37,7 +37,7 @@ def write_atomically(path: Path, data: bytes, *, check: Callable[[], object] = l
     try:
         with replacing(path) as temporary:
             with temporary.open("wb") as file:
-                file.write(data)
+                file.writelines([data] if isinstance(data, bytes) else data)
                 file.flush()
                 os.fsync(file.fileno())
             check()

@@ -17,7 +17,7 @@ import numpy as np
 
 from datagen.errors import DatagenError, UsageError
 from datagen.schema import SPLITS, EditKind, SceneRecord, Signal, decode_depth
-from datagen.storage.shard import PackedScene, Shard, scenes_present
+from datagen.storage.shard import Checked, PackedScene, Shard, scenes_present
 from datagen.storage.spec import (
     Spec,
     edits_of,
@@ -133,7 +133,10 @@ class Split(Sequence[SceneRecord]):
     def __init__(self, folder: Path, spec: Spec, name: str):
         self.folder, self.spec, self.name = folder, spec, name
         self._per_shard: int = spec["scenes_per_shard"]
+        self.settings_hash = settings_hash(spec)
+        """SHA-256 of the settings; equal hashes mean equal scenes at equal indices, whatever the number of scenes."""
         self._shards: OrderedDict[int, Shard] = OrderedDict()
+        self._checked: dict[int, Checked] = {}
         self._process = os.getpid()
 
     def __len__(self) -> int:
@@ -185,11 +188,6 @@ class Split(Sequence[SceneRecord]):
         width, height = self.spec["resolution"]
         return len(self), self.spec["recipe"]["frames"], self.views, height, width
 
-    @property
-    def settings_hash(self) -> str:
-        """SHA-256 of the settings; equal hashes mean equal scenes at equal indices, whatever the number of scenes."""
-        return settings_hash(self.spec)
-
     def hash(self, index: SupportsIndex) -> str:
         """The stored SHA-256 of one scene."""
         shard, row = self._locate(index)
@@ -232,8 +230,8 @@ class Split(Sequence[SceneRecord]):
 
     def close(self) -> None:
         """Close all files; they are opened again when needed."""
-        while self._shards:
-            self._shards.popitem()[1].close()
+        for number in list(self._shards):
+            self._close_shard(number)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_shards": OrderedDict(), "_process": -1}
@@ -257,12 +255,24 @@ class Split(Sequence[SceneRecord]):
         if number not in self._shards:
             if next(reversed(self._shards), None) == number - 1:
                 # A pass in order is done with the shard before; HDF5 holds half a MiB for each open file.
-                self._shards.popitem()[1].close()
-            self._shards[number] = Shard(self.folder, self.spec, self.name, number)
+                self._close_shard(number - 1)
+            self._shards[number] = Shard(
+                self.folder,
+                self.spec,
+                self.name,
+                number,
+                settings=self.settings_hash,
+                checked=self._checked.get(number),
+            )
             if len(self._shards) > _MOST_OPEN_FILES:
-                self._shards.popitem(last=False)[1].close()
+                self._close_shard(next(iter(self._shards)))
         self._shards.move_to_end(number)
         return self._shards[number]
+
+    def _close_shard(self, number: int) -> None:
+        shard = self._shards.pop(number)
+        self._checked[number] = shard.checked
+        shard.close()
 
 
 def read_camera_poses(scenes: Split, index: SupportsIndex, frames: slice | None = None) -> np.ndarray:

@@ -4,6 +4,7 @@ Pixel arrays are stored one frame a chunk, so that any frame can be read alone; 
 (`pack`), and the writer only puts the pieces together. Everything else is one chunk a shard.
 """
 
+import functools
 import itertools
 import math
 import zlib
@@ -35,6 +36,8 @@ from datagen.storage.safe_io import (
     MOST_CHUNK_BYTES,
     hdf5_attribute,
     hdf5_dataset,
+    hdf5_dataset_again,
+    open_hdf5_again,
     open_hdf5_by_name,
     parse_json,
     read_hdf5,
@@ -180,6 +183,31 @@ def _chunk_offsets(row: int, shape: tuple[int, ...]) -> Iterator[tuple[int, ...]
     return ((row, frame, view, *zeros) for frame, view in itertools.product(range(shape[0]), range(shape[1])))
 
 
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """Checks that a shard has passed, which need no repetition while its file stays the same."""
+
+    version: tuple[int, ...] | None
+    """Inode, size and time of modification of the file."""
+    scenes: int
+    fields: tuple[str, ...]
+    """Names of all arrays."""
+    arrays: frozenset[str]
+    """Names of those whose type and shape were checked."""
+
+
+_shared = functools.lru_cache(maxsize=64)(lambda names: names)
+"""Gives one object for equal names, so that a million shards do not hold as many copies."""
+
+
+def _version(path: Path) -> tuple[int, ...] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
 class Shard:
     """A shard of a dataset, opened for reading; its attributes are compared with the dataset's spec.
 
@@ -191,27 +219,49 @@ class Shard:
         CorruptFile: it is damaged.
     """
 
-    def __init__(self, folder: Path, spec: Spec, split: str, number: int):
+    def __init__(
+        self,
+        folder: Path,
+        spec: Spec,
+        split: str,
+        number: int,
+        *,
+        settings: str | None = None,
+        checked: "Checked | None" = None,
+    ):
+        """Open the file; `settings` is the spec's `settings_hash` if known, `checked` that of an earlier opening."""
         self.path = folder / shard_name(split, number)
-        self._file = _open(self.path)
         self._datasets: dict[str, h5py.Dataset] = {}
         self._lengths = lengths_of(spec)
         self._imported = is_imported(spec)
+        self._version = _version(self.path)
+        if checked and checked.version == self._version:
+            self._file = open_hdf5_again(self.path, _ADVICE)
+            self._scenes, self.fields, self._checked = checked.scenes, list(checked.fields), set(checked.arrays)
+            return
+        self._file, self._checked = _open(self.path), set[str]()
         try:
             with reading_hdf5(self.path, _ADVICE):
-                self._check_identity(spec, split, number)
-                self.fields = hdf5_attribute(self._scene_hashes(spec), "fields", str).split()
+                self._check_identity(spec, split, number, settings or settings_hash(spec))
+                hashes = self._scene_hashes(spec)
+                self._scenes, self.fields = len(hashes), hdf5_attribute(hashes, "fields", str).split()
         except BaseException:
             self.close()
             raise
 
     def __len__(self) -> int:
-        return self._datasets["hash"].shape[0]
+        return self._scenes
+
+    @property
+    def checked(self) -> "Checked":
+        """Checks that the file has passed."""
+        return Checked(self._version, self._scenes, _shared(tuple(self.fields)), _shared(frozenset(self._checked)))
 
     def close(self) -> None:
         """Close the file."""
         self._datasets.clear()
-        self._file.close()
+        # The last reference closes it. `h5py.File.close` would look through the objects of all open files.
+        del self._file
 
     def check(self) -> None:
         """Check type and shape of every array without reading it.
@@ -281,9 +331,13 @@ class Shard:
                 hint = " It was imported, and its source does not have it." if self._imported else hint
                 raise UsageError(f"{self.path} holds no field {name!r}.{hint} It has: {', '.join(self.fields):.500}.")
             with reading_hdf5(self.path, _ADVICE):
-                dataset = hdf5_dataset(self._file, name)
-                self._check_array(dataset, name)
+                if name in self._checked:
+                    dataset = hdf5_dataset_again(self._file, name)
+                else:
+                    dataset = hdf5_dataset(self._file, name)
+                    self._check_array(dataset, name)
             self._datasets[name] = dataset
+            self._checked.add(name)
         return self._datasets[name]
 
     def _check_array(self, dataset: h5py.Dataset, name: str) -> None:
@@ -320,12 +374,19 @@ class Shard:
         self._datasets["hash"] = dataset
         return dataset
 
-    def _check_identity(self, spec: Spec, split: str, number: int) -> None:
-        if hdf5_attribute(self._file, "settings_hash", str) != settings_hash(spec):
+    def _check_identity(self, spec: Spec, split: str, number: int, settings: str) -> None:
+        if hdf5_attribute(self._file, "settings_hash", str) != settings:
             raise UsageError(
                 f"{self.path} belongs to another dataset, which was made with other settings. "
                 "Move it away and run the command that made the dataset again."
             )
+        self._check_place(spec, split, number)
+        for name, value in (("data_version", spec["data_version"]), ("depth_scale", DEPTH_SCALE)):
+            stored = hdf5_attribute(self._file, name, type(value))
+            if stored != value:
+                raise ValueError(f"attribute {name} is {stored}, expected {value}")
+
+    def _check_place(self, spec: Spec, split: str, number: int) -> None:
         place = hdf5_attribute(self._file, "split", str), hdf5_attribute(self._file, "first_scene", int)
         expected = split, number * spec["scenes_per_shard"]
         if place != expected:
@@ -334,10 +395,6 @@ class Shard:
                 f"{expected[1]} on. It was copied, renamed or swapped. Move it away and run the command that made the "
                 "dataset again."
             )
-        for name, value in (("data_version", spec["data_version"]), ("depth_scale", DEPTH_SCALE)):
-            stored = hdf5_attribute(self._file, name, type(value))
-            if stored != value:
-                raise ValueError(f"attribute {name} is {stored}, expected {value}")
 
 
 def scenes_present(folder: Path, spec: Spec, split: str, first: int = 0) -> int:

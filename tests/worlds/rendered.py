@@ -2,10 +2,12 @@
 
 import dataclasses
 import json
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from datagen import config, shapes
@@ -121,6 +123,24 @@ def write_dataset(folder: Path, scenes: Sequence[SceneRecord], *, sensor: bool =
     for number, indices in enumerate(spec.shard_ranges(len(scenes), facts["scenes_per_shard"])):
         write_shard(folder, facts, "train", number, [shard.pack(scenes[index]) for index in indices])
     write_manifest(folder)
+    return folder
+
+
+def write_shards(folder: Path, number: int, *, linked: bool = False) -> Path:
+    """A dataset of so many shards of 64 equal scenes; links are not in their places."""
+    written = record(scene(frames=2), resolution=(16, 16))
+    write_dataset(folder, [written] * 64)
+    facts = spec.with_splits(spec.read_spec(folder), {"train": number * 64})
+    (folder / spec.SPEC_FILE).write_text(spec.spec_text(facts))
+    first = folder / spec.shard_name("train", 0)
+    for place in range(1, number):
+        path = folder / spec.shard_name("train", place)
+        if linked:
+            os.link(first, path)
+            continue
+        path.write_bytes(first.read_bytes())
+        with h5py.File(path, "r+") as file:
+            file.attrs.modify("first_scene", place * 64)
     return folder
 
 

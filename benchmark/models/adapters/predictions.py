@@ -154,8 +154,9 @@ def _check_hdf5(path: Path, file: h5py.File, shape: Shape) -> None:
     _refuse_misspelt(path, file, ("background_slot", *ARRAYS), f"background_slots, and {GROUP}/center and so on")
     _labels_of(path, file, shape)
     _background_slots(path, file, shape[0])
-    if GROUP in file:
-        poses_in(file, range(shape[0]))
+    if poses := poses_in(file):
+        for scene in range(len(poses)):
+            _ = poses[scene]  # checks them
 
 
 def _labels_of(path: Path, file: h5py.File, shape: tuple[int, ...]) -> h5py.Dataset:
@@ -181,9 +182,9 @@ def _read_hdf5(path: Path, scene: int, size: tuple[int, ...]) -> tuple[np.ndarra
         there = hdf5_dataset(file, "labels").shape if "labels" in file else ()
         labels = _labels_of(path, file, (max(scene + 1, *there[:1], 0), *size))
         slots = _background_slots(path, file, len(labels))
-        poses = poses_in(file, [scene])
+        poses = poses_in(file)
         slot = None if slots is None else int(slots[scene])
-        return read_hdf5(labels, scene), slot, None if poses is None else poses[0]
+        return read_hdf5(labels, scene), slot, None if poses is None else poses[scene]
 
 
 def _check_npz(path: Path, size: tuple[int, ...]) -> None:

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -14,6 +16,7 @@ from benchmark.results.run_folder import load_runs
 from benchmark.results.scoring import rescore, score_labels
 from datagen.errors import CorruptFile
 from datagen.storage.reader import Dataset, Split
+from tests.paths import ROOT
 from tests.worlds import rendered
 from tests.worlds.imported import import_balls
 from tests.worlds.runs import MODELS, write_runs
@@ -116,3 +119,36 @@ def test_poses_of_imported_scenes_are_unknown_and_not_scored(tmp_path: Path):
     assert read_poses(tmp_path / "out" / "labels.h5") is not None
     assert found["ari_fg"] == 1
     assert not set(POSE_METRICS) & set(found)
+
+
+GROWTH = """
+import os, sys
+from pathlib import Path
+from benchmark.clips import ClipSequence
+from benchmark.execution.jobs import segment_split
+from benchmark.machine import resident_mib
+from benchmark.models.classical.boxes import OracleVisibleBoxes
+from benchmark.results import scoring
+from datagen.storage.reader import Dataset
+folder, out = Path(sys.argv[1]), Path(sys.argv[2])
+scenes, model, line, used = Dataset(folder).split("train"), OracleVisibleBoxes(), scoring.scene_line, []
+def watch(call):
+    used.append(resident_mib(os.getpid()))
+    return call
+segment_split(lambda _, clip: watch(model.segment)(clip), ClipSequence(scenes, uses_labels=True), out / "l.h5", folder)
+scoring.scene_line = lambda *arguments: watch(line)(*arguments)
+scoring.score_labels(out / "l.h5", scenes, out, "row")
+count = len(scenes)
+print(used[count - 1] - used[768], used[-1] - used[count + 768])  # buffers are full by then
+"""
+
+
+@pytest.mark.slow
+def test_memory_stays_flat_over_2000_scenes_with_poses(tmp_path: Path):
+    folder = rendered.write_shards(tmp_path / "set", 32)
+    command = [sys.executable, "-c", GROWTH, str(folder), str(tmp_path)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    segmented, scored = map(float, result.stdout.split())
+    print(f"1280 scenes: segmenting {segmented:.2f} MiB, scoring {scored:.2f} MiB")
+    assert max(segmented, scored) < 1.28  # 1 MiB per 1000 scenes

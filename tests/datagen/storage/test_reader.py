@@ -78,6 +78,18 @@ def test_more_shards_than_may_be_open_are_read(folder, monkeypatch):
         assert_equal(scenes[index], random_record(index))
 
 
+def test_a_shard_is_checked_again_only_if_its_file_has_changed(folder, monkeypatch):
+    scenes = Dataset(folder).split("train")
+    for index in (0, 2):
+        scenes[index]
+    scenes.close()
+    shutil.copy(folder / "train-00000.h5", folder / "train-00001.h5")
+    monkeypatch.setattr("datagen.storage.shard.hdf5_dataset", None)
+    assert_equal(scenes[0], random_record(0))
+    with pytest.raises(UsageError, match="It was copied"):
+        scenes[2]
+
+
 def test_an_unknown_split_names_those_that_there_are(folder):
     with pytest.raises(UsageError, match="train, val, test"):
         Dataset(folder).split("validation")
