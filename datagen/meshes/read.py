@@ -18,6 +18,8 @@ SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 """File types that can be read, lower case."""
 
 MOST_FACES = 500_000
+FARTHEST = 1e9
+"""Largest coordinate of a vertex, in the units of its file."""
 """Largest number of triangles of a mesh."""
 
 _GREY = 0.6
@@ -70,8 +72,10 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
     merged = _merge(pieces)
     if len(merged.faces) > MOST_FACES:
         raise _too_many(path, len(merged.faces))
-    if not np.all(np.isfinite(merged.vertices)):
-        raise BadMesh(f"{path} has vertices that are NaN or infinite. Export it again, or remove it.")
+    if not np.all(np.abs(merged.vertices) <= FARTHEST):
+        raise BadMesh(
+            f"{path} has vertices that are NaN, infinite or beyond {FARTHEST:g}. Export it again, or remove it."
+        )
     sha256 = joint_hash(files, data)
     problems = tuple(f"{name:.80} is missing" for name in dict.fromkeys(files.missing))
     return RawMesh(**vars(merged), parts=len(pieces), sha256=sha256, problems=problems)
@@ -142,7 +146,8 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
 
 
 def _piece(path: Path, geometry: Any, matrix: np.ndarray) -> _Piece:
-    vertices = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    with np.errstate(all="ignore"):  # numbers that are not finite are refused later
+        vertices = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     faces = np.asarray(geometry.faces, np.int64).reshape(-1, 3)
     if np.any((faces < 0) | (faces >= len(vertices))):
         raise BadMesh(f"{path} has faces with corners that do not exist. Export it again, or remove it.")

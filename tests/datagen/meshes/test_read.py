@@ -120,6 +120,14 @@ def not_a_number(folder: Path) -> str:
     return write_ply(folder / "a.ply", np.where(BOX[3] == BOX, np.nan, BOX), triangles()).name
 
 
+def infinite(folder: Path) -> str:
+    return write_ply(folder / "a.ply", np.where(BOX[3] == BOX, np.inf, BOX), triangles()).name
+
+
+def enormous(folder: Path) -> str:
+    return write_ply(folder / "a.ply", np.where(BOX[3] == BOX, 1e30, BOX), triangles()).name
+
+
 def wrong_corner(folder: Path) -> str:
     return write_ply(folder / "a.ply", BOX, triangles() + 3).name
 
@@ -158,6 +166,8 @@ def single_point(folder: Path) -> str:
         (garbage, r"a\.glb is damaged or no mesh"),
         (without_faces, "no triangles"),
         (not_a_number, "NaN"),
+        (infinite, "infinite"),
+        (enormous, r"beyond 1e\+09"),
         (wrong_corner, r"a\.ply"),
         (five_million_faces, "5,000,000 faces"),
         (soup, "loose triangles"),
