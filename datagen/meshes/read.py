@@ -18,9 +18,10 @@ SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 """File types that can be read, lower case."""
 
 MOST_FACES = 500_000
+"""Largest number of triangles of a mesh."""
+
 FARTHEST = 1e9
 """Largest coordinate of a vertex, in the units of its file."""
-"""Largest number of triangles of a mesh."""
 
 _GREY = 0.6
 """Linear grey of parts without a colour of their own."""
@@ -77,7 +78,7 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
             f"{path} has vertices that are NaN, infinite or beyond {FARTHEST:g}. Export it again, or remove it."
         )
     sha256 = joint_hash(files, data)
-    problems = tuple(f"{name:.80} is missing" for name in dict.fromkeys(files.missing))
+    problems = tuple(f"{name:.80} is missing" for name in dict.fromkeys(files.missing) if name)
     return RawMesh(**vars(merged), parts=len(pieces), sha256=sha256, problems=problems)
 
 
@@ -179,10 +180,12 @@ def _material(path: Path, material: Any) -> tuple[np.ndarray, np.ndarray | None,
         factor = material.baseColorFactor  # linear, by the glTF specification
         color = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3] / 255
         return color, picture and _pixels(path, picture), True
-    if picture:
+    given = bool(material.kwargs or material.name)
+    # Trimesh gives an image of 2x2 pixels to meshes with texture coordinates and no material.
+    if picture and (given or picture.size != (2, 2)):
         # Exporters write any Kd beside map_Kd; viewers show the texture alone.
         return np.ones(3), _pixels(path, picture), True
-    return linear(np.asarray(material.diffuse)[:3]), None, bool(material.kwargs or material.name)
+    return linear(np.asarray(material.diffuse)[:3]), None, given
 
 
 def _pixels(path: Path, picture: Any) -> np.ndarray:

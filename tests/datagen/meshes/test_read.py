@@ -70,6 +70,13 @@ def test_a_missing_texture_is_a_problem_and_no_failure(tmp_path: Path):
     assert raw.images == ()
 
 
+def test_texture_coordinates_without_a_material_give_no_colours(tmp_path: Path):
+    path = write_obj(tmp_path)
+    path.write_text(path.read_text().replace("mtllib box.mtl", "mtllib  "))
+    raw = read_mesh(tmp_path, "box.obj")
+    assert (raw.images, raw.has_colors, raw.problems) == ((), False, ())
+
+
 def outside(folder: Path) -> str:
     write_obj(folder.parent / "secret")
     write_obj(folder, texture="../secret/box.png")
