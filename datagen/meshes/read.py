@@ -180,8 +180,9 @@ def _material(path: Path, material: Any) -> tuple[np.ndarray, np.ndarray | None,
         factor = material.baseColorFactor  # linear, by the glTF specification
         color = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3] / 255
         return color, picture and _pixels(path, picture), True
-    given = bool(material.kwargs or material.name)
-    # Trimesh gives an image of 2x2 pixels to meshes with texture coordinates and no material.
+    # To meshes with texture coordinates and no material, trimesh gives one with an image of 2x2 pixels, whose property
+    # `name` is never empty.
+    given = bool(material.kwargs) or "_name" in vars(material)
     if picture and (given or picture.size != (2, 2)):
         # Exporters write any Kd beside map_Kd; viewers show the texture alone.
         return np.ones(3), _pixels(path, picture), True
