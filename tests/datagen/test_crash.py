@@ -178,7 +178,7 @@ def test_a_path_traced_twin_that_is_killed_is_completed(tmp_path, number: int):
     command = [sys.executable, "-m", "datagen.commands.entry", *map(str, arguments), "--out", str(folder)]
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, cwd=ROOT, **streams)
-    wait_for(folder, "train-*.h5")
+    wait_until(lambda: list(folder.glob("train-*.h5")), seconds=200, what="the first shard")
     finished = {path: path.stat().st_ino for path in folder.glob("*.h5")}
     process.send_signal(number)
     errors = errors_at_end(process)

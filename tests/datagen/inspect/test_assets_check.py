@@ -75,7 +75,7 @@ def test_a_check_that_is_killed_leaves_neither_files_nor_processes(tmp_path: Pat
         text=True,
         start_new_session=True,
     )
-    wait_until(lambda: cutters(process.pid), what="the process that cuts the mesh")
+    wait_until(lambda: cutters(process.pid), seconds=200, what="the process that cuts the mesh")
     running = cutters(process.pid)
     os.kill(process.pid, number)
     errors = errors_at_end(process)
