@@ -176,8 +176,7 @@ def test_a_path_traced_twin_that_is_killed_is_completed(tmp_path, number: int):
     folder = tmp_path / "traced"
     arguments = ("render", "--from", tmp_path / "plain", "--renderer", "mitsuba", "--samples", "4", "--workers", "1")
     command = [sys.executable, "-m", "datagen.commands.entry", *map(str, arguments), "--out", str(folder)]
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(command, cwd=ROOT, **streams)
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     wait_until(lambda: list(folder.glob("train-*.h5")), seconds=200, what="the first shard")
     finished = {path: path.stat().st_ino for path in folder.glob("*.h5")}
     process.send_signal(number)

@@ -6,6 +6,7 @@ import signal
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,7 +32,7 @@ def run(arguments: list[str], folder: Path, *, last: int = 10**9, number: int = 
     if process == 0:
         changes = 0
 
-        def watch(event: str, values: tuple) -> None:
+        def watch(event: str, values: tuple[Any, ...]) -> None:
             nonlocal changes
             writes = event == "open" and isinstance(values[2], int) and values[2] & (os.O_WRONLY | os.O_RDWR)
             if (writes or event in CHANGES) and str(values[0]).startswith(str(folder)):
