@@ -53,14 +53,22 @@ _LOADING_POSES = """\
 Make images of it:
     obpose-datagen render --from {folder}
 """
+_RESUMED = "Interrupted; finished shards are kept, run the same command again to continue."
+_INTERRUPTED = {
+    "generate": _RESUMED,
+    "render": _RESUMED,
+    "import": "Interrupted; nothing was imported.",
+    "export": "Interrupted; nothing was exported.",
+    "assets": "Interrupted; no sheet was written. Hulls of finished meshes are kept, run the same command again.",
+}
+"""What Ctrl-C leaves behind, by subcommand."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     given = sys.argv[1:] if arguments is None else arguments
-    kept = "Interrupted; finished shards are kept, run the same command again to continue."
-    if given[:1] == ["export"]:
-        kept = "Interrupted; nothing was exported."
+    name = given[0] if given and given[0] in COMMANDS else "generate"
+    kept = _INTERRUPTED.get(name, "Interrupted.")
     return run_command(PROGRAM, COMMANDS, default="generate", arguments=arguments, interrupted=kept)
 
 

@@ -3,11 +3,15 @@
 import os
 import signal
 import sys
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from datagen.errors import EXIT_INTERRUPTED
+from datagen.errors import EXIT_INCOMPLETE, EXIT_INTERRUPTED
+
+_PARENT_CHECK_SECONDS = 0.2
 
 _came = False
 
@@ -51,6 +55,19 @@ def interruptible_imports(program: str) -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def end_with(parent: int, clean_up: Callable[[], object] = lambda: None) -> None:
+    """Exit as soon as another process is the parent of this one, as after the parent was killed."""
+
+    def watch() -> None:
+        # Not "until it is 1": in a container or a session manager, orphans can be given to another process.
+        while os.getppid() == parent:
+            time.sleep(_PARENT_CHECK_SECONDS)
+        clean_up()
+        os._exit(EXIT_INCOMPLETE)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _note(_signal: int, _frame: FrameType | None) -> None:

@@ -1,17 +1,23 @@
-"""Process that cuts one mesh with CoACD: `python -m datagen.meshes.coacd_process MESH HULLS SECONDS`."""
+"""Process that cuts one mesh with CoACD: `python -m datagen.meshes.coacd_process MESH HULLS SECONDS PARENT`."""
 
 import resource
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from datagen.console import interrupts
 from datagen.meshes.hulls import MOST_CORNERS, OPTIONS
 from datagen.storage.safe_io import read_npz
 
 
-def main(source: str, target: str, seconds: str) -> None:
-    """Read vertices and faces, cut them, and write the corners of all hulls; the system kills it after the CPU time."""
+def main(source: str, target: str, seconds: str, parent: str) -> None:
+    """Read vertices and faces, cut them, and write the corners of all hulls; the system kills it after the CPU time.
+
+    If the process of the number `parent` dies, this one deletes the folder of the two files and exits.
+    """
+    interrupts.end_with(int(parent), lambda: shutil.rmtree(Path(target).parent, ignore_errors=True))
     # The hard limit is higher, because reaching it would raise another signal.
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
     import coacd

@@ -87,7 +87,8 @@ def find_hulls(
 
     `seconds` is the CPU time that CoACD may take.
 
-    Hulls after a time limit are stored too, together with the limit: a longer one tries again.
+    Hulls after a time limit are stored too, together with the limit: a longer one tries again. Failures are not
+    stored, because CoACD may have been killed.
 
     Raises:
         UsageError: CoACD is needed and not installed.
@@ -96,6 +97,8 @@ def find_hulls(
     if (known := _stored(path, seconds)) is not None:
         return known
     hulls = _decompose(vertices, faces, closed=closed, seconds=seconds)
+    if hulls.method == "failed":
+        return hulls
     buffer = io.BytesIO()
     np.savez(
         buffer,
@@ -157,6 +160,7 @@ def _run_coacd(vertices: np.ndarray, faces: np.ndarray, seconds: float) -> tuple
         source, target = Path(folder) / "mesh.npz", Path(folder) / "hulls.npz"
         np.savez(source, vertices=vertices, faces=faces)
         command = [sys.executable, "-m", "datagen.meshes.coacd_process", str(source), str(target), f"{seconds:.0f}"]
+        command.append(str(os.getpid()))
         # One thread: CoACD's result depends on their number.
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         try:

@@ -20,6 +20,9 @@ SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 MOST_FACES = 500_000
 """Largest number of triangles of a mesh."""
 
+FARTHEST = 1e9
+"""Largest coordinate of a vertex, in the units of its file."""
+
 _GREY = 0.6
 """Linear grey of parts without a colour of their own."""
 
@@ -70,10 +73,12 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
     merged = _merge(pieces)
     if len(merged.faces) > MOST_FACES:
         raise _too_many(path, len(merged.faces))
-    if not np.all(np.isfinite(merged.vertices)):
-        raise BadMesh(f"{path} has vertices that are NaN or infinite. Export it again, or remove it.")
+    if not np.all(np.abs(merged.vertices) <= FARTHEST):
+        raise BadMesh(
+            f"{path} has vertices that are NaN, infinite or beyond {FARTHEST:g}. Export it again, or remove it."
+        )
     sha256 = joint_hash(files, data)
-    problems = tuple(f"{name:.80} is missing" for name in dict.fromkeys(files.missing))
+    problems = tuple(f"{name:.80} is missing" for name in dict.fromkeys(files.missing) if name)
     return RawMesh(**vars(merged), parts=len(pieces), sha256=sha256, problems=problems)
 
 
@@ -142,7 +147,8 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
 
 
 def _piece(path: Path, geometry: Any, matrix: np.ndarray) -> _Piece:
-    vertices = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    with np.errstate(all="ignore"):  # numbers that are not finite are refused later
+        vertices = np.asarray(geometry.vertices, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     faces = np.asarray(geometry.faces, np.int64).reshape(-1, 3)
     if np.any((faces < 0) | (faces >= len(vertices))):
         raise BadMesh(f"{path} has faces with corners that do not exist. Export it again, or remove it.")
@@ -174,10 +180,13 @@ def _material(path: Path, material: Any) -> tuple[np.ndarray, np.ndarray | None,
         factor = material.baseColorFactor  # linear, by the glTF specification
         color = np.ones(3) if factor is None else np.asarray(factor, np.float64)[:3] / 255
         return color, picture and _pixels(path, picture), True
-    if picture:
+    # To meshes with texture coordinates and no material, trimesh gives one with an image of 2x2 pixels, whose property
+    # `name` is never empty.
+    given = bool(material.kwargs) or "_name" in vars(material)
+    if picture and (given or picture.size != (2, 2)):
         # Exporters write any Kd beside map_Kd; viewers show the texture alone.
         return np.ones(3), _pixels(path, picture), True
-    return linear(np.asarray(material.diffuse)[:3]), None, bool(material.kwargs or material.name)
+    return linear(np.asarray(material.diffuse)[:3]), None, given
 
 
 def _pixels(path: Path, picture: Any) -> np.ndarray:

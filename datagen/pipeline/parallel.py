@@ -3,8 +3,6 @@
 import os
 import signal
 import sys
-import threading
-import time
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,9 +14,7 @@ from joblib.externals.loky.backend import resource_tracker as loky_tracker
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from datagen.console import interrupts
-from datagen.errors import EXIT_INCOMPLETE, DatagenError
-
-_PARENT_CHECK_SECONDS = 0.2
+from datagen.errors import DatagenError
 
 Place = TypeVar("Place")
 Made = TypeVar("Made")
@@ -85,11 +81,4 @@ def _become_worker(parent: int) -> None:
     minutes, or forever if the parent held a lock, and keep the parent's output pipes open.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: int) -> None:
-    # Not "until it is 1": in a container or a session manager, orphans can be given to another process.
-    while os.getppid() == parent:
-        time.sleep(_PARENT_CHECK_SECONDS)
-    os._exit(EXIT_INCOMPLETE)
+    interrupts.end_with(parent)

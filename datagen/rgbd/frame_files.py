@@ -73,8 +73,11 @@ def pair_frames(colours: Sequence[Path], partners: Sequence[Path], kind: str, pl
         return [None if near is None else partners[near] for near in nearest_times(times, others)]
     if len(colours) != len(partners):
         found = partners[0].parent if partners else place
+        names = {path.stem for path in partners}
+        alone = [path.name for path in colours if path.stem not in names]
+        first = f"; {alone[0]} has none" if 0 < len(alone) < len(colours) else ""
         raise UsageError(
-            f"{place} has {len(colours)} colour images but {len(partners)} {kind} in {found}; "
+            f"{place} has {len(colours)} colour images but {len(partners)} {kind} in {found}{first}; "
             "expected one for each. Add the missing ones, or remove the images without a partner."
         )
     if len(colours) > 1:

@@ -73,6 +73,8 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
     """
     check = check_no_dataset if replace else check_new_folder
     check(folder)
+    if replace:
+        _finish_exchange(folder.resolve())
     with _temporary_folder(folder, folder.resolve()) as temporary:
         yield temporary
         check(folder)
@@ -89,7 +91,7 @@ def new_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
 
 def _exchange(old: Path, new: Path) -> None:
     """Replace a folder by another and delete it; it comes back if the other cannot take its place."""
-    aside = temporary_path(old.with_name(f"{old.name}.old"))
+    aside = temporary_path(_aside(old))
     old.rename(aside)
     try:
         new.rename(old)
@@ -97,6 +99,18 @@ def _exchange(old: Path, new: Path) -> None:
         aside.rename(old)
         raise
     shutil.rmtree(aside, ignore_errors=True)
+
+
+def _finish_exchange(old: Path) -> None:
+    """Delete the folder that a killed writer had moved aside, or put it back if no other took its place."""
+    if old.parent.is_dir():
+        for left in old.parent.iterdir():
+            if target_name(left) == _aside(old).name != left.name and _is_abandoned(left):
+                shutil.rmtree(left) if old.exists() else left.rename(old)
+
+
+def _aside(old: Path) -> Path:
+    return old.with_name(f"{old.name}.old")
 
 
 @contextmanager

@@ -166,3 +166,25 @@ def is_killed(process: subprocess.Popen[str], seconds: float) -> bool:
         return True
     assert process.returncode == EXIT_OK, errors
     return False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_path_traced_twin_that_is_killed_is_completed(tmp_path, number: int):
+    pytest.importorskip("mitsuba", reason="the mitsuba renderer needs the extra mitsuba")
+    make(tmp_path / "plain", {"train": 2, "val": 40})
+    folder = tmp_path / "traced"
+    arguments = ("render", "--from", tmp_path / "plain", "--renderer", "mitsuba", "--samples", "4", "--workers", "1")
+    command = [sys.executable, "-m", "datagen.commands.entry", *map(str, arguments), "--out", str(folder)]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    wait_until(lambda: list(folder.glob("train-*.h5")), seconds=200, what="the first shard")
+    finished = {path: path.stat().st_ino for path in folder.glob("*.h5")}
+    process.send_signal(number)
+    errors = errors_at_end(process)
+    assert process.returncode == (-number if number == signal.SIGKILL else EXIT_INTERRUPTED), errors
+    assert "Traceback" not in errors
+    assert not (folder / "val-00000.h5").exists()
+    assert subprocess.run(command, cwd=ROOT, check=False).returncode == EXIT_OK
+    assert finished == {path: path.stat().st_ino for path in finished}
+    assert {split: len(scenes) for split, scenes in hashes(folder).items()} == {"train": 2, "val": 40, "test": 0}
+    assert not list(folder.glob("*.partial*"))

@@ -70,6 +70,13 @@ def test_a_missing_texture_is_a_problem_and_no_failure(tmp_path: Path):
     assert raw.images == ()
 
 
+def test_texture_coordinates_without_a_material_give_no_colours(tmp_path: Path):
+    path = write_obj(tmp_path)
+    path.write_text(path.read_text().replace("mtllib box.mtl", "mtllib  "))
+    raw = read_mesh(tmp_path, "box.obj")
+    assert (raw.images, raw.has_colors, raw.problems) == ((), False, ())
+
+
 def outside(folder: Path) -> str:
     write_obj(folder.parent / "secret")
     write_obj(folder, texture="../secret/box.png")
@@ -120,6 +127,14 @@ def not_a_number(folder: Path) -> str:
     return write_ply(folder / "a.ply", np.where(BOX[3] == BOX, np.nan, BOX), triangles()).name
 
 
+def infinite(folder: Path) -> str:
+    return write_ply(folder / "a.ply", np.where(BOX[3] == BOX, np.inf, BOX), triangles()).name
+
+
+def enormous(folder: Path) -> str:
+    return write_ply(folder / "a.ply", np.where(BOX[3] == BOX, 1e30, BOX), triangles()).name
+
+
 def wrong_corner(folder: Path) -> str:
     return write_ply(folder / "a.ply", BOX, triangles() + 3).name
 
@@ -158,6 +173,8 @@ def single_point(folder: Path) -> str:
         (garbage, r"a\.glb is damaged or no mesh"),
         (without_faces, "no triangles"),
         (not_a_number, "NaN"),
+        (infinite, "infinite"),
+        (enormous, r"beyond 1e\+09"),
         (wrong_corner, r"a\.ply"),
         (five_million_faces, "5,000,000 faces"),
         (soup, "loose triangles"),

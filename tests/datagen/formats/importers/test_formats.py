@@ -196,7 +196,7 @@ def edit_camera(**changes: object) -> Callable[[Path], object]:
 EMPTY = np.zeros((36, 48), np.uint16)
 SMALL = shoot(size=(40, 30))
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
-    "missing depth": (lambda folder: (folder / "depth/1.png").unlink(), "2 colour images but 1 depth images"),
+    "missing depth": (lambda folder: (folder / "depth/1.png").unlink(), "1 depth images in .*; 1.png has none"),
     "missing mask": (lambda folder: (folder / "masks/1.png").unlink(), "2 colour images but 1 masks"),
     "a gap": (lambda folder: (folder / "depth/1.png").rename(folder / "depth/2.png"), "their numbers differ"),
     "no depth": (lambda folder: (folder / "depth").rename(folder / "other"), "colour but no depth"),
