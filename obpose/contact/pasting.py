@@ -113,8 +113,8 @@ class PastedClips:
         if not any(self._scene(index).count for index in range(min(CHECKED, len(source)))):
             raise UsageError(
                 f"The first training clips show nothing more than {floor * 1000:g} mm above z = {table:g} m; expected "
-                "objects on a table. If the table is elsewhere, give its height: --set model.table=..., for obpose-contact "
-                "also --set contact.table=..."
+                "objects on a table. If the table is elsewhere, give its height: --set model.table=..., and for "
+                "obpose-contact --set contact.table=... too."
             )
 
     def __len__(self) -> int:
