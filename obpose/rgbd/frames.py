@@ -11,7 +11,7 @@ from datagen.geometry import unproject
 from obpose.config import Config
 from obpose.contact.config import ContactConfig
 from obpose.data.resolution import surface_spacing
-from obpose.errors import UsageError
+from obpose.errors import NoTable, UsageError
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.reading import parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.recording import Recording
@@ -97,7 +97,8 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
     """Read frames, find the table, and choose the resolution for a model.
 
     Raises:
-        UsageError: flags or files are missing or wrong, contradict each other, hold no depth, or show no table.
+        UsageError: flags or files are missing or wrong, contradict each other, or hold no depth.
+        NoTable: the frames show no table, or nothing within the workspace.
         CorruptFile: a file cannot be read.
     """
     return prepare(read_frames(frames), frames, trained)
@@ -107,7 +108,8 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
     """Find the table of a recording, and choose the resolution for a model, as the flags `frames` say.
 
     Raises:
-        UsageError: flags are wrong, or the frames show no table.
+        UsageError: flags are wrong.
+        NoTable: the frames show no table, or nothing within the workspace.
     """
     table = None if frames.table is None else parse_pixel(frames.table)
     world = choose_world(recording, table, trained.center)
@@ -121,7 +123,7 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
     some = replace(recording, rgb=recording.rgb[shown], depth=recording.depth[shown], poses=None)
     spacing = surface_spacing(observe(some, world.poses[shown], workspace, trained))
     if spacing is None:
-        raise UsageError(
+        raise NoTable(
             "The workspace shows no points; give another --workspace or --depth-max, or the table with --table."
         )
     every = frames.every or _step(spacing, trained.spacing, recording)

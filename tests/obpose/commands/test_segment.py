@@ -112,8 +112,21 @@ def test_objects_wider_than_in_training_are_reported(
         monkeypatch.setattr(segment, "WIDEST", widest)
         assert run(scene, tmp_path / str(widest), **flags) == EXIT_OK
         assert (
-            "Warning: Labels 1 are wider than the widest object in training, 10 cm." in capsys.readouterr().out
+            "Warning: Labels 1 are in some frame wider than the widest object in training, 10 cm."
+            in capsys.readouterr().out
         ) == warned
+
+
+def test_a_wide_object_in_a_later_frame_is_reported(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    depth = tmp_path / "depth"
+    shutil.copytree(scene / "depth", depth)
+    first = min(depth.iterdir())
+    Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
+    monkeypatch.setattr(segment, "WIDEST", 0.1)
+    assert run(scene, tmp_path / "out", checkpoint=None, method="one-object", depth=depth) == EXIT_OK
+    assert "Warning: Labels 1 are in some frame wider than the widest object" in capsys.readouterr().out
 
 
 def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
