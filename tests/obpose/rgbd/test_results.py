@@ -75,8 +75,8 @@ def test_an_overlay_shows_labels_boxes_and_the_table():
 def test_the_outline_of_a_table_that_goes_on_outside_follows_the_border():
     image = overlay(RGB, 0 * LABELS[0], [], frames(square(-3.0, 3.0)), 0)
     white = (image == 255).all(axis=-1)
-    assert (np.argwhere(white).min(axis=0) <= 1).all()
-    assert (np.argwhere(white).max(axis=0) >= (HEIGHT - 2, WIDTH - 2)).all()
+    for side in (white[:3].T, white[-3:].T, white[:, :3], white[:, -3:]):
+        assert side[3:-3].any(axis=1).all()
     assert not white[3:-3, 3:-3].any()
 
 
