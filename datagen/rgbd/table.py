@@ -104,7 +104,10 @@ def pose_over_table(
     """
     plane = find_table(points) if plane is None else plane
     if plane is None:
-        raise NoTable("No plane was found in the first frame, so that up is unknown; give --camera-pose.")
+        raise NoTable(
+            "No plane was found, so that up is unknown; expected a table in view, and depth in the right unit "
+            "(--depth-scale)."
+        )
     middle = np.median(table_points(points, plane), axis=0)
     rotation = _axes(plane, middle)
     x, y, _ = rotation @ middle

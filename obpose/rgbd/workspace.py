@@ -86,7 +86,7 @@ def find_workspace(points: Float[np.ndarray, "point 3"], at: Float[np.ndarray, "
     outline = _outline(cells, at) if len(cells) else None
     if outline is None:
         raise NoTable(
-            "No table is visible at z = 0 in the first frame; expected a camera that looks down at a table, depth in "
+            "No table is visible at z = 0; expected a camera that looks down at a table, depth in "
             "the right unit (--depth-scale), and a --camera-pose whose world has the table at z = 0, if one is given."
         )
     everything = Workspace(outline, 0.0)

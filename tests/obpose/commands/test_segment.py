@@ -129,6 +129,25 @@ def test_a_wide_object_in_a_later_frame_is_reported(
     assert "Warning: Labels 1 are in some frame wider than the widest object" in capsys.readouterr().out
 
 
+def test_intrinsics_of_another_size_and_a_grid_of_holes_are_reported(scene: Path, tmp_path: Path, capsys):
+    def warnings(name: str, *flags: object, **changes: object) -> object:
+        assert run(scene, tmp_path / name, *flags, checkpoint=None, method="one-object", **changes) == EXIT_OK
+        return facts_of(tmp_path / name)["warnings"]
+
+    assert warnings("right") == []
+    fx, fy, cx, cy = (float(part) for part in (scene / "intrinsics").read_text().split(","))
+    (said,) = warnings("half", "--intrinsics", f"{fx},{fy},{cx / 2},{cy / 2}")
+    assert "far from the middle of the 32x24 images" in said
+    (tmp_path / "depth").mkdir()
+    for path in (scene / "depth").iterdir():
+        depth = np.array(Image.open(path))
+        depth[1::3] = 0
+        Image.fromarray(depth).save(tmp_path / "depth" / path.name)
+    (said,) = warnings("holes", "--every", 3, depth=tmp_path / "depth")
+    assert said.startswith("Only 0 % of the pixels that --every 3 picks have a depth, and 67 % of all")
+    assert warnings("no grid", "--every", 2, depth=tmp_path / "depth") == []
+
+
 def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
     clip = clip_and_truth(frames=1, resolution=(3 * WIDTH, 3 * HEIGHT))[0]
     Image.fromarray(clip.rgb[0, 0]).save(tmp_path / "a.png")
@@ -222,6 +241,7 @@ def test_a_full_number_of_objects_is_reported(scene: Path, tmp_path: Path, capsy
         ({}, ("--objects", 0), EXIT_USAGE, "--objects 0: expected 1 to 255"),
         ({}, ("{scene}",), EXIT_USAGE, "and --rgb or --depth exclude each other"),
         ({"rgb": None, "depth": None}, ("{scene}/model",), EXIT_USAGE, "model holds no frames"),
+        ({"rgb": None, "depth": None}, ("{scene}/nowhere",), EXIT_USAGE, "nowhere does not exist"),
         ({}, ("--method", "one-object"), EXIT_USAGE, "--method and --checkpoint exclude each other"),
         ({"checkpoint": None}, ("--method", "magic"), EXIT_USAGE, "Unknown method 'magic'"),
     ],

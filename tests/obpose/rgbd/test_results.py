@@ -131,3 +131,14 @@ def test_only_an_earlier_result_is_replaced(tmp_path: Path):
     with pytest.raises(UsageError, match="also holds mine"):
         write(tmp_path / "other", {}, overwrite=True)
     assert (tmp_path / "other" / "mine").read_text() == "kept"
+
+
+def test_a_failed_write_leaves_the_earlier_result_alone(tmp_path: Path):
+    out = tmp_path / "out"
+    write(out, {"run": 1})
+    with pytest.raises(TypeError):
+        write(out, {"run": object()}, overwrite=True)
+    assert json.loads((out / "objects.json").read_text())["run"] == 1
+    with pytest.raises(TypeError):
+        write(tmp_path / "new", {"run": object()})
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
