@@ -33,6 +33,10 @@ class ImpossibleScene(UsageError):
     """No scene that satisfies the recipe was found within the allowed number of attempts."""
 
 
+class NoTable(UsageError):
+    """The frames show no table."""
+
+
 class CorruptFile(DatagenError):
     """A file that is truncated, damaged or not of our format."""
 

@@ -6,6 +6,7 @@ from datagen.errors import EXIT_OK as EXIT_OK
 from datagen.errors import Busy as Busy
 from datagen.errors import CorruptFile as CorruptFile
 from datagen.errors import DatagenError as DatagenError
+from datagen.errors import NoTable as NoTable
 from datagen.errors import UsageError as UsageError
 from datagen.errors import is_out_of_memory as is_out_of_memory
 from datagen.errors import unknown_name as unknown_name

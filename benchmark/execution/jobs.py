@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, TruthSequence
@@ -280,9 +279,9 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
     clips = _clips(scenes, fitted.spec)
     segment = segmenter.segment
     if target.key.track in REAL_TABLES:
-        from benchmark.models.adapters.own_frames import segment_table  # late: PyTorch takes seconds to import
+        from benchmark.models.adapters.own_frames import table_segmenter  # late: PyTorch takes seconds to import
 
-        segment = partial(segment_table, segmenter)
+        segment = table_segmenter(segmenter)
     seconds_per_frame = _score(job, target, lambda _, clip: segment(clip), scenes, clips)
     row = dataclasses.replace(
         blank_row(target.key, fitted.spec, status="ok"),

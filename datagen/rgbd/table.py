@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float, Float64
 
-from datagen.errors import UsageError
+from datagen.errors import NoTable
 from datagen.rgbd.camera_pose import Pose
 from datagen.rgbd.plane import FEWEST_POINTS, SAMPLE, TOLERANCE, Plane, fit_plane, refine_plane
 
@@ -100,11 +100,14 @@ def pose_over_table(
     `plane` is the table, which is looked for otherwise.
 
     Raises:
-        UsageError: no plane is found.
+        NoTable: no plane is found.
     """
     plane = find_table(points) if plane is None else plane
     if plane is None:
-        raise UsageError("No plane was found in the first frame, so that up is unknown; give --camera-pose.")
+        raise NoTable(
+            "No plane was found, so that up is unknown; expected a table in view, and depth in the right unit "
+            "(--depth-scale)."
+        )
     middle = np.median(table_points(points, plane), axis=0)
     rotation = _axes(plane, middle)
     x, y, _ = rotation @ middle

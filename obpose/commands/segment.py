@@ -88,11 +88,13 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     warnings = list(frames.warnings)
     if labels.max() == most:
         warnings.append(f"As many objects were found as were looked for, {most}: there may be more; see --objects.")
-    objects = objects_of(labels[0], frames.points(0))
-    if wide := [str(each.label) for each in objects if each.box.size[:2].max() > WIDEST]:
+    objects = [objects_of(image, frames.points(number)) for number, image in enumerate(labels)]
+    if wide := sorted({each.label for found in objects for each in found if each.box.size[:2].max() > WIDEST}):
+        where = "" if len(objects) == 1 else "in some frame "
         warnings.append(
-            f"Labels {', '.join(wide)} are wider than the widest object in training, {100 * WIDEST:.0f} cm. Each may "
-            "be several objects, or a part of a floor or wall; see --workspace and --depth-max."
+            f"Labels {', '.join(map(str, wide))} are {where}wider than the widest object in training, "
+            f"{100 * WIDEST:.0f} cm. Each may be several objects, or a part of a floor or wall; see --workspace and "
+            "--depth-max."
         )
     facts = {
         "method": name,
@@ -102,7 +104,7 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
         "units": "metres; rotations are world_from_object; size holds the sides of the box",
         "resolution": frames.resolution,
     }
-    objects = write_results(values.out, frames, labels, facts, overwrite=values.overwrite)
+    write_results(values.out, frames, labels, objects, facts, overwrite=values.overwrite)
     print(f"Method: {name}.")
     print(f"World: {frames.world.note}.")
     print(f"Camera: {frames.world.camera}.")

@@ -11,7 +11,7 @@ from datagen.geometry import unproject
 from obpose.config import Config
 from obpose.contact.config import ContactConfig
 from obpose.data.resolution import surface_spacing
-from obpose.errors import UsageError
+from obpose.errors import NoTable, UsageError
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.reading import parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.recording import Recording
@@ -25,6 +25,11 @@ _COARSE = 5.0
 """Pixel spacing relative to the training above which the unit of depth is most likely wrong."""
 _LEAST_EDGE = 24
 """Least height and width in pixels of the images that a model gets, unless the frames are smaller."""
+_OFF_CENTRE = 0.2
+"""Distance of the principal point from the middle, in image sides, above which the intrinsics are most likely those of
+images of another size: half or double the size gives 0.25 or 0.5."""
+_LEAST_PICKED = 0.5
+"""Least share of the picked pixels with a depth, relative to that of all pixels."""
 _STILL = 2e-3
 """Largest difference between poses, metres and radians, that counts as a static camera."""
 
@@ -97,7 +102,8 @@ def prepare_frames(frames: Frames, trained: Trained) -> PreparedFrames:
     """Read frames, find the table, and choose the resolution for a model.
 
     Raises:
-        UsageError: flags or files are missing or wrong, contradict each other, hold no depth, or show no table.
+        UsageError: flags or files are missing or wrong, contradict each other, or hold no depth.
+        NoTable: the frames show no table, or nothing within the workspace.
         CorruptFile: a file cannot be read.
     """
     return prepare(read_frames(frames), frames, trained)
@@ -107,7 +113,8 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
     """Find the table of a recording, and choose the resolution for a model, as the flags `frames` say.
 
     Raises:
-        UsageError: flags are wrong, or the frames show no table.
+        UsageError: flags are wrong.
+        NoTable: the frames show no table, or nothing within the workspace.
     """
     table = None if frames.table is None else parse_pixel(frames.table)
     world = choose_world(recording, table, trained.center)
@@ -121,13 +128,38 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
     some = replace(recording, rgb=recording.rgb[shown], depth=recording.depth[shown], poses=None)
     spacing = surface_spacing(observe(some, world.poses[shown], workspace, trained))
     if spacing is None:
-        raise UsageError(
+        raise NoTable(
             "The workspace shows no points; give another --workspace or --depth-max, or the table with --table."
         )
     every = frames.every or _step(spacing, trained.spacing, recording)
-    observation = observe(recording.every(every), world.poses, workspace, trained)
+    reduced = recording.every(every)
+    warnings = (*_lens_doubts(recording), *warnings, *_holes(recording, reduced, every))
+    observation = observe(reduced, world.poses, workspace, trained)
     note = _resolution_note(observation, every, trained)
     return PreparedFrames(recording, observation, world, workspace, every, note, warnings)
+
+
+def _lens_doubts(recording: Recording) -> tuple[str, ...]:
+    """Say why the intrinsics are probably those of images of another size."""
+    height, width = recording.depth.shape[1:]
+    cx, cy = recording.k[:2, 2]
+    if max(abs(cx / width - 0.5), abs(cy / height - 0.5)) <= _OFF_CENTRE:
+        return ()
+    return (
+        f"The principal point {cx:g}, {cy:g} is far from the middle of the {width}x{height} images. If the images were "
+        "resized, scale fx, fy, cx and cy alike.",
+    )
+
+
+def _holes(recording: Recording, reduced: Recording, every: int) -> tuple[str, ...]:
+    """Say that the picked pixels miss depth much more often than all pixels."""
+    picked, known = (float(np.mean(each.depth > 0)) for each in (reduced, recording))
+    if picked >= _LEAST_PICKED * known:
+        return ()
+    return (
+        f"Only {100 * picked:.0f} % of the pixels that --every {every} picks have a depth, and {100 * known:.0f} % of "
+        "all: missing depth forms a grid. Give another --every.",
+    )
 
 
 def _step(spacing: float, trained: float, recording: Recording) -> int:
@@ -168,4 +200,4 @@ def _resolution_note(observation: Observation, every: int, trained: Trained) -> 
         f"{width}x{height} pixels (--every {every}); neighbouring pixels are {1000 * spacing:.1f} mm apart on the "
         f"surfaces, {'in training' if trained.learned else 'recommended'} {1000 * trained.spacing:.1f} mm"
     )
-    return f"{note}; is --depth-scale right?" if spacing > _COARSE * trained.spacing * every else note
+    return f"{note}; check --depth-scale" if spacing > _COARSE * trained.spacing * every else note

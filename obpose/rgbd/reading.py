@@ -44,6 +44,8 @@ def _files(frames: Frames) -> tuple[FrameFiles, Camera]:
         files = named_files(frames.rgb, frames.depth)
     elif frames.rgb or frames.depth:
         raise UsageError(f"{frames.source} and --rgb or --depth exclude each other; give one of them.")
+    elif not frames.source.exists():
+        raise UsageError(f"{frames.source} does not exist; expected a folder or .npz file with frames of one camera.")
     elif (found := find_frames(frames.source)) is None:
         raise UsageError(
             f"{frames.source} holds no frames; expected a folder or .npz file with colour and depth of one camera, "

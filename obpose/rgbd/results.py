@@ -2,7 +2,6 @@
 
 import json
 import re
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,8 @@ OPACITY = 0.5
 """Opacity of labels in overlays."""
 LEAST_POINTS = 4
 """Objects with fewer pixels in a frame have no box and no point cloud there."""
+_NEAREST = 0.01
+"""Distance from the camera in metres below which nothing is drawn."""
 FPS = 10.0
 """Frames per second of the animation."""
 
@@ -67,34 +68,24 @@ def write_results(
     out: Path,
     frames: PreparedFrames,
     labels: UInt8[np.ndarray, "frame height width"],
+    objects: Sequence[Sequence[SegmentedObject]],
     facts: dict[str, Any],
     *,
     overwrite: bool = False,
-) -> list[list[SegmentedObject]]:
-    """Write all files into a new folder, numbered by frame, and give the objects of each frame.
+) -> None:
+    """Write all files into a new folder, numbered by frame.
 
-    `facts` are additional entries of the JSON file. With `overwrite`, an earlier result in the folder is replaced once
-    the new one is complete.
+    `objects` are those of each frame, and `facts` additional entries of the JSON file. With `overwrite`, an earlier
+    result in the folder is replaced once the new one is complete.
 
     Raises:
         UsageError: the folder is not empty, and holds other things than an earlier result.
         DatagenError: it cannot be written.
     """
     check_target(out, overwrite=overwrite)
-    if not out.exists() or not any(out.iterdir()):
-        with new_folder(out) as folder:
-            return _write(folder, frames, labels, facts)
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.resolve().parent) as temporary:
-        new, old = Path(temporary) / "new", Path(temporary) / "old"
-        new.mkdir()
-        objects = _write(new, frames, labels, facts)
-        out.rename(old)
-        try:
-            new.rename(out)
-        except BaseException:
-            old.rename(out)
-            raise
-    return objects
+    with new_folder(out, replace=overwrite) as folder:
+        _write(folder, frames, labels, objects, facts)
+        check_target(out, overwrite=overwrite)
 
 
 def check_target(out: Path, *, overwrite: bool) -> None:
@@ -116,19 +107,22 @@ def check_target(out: Path, *, overwrite: bool) -> None:
 
 
 def _write(
-    folder: Path, frames: PreparedFrames, labels: UInt8[np.ndarray, "frame height width"], facts: dict[str, Any]
-) -> list[list[SegmentedObject]]:
-    recording, entries, objects, overlays = frames.recording, [], [], []
+    folder: Path,
+    frames: PreparedFrames,
+    labels: UInt8[np.ndarray, "frame height width"],
+    objects: Sequence[Sequence[SegmentedObject]],
+    facts: dict[str, Any],
+) -> None:
+    recording, entries, overlays = frames.recording, [], []
     (folder / CLOUDS).mkdir()
-    for i, (image, frame_labels) in enumerate(zip(recording.rgb, labels, strict=True)):
+    for i, (image, frame_labels, found) in enumerate(zip(recording.rgb, labels, objects, strict=True)):
         points = frames.points(i)
-        objects.append(objects_of(frame_labels, points))
-        overlays.append(overlay(image, frame_labels, objects[-1], frames, i))
+        overlays.append(overlay(image, frame_labels, found, frames, i))
         names = {"labels": f"{i:04d}_labels.png", "overlay": f"{i:04d}_overlay.png"}
         (folder / names["labels"]).write_bytes(png(label_image(frame_labels)))
         write_png(folder / names["overlay"], overlays[-1])
         plain = []
-        for each in objects[-1]:
+        for each in found:
             mask, cloud = frame_labels == each.label, f"{CLOUDS}/{i:04d}_{each.label:02d}.ply"
             trimesh.PointCloud(points[mask], colors=image[mask]).export(folder / cloud)
             plain.append({**each.to_json(), "cloud": cloud})
@@ -143,7 +137,6 @@ def _write(
     table = {"outline": frames.workspace.outline.round(4).tolist(), "least_height": round(frames.workspace.floor, 5)}
     page = {**facts, "table": table, "frames": entries}
     (folder / OBJECTS_FILE).write_text(json.dumps(page, indent=1) + "\n")
-    return objects
 
 
 def label_image(labels: Labels) -> Image.Image:
@@ -180,12 +173,25 @@ def overlay(
 def _draw_outline(
     image: Image.Image, corners: Float[np.ndarray, "corner 3"], k: np.ndarray, pose: Pose, width: int
 ) -> None:
-    """Draw a closed line in short pieces, so that pieces behind the camera can be left out."""
-    shares = np.linspace(0, 1, 33)[:, None]
-    after = np.roll(corners, -1, axis=0)
-    for start, end in zip(corners, after, strict=True):
-        line = transform(invert_rigid(pose), start + shares * (end - start))
-        pixels = (line @ k.T)[:, :2] / np.maximum(line[:, 2:], 1e-6)
-        for first, second in zip(range(32), range(1, 33), strict=True):
-            if min(line[first, 2], line[second, 2]) > 0.01:
-                ImageDraw.Draw(image).line([*map(tuple, pixels[[first, second]].tolist())], fill="white", width=width)
+    """Draw the visible part of a convex polygon as a closed line; along the image's border where it goes on outside."""
+    right, low = (side - width for side in image.size)
+    sides = np.array(
+        [(0, 0, 1, -_NEAREST), (1, 0, -width, 0), (-1, 0, right, 0), (0, 1, -width, 0), (0, -1, low, 0)], np.float64
+    )
+    corners = transform(invert_rigid(pose), corners) @ k.T
+    for *normal, offset in sides:
+        corners = _clipped(corners, corners @ normal + offset)
+    if len(corners):
+        pixels = corners[:, :2] / corners[:, 2:]
+        ImageDraw.Draw(image).line([*map(tuple, pixels.tolist()), tuple(pixels[0].tolist())], fill="white", width=width)
+
+
+def _clipped(corners: Float[np.ndarray, "corner 3"], inside: Float[np.ndarray, "corner"]) -> np.ndarray:
+    """Cut off the part of a polygon where a linear function is negative (Sutherland and Hodgman 1974)."""
+    kept = []
+    for start, end, here, there in zip(corners, np.roll(corners, -1, axis=0), inside, np.roll(inside, -1), strict=True):
+        if here >= 0:
+            kept.append(start)
+        if (here >= 0) != (there >= 0):
+            kept.append(start + here / (here - there) * (end - start))
+    return np.array(kept).reshape(-1, 3)

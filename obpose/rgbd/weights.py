@@ -36,9 +36,15 @@ def method_of(checkpoint: str | Path, objects: int | None = None) -> tuple[Metho
         CorruptFile: a file is damaged.
     """
     model, config, _ = load(find_checkpoint(Path(checkpoint)))
-    if objects is not None and isinstance(model, ObPose) and isinstance(model.attention, ICSBP):
-        model.attention.slots = objects
+    if objects is not None:
+        look_for(model, objects)
     return partial(_segment, model), trained_on(config)
+
+
+def look_for(model: Trainable, objects: int) -> None:
+    """Set the number of objects that the IC-SBP of ObPose looks for; other models have no such limit."""
+    if isinstance(model, ObPose) and isinstance(model.attention, ICSBP):
+        model.attention.slots = objects
 
 
 def segment_reduced(checkpoint: str, flags: Frames, frames: PreparedFrames) -> Int[Tensor, "1 frame 1 height width"]:

@@ -8,7 +8,7 @@ from scipy.ndimage import binary_closing, label
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from datagen.rgbd.plane import TOLERANCE
-from obpose.errors import UsageError
+from obpose.errors import NoTable
 
 CELL = 0.02
 """Side of the cells in which the table's points are counted, metres."""
@@ -79,14 +79,14 @@ def find_workspace(points: Float[np.ndarray, "point 3"], at: Float[np.ndarray, "
         at: Place on the table; None for the largest region.
 
     Raises:
-        UsageError: too few points are near z = 0.
+        NoTable: too few points are near z = 0.
     """
     on_table = points[np.abs(points[:, 2]) < TOLERANCE]
     cells = np.floor(on_table[:, :2] / CELL).astype(np.int64)
     outline = _outline(cells, at) if len(cells) else None
     if outline is None:
-        raise UsageError(
-            "No table is visible at z = 0 in the first frame; expected a camera that looks down at a table, depth in "
+        raise NoTable(
+            "No table is visible at z = 0; expected a camera that looks down at a table, depth in "
             "the right unit (--depth-scale), and a --camera-pose whose world has the table at z = 0, if one is given."
         )
     everything = Workspace(outline, 0.0)

@@ -9,7 +9,7 @@ from jaxtyping import Float64, Int
 from datagen.geometry import invert_rigid, transform, unproject
 from datagen.rgbd.plane import Plane
 from datagen.rgbd.table import find_table, is_wall, pose_over_table, table_points
-from obpose.errors import UsageError
+from obpose.errors import NoTable, UsageError
 from obpose.rgbd.recording import Recording
 
 GIVEN = "as given by the camera's pose"
@@ -57,10 +57,11 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
         center: Middle of the table in the world of the training, metres.
 
     Raises:
-        UsageError: no plane is found.
+        UsageError: the pixel is outside of the images, or the first frame has no depth.
+        NoTable: no plane is found.
     """
     if not (recording.depth > 0).any():
-        raise UsageError("No frame has a depth nearer than --depth-max; expected a table in view.")
+        raise NoTable("No frame has a depth nearer than --depth-max; expected a table in view.")
     given, frames = recording.poses, len(recording.depth)
     relative = np.tile(np.eye(4), (frames, 1, 1)) if given is None else invert_rigid(given[0]) @ given
     points = np.concatenate(table_clouds(recording, relative))

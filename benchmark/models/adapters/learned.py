@@ -1,5 +1,6 @@
 """The systems of `obpose.systems` as models of the benchmark: clips to observations, labels back."""
 
+import copy
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, se
 from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
 from obpose.model.obpose import ObPose
+from obpose.rgbd.weights import look_for
 from obpose.storage.checkpoint import load
 from obpose.systems import find_system, slots_for
 from obpose.trainable import Trainable
@@ -71,6 +73,13 @@ class LearnedSegmenter:
         Poses are included if the model gives objects poses and segments each view separately.
         """
         return self._segment(self._model, clip)
+
+    def looking_for(self, objects: int) -> "LearnedSegmenter":
+        """Copy this segmenter, and let the copy look for so many objects if its number of slots can be changed."""
+        other = copy.copy(self)
+        other._model = copy.deepcopy(self._model)
+        look_for(other._model, objects)
+        return other
 
     def _segment(self, model: Trainable, clip: Clip) -> Prediction:
         source = ArrayClips([clip])

@@ -1,12 +1,14 @@
 """Models of the benchmark on frames of a table, prepared as `obpose-segment` prepares them."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from benchmark.models.adapters.learned import LearnedSegmenter
 from benchmark.models.interface import Clip, Prediction, Segmenter
-from datagen.errors import UsageError
+from datagen.errors import NoTable, UsageError
 from obpose.commands.segment import OBJECTS
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.frames import prepare, trained_on
@@ -23,6 +25,12 @@ def segment_observation(segmenter: Segmenter, observation: Observation) -> Label
     return np.where(prediction.labels == prediction.background_slot, 0, prediction.labels + 1)[:, 0]
 
 
+def table_segmenter(segmenter: Segmenter) -> Callable[[Clip], Prediction]:
+    """Make a function that segments clips with a table, with as many objects at most as `obpose-segment` looks for."""
+    wide = segmenter.looking_for(OBJECTS) if isinstance(segmenter, LearnedSegmenter) else segmenter
+    return partial(segment_table, wide)
+
+
 def segment_table(segmenter: Segmenter, clip: Clip) -> Prediction:
     """Segment what stands on the table of a clip; everything is background if no table is found.
 
@@ -37,7 +45,7 @@ def segment_table(segmenter: Segmenter, clip: Clip) -> Prediction:
     recording = Recording((Path(),) * len(poses), clip.rgb[:, 0], clip.depth[:, 0], clip.k[0], poses)
     try:
         frames = prepare(recording, Frames(), trained)
-    except UsageError:
+    except NoTable:
         return Prediction(np.zeros(clip.depth.shape, np.uint8), background_slot=0)
     method = partial(segment_observation, segmenter)
     labels = segment_frames(frames, method, video=len(poses) > 1, most=OBJECTS)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from datagen.errors import UsageError
+from datagen.errors import NoTable, UsageError
 from datagen.formats.import_request import Grouping, World
 from datagen.formats.importers.interface import Images
 from datagen.formats.importers.plan import MOST_OBJECTS
@@ -164,7 +164,7 @@ def _table_pose(images: Images, place: str) -> Pose:
     points = rays * depth[number][rows, columns, None].astype(np.float64)
     try:
         return pose_over_table(points)
-    except UsageError:
+    except NoTable:
         raise UsageError(
             f"{place} has no poses, and no plane was found that could be the table; add a pose, see docs/import.md."
         ) from None

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from datagen.errors import UsageError
+from datagen.errors import NoTable
 from datagen.geometry import invert_rigid, look_at, transform
 from datagen.rgbd.plane import fit_plane
 from datagen.rgbd.table import find_table, pose_over_table, table_points
@@ -126,5 +126,5 @@ def test_from_straight_above_x_points_to_the_lower_side_of_the_image():
 
 
 def test_a_missing_plane_is_an_error():
-    with pytest.raises(UsageError, match="give --camera-pose"):
+    with pytest.raises(NoTable, match="expected a table in view"):
         pose_over_table(np.zeros((5, 3)), center=(0.0, 0.0, 0.0))

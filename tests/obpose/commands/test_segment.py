@@ -112,8 +112,40 @@ def test_objects_wider_than_in_training_are_reported(
         monkeypatch.setattr(segment, "WIDEST", widest)
         assert run(scene, tmp_path / str(widest), **flags) == EXIT_OK
         assert (
-            "Warning: Labels 1 are wider than the widest object in training, 10 cm." in capsys.readouterr().out
+            "Warning: Labels 1 are in some frame wider than the widest object in training, 10 cm."
+            in capsys.readouterr().out
         ) == warned
+
+
+def test_a_wide_object_in_a_later_frame_is_reported(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    depth = tmp_path / "depth"
+    shutil.copytree(scene / "depth", depth)
+    first = min(depth.iterdir())
+    Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
+    monkeypatch.setattr(segment, "WIDEST", 0.1)
+    assert run(scene, tmp_path / "out", checkpoint=None, method="one-object", depth=depth) == EXIT_OK
+    assert "Warning: Labels 1 are in some frame wider than the widest object" in capsys.readouterr().out
+
+
+def test_intrinsics_of_another_size_and_a_grid_of_holes_are_reported(scene: Path, tmp_path: Path, capsys):
+    def warnings(name: str, *flags: object, **changes: object) -> object:
+        assert run(scene, tmp_path / name, *flags, checkpoint=None, method="one-object", **changes) == EXIT_OK
+        return facts_of(tmp_path / name)["warnings"]
+
+    assert warnings("right") == []
+    fx, fy, cx, cy = (float(part) for part in (scene / "intrinsics").read_text().split(","))
+    (said,) = warnings("half", "--intrinsics", f"{fx},{fy},{cx / 2},{cy / 2}")
+    assert "far from the middle of the 32x24 images" in said
+    (tmp_path / "depth").mkdir()
+    for path in (scene / "depth").iterdir():
+        depth = np.array(Image.open(path))
+        depth[1::3] = 0
+        Image.fromarray(depth).save(tmp_path / "depth" / path.name)
+    (said,) = warnings("holes", "--every", 3, depth=tmp_path / "depth")
+    assert said.startswith("Only 0 % of the pixels that --every 3 picks have a depth, and 67 % of all")
+    assert warnings("no grid", "--every", 2, depth=tmp_path / "depth") == []
 
 
 def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
@@ -209,6 +241,7 @@ def test_a_full_number_of_objects_is_reported(scene: Path, tmp_path: Path, capsy
         ({}, ("--objects", 0), EXIT_USAGE, "--objects 0: expected 1 to 255"),
         ({}, ("{scene}",), EXIT_USAGE, "and --rgb or --depth exclude each other"),
         ({"rgb": None, "depth": None}, ("{scene}/model",), EXIT_USAGE, "model holds no frames"),
+        ({"rgb": None, "depth": None}, ("{scene}/nowhere",), EXIT_USAGE, "nowhere does not exist"),
         ({}, ("--method", "one-object"), EXIT_USAGE, "--method and --checkpoint exclude each other"),
         ({"checkpoint": None}, ("--method", "magic"), EXIT_USAGE, "Unknown method 'magic'"),
     ],

@@ -33,6 +33,11 @@ def square(low: float, high: float) -> Workspace:
 SQUARE = square(-0.2, 0.2)
 
 
+def write(out: Path, facts: dict[str, object], *, overwrite: bool = False) -> None:
+    objects = [objects_of(labels, frames().points(i)) for i, labels in enumerate(LABELS)]
+    write_results(out, frames(), LABELS, objects, facts, overwrite=overwrite)
+
+
 def frames(workspace: Workspace = SQUARE) -> PreparedFrames:
     recording = Recording(
         (Path("a.png"), Path("b.png")), np.stack([RGB, RGB]), np.full((2, HEIGHT, WIDTH), 0.8, np.float32), K
@@ -67,19 +72,28 @@ def test_an_overlay_shows_labels_boxes_and_the_table():
     np.testing.assert_array_equal(overlay(RGB, 0 * LABELS[0], [], frames(square(2.0, 3.0)), 0), RGB)
 
 
+def test_the_outline_of_a_table_that_goes_on_outside_follows_the_border():
+    image = overlay(RGB, 0 * LABELS[0], [], frames(square(-3.0, 3.0)), 0)
+    white = (image == 255).all(axis=-1)
+    for side in (white[:3].T, white[-3:].T, white[:, :3], white[:, -3:]):
+        assert side[3:-3].any(axis=1).all()
+    assert not white[3:-3, 3:-3].any()
+
+
 def test_every_frame_gets_all_its_files(tmp_path: Path):
-    objects = write_results(tmp_path / "out", frames(), LABELS, {"world": "here"})
+    write(tmp_path / "out", {"world": "here"})
     facts = json.loads((tmp_path / "out" / "objects.json").read_text())
     assert facts["world"] == "here"
     np.testing.assert_allclose(facts["frames"][1]["world_from_camera"], POSE, atol=1e-6)
     assert [frame["rgb"] for frame in facts["frames"]] == ["a.png", "b.png"]
     assert np.shape(facts["table"]["outline"]) == (4, 2)
-    for frame, labels, found in zip(facts["frames"], LABELS, objects, strict=True):
+    for i, (frame, labels) in enumerate(zip(facts["frames"], LABELS, strict=True)):
         np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "out" / frame["labels"])), labels)
         assert np.asarray(Image.open(tmp_path / "out" / frame["overlay"])).shape == (HEIGHT, WIDTH, 3)
         (entry,) = frame["objects"]
         assert (entry["label"], entry["pixels"]) == (2, 100)
-        np.testing.assert_allclose(entry["size"], found[0].box.size, atol=1e-6)
+        (found,) = objects_of(labels, frames().points(i))
+        np.testing.assert_allclose(entry["size"], found.box.size, atol=1e-6)
         cloud = trimesh.load(tmp_path / "out" / entry["cloud"])
         assert len(cloud.vertices) == 100
     assert (tmp_path / "out" / "summary.png").exists()
@@ -87,14 +101,14 @@ def test_every_frame_gets_all_its_files(tmp_path: Path):
 
 def test_a_video_is_an_mp4_or_without_its_codec_a_gif(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     if importlib.util.find_spec("imageio_ffmpeg"):
-        write_results(tmp_path / "mp4", frames(), LABELS, {})
+        write(tmp_path / "mp4", {})
         assert (tmp_path / "mp4" / "overlay.mp4").read_bytes()[4:8] == b"ftyp"
 
     def without_codec(*_: object):
         raise UsageError("there is no MP4 codec")
 
     monkeypatch.setattr(results, "save_mp4", without_codec)
-    write_results(tmp_path / "gif", frames(), LABELS, {})
+    write(tmp_path / "gif", {})
     with Image.open(tmp_path / "gif" / "overlay.gif") as animation:
         assert animation.n_frames == 2
     assert not (tmp_path / "gif" / "overlay.mp4").exists()
@@ -102,18 +116,29 @@ def test_a_video_is_an_mp4_or_without_its_codec_a_gif(tmp_path: Path, monkeypatc
 
 def test_only_an_earlier_result_is_replaced(tmp_path: Path):
     out = tmp_path / "out"
-    write_results(out, frames(), LABELS, {"run": 1})
+    write(out, {"run": 1})
     with pytest.raises(UsageError, match="not empty"):
-        write_results(out, frames(), LABELS, {"run": 2})
-    write_results(out, frames(), LABELS, {"run": 2}, overwrite=True)
+        write(out, {"run": 2})
+    write(out, {"run": 2}, overwrite=True)
     assert json.loads((out / "objects.json").read_text())["run"] == 2
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
     (out / "mine").write_text("kept")
     with pytest.raises(UsageError, match="also holds mine"):
-        write_results(out, frames(), LABELS, {"run": 3}, overwrite=True)
+        write(out, {"run": 3}, overwrite=True)
     assert (out / "mine").read_text() == "kept"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine").write_text("kept")
     with pytest.raises(UsageError, match="also holds mine"):
-        write_results(tmp_path / "other", frames(), LABELS, {}, overwrite=True)
+        write(tmp_path / "other", {}, overwrite=True)
     assert (tmp_path / "other" / "mine").read_text() == "kept"
+
+
+def test_a_failed_write_leaves_the_earlier_result_alone(tmp_path: Path):
+    out = tmp_path / "out"
+    write(out, {"run": 1})
+    with pytest.raises(TypeError):
+        write(out, {"run": object()}, overwrite=True)
+    assert json.loads((out / "objects.json").read_text())["run"] == 1
+    with pytest.raises(TypeError):
+        write(tmp_path / "new", {"run": object()})
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
