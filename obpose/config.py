@@ -75,10 +75,6 @@ class PoseConfig:
     points: Literal["own", "all"] = "own"
     """Input of an object encoder: the points of the box at which no other slot's mask is larger, or all of its points.
     [ours; code: all]"""
-    observed: Literal["visible", "standing"] = "visible"
-    """T and R follow from the `visible` points: T is their mean, and R that of the smallest box around them. Or, with
-    conditioning `full`, T is the middle of that box, which for a `standing` object reaches down to the table.
-    [paper: visible; ours: standing]"""
     box_size: float = 0.2
     """s: edge of a box, metres. [code: 0.4]"""
     max_translation: float = 0.05

@@ -223,7 +223,6 @@ SYSTEMS: dict[str, System] = {
         OBPOSE_CONTACT,
         {
             "model.attention.kind": "given",
-            "model.pose.observed": "standing",
             "model.pose.max_translation": 0.0,
             "loss.air_growth": 10.0,
             "train.minutes": 24.0,

@@ -70,6 +70,10 @@ class ContactModel(Trainable):
 
     def training_source(self, source: ClipSource) -> ClipSource:
         """Paste training images from the clips of a source; labels of the source are not read."""
+        return self.pasted_clips(source)
+
+    def pasted_clips(self, source: ClipSource) -> PastedClips:
+        """Images that are pasted from the clips of a source."""
         model = self.config.model
         return PastedClips(source, table=model.table, floor=model.floor, gap=model.gap, seed=self.config.train.seed)
 

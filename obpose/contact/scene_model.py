@@ -22,7 +22,8 @@ from obpose.model.layers.numerics import log_sum_exp
 from obpose.model.losses.observation import mean_over
 from obpose.model.nerf.along import FieldsAlongRays
 from obpose.model.nerf.compose import log_share
-from obpose.model.obpose import EmbeddedViews, ObPose
+from obpose.model.obpose import EmbeddedViews, ObPose, SlotPoints, SlotRotations
+from obpose.model.pose.orientation import standing_boxes
 from obpose.types import (
     ComponentRays,
     ContactObservation,
@@ -54,7 +55,7 @@ class ContactObPose(ObPose):
 
     def training_source(self, source: ClipSource) -> ClipSource:
         """Add pseudo-objects and pasted images to clips; labels of the source are not read."""
-        return ClipsWithPasted(source, self.contact.training_source(source), seed=self.config.train.seed)
+        return ClipsWithPasted(source, self.contact.pasted_clips(source), seed=self.config.train.seed)
 
     def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
         """Parameters of ObPose, then of the contact model, which learns faster."""
@@ -81,6 +82,16 @@ class ContactObPose(ObPose):
             return super()._attend(views, generator)
         grid = self.backbone.grid_size(*observation.depth.shape[3:])
         return attended_as_labelled(observation.pseudo_labels, views.embeddings, self.attention, grid=grid)
+
+    def _observed_pose(self, views: EmbeddedViews, masks: Masks) -> tuple[SlotPoints, SlotRotations]:
+        """T and R of every slot from the smallest box, which for a standing object reaches down to the table."""
+        if self.config.model.pose.conditioning != "full":
+            return super()._observed_pose(views, masks)
+        center = self._observed_center(views, masks)
+        owners = self.pixel_owners(masks, views.embeddings, views.observation)
+        table = self.config.model.table or 0.0
+        middle, rotation, found = standing_boxes(views.points, owners, slots=center.shape[2], table=table)
+        return torch.where(found[..., None], middle, center), rotation
 
     def _mask_terms(
         self, masks: Masks, log_masks: ComponentRays, fields: FieldsAlongRays, embeddings: Embeddings

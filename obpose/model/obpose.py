@@ -36,7 +36,7 @@ from obpose.model.perception import Points, embed, pixel_owners, select_input_vi
 from obpose.model.pose.crop import BoxSamples, gather_box
 from obpose.model.pose.encoder import ObjectEncoder
 from obpose.model.pose.location import observed_center
-from obpose.model.pose.orientation import observed_rotation, standing_boxes
+from obpose.model.pose.orientation import observed_rotation
 from obpose.model.pose.where import Where
 from obpose.trainable import Trainable
 from obpose.types import (
@@ -52,6 +52,9 @@ from obpose.types import (
     Rays,
     SceneSegmentation,
 )
+
+SlotPoints = Float[Tensor, "batch frame slot 3"]
+SlotRotations = Float[Tensor, "batch frame slot 3 3"]
 
 
 class EmbeddedViews(NamedTuple):
@@ -135,23 +138,9 @@ class ObPose(Trainable):
         self, views: EmbeddedViews, attended: Attended, *, draw: Draw = "mean", generator: torch.Generator | None = None
     ) -> Inference:
         """Poses and latents under given masks."""
-        model, masks, (observation, points, embeddings) = self.config.model, attended.masks, views
-        # T: the observed centre (paper, section Object Location and Orientation Conditioned Encoding).
-        center = observed_center(
-            masks.log_masks, embeddings.points, embeddings.valid, exponent=model.attention.mask_exponent
-        )
+        model, masks, embeddings = self.config.model, attended.masks, views.embeddings
+        center, rotation = self._observed_pose(views, masks)
         upright = torch.eye(3, dtype=center.dtype, device=center.device).expand(*center.shape, 3)
-        # R: the minimum volume principle, on the pixels of each slot.
-        rotation = upright
-        if model.pose.conditioning == "full":
-            owners = self.pixel_owners(masks, embeddings, observation)
-            if model.pose.observed == "visible":
-                rotation = observed_rotation(points, owners, slots=center.shape[2])
-            else:
-                middle, rotation, found = standing_boxes(
-                    points, owners, slots=center.shape[2], table=model.table or 0.0
-                )
-                center = torch.where(found[..., None], middle, center)
         # Where: boxes {T_hat, R}; without pose conditioning every box is the workspace.
         where = None
         boxes = Boxes(self.center.expand_as(center), upright, model.workspace_size)
@@ -170,6 +159,24 @@ class ObPose(Trainable):
         if self.background is not None:
             background = self.background(attended.background_code, draw, generator)
         return Inference(embeddings, masks, center, boxes, where, what, background)
+
+    def _observed_pose(self, views: EmbeddedViews, masks: Masks) -> tuple[SlotPoints, SlotRotations]:
+        """T and R of every slot in every frame, from its observed points."""
+        center = self._observed_center(views, masks)
+        # R: the minimum volume principle, on the pixels of each slot.
+        if self.config.model.pose.conditioning != "full":
+            return center, torch.eye(3, dtype=center.dtype, device=center.device).expand(*center.shape, 3)
+        owners = self.pixel_owners(masks, views.embeddings, views.observation)
+        return center, observed_rotation(views.points, owners, slots=center.shape[2])
+
+    def _observed_center(self, views: EmbeddedViews, masks: Masks) -> SlotPoints:
+        """T: the observed centre (paper, section Object Location and Orientation Conditioned Encoding)."""
+        points, valid, exponent = (
+            views.embeddings.points,
+            views.embeddings.valid,
+            self.config.model.attention.mask_exponent,
+        )
+        return observed_center(masks.log_masks, points, valid, exponent=exponent)
 
     def pixel_owners(self, masks: Masks, embeddings: Embeddings, observation: Observation) -> Tensor:
         """Component with the largest attention mask at each pixel; 0 for pixels without depth."""
