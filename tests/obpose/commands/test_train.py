@@ -154,7 +154,10 @@ def test_a_dataset_without_validation_scenes_is_trained_on(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     data = write_dataset(tmp_path / "spheres", scenes={"train": 1}, frames=2, size=(24, 16))
-    assert main(["--data", str(data), "--steps", "1", "--out", str(tmp_path / "run"), *SETTINGS]) == 0
+    assert (
+        main(["--data", str(data), "--variant", "obpose", "--steps", "1", "--out", str(tmp_path / "run"), *SETTINGS])
+        == 0
+    )
     out, errors = capsys.readouterr()
     assert "run: 1 step in 0.0 minutes." in out
     assert "Training obpose on spheres, 1 step, into" in errors
