@@ -33,8 +33,8 @@ LEAST_VISIBLE, LEAST_LEFT = 0.5, 0.4
 """Shares of a pasted object and of each other one that must be visible afterwards."""
 CHECKED = 32
 """Number of clips, from the first on, one of which must show pseudo-objects."""
-IMAGES = 16
-"""Number of pasted images for each window of `ClipsWithPasted`."""
+IMAGES_PER_FRAME = 3.2
+"""Number of pasted images for each frame of a window of `ClipsWithPasted`."""
 APART = 0.2
 """Probability that a place without contact is accepted."""
 
@@ -176,9 +176,11 @@ class ClipsWithPasted:
         return len(self._source)
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
-        """Read a window of a clip, with `IMAGES` pasted images that depend on the seed, the clip and its start."""
+        """Read a window of a clip, with pasted images that depend on the seed, the clip and its start."""
         rng = np.random.default_rng([self._seed, 3, index, start])
-        places = rng.integers((len(self), self._pasted.frames_of_clip), size=(IMAGES, 2)).tolist()
+        places = rng.integers(
+            (len(self), self._pasted.frames_of_clip), size=(round(IMAGES_PER_FRAME * frames), 2)
+        ).tolist()
         images = [self._pasted.window(other, first, 1) for other, first in places]
         pasted = {name: torch.stack([image[name] for image in images]) for name in images[0]}
         window = self._source.window(index, start, frames)
