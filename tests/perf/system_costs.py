@@ -12,10 +12,11 @@ from statistics import median
 
 import torch
 
+from obpose.contact.pasting import IMAGES_PER_FRAME
 from obpose.systems import SYSTEMS
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
-from obpose.types import LabelledObservation, PastedObservation
+from obpose.types import ContactObservation, LabelledObservation, PastedObservation
 from tests.worlds.observations import labels_by_colour, table_scene
 
 FRAMES, SIZE, OBJECTS = 5, 64, 4
@@ -50,9 +51,19 @@ def cost_of(name: str) -> Cost:
     clips = config.train.batch * (config.train.frames // frames)
     seen = table_scene(batch=clips, frames=frames, height=SIZE, width=SIZE, spheres=OBJECTS)
     batch = {field.name: getattr(seen, field.name) for field in fields(seen)}
-    labels = {LabelledObservation: "segmentation", PastedObservation: "pseudo_labels"}
-    if name_of_labels := labels.get(learner.model.observation_type):
-        batch[name_of_labels] = torch.stack([labels_by_colour(rgb) for rgb in seen.rgb])
+    labels = torch.stack([labels_by_colour(rgb) for rgb in seen.rgb])
+    kind = learner.model.observation_type
+    if kind is LabelledObservation:
+        batch["segmentation"] = labels
+    if issubclass(kind, PastedObservation):
+        batch["pseudo_labels"] = labels
+    if kind is ContactObservation:
+        # The frames themselves stand in for pasted images.
+        chosen = torch.arange(round(IMAGES_PER_FRAME * frames)) % frames
+        images = {"rgb": seen.rgb, "depth": seen.depth, "labels": labels}
+        batch |= {f"pasted_{name}": each[:, chosen, 0] for name, each in images.items()}
+        for camera in ("k", "world_from_camera"):
+            batch[f"pasted_{camera}"] = batch[camera][:, :1].expand(-1, len(chosen), -1, -1)
     times = []
     for step in range(STEPS + 1):
         start = time.process_time()
