@@ -98,7 +98,12 @@ def _exchange(old: Path, new: Path) -> None:
     except OSError:
         aside.rename(old)
         raise
-    shutil.rmtree(aside, ignore_errors=True)
+    try:
+        shutil.rmtree(aside, ignore_errors=True)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"Interrupted; {old} is the new folder and complete. Delete the rest of the old one, {aside}."
+        ) from None
 
 
 def _finish_exchange(old: Path) -> None:

@@ -74,7 +74,8 @@ def judge(case: Case, sights: Sequence[Sight]) -> list[Verdicts]:
         hidden[some] |= met & (sideways == 0)
         shown[some[~passed]] = False
         others = some[(row[some] != place) & shown[some]]
-        shown[others[_close(shape, points[others])]] = False
+        close = mesh.within(points[others], CLOSE) if mesh else shape.signed_distance(points[others]) <= CLOSE
+        shown[others[close]] = False
     shown[(world[:, 2] < 0) & (row >= 0)] = False
     hidden |= _below_table(case, lines) & (row != -1)
     ends = np.cumsum([len(sight.row) for sight in sights])[:-1]
@@ -127,15 +128,6 @@ def surface_normals(
     total = np.sum([value[:, None] * corner for value, corner in zip(values, CORNERS, strict=True)], axis=0)
     length = np.sqrt(np.sum(total * total, axis=1, keepdims=True))
     return total / np.where(length > 0, length, 1)
-
-
-def _close(shape: Shape, points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, "point"]:
-    """Whether points of other objects may lie at, or inside of, a shape's surface."""
-    if not (mesh := mesh_rays.mesh_of(shape)):
-        return shape.signed_distance(points) <= CLOSE
-    close = np.all((points > mesh.low - CLOSE) & (points < mesh.high + CLOSE), axis=1)
-    close[close] = mesh.distance(points[close]) <= CLOSE
-    return close
 
 
 def _below_table(case: Case, lines: _Lines) -> Bool[np.ndarray, "point"]:
