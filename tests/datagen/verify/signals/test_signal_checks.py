@@ -1,11 +1,17 @@
 """What the checks of signals catch, and that they are silent without cause."""
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import pytest
 
+from datagen import shapes
+from datagen.meshes.distance import MeshSolid
+from datagen.scene import Scene, ShapeSpec
 from datagen.schema import HIDDEN, SHOWN, SIGNALS, SceneRecord
+from datagen.shapes.shape import Shape
 from datagen.storage.run_lengths import decode_mask, encode_mask
 from datagen.verify import verify_record
 from tests.worlds import moving_cameras, rendered
@@ -14,18 +20,37 @@ GROUPS = (*rendered.GROUPS, *SIGNALS)
 MOVING = ("simulation", "moving_camera", "pixels", *SIGNALS)
 
 
-@pytest.fixture(scope="module")
-def clip() -> SceneRecord:
-    return rendered.record(moving_cameras.orbiting(), signals=SIGNALS)
+class Triangles:
+    """Shapes of all families as closed meshes."""
+
+    def shape(self, parameters: Mapping[str, Any]) -> Shape:
+        """The triangles of the shape that the parameters describe."""
+        shape = shapes.build(ShapeSpec(**parameters))
+        return dataclasses.replace(shape, solids=(MeshSolid(shape.vertices, shape.faces, closed=True),))
+
+
+def of_meshes(world: Scene) -> Scene:
+    """The scene with its shapes as meshes."""
+    specs = [ShapeSpec("mesh", dataclasses.asdict(body.shape)) for body in world.bodies]
+    bodies = [dataclasses.replace(body, shape=spec) for body, spec in zip(world.bodies, specs, strict=True)]
+    return dataclasses.replace(world, bodies=tuple(bodies))
+
+
+@pytest.fixture(scope="module", params=["solids", "meshes"])
+def clip(request: pytest.FixtureRequest) -> SceneRecord:
+    world = moving_cameras.orbiting()
+    return rendered.record(
+        of_meshes(world) if request.param == "meshes" else world, signals=SIGNALS, meshes=Triangles()
+    )
 
 
 def test_correct_signals_pass(clip: SceneRecord):
-    assert verify_record(clip, MOVING) == []
+    assert verify_record(clip, MOVING, meshes=Triangles()) == []
     assert verify_record(rendered.record(rendered.scene(views=2, frames=2), signals=SIGNALS), GROUPS) == []
 
 
 def test_a_renderer_that_draws_beside_the_mesh_passes(clip: SceneRecord):
-    assert verify_record(clip, MOVING, renderer="pyrender") == []
+    assert verify_record(clip, MOVING, renderer="pyrender", meshes=Triangles()) == []
 
 
 def object_pixel(record: SceneRecord) -> tuple[int, ...]:
@@ -103,11 +128,12 @@ def test_a_wrong_signal_is_found(
 ):
     record = {**clip, field: clip[field].copy()}
     change(record, record[field])
-    found = [finding for finding in verify_record(record, MOVING) if finding.check == check]
+    found = [finding for finding in verify_record(record, MOVING, meshes=Triangles()) if finding.check == check]
     assert words in " ".join(finding.message for finding in found)
 
 
 def test_wrong_poses_of_moving_cameras_are_found(clip: SceneRecord):
     record = {**clip, "camera/world_from_camera_of_frame": clip["camera/world_from_camera_of_frame"].copy()}
     record["camera/world_from_camera_of_frame"][1, 0, 2, 3] += 0.01
-    assert {"description", "table", "flow"} <= {finding.check for finding in verify_record(record, MOVING)}
+    findings = verify_record(record, MOVING, meshes=Triangles())
+    assert {"description", "table", "flow"} <= {finding.check for finding in findings}
