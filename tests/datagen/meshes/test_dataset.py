@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from datagen.inspect.summary import summary
+from datagen.inspect.stats import summary
 from PIL import Image
 
 from datagen.commands.cli import main
