@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from datagen.inspect.stats import summary
 from PIL import Image
 
 from datagen.commands.cli import main
 from datagen.inspect.dataset_card import card
+from datagen.inspect.stats import summary
 from datagen.meshes.distance import MeshSolid
 from datagen.meshes.library import open_library
 from datagen.meshes.raycast import first_hits
