@@ -21,17 +21,18 @@ MOVING = ("simulation", "moving_camera", "pixels", *SIGNALS)
 
 
 class Triangles:
-    """Shapes of all families as closed meshes."""
+    """The staged shapes as closed meshes; the file's name is that of the family."""
 
     def shape(self, parameters: Mapping[str, Any]) -> Shape:
-        """The triangles of the shape that the parameters describe."""
-        shape = shapes.build(ShapeSpec(**parameters))
+        """The triangles of a staged shape."""
+        shape = next(shapes.build(spec) for spec, _ in rendered.STANDING if spec.family == parameters["file"])
         return dataclasses.replace(shape, solids=(MeshSolid(shape.vertices, shape.faces, closed=True),))
 
 
 def of_meshes(world: Scene) -> Scene:
     """The scene with its shapes as meshes."""
-    specs = [ShapeSpec("mesh", dataclasses.asdict(body.shape)) for body in world.bodies]
+    unread = {"sha256": "0" * 64, "scale": 1.0, "up": "z"}
+    specs = [ShapeSpec("mesh", {"file": body.shape.family, **unread}) for body in world.bodies]
     bodies = [dataclasses.replace(body, shape=spec) for body, spec in zip(world.bodies, specs, strict=True)]
     return dataclasses.replace(world, bodies=tuple(bodies))
 
