@@ -1,7 +1,9 @@
 import json
 import logging
 import os
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -98,8 +100,12 @@ def test_a_failed_export_keeps_the_one_that_it_was_to_replace(clips: Path, tmp_p
 def test_an_interruption_after_the_exchange_says_that_the_new_export_is_complete(
     clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+    delete = shutil.rmtree
+
+    def interrupt(folder: Path, **options: Any) -> None:
+        if "old" in folder.name:
+            raise KeyboardInterrupt
+        delete(folder, **options)
 
     export(clips, tmp_path / "out", "rgbd")
     with monkeypatch.context() as patch:

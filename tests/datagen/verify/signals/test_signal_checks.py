@@ -75,6 +75,10 @@ def always_hidden(record: SceneRecord, array: np.ndarray) -> None:
     array[array == SHOWN] = HIDDEN
 
 
+def hidden_objects(record: SceneRecord, array: np.ndarray) -> None:
+    array[(array == SHOWN) & (record["segmentation"] > 0)] = HIDDEN
+
+
 def turned(record: SceneRecord, array: np.ndarray) -> None:
     objects = record["segmentation"] > 0
     array[objects] = array[objects][..., [1, 2, 0]]
@@ -113,6 +117,7 @@ def inverted(record: SceneRecord, array: np.ndarray) -> None:
         ("flow/backward", swapped, "flow", "pixels are off"),
         ("flow/forward_occlusion", never_hidden, "flow", "count as shown, but lie behind a surface"),
         ("flow/backward_occlusion", always_hidden, "flow", "count as hidden, but nothing lies in front"),
+        ("flow/forward_occlusion", hidden_objects, "flow", "count as hidden, but nothing lies in front"),
         ("normals", turned, "normals", "are off by up to"),
         ("normals", in_the_world, "normals", "the table's normal is off"),
         ("object_coordinates", one_coordinate, "coordinates", "1 of"),
