@@ -106,6 +106,10 @@ def one_place(record: SceneRecord, array: np.ndarray) -> None:
     array.reshape(-1)[7] += 0.1
 
 
+def lifted(record: SceneRecord, array: np.ndarray) -> None:
+    array[record["tracks/object"] > 0, ..., 2] += 0.002
+
+
 def inverted(record: SceneRecord, array: np.ndarray) -> None:
     array[...] = 1 - array
 
@@ -124,6 +128,7 @@ def inverted(record: SceneRecord, array: np.ndarray) -> None:
         ("amodal/rle", shifted_mask, "amodal", "at its outline"),
         ("amodal/rle", no_code, "amodal", "cannot be decoded"),
         ("tracks/position_3d", one_place, "tracks", "mm in its frame"),
+        ("tracks/position_3d", lifted, "tracks", "2.000 mm off its surface"),
         ("tracks/position_2d", one_place, "tracks", "from where their positions project"),
         ("tracks/occluded", inverted, "tracks", "hidden at its query"),
         ("tracks/query", one_place, "tracks", "not where its query is"),
