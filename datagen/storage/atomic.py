@@ -95,8 +95,9 @@ def _exchange(old: Path, new: Path) -> None:
     old.rename(aside)
     try:
         new.rename(old)
-    except OSError:
-        aside.rename(old)
+    except BaseException:
+        if not old.exists():
+            aside.rename(old)
         raise
     try:
         shutil.rmtree(aside, ignore_errors=True)
@@ -156,7 +157,8 @@ def _temporary_folder(named: Path, path: Path) -> Iterator[Path]:
             raise
         raise DatagenError(f"Cannot write {named}: {_reason(cause)}; fix this, or give another --out.") from None
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if temporary.exists():
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def check_new_folder(folder: Path) -> None:

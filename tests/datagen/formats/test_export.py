@@ -1,14 +1,11 @@
 import json
 import logging
 import os
-import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from datagen.commands.cli import main
-from datagen.errors import EXIT_INTERRUPTED, DatagenError, UsageError
+from datagen.errors import DatagenError, UsageError
 from datagen.formats import export as module
 from datagen.formats.export import EXPORT_FILE, export
 from datagen.formats.export_card import export_card
@@ -95,25 +92,6 @@ def test_a_failed_export_keeps_the_one_that_it_was_to_replace(clips: Path, tmp_p
     with pytest.raises(UsageError, match="320x240"):
         export(clips, tmp_path / "out", "obsurf", overwrite=True)
     assert json.loads((tmp_path / "out" / EXPORT_FILE).read_text())["format"] == "rgbd"
-
-
-def test_an_interruption_after_the_exchange_says_that_the_new_export_is_complete(
-    clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    delete = shutil.rmtree
-
-    def interrupt(folder: Path, **options: Any) -> None:
-        if "old" in folder.name:
-            raise KeyboardInterrupt
-        delete(folder, **options)
-
-    export(clips, tmp_path / "out", "rgbd")
-    with monkeypatch.context() as patch:
-        patch.setattr("datagen.storage.atomic.shutil.rmtree", interrupt)
-        arguments = ["export", "--format", "coco", str(clips), "--out", str(tmp_path / "out"), "--overwrite"]
-        assert main(arguments) == EXIT_INTERRUPTED
-    assert f"{tmp_path / 'out'} is the new folder and complete" in capsys.readouterr().err
-    assert json.loads((tmp_path / "out" / EXPORT_FILE).read_text())["format"] == "coco"
 
 
 def test_an_export_into_its_dataset_or_around_it_is_refused(clips: Path):
