@@ -111,7 +111,7 @@ def run_program(
 ) -> int:
     """Run a function and return its exit code; failures that a user can fix end in one line on stderr.
 
-    `interrupted` and `out_of_memory` are messages as in `run_command`.
+    `interrupted` and `out_of_memory` are messages as in `run_command`; a KeyboardInterrupt may carry its own.
     """
     try:
         return run()
@@ -119,8 +119,8 @@ def run_program(
         return error.code if isinstance(error.code, int) else int(bool(error.code))
     except DatagenError as error:
         return _fail(program, str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _fail(program, interrupted, EXIT_INTERRUPTED)
+    except KeyboardInterrupt as error:
+        return _fail(program, str(error) or interrupted, EXIT_INTERRUPTED)
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         return _fail(program, f"{place}{error.strerror or error}.", EXIT_INCOMPLETE)

@@ -149,15 +149,17 @@ def _meshes(spec: Spec, seen: Mapping[str, Collection[str]]) -> str:
     ]
     train, test = set(seen.get("train", ())), set(seen.get("test", ()))
     counts = ", ".join(f"{len(hashes)} in {split}" for split, hashes in seen.items())
-    if train & test:
-        proof = f"{len(train & test)} of the test split's {len(test)} shapes also occur in training."
+    if not (train and test):
+        proof = ""
+    elif train & test:
+        proof = f" {len(train & test)} of the test split's {len(test)} shapes also occur in training."
     else:
-        proof = "No shape of the test split occurs in training: their content hashes are disjoint."
+        proof = " No shape of the test split occurs in training: their content hashes are disjoint."
     return "\n".join(
         [
             "## Meshes",
             "",
-            f"The scenes hold {len(set().union(*seen.values()))} different meshes: {counts}. {proof}",
+            f"The scenes hold {len(set().union(*seen.values()))} different meshes: {counts}.{proof}",
             "The meshes themselves are not part of the dataset; their licences are those of their sources.",
             "",
             "| mesh | file | metres per unit | splits | hulls | SHA-256 of content |",

@@ -3,7 +3,7 @@
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 _LARGEST = 4.0
@@ -39,6 +39,18 @@ class MeshSolid:
         """Exact unsigned distance to the surface, metres."""
         parts = [self._distance(points[i : i + _POINTS_AT_ONCE]) for i in range(0, len(points), _POINTS_AT_ONCE)]
         return np.concatenate([*parts, np.zeros(0)])
+
+    def within(self, points: Float[np.ndarray, "point 3"], limit: float) -> Bool[np.ndarray, "point"]:
+        """Whether points lie at most `limit` metres from the surface."""
+        tree, _, radius, large = self._tree
+        near = np.all((points > self.low - limit) & (points < self.high + limit), axis=1)
+        rows = np.flatnonzero(near)
+        nearest, _ = tree.query(points[rows], distance_upper_bound=limit + radius)
+        near[rows] = np.isfinite(nearest)
+        for row in large:
+            near[rows] |= squared_distances(points[rows], self.triangles[row]) <= limit**2
+        near[near] = self.distance(points[near]) <= limit
+        return near
 
     def distance_to(
         self, faces: Int[np.ndarray, "point"], points: Float[np.ndarray, "point 3"]

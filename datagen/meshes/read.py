@@ -68,6 +68,8 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
     geometries = _load(path, data, files)
     pieces = [_piece(path, geometry, matrix) for geometry, matrix in geometries]
     pieces = [piece for piece in pieces if len(piece.faces)]
+    if not pieces and (count := _missing_triangles(path, data)):
+        raise BadMesh(f"{path} is truncated: {count:,} of its triangles are missing. Export it again, or remove it.")
     if not pieces:
         raise BadMesh(f"{path} has no triangles; expected a surface. Export it again, or remove it.")
     merged = _merge(pieces)
@@ -105,6 +107,13 @@ def _check_face_count(path: Path, data: bytes) -> None:
         count = binary if len(data) == 84 + 50 * binary else data.count(b"endfacet")
     if count > MOST_FACES:
         raise _too_many(path, count)
+
+
+def _missing_triangles(path: Path, data: bytes) -> int:
+    """Number of triangles that a binary STL announces but does not hold."""
+    if path.suffix.lower() != ".stl" or len(data) < 84 or b"facet" in data:
+        return 0
+    return max(0, int.from_bytes(data[80:84], "little") - (len(data) - 84) // 50)
 
 
 def _too_many(path: Path, count: int) -> BadMesh:

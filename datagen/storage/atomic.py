@@ -95,10 +95,16 @@ def _exchange(old: Path, new: Path) -> None:
     old.rename(aside)
     try:
         new.rename(old)
-    except OSError:
-        aside.rename(old)
+    except BaseException:
+        if not old.exists():
+            aside.rename(old)
         raise
-    shutil.rmtree(aside, ignore_errors=True)
+    try:
+        shutil.rmtree(aside, ignore_errors=True)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"Interrupted; {old} is the new folder and complete. Delete the rest of the old one, {aside}."
+        ) from None
 
 
 def _finish_exchange(old: Path) -> None:
@@ -151,7 +157,8 @@ def _temporary_folder(named: Path, path: Path) -> Iterator[Path]:
             raise
         raise DatagenError(f"Cannot write {named}: {_reason(cause)}; fix this, or give another --out.") from None
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if temporary.exists():
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def check_new_folder(folder: Path) -> None:

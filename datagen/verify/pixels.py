@@ -275,9 +275,9 @@ def _cast(
     mesh: MeshSolid, rays: Rays, near: Bool[np.ndarray, "ray"], sideways: Float[np.ndarray, "ray"]
 ) -> tuple[Float[np.ndarray, "ray"], Bool[np.ndarray, "ray"]]:
     """Hits that are sure, and whether a hit is possible, of the rays that come near a mesh."""
-    hit, touched = np.full(len(near), np.inf), np.zeros(len(near), bool)
-    hit[near], touched[near] = bounds(mesh, rays.origins[near], rays.directions[near], sideways[near])
-    return hit, touched
+    first, last = np.full((2, len(near)), np.inf)
+    first[near], last[near] = bounds(mesh, rays.origins[near], rays.directions[near], sideways[near])
+    return last, np.isfinite(first)
 
 
 def _rays_near(case: Case, row: int) -> Iterator[Rays]:

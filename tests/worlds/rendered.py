@@ -17,6 +17,7 @@ from datagen.pipeline import records
 from datagen.render import Renderer, make_renderer
 from datagen.scene import Body, Camera, Light, Material, Scene, ShapeSpec, Table, Trajectory
 from datagen.schema import EditKind, SceneRecord, Signal
+from datagen.shapes.shape import MeshSource
 from datagen.signals import signals_record
 from datagen.storage import manifest, reader, shard, spec
 
@@ -78,9 +79,10 @@ def record(
     motion: Callable[[Scene], Trajectory] = trajectory,
     edits: Sequence[EditKind] = (),
     signals: Sequence[Signal] = (),
+    meshes: MeshSource | None = None,
 ) -> SceneRecord:
     """All arrays of a staged scene."""
-    built = [shapes.build(body.shape) for body in world.bodies]
+    built = [shapes.build(body.shape, meshes) for body in world.bodies]
     path = motion(world)
     simulated = records.simulation_record(world, built, path, rows=ROWS, attempts=1, rejections={})
     renderer = renderer or make_renderer("raster")

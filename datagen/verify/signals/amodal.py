@@ -1,4 +1,4 @@
-"""Check amodal masks: along their outlines, the exact solid alone is hit inside and missed outside."""
+"""Check amodal masks: along their outlines, the exact shape alone is hit inside and missed outside."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from datagen.storage.run_lengths import decode_mask
+from datagen.verify.mesh_rays import bounds, mesh_of
 from datagen.verify.pixels import NEAR_MISS, SHELL
 from datagen.verify.scene_case import Case, Finding
 from datagen.verify.sphere_tracing import clip_to_box, trace
@@ -57,20 +58,25 @@ class Border:
 def _wrong_borders(case: Case, row: int, borders: Sequence[Border]) -> Iterator[tuple[int, int, str]]:
     if not borders:
         return
-    solid = case.shapes[row]
+    shape = case.shapes[row]
     origins, directions = (np.concatenate([getattr(b, name) for b in borders]) for name in ("origins", "directions"))
     focal = np.repeat(case.focal[[border.view for border in borders]], [len(border.inside) for border in borders])
-    farthest = np.sqrt(np.sum(origins**2, axis=-1)) + solid.radius
+    farthest = np.sqrt(np.sum(origins**2, axis=-1)) + shape.radius
     sideways = case.allowed.precision.sideways(farthest, focal)
-    margin = NEAR_MISS + SHELL + float(np.max(sideways, initial=0))
-    near, far = clip_to_box(solid.minimum_box, origins, directions, margin)
-    hit, closest = trace(solid.signed_distance, origins, directions, near, far, SHELL + sideways)
+    if mesh := mesh_of(shape):
+        first, hit = bounds(mesh, origins, directions, sideways)
+        missed = np.isinf(first)
+    else:
+        margin = NEAR_MISS + SHELL + float(np.max(sideways, initial=0))
+        near, far = clip_to_box(shape.minimum_box, origins, directions, margin)
+        hit, closest = trace(shape.signed_distance, origins, directions, near, far, SHELL + sideways)
+        missed = closest > NEAR_MISS + sideways
     start = 0
     for border in borders:
         part = slice(start, start := start + len(border.inside))
         if wrong := np.count_nonzero(np.isfinite(hit[part]) & ~border.inside):
             yield border.frame, border.view, f"lacks {wrong} pixels at its outline that the object alone covers"
-        if wrong := np.count_nonzero((closest > NEAR_MISS + sideways)[part] & border.inside):
+        if wrong := np.count_nonzero(missed[part] & border.inside):
             yield border.frame, border.view, f"has {wrong} pixels at its outline that the object does not cover"
 
 

@@ -1,4 +1,4 @@
-"""Check stored normals against the gradient of the exact solids' signed distance."""
+"""Check stored normals against those of the exact shapes."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from datagen.schema import NORMAL_SCALE
 from datagen.verify.scene_case import Case, Finding
-from datagen.verify.signals.occlusion import gradient
+from datagen.verify.signals.occlusion import surface_normals
 
 LENGTH = 1e-4
 """Largest deviation of a normal's length from one."""
@@ -52,14 +52,15 @@ def check_normals(case: Case) -> Iterator[Finding]:
         for row in range(case.count):
             own = labels == row + 1
             pose = case.world_from_object[frame, row]
-            local = (world[own] - pose[:3, 3]) @ pose[:3, :3]
-            yield from _off(case, row, local, normals[own] @ rotation.T @ pose[:3, :3], frame, view)
+            local, rays = (world[own] - pose[:3, 3]) @ pose[:3, :3], moment.rays[view][own] @ pose[:3, :3]
+            yield from _off(case, row, local, rays, normals[own] @ rotation.T @ pose[:3, :3], frame, view)
 
 
 def _off(
     case: Case,
     row: int,
     points: Float[np.ndarray, "pixel 3"],
+    rays: Float[np.ndarray, "pixel 3"],
     normals: Float[np.ndarray, "pixel 3"],
     frame: int,
     view: int,
@@ -67,10 +68,12 @@ def _off(
     """Compare an object's normals with its solid's at points in its frame."""
     if not len(points):
         return
-    exact = gradient(case, row, points)
+    exact = surface_normals(case.shapes[row], points, rays)
     steady = np.ones(len(points), bool)
     for side in _sides(exact):
-        steady &= _cosine(gradient(case, row, points + AROUND * side), exact) > np.cos(np.radians(STEADY))
+        steady &= _cosine(surface_normals(case.shapes[row], points + AROUND * side, rays), exact) > np.cos(
+            np.radians(STEADY)
+        )
     off = steady & (_cosine(normals, exact) < np.cos(np.radians(ANGLE)))
     if np.count_nonzero(off) > FEW + int(SHARE * np.count_nonzero(steady)):
         worst = np.degrees(np.arccos(np.clip(np.min(_cosine(normals, exact)[off]), -1, 1)))

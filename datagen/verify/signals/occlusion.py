@@ -1,4 +1,4 @@
-"""Decide by sphere tracing of the exact solids which points a camera sees."""
+"""Decide which points a camera sees, by sphere tracing of exact solids and ray casting of meshes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
+from datagen.shapes.shape import Shape
+from datagen.verify import mesh_rays
 from datagen.verify.pixels import NEAR_MISS, SHELL
 from datagen.verify.scene_case import Case
 from datagen.verify.sphere_tracing import clip_to_box, trace
@@ -53,20 +55,26 @@ def judge(case: Case, sights: Sequence[Sight]) -> list[Verdicts]:
         poses = case.world_from_object[lines.frame, place]
         origins = np.einsum("pj,pji->pi", lines.center - poses[:, :3, 3], poses[:, :3, :3])
         local = np.einsum("pj,pji->pi", lines.ray, poses[:, :3, :3])
+        points = origins + lines.depth[:, None] * local
         shape, own = case.shapes[place], np.flatnonzero(row == place)
         if len(own):
-            normal = gradient(case, place, origins[own] + lines.depth[own, None] * local[own])
+            normal = surface_normals(shape, points[own], local[own])
             length = np.sqrt(np.sum(local[own] ** 2, axis=1))
             shown[own] = np.sum(normal * local[own], axis=1) < -FACING * length
         near, far = clip_to_box(shape.minimum_box, origins, local, NEAR_MISS + SHELL)
         some = np.flatnonzero(near < np.minimum(far, lines.depth))
-        ends = np.minimum(far, lines.depth - LAST)[some]
-        hit, closest = trace(shape.signed_distance, origins[some], local[some], near[some], ends, SHELL)
+        ends = np.minimum(far, lines.depth - LAST)
         sideways = case.allowed.precision.sideways(lines.depth[some], lines.focal[some])
-        hidden[some] |= np.isfinite(hit) & (sideways == 0)
-        shown[some[closest <= NEAR_MISS + sideways]] = False
-        others = some[row[some] != place]
-        close = shape.signed_distance(origins[others] + lines.depth[others, None] * local[others]) <= CLOSE
+        if mesh := mesh_rays.mesh_of(shape):
+            first, last = mesh_rays.bounds(mesh, origins[some], local[some], NEAR_MISS + sideways)
+            met, passed = last < ends[some], first >= ends[some]
+        else:
+            hit, closest = trace(shape.signed_distance, origins[some], local[some], near[some], ends[some], SHELL)
+            met, passed = np.isfinite(hit), closest > NEAR_MISS + sideways
+        hidden[some] |= met & (sideways == 0)
+        shown[some[~passed]] = False
+        others = some[(row[some] != place) & shown[some]]
+        close = mesh.within(points[others], CLOSE) if mesh else shape.signed_distance(points[others]) <= CLOSE
         shown[others[close]] = False
     shown[(world[:, 2] < 0) & (row >= 0)] = False
     hidden |= _below_table(case, lines) & (row != -1)
@@ -110,9 +118,13 @@ STEP = 1e-4
 """Half side of the tetrahedron, metres."""
 
 
-def gradient(case: Case, row: int, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
-    """Unit gradient of an object's signed distance at points in its frame."""
-    values = [case.shapes[row].signed_distance(points + STEP * corner) for corner in CORNERS]
+def surface_normals(
+    shape: Shape, points: Float[np.ndarray, "point 3"], rays: Float[np.ndarray, "point 3"]
+) -> Float[np.ndarray, "point 3"]:
+    """Unit normals of a shape at points on its surface, seen along rays, all in the object frame; zeros if unknown."""
+    if mesh := mesh_rays.mesh_of(shape):
+        return mesh_rays.surface_normals(mesh, points, rays)
+    values = [shape.signed_distance(points + STEP * corner) for corner in CORNERS]
     total = np.sum([value[:, None] * corner for value, corner in zip(values, CORNERS, strict=True)], axis=0)
     length = np.sqrt(np.sum(total * total, axis=1, keepdims=True))
     return total / np.where(length > 0, length, 1)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 
 from datagen.shapes.shape import MESH_TOLERANCE
+from datagen.verify.mesh_rays import mesh_of
 from datagen.verify.scene_case import Case, Finding
 from datagen.verify.signals.flow import disagreements
 from datagen.verify.signals.occlusion import Sight, judge
@@ -55,7 +56,9 @@ def _check_bodies(
         moves = np.max(np.ptp(local, axis=1))
         if moves > 2 * ROUNDING:
             yield Finding("tracks", f"points of object {place + 1} move by {1e3 * moves:.3f} mm in its frame")
-        off = np.max(np.abs(shape.signed_distance(local[:, 0])))
+        mesh = mesh_of(shape)
+        distance = mesh.distance if mesh else shape.signed_distance
+        off = np.max(np.abs(distance(local[:, 0])))
         if off > MESH_TOLERANCE + ROUNDING + 1e-3 * bool(case.allowed.precision.snap):
             yield Finding("tracks", f"points of object {place + 1} are up to {1e3 * off:.3f} mm off its surface")
 

@@ -91,7 +91,10 @@ def test_a_new_folder_is_whole_or_missing_and_can_be_made_again(
             assert os.listdir(work) == ["out"]
 
 
-def test_an_export_that_is_replaced_is_the_old_or_the_new_one(clips: Path, tmp_path: Path):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_an_export_that_is_replaced_is_the_old_or_the_new_one(
+    clips: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], number: int
+):
     work = tmp_path / "work"
     arguments = ["export", "--format", "coco", str(clips), "--out", str(work / "out"), "--overwrite"]
     export(clips, tmp_path / "old", "rgbd")
@@ -103,7 +106,12 @@ def test_an_export_that_is_replaced_is_the_old_or_the_new_one(clips: Path, tmp_p
     for last in positions(changes):
         shutil.rmtree(work)
         shutil.copytree(tmp_path / "old", work / "out")
-        assert run(arguments, work, last=last)[0] == -signal.SIGKILL
+        code, _ = run(arguments, work, last=last, number=number)
+        assert code == (-number if number == signal.SIGKILL else EXIT_INTERRUPTED)
+        if number == signal.SIGINT:
+            message = "complete" if tree(work / "out") == new else "nothing was exported"
+            assert message in capfd.readouterr().err
+            assert tree(work / "out") in (old, new)
         assert tree(work / "out") in (old, new) or [tree(path) for path in work.glob(".out.old.*")] == [old]
         assert main(arguments) == EXIT_OK
         assert tree(work / "out") == new

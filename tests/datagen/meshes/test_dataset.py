@@ -8,6 +8,8 @@ import pytest
 from PIL import Image
 
 from datagen.commands.cli import main
+from datagen.inspect.dataset_card import card
+from datagen.inspect.stats import summary
 from datagen.meshes.distance import MeshSolid
 from datagen.meshes.library import open_library
 from datagen.meshes.raycast import first_hits
@@ -73,6 +75,12 @@ def test_each_mesh_is_stored_with_file_hash_and_scale(folder: Path):
     card = (folder / "data" / "README.md").read_text()
     assert "No shape of the test split occurs in training" in card
     assert all(asset["sha256"] in card for asset in assets)
+
+
+def test_a_card_compares_test_shapes_only_with_those_of_training(folder: Path):
+    spec, figures = Dataset(folder / "data").spec, summary(folder / "data")
+    assert "No shape of the test split occurs in training" in card(spec, figures, {"train": {"a"}, "test": {"b"}})
+    assert "of the test split" not in card(spec, figures, {"train": {"a"}, "val": {"a"}, "test": set()})
 
 
 def test_a_moved_object_contradicts_its_mesh(folder: Path):

@@ -35,6 +35,16 @@ def test_distances_to_triangles_of_very_different_size_are_exact():
     np.testing.assert_allclose(MeshSolid(vertices, faces, closed=True).distance(points), np.sqrt(expected), atol=1e-12)
 
 
+def test_points_within_a_limit_are_those_whose_distance_is_smaller():
+    ball = trimesh.creation.icosphere(2, 0.9)
+    faces = np.concatenate([np.asarray(ball.faces), triangles() + len(ball.vertices)])
+    solid = MeshSolid(np.concatenate([ball.vertices, BOX]), faces, closed=True)
+    points = np.random.default_rng(0).uniform(-1.3, 1.3, (2000, 3))
+    near = solid.within(points, 0.04)
+    np.testing.assert_array_equal(near, solid.distance(points) <= 0.04)
+    assert 100 < np.count_nonzero(near) < 1000
+
+
 def test_an_open_surface_has_no_inside():
     assert not MeshSolid(BOX, triangles()[:-2], closed=False).inside(np.zeros((1, 3)))[0]
 

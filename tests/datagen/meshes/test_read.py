@@ -149,6 +149,12 @@ def five_million_faces(folder: Path) -> str:
     return "a.stl"
 
 
+def truncated(folder: Path) -> str:
+    path = write_stl(folder / "a.stl", BOX[triangles()])
+    path.write_bytes(path.read_bytes()[:-70])
+    return path.name
+
+
 def soup(folder: Path) -> str:
     return write_stl(folder / "a.stl", np.random.default_rng(0).uniform(size=(100, 3, 3)) * 0.1).name
 
@@ -177,6 +183,7 @@ def single_point(folder: Path) -> str:
         (enormous, r"beyond 1e\+09"),
         (wrong_corner, r"a\.ply"),
         (five_million_faces, "5,000,000 faces"),
+        (truncated, r"a\.stl is truncated: 2 of its triangles are missing"),
         (soup, "loose triangles"),
         (flat, "is flat"),
         (single_point, "single point"),
