@@ -264,7 +264,7 @@ class Shard:
         self.path = folder / shard_name(split, number)
         self._datasets: dict[str, h5py.Dataset] = {}
         self._lengths = lengths_of(spec)
-        self._compression = compression_of(spec)
+        self._compression: Compression = compression_of(spec)
         if self._compression == "lz4":
             load_lz4()
         self._imported = is_imported(spec)

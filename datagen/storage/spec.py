@@ -246,7 +246,7 @@ def signals_of(spec: Spec) -> tuple[Signal, ...]:
 
 def compression_of(spec: Spec) -> Compression:
     """The compression of the images of a dataset."""
-    return spec.get("compression") or "gzip"
+    return "lz4" if "compression" in spec else "gzip"
 
 
 def views_of(spec: Spec) -> int:
