@@ -6,7 +6,7 @@ from typing import Any
 
 import h5py
 import numpy as np
-from jaxtyping import Float, Int32, Int64, Integer
+from jaxtyping import Float, Int64, Integer
 
 from benchmark.models.contract import ARRAYS, pose_fault
 from benchmark.models.interface import LARGEST_LABEL, Poses
@@ -25,8 +25,7 @@ _BLOCK = 1024
 class PoseWriter:
     """Writes the poses of a split, block by block."""
 
-    def __init__(self, file: h5py.File, order: Order | None = None):
-        """Check the file; `order` is that of an earlier opening, in which its index was checked."""
+    def __init__(self, file: h5py.File):
         self._file, self._names = file, set[str]()
         self._rows: dict[str, list[np.ndarray]] = {}
         self._collected = 0
@@ -67,8 +66,8 @@ class PoseWriter:
         self._rows, self._collected = {}, 0
 
 
-Order = tuple[Int32[np.ndarray, "pose"], Int32[np.ndarray, "scene_plus_one"]]
-"""Rows of the index sorted by scene, and where each scene starts among them."""
+Order = tuple[np.ndarray, np.ndarray]
+"""Rows of the index sorted by scene, int32 [pose], and where each scene starts among them, int32 [scene + 1]."""
 
 
 class StoredPoses(Sequence[Poses]):
@@ -78,7 +77,8 @@ class StoredPoses(Sequence[Poses]):
         ValueError: they are damaged, or break the contract (`benchmark.models.contract`).
     """
 
-    def __init__(self, file: h5py.File):
+    def __init__(self, file: h5py.File, order: Order | None = None):
+        """Check the file; `order` is that of an earlier opening, in which its index was checked."""
         self._file = file
         self._count, *images = hdf5_dataset(file, "labels", ndim=5).shape[:3]
         self._images = images[0], images[1]
