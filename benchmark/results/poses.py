@@ -106,9 +106,9 @@ class StoredPoses(Sequence[Poses]):
         return Poses(**arrays)
 
 
-def poses_in(file: h5py.File, order: Order | None = None) -> StoredPoses | None:
-    """Open the poses of a file of label maps; None if it has none. Arguments and errors are those of `StoredPoses`."""
-    return StoredPoses(file, order) if GROUP in file else None
+def poses_in(file: h5py.File) -> StoredPoses | None:
+    """Open the poses of a file of label maps; None if it has none. Raises as `StoredPoses`."""
+    return StoredPoses(file) if GROUP in file else None
 
 
 def _order(stored: h5py.Dataset, sizes: tuple[int, int, int, int]) -> Order:

@@ -24,7 +24,7 @@ def main() -> None:
         network = UNet(11, 21)
         half = UNet(11, 21).to(torch.bfloat16)
         images = torch.randn(BATCH, 11, side, side)
-        compiled = torch.compile(network)
+        compiled = torch.compile(network, dynamic=False)
         ways: dict[str, Callable[[], Tensor]] = {
             "float32": lambda network=network, images=images: network(images),
             "bfloat16": lambda half=half, images=images: half(images.bfloat16()),

@@ -24,7 +24,7 @@ from jaxtyping import UInt8
 
 from benchmark.models.contract import ARRAYS, pose_fault
 from benchmark.models.interface import LARGEST_LABEL, Clip, Poses, Prediction
-from benchmark.results.poses import GROUP, Order, poses_in
+from benchmark.results.poses import GROUP, Order, StoredPoses, poses_in
 from datagen.errors import UsageError
 from datagen.storage.safe_io import hdf5_dataset, npz_headers, open_hdf5, open_image, read_hdf5, read_npz
 
@@ -183,7 +183,8 @@ def _read_hdf5(path: Path, scene: int, size: tuple[int, ...]) -> tuple[np.ndarra
         there = hdf5_dataset(file, "labels").shape if "labels" in file else ()
         labels = _labels_of(path, file, (max(scene + 1, *there[:1], 0), *size))
         slots = _background_slots(path, file, len(labels))
-        poses = poses_in(file, _order(path, _version(path)))
+        order = _order(path, _version(path))
+        poses = StoredPoses(file, order) if order else None
         slot = None if slots is None else int(slots[scene])
         return read_hdf5(labels, scene), slot, None if poses is None else poses[scene]
 
