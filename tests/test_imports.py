@@ -24,6 +24,7 @@ ONLY_IN = {
     "huggingface_hub": ("datagen/formats/push.py",),
     "trimesh": ("datagen/meshes/read.py", "obpose/scenes/meshes.py", "obpose/rgbd/results.py"),
     "OpenEXR": ("datagen/storage/safe_io.py",),
+    "hdf5plugin": ("datagen/storage/safe_io.py",),
     "embreex": ("datagen/meshes/raycast.py",),
     "coacd": ("datagen/meshes/coacd_process.py",),
     "viser": (

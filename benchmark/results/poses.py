@@ -66,6 +66,10 @@ class PoseWriter:
         self._rows, self._collected = {}, 0
 
 
+Order = tuple[np.ndarray, np.ndarray]
+"""Rows of the index sorted by scene, int32 [pose], and where each scene starts among them, int32 [scene + 1]."""
+
+
 class StoredPoses(Sequence[Poses]):
     """Poses of all scenes in an open file of label maps; those of a scene are read and checked when it is accessed.
 
@@ -73,7 +77,8 @@ class StoredPoses(Sequence[Poses]):
         ValueError: they are damaged, or break the contract (`benchmark.models.contract`).
     """
 
-    def __init__(self, file: h5py.File):
+    def __init__(self, file: h5py.File, order: Order | None = None):
+        """Check the file; `order` is that of an earlier opening, in which its index was checked."""
         self._file = file
         self._count, *images = hdf5_dataset(file, "labels", ndim=5).shape[:3]
         self._images = images[0], images[1]
@@ -82,19 +87,16 @@ class StoredPoses(Sequence[Poses]):
         # Check before reading: a few bytes can declare millions of rows.
         if len(stored) > (most := math.prod(sizes)):
             raise ValueError(f"{GROUP}/{INDEX} has {len(stored)} rows; expected at most {most}, one for each label")
-        index = read_hdf5(stored)
-        _check_index(index, sizes)
-        # Files of other projects may have their rows in any order.
-        self._order = np.argsort(index[:, 0], kind="stable").astype(np.int32)
-        self._starts = np.searchsorted(index[self._order, 0], np.arange(self._count + 1)).astype(np.int32)
-        self._datasets = {name: _values(file, name, len(index)) for name in ARRAYS if f"{GROUP}/{name}" in file}
+        self.order = order or _order(stored, sizes)
+        self._datasets = {name: _values(file, name, len(stored)) for name in ARRAYS if f"{GROUP}/{name}" in file}
         self._index = stored
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, scene: Any) -> Any:
-        rows = self._order[self._starts[scene] : self._starts[scene + 1]]
+        order, starts = self.order
+        rows = order[starts[scene] : starts[scene + 1]]
         place = _rows(self._index, rows)[:, 1:].astype(np.int64)
         size = (*self._images, int(place[:, 2].max(initial=0)) + 1)
         values = {name: _rows(dataset, rows).astype(np.float64) for name, dataset in self._datasets.items()}
@@ -107,6 +109,14 @@ class StoredPoses(Sequence[Poses]):
 def poses_in(file: h5py.File) -> StoredPoses | None:
     """Open the poses of a file of label maps; None if it has none. Raises as `StoredPoses`."""
     return StoredPoses(file) if GROUP in file else None
+
+
+def _order(stored: h5py.Dataset, sizes: tuple[int, int, int, int]) -> Order:
+    """Check the index and sort its rows by scene; files of other projects may have them in any order."""
+    index = read_hdf5(stored)
+    _check_index(index, sizes)
+    order = np.argsort(index[:, 0], kind="stable").astype(np.int32)
+    return order, np.searchsorted(index[order, 0], np.arange(sizes[0] + 1)).astype(np.int32)
 
 
 def _rows(dataset: h5py.Dataset, rows: Integer[np.ndarray, "row"]) -> np.ndarray:

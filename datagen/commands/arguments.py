@@ -65,6 +65,8 @@ class Generate:
     """Counterfactual edits to render for each scene: one or more of remove,move,add, separated by commas."""
     signals: Annotated[str | None, tyro.conf.arg(name="with")] = None
     """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
+    compression: Literal["gzip", "lz4"] = "gzip"
+    """Compression of the images; `lz4` is read faster and larger, and needs the extra `lz4`."""
     cameras: Path | None = None
     """JSON file with the intrinsics, size and poses of the cameras, which replace those of --rig and --views."""
     sensor_preset: str | None = None
@@ -108,6 +110,8 @@ class Render:
     """Counterfactual edits to render for each scene: one or more of remove,move,add, separated by commas."""
     signals: Annotated[str | None, tyro.conf.arg(name="with")] = None
     """Signals to store with the images: some of flow,tracks,normals,coordinates,amodal, separated by commas."""
+    compression: Literal["gzip", "lz4"] | None = None
+    """Compression of the images, default that of the source; `lz4` is read faster and larger."""
     workers: int | None = None
     """Number of processes, at most 64 or four times the number of cores, whichever is more; default one per core."""
     dask: str | None = None

@@ -122,6 +122,8 @@ def _generate(values: Generate) -> int:
     signals = options.parse_signals(values.signals)
     if values.simulate_only and signals:
         raise UsageError("--simulate-only makes no images, and signals belong to images; give --with to `render`.")
+    if values.simulate_only and values.compression != "gzip":
+        raise UsageError("--simulate-only makes no images; give --compression to `render` instead.")
     cameras = _cameras(values.cameras)
     size = None
     if not values.simulate_only:
@@ -142,7 +144,7 @@ def _generate(values: Generate) -> int:
         "edits": edits,
         "signals": signals,
     }
-    settings |= {"cameras": cameras, "meshes": meshes}
+    settings |= {"cameras": cameras, "meshes": meshes, "compression": values.compression}
     report = generate(folder, recipe, splits=splits, seed=values.seed, **settings, run=run)
     _print_report(folder, report, splits)
     return EXIT_OK
@@ -153,7 +155,7 @@ def _announce_compilation() -> None:
     from datagen.render.raster import is_compiled
 
     if not is_compiled():
-        status_console().print("Compiling the renderer, once on this machine: about 15 s on one core.")
+        status_console().print("Compiling the renderer, once on this machine: 15 to 25 s on one core.")
 
 
 def _meshes(values: Generate, recipe: Recipe) -> "Library | None":
@@ -201,6 +203,7 @@ def _render(values: Render) -> int:
     rig = wanted if wanted != recipe else None
     settings: dict[str, Any] = {"renderer": values.renderer, "samples": values.samples, "rig": rig, "edits": edits}
     settings |= {"assets": values.assets, "signals": options.parse_signals(values.signals), "cameras": cameras}
+    settings["compression"] = values.compression
     report = render(values.source, folder, resolution=size, **settings, run=run)
     _print_report(folder, report, spec["splits"])
     return EXIT_OK

@@ -20,7 +20,7 @@ from datagen.storage.cameras_file import CamerasFile
 from datagen.storage.dataset_folder import filling, settle, write_file
 from datagen.storage.manifest import delete_records, is_finished, make_manifest, recorded_facts
 from datagen.storage.reader import Dataset
-from datagen.storage.spec import MANIFEST_FILE, Spec, make_spec, settings_hash
+from datagen.storage.spec import MANIFEST_FILE, Compression, Spec, compression_of, make_spec, settings_hash
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,7 @@ def generate(
     meshes: Library | None = None,
     signals: Collection[Signal] = (),
     cameras: CamerasFile | None = None,
+    compression: Compression = "gzip",
     run: Run = Run(),
 ) -> Report:
     """Make a dataset, complete it, or extend it.
@@ -82,6 +83,7 @@ def generate(
         meshes: Meshes that objects are drawn from, instead of the recipe's categories.
         signals: Optional signals that are stored beside the images.
         cameras: Cameras that replace the recipe's.
+        compression: Compression of the images; `lz4` needs hdf5plugin.
         run: Options that do not change the content.
 
     Raises:
@@ -95,6 +97,7 @@ def generate(
         "renderer": renderer,
         "samples": samples,
         "cameras": cameras,
+        "compression": compression,
     }
     spec = dataset_spec(recipe, **settings, edits=edits, signals=signals, meshes=meshes)
     return _fill(folder, spec, None, meshes, run)
@@ -112,11 +115,12 @@ def dataset_spec(
     meshes: Library | None = None,
     signals: Collection[Signal] = (),
     cameras: CamerasFile | None = None,
+    compression: Compression = "gzip",
 ) -> Spec:
     """The spec of the dataset that `generate` makes of these arguments in a new folder.
 
     Raises:
-        UsageError: edits or signals are requested without images, or the recipe needs meshes and there are none.
+        UsageError: edits, signals or lz4 are requested without images, or the recipe needs meshes and there are none.
     """
     if not meshes and (named := [name for name in recipe.objects.categories if name.startswith(MESH_PREFIX)]):
         raise UsageError(
@@ -127,6 +131,10 @@ def dataset_spec(
         raise UsageError("Signals belong to images, and a dataset without images has none; leave one of them out.")
     if edits and not renderer:
         raise UsageError("Edits are pictures, and a dataset without images has none; leave one of them out.")
+    if compression != "gzip" and not renderer:
+        raise UsageError(
+            f"Compression {compression} is for images, and a dataset without images has none; leave it out."
+        )
     built_in = any(not name.startswith(MESH_PREFIX) for name in recipe.objects.categories)
     if (
         meshes
@@ -150,6 +158,7 @@ def dataset_spec(
         edits=edits,
         assets=meshes.values() if meshes else (),
         signals=signals,
+        compression=compression,
     )
 
 
@@ -165,13 +174,14 @@ def render(
     assets: Path | None = None,
     signals: Collection[Signal] = (),
     cameras: CamerasFile | None = None,
+    compression: Compression | None = None,
     run: Run = Run(),
 ) -> Report:
     """Make images of the scenes of another dataset, which may have images; needs no physics engine.
 
-    The source's or its recipe's resolution is used if None. The cameras (`rig`, `views`) of the recipe `rig` replace
-    the source's. `assets` is the folder of the source's meshes. The other arguments are those of
-    `generate`.
+    The source's or its recipe's resolution is used if None, and the source's compression. The cameras (`rig`, `views`)
+    of the recipe `rig` replace the source's. `assets` is the folder of the source's meshes. The other arguments are
+    those of `generate`.
 
     Raises:
         UsageError: the source is no dataset, of another data version or the folder itself, or the request contradicts
@@ -194,6 +204,7 @@ def render(
         "rig": rig,
         "edits": edits,
         "signals": signals,
+        "compression": compression,
     }
     spec = render_spec(dataset.spec, **settings, cameras=cameras)
     meshes = open_library(dataset.spec.get("assets"), assets)
@@ -212,6 +223,7 @@ def render_spec(
     edits: Collection[EditKind] = (),
     signals: Collection[Signal] = (),
     cameras: CamerasFile | None = None,
+    compression: Compression | None = None,
 ) -> Spec:
     """The spec of a dataset that `render` makes of the scenes of another."""
     poses = cameras.views if cameras else () if rig else source.get("cameras", ())
@@ -232,6 +244,7 @@ def render_spec(
         edits=edits,
         assets=source.get("assets") or (),
         signals=signals,
+        compression=compression or compression_of(source),
     )
 
 

@@ -29,6 +29,7 @@ from datagen.storage.shard import PackedScene, pack
 from datagen.storage.spec import (
     BYTES_PER_SIGNAL_PIXEL,
     Spec,
+    compression_of,
     edits_of,
     recipe_of,
     rendered_recipe_of,
@@ -75,7 +76,8 @@ class SceneMaker:
             UsageError: another dataset has taken the source's folder.
             CorruptFile: a scene of the source cannot be read or built.
         """
-        return pack(make_scene(self.spec, split, index, self._source_record(split, index), self.meshes))
+        record = make_scene(self.spec, split, index, self._source_record(split, index), self.meshes)
+        return pack(record, compression_of(self.spec))
 
     def _source_record(self, split: str, index: int) -> SceneRecord | None:
         if self.source is None:

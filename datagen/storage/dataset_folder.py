@@ -20,6 +20,7 @@ from datagen.storage.spec import (
     MANIFEST_FILE,
     SPEC_FILE,
     Spec,
+    compression_of,
     differences,
     read_spec,
     recipe_of,
@@ -272,7 +273,11 @@ def _goes_on(folder: Path, wanted: Spec, overwrite: bool) -> bool:
 
 def _changes(old: Spec, wanted: Spec) -> list[str]:
     """List the settings that differ; constants that are newer than a spec have their defaults."""
-    return differences(*({**spec, "recipe": recipe_to_dict(recipe_of(spec))} for spec in (old, wanted)))
+    complete = (
+        {**spec, "recipe": recipe_to_dict(recipe_of(spec)), "compression": compression_of(spec)}
+        for spec in (old, wanted)
+    )
+    return differences(*complete)
 
 
 def _give_up(folder: Path, settings: str) -> None:

@@ -55,6 +55,10 @@ _CHUNK_CACHE_BYTES = 2**18
 """Cache of unpacked chunks of each open HDF5 dataset: enough for tables; frames are read once."""
 _DEFLATE_RATIO = 1032
 """Greatest number of bytes that one byte unpacks to."""
+LZ4_FILTER = 32004
+"""Number of HDF5's LZ4 filter, which the package hdf5plugin has."""
+_FOREIGN_FILTERS = 32001
+"""HDF5 and h5py have the filters below this number; packages add the others."""
 _NUMBERS = {int: "iu", float: "f"}
 """NumPy kinds that may be read as a type."""
 _PYTHON_WORDS = re.compile(
@@ -285,6 +289,22 @@ def _check_dataset(dataset: h5py.Dataset) -> None:
     numbers = [created.get_filter(place)[0] for place in range(created.get_nfilters())]
     if len(set(numbers)) < len(numbers):
         raise ValueError(f"{dataset.name} is packed twice")
+    if foreign := [number for number in numbers if number >= _FOREIGN_FILTERS and number != LZ4_FILTER]:
+        raise ValueError(f"{dataset.name} is packed with HDF5 filter {foreign[0]}; expected gzip or lz4")
+
+
+def load_lz4() -> None:
+    """Make HDF5's LZ4 filter available in this process.
+
+    Raises:
+        UsageError: hdf5plugin is not installed.
+    """
+    try:
+        import hdf5plugin  # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "Compression lz4 needs hdf5plugin, which is not installed; install it with: pip install 'obpose[lz4]'"
+        ) from None
 
 
 def hdf5_dataset(parent: h5py.Group, name: str, *, ndim: int | None = None, kinds: str = "biufS") -> h5py.Dataset:
@@ -368,6 +388,8 @@ def read_hdf5(dataset: h5py.Dataset, selection: Any = ()) -> np.ndarray:
         raise ValueError(f"{dataset.name} is an array of {size:,} bytes, more than {MOST_ARRAY_BYTES:,}")
     if size and dataset.compression == "gzip":
         _check_packed(dataset, places)
+    elif size and dataset.compression == "unknown":
+        _check_lz4(dataset, places)
     return np.asarray(dataset[selection])
 
 
@@ -380,10 +402,8 @@ def _check_packed(dataset: h5py.Dataset, places: Sequence[range]) -> None:
     """Refuse chunks that unpack to more than their size: HDF5 would unpack all of it before it looks."""
     if dataset.id.get_storage_size() * _DEFLATE_RATIO <= MOST_ARRAY_BYTES:
         return
-    chunk = tuple(dataset.chunks or ())
-    most = math.prod(chunk) * dataset.dtype.itemsize
-    starts = [range(axis[0] // side * side, axis[-1] + 1, side) for axis, side in zip(places, chunk, strict=True)]
-    for start in itertools.product(*starts):
+    most = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    for start in _chunks(dataset, places):
         packed = dataset.id.get_chunk_info_by_coord(start).size or 0
         too_long = packed > most + most // 100 + 1024
         if not too_long and packed * _DEFLATE_RATIO > MOST_ARRAY_BYTES:
@@ -392,6 +412,37 @@ def _check_packed(dataset: h5py.Dataset, places: Sequence[range]) -> None:
             too_long = not unpack.eof
         if too_long:
             raise ValueError(f"{dataset.name} has a chunk that unpacks to more than its {most:,} bytes")
+
+
+def _check_lz4(dataset: h5py.Dataset, places: Sequence[range]) -> None:
+    """Refuse chunks whose lengths do not fit: the filter would trust them."""
+    size = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    for start in _chunks(dataset, places):
+        if dataset.id.get_chunk_info_by_coord(start).size:
+            skipped, chunk = dataset.id.read_direct_chunk(start)
+            if skipped or not _is_lz4(chunk, size):
+                raise ValueError(f"{dataset.name} has a chunk that does not unpack to its {size:,} bytes")
+
+
+def _is_lz4(chunk: bytes, size: int) -> bool:
+    """Whether a chunk has the layout of the LZ4 filter: its size, that of a block, then blocks with their lengths."""
+    if len(chunk) < 12:
+        return False
+    total, block = struct.unpack_from(">QI", chunk)
+    if total != size or not block:
+        return False
+    place = 12
+    for _ in range(-(-size // block)):
+        if place + 4 > len(chunk):
+            return False
+        place += 4 + int.from_bytes(chunk[place : place + 4], "big")
+    return place == len(chunk)
+
+
+def _chunks(dataset: h5py.Dataset, places: Sequence[range]) -> Iterator[tuple[int, ...]]:
+    """First places of the chunks of a selection."""
+    sides = zip(places, dataset.chunks or (), strict=True)
+    return itertools.product(*(range(axis[0] // side * side, axis[-1] + 1, side) for axis, side in sides))
 
 
 def npy_shape(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:

@@ -15,6 +15,7 @@ The spec is a plain dict:
     splits .......... number of scenes of each split
     import .......... format, source and options of an imported dataset; key missing otherwise
     fields .......... for each split, the fields that an imported dataset has; key missing otherwise
+    compression ..... lz4; key missing if images are compressed with gzip
     spec_hash ....... SHA-256 of all the above: the dataset's identity
 """
 
@@ -25,7 +26,7 @@ import os
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from datagen.config import Recipe, recipe_from_dict
 from datagen.errors import CorruptFile, UsageError
@@ -64,6 +65,8 @@ _LONGEST_NAME = 1000
 _MEND = "Restore it, or delete it and run the command that made the dataset again, which rebuilds it from the shards."
 
 Spec = dict[str, Any]
+Compression = Literal["gzip", "lz4"]
+"""Compression of the images of a dataset."""
 
 
 def make_spec(
@@ -78,6 +81,7 @@ def make_spec(
     assets: Sequence[Mapping[str, Any]] = (),
     signals: Collection[Signal] = (),
     cameras: Sequence[Mapping[str, Any]] = (),
+    compression: Compression = "gzip",
 ) -> Spec:
     """Build the spec of a dataset; `recipe` and `rig` are nested plain values."""
     pixels = _pixels(recipe, rig, resolution)
@@ -104,6 +108,8 @@ def make_spec(
         spec["cameras"] = list(cameras)
     if signals:
         spec["with"] = [name for name in SIGNALS if name in signals]
+    if compression != "gzip":
+        spec["compression"] = compression
     return _signed(spec)
 
 
@@ -153,7 +159,7 @@ def spec_text(spec: Spec) -> str:
 
 
 def settings_hash(spec: Spec) -> str:
-    """SHA-256 of all settings that determine a scene, which excludes the numbers of scenes."""
+    """SHA-256 of all settings of scenes and their storage, which excludes the numbers of scenes."""
     return _digest({key: value for key, value in spec.items() if key not in ("splits", "spec_hash")})
 
 
@@ -236,6 +242,11 @@ def edits_of(spec: Spec) -> tuple[EditKind, ...]:
 def signals_of(spec: Spec) -> tuple[Signal, ...]:
     """The optional signals of a dataset, in the order of `schema.SIGNALS`."""
     return tuple(name for name in SIGNALS if name in spec.get("with", ()))
+
+
+def compression_of(spec: Spec) -> Compression:
+    """The compression of the images of a dataset."""
+    return "lz4" if "compression" in spec else "gzip"
 
 
 def views_of(spec: Spec) -> int:
@@ -395,6 +406,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "edits": lambda edits: edits is None or (type(edits) is list and set(edits) <= set(EDITS)),
     "cameras": lambda views: views is None or all(_is_camera(view) for view in views),
     "with": lambda names: names is None or (type(names) is list and set(names) <= set(SIGNALS)),
+    "compression": lambda name: name in (None, "lz4"),
 }
 """Check of each key of a spec that readers rely on."""
 

@@ -1,6 +1,7 @@
 """What a training step waits for, in milliseconds of one core: times are CPU times."""
 
 import resource
+import statistics
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,16 +14,20 @@ from torch.utils.data import DataLoader, RandomSampler, default_collate
 
 from datagen.config import load_recipe
 from datagen.pipeline.generate import generate
+from datagen.storage.reader import Dataset
+from datagen.storage.shard import pack
+from datagen.storage.spec import compression_of
 from obpose.data.datasets import SceneDataset
 
 CLIPS = 16
 GOAL_FRAMES = 3000
 
 
-@pytest.fixture(scope="module")
-def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module", params=["gzip", "lz4"])
+def moving(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
     folder = tmp_path_factory.mktemp("data") / "moving"
-    generate(folder, load_recipe("moving"), splits={"train": CLIPS}, resolution=(128, 128))
+    settings = {"splits": {"train": CLIPS}, "resolution": (128, 128), "compression": request.param}
+    generate(folder, load_recipe("moving"), **settings)
     return folder
 
 
@@ -61,6 +66,18 @@ def test_frames_per_second_of_cpu_time(moving: Path, workers: int):
     rate = frames / (_cpu_seconds() - start)
     # Not asserted: next to other work it is missed (docs/performance.md).
     print(f"\n{workers} workers: {rate:.0f} frames per second of CPU time (goal {GOAL_FRAMES})")
+
+
+def test_size_and_time_of_compression(moving: Path):
+    dataset = Dataset(moving)
+    record = dataset.split("train")[0]
+    frames, costs = len(record["rgb"]), []
+    for _ in range(20):
+        start = time.process_time()
+        pack(record, compression_of(dataset.spec))
+        costs.append(time.process_time() - start)
+    size = sum(path.stat().st_size for path in moving.glob("*.h5")) / CLIPS / frames / 1024
+    print(f"\n{size:.1f} KiB per frame; {1000 * statistics.median(costs) / frames:.2f} ms to hash and compress one")
 
 
 def _cpu_seconds() -> float:

@@ -1,3 +1,6 @@
+import struct
+import sys
+
 import h5py
 import numpy as np
 import pytest
@@ -5,7 +8,7 @@ import pytest
 from datagen import schema
 from datagen.errors import CorruptFile, DatagenError, UsageError
 from datagen.storage.shard import Shard, pack, scenes_present, shard_image, shard_settings
-from datagen.storage.spec import settings_hash
+from datagen.storage.spec import make_spec, settings_hash
 from tests.worlds.generated import random_record, random_spec
 from tests.worlds.rendered import write_shard
 
@@ -84,6 +87,68 @@ def test_scenes_are_taken_over_from_a_file_that_another_program_packed(path, opt
     taken = [opened(path).packed(row) for row in range(3)]
     new = [pack(record) for record in RECORDS]
     assert shard_image(taken, {"split": "train"}) == shard_image(new, {"split": "train"})
+
+
+def lz4_spec(**splits: int):
+    facts = {key: SPEC[key] for key in ("seed", "resolution", "renderer")}
+    return make_spec(SPEC["recipe"], splits=splits, compression="lz4", **facts)
+
+
+@pytest.fixture
+def lz4_path(tmp_path):
+    pytest.importorskip("hdf5plugin")
+    facts = lz4_spec(train=3)
+    return write_shard(tmp_path, facts, "train", 0, [pack(record, "lz4") for record in RECORDS])
+
+
+def test_scenes_compressed_with_lz4_are_those_compressed_with_gzip(lz4_path):
+    shard = Shard(lz4_path.parent, lz4_spec(train=3), "train", 0)
+    shard.check()
+    assert shard.hashes() == [pack(record).hash for record in RECORDS]
+    for row, record in enumerate(RECORDS):
+        for name, array in record.items():
+            np.testing.assert_array_equal(shard.read(row, name), array)
+    np.testing.assert_array_equal(shard.read(1, "rgb", slice(1, 2)), RECORDS[1]["rgb"][1:2])
+    taken = [shard.packed(row) for row in range(3)]
+    assert shard_image(taken, {}) == shard_image([pack(record, "lz4") for record in RECORDS], {})
+
+
+def test_lz4_without_its_package_says_what_to_install(lz4_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "hdf5plugin", None)
+    with pytest.raises(UsageError, match=r"pip install 'obpose\[lz4\]'"):
+        pack(RECORDS[0], "lz4")
+    with pytest.raises(UsageError, match=r"pip install 'obpose\[lz4\]'"):
+        Shard(lz4_path.parent, lz4_spec(train=3), "train", 0)
+
+
+@pytest.mark.parametrize(
+    "chunk",
+    [
+        b"short",
+        struct.pack(">QII", 2**40, 105, 105) + bytes(105),
+        struct.pack(">QII", 105, 0, 105) + bytes(105),
+        struct.pack(">QII", 105, 105, 105) + bytes(50),
+        struct.pack(">QII", 105, 60, 60) + bytes(60),
+    ],
+)
+def test_lz4_chunks_of_wrong_lengths_are_refused(lz4_path, chunk: bytes):
+    with h5py.File(lz4_path, "r+") as file:
+        assert file["rgb"].chunks == (1, 1, 1, 5, 7, 3)
+        file["rgb"].id.write_direct_chunk((0,) * 6, chunk)
+    shard = Shard(lz4_path.parent, lz4_spec(train=3), "train", 0)
+    np.testing.assert_array_equal(shard.read(1, "rgb"), RECORDS[1]["rgb"])
+    with pytest.raises(CorruptFile, match="a chunk that does not unpack to its 105 bytes"):
+        shard.read(0, "rgb")
+
+
+def test_filters_of_other_packages_are_refused(path):
+    hdf5plugin = pytest.importorskip("hdf5plugin")
+    with h5py.File(path, "r+") as file:
+        depth = file["depth"][:]
+        del file["depth"]
+        file.create_dataset("depth", data=depth, **hdf5plugin.Zstd())
+    with pytest.raises(CorruptFile, match="depth is packed with HDF5 filter 32015; expected gzip or lz4"):
+        opened(path).check()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])

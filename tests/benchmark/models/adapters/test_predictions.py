@@ -16,6 +16,7 @@ from benchmark.commands.cli import main
 from benchmark.models.adapters.predictions import PredictionFolder
 from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.ranking.standings import load_standings, pooled
+from benchmark.results import poses as stored_poses
 from benchmark.results.labels import write_labels
 from benchmark.results.run_folder import load_runs, load_scenes
 from datagen.errors import CorruptFile, DatagenError, UsageError
@@ -80,6 +81,25 @@ def test_every_layout_holds_the_same(scenes: Split, truths: list[np.ndarray], tm
         prediction = folder.read(index, clip)
         np.testing.assert_array_equal(prediction.labels, truths[index])
         assert prediction.background_slot == 0
+
+
+def test_the_index_of_poses_is_read_once_until_the_file_changes(
+    scenes: Split, truths: list[np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    write, spoil, _ = in_poses("")
+    write(tmp_path, truths)
+    spoil(tmp_path)
+    folder, clip = PredictionFolder(tmp_path, 0), ClipSequence(scenes)[0]
+    with monkeypatch.context() as patch:
+        folder.read(0, clip)
+        patch.setattr(stored_poses, "_check_index", lambda *_: pytest.fail("read again"))
+        found = folder.read(1, clip).poses
+        assert found is not None
+        assert np.argwhere(np.isfinite(found.center).all(axis=-1)).tolist() == [[1, 1, 2]]
+    change_hdf5(tmp_path, poses__index=[[1, 0, 0, 1], [0, 1, 1, 2]])
+    found = folder.read(1, clip).poses
+    assert found is not None
+    assert np.argwhere(np.isfinite(found.center).all(axis=-1)).tolist() == [[0, 0, 1]]
 
 
 def test_a_folder_is_scored_without_code(data: Path, truths: list[np.ndarray], tmp_path: Path):
