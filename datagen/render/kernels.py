@@ -83,7 +83,7 @@ SRGB = _srgb_table()
 
 kernel = njit(cache=True, error_model="numpy")
 """Compiles a function for calls from Python and from other kernels."""
-inner = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inner = njit(cache=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)  # pyright: ignore[reportCallIssue]
 """Compiles a function for calls from other kernels only, which takes less time."""
 
 
