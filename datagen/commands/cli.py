@@ -155,7 +155,7 @@ def _announce_compilation() -> None:
     from datagen.render.raster import is_compiled
 
     if not is_compiled():
-        status_console().print("Compiling the renderer, once on this machine: 15 to 25 s on one core.")
+        status_console().print("Compiling the renderer, once on this machine; this can take half a minute.")
 
 
 def _meshes(values: Generate, recipe: Recipe) -> "Library | None":
