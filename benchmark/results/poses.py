@@ -70,8 +70,8 @@ Order = tuple[np.ndarray, np.ndarray]
 """Rows of the index sorted by scene, int32 [pose], and where each scene starts among them, int32 [scene + 1]."""
 
 
-class StoredPoses(Sequence[Poses]):
-    """Poses of all scenes in an open file of label maps; those of a scene are read and checked when it is accessed.
+class StoredPoses(Sequence[Any]):
+    """`Poses` of all scenes in an open file of label maps; those of a scene are read and checked when it is accessed.
 
     Raises:
         ValueError: they are damaged, or break the contract (`benchmark.models.contract`).
