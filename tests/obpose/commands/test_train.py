@@ -245,7 +245,7 @@ def losses_of(process: subprocess.Popen[str]) -> list[dict[str, float]]:
 
 def training(data: Path, out: Path, *python: str, more: tuple[str, ...] = (), steps: int = 30) -> subprocess.Popen[str]:
     """The command in a process of its own, with these options of Python's before its module."""
-    flags = ["--data", str(data), "--steps", str(steps), "--out", str(out), *SETTINGS, *more]
+    flags = ["--data", str(data), "--variant", "obpose", "--steps", str(steps), "--out", str(out), *SETTINGS, *more]
     return subprocess.Popen(
         [sys.executable, *python, "-m", "benchmark.commands.train", *flags],
         cwd=ROOT,
