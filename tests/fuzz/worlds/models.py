@@ -40,7 +40,7 @@ def build_models(world: Path) -> None:
 
 
 LEARN = "obpose-edit fit-prior --kind flow --checkpoint {w}/learning --data {w}/data --clips 12 --steps 1 --workers 1"
-CONTINUE = f"obpose-train --data {{w}}/data --steps 2 --out {{w}}/run {TINY}"
+CONTINUE = f"obpose-train --variant obpose --data {{w}}/data --steps 2 --out {{w}}/run {TINY}"
 INFER_BY = "obpose-edit infer --checkpoint {w}/MODEL --data {w}/data --refine 0 --resolution 8x8 --out {o}"
 SAMPLE = "obpose-edit sample --checkpoint {w}/model --camera {w}/scene --objects 1 --resolution 8x8 --out {o}"
 SCORE_BY = "obpose-bench --checkpoint {w}/MODEL --name own --data {w}/data --workers 1 --out {o}"
