@@ -195,7 +195,7 @@ class Inference:
     embeddings: Embeddings
     masks: Masks
     observed_center: Float[Tensor, "batch frame slot 3"]
-    """T: mean of the observed points, weighted by the mask."""
+    """T: mean of the observed points, weighted by the mask; of `obpose-contact` the middle of the smallest box."""
     boxes: Boxes
     """Boxes with centre T_hat and rotation R."""
     where: Latent | None
@@ -213,7 +213,8 @@ class Segmentation:
     labels: Int[Tensor, "batch frame view height width"]
     """The labels that are scored; ObPose's are the argmax of the composed density at the observed surface."""
     attention: Int[Tensor, "batch frame view height width"]
-    """Argmax of the attention masks, upsampled."""
+    """Second segmentation, for comparison: argmax of the attention masks, upsampled. Of `contact-masks`: the groups of
+    each image on its own; of `obpose-contact`: the argmax of the composed density."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,7 +61,7 @@ _INTERRUPTED = {
     "export": "Interrupted; nothing was exported.",
     "assets": "Interrupted; no sheet was written. Hulls of finished meshes are kept, run the same command again.",
 }
-"""What Ctrl-C leaves behind, by subcommand."""
+"""Messages after Ctrl-C, which say what remains, by subcommand."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
 from torch import Tensor
 
+from datagen import geometry
 from obpose.contact.components import image_components
 from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
 from obpose.data.clips import ClipSource, observation_of
@@ -61,10 +62,7 @@ class PseudoScene:
 
     def points(self, mask: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, "pixel 3"]:
         """Surface points of the pixels of a mask, world frame, metres."""
-        rows, columns = np.nonzero(mask)
-        rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))]) * self.depth[mask]
-        camera = np.linalg.inv(self.k) @ rays
-        return (self.world_from_camera[:3, :3] @ camera).T + self.world_from_camera[:3, 3]
+        return geometry.unproject(self.depth, self.k, self.world_from_camera)[mask]
 
     def slope(self, rows: np.ndarray | float, columns: np.ndarray | float) -> np.ndarray | float:
         """Change of height per metre of planar depth, along the rays through places of the image."""

@@ -76,7 +76,7 @@ def _own_points(
     owners: Int[Tensor, "batch frame view height width"],
     slots: int,
 ) -> tuple[Float[Tensor, "batch frame slot point 3"], Bool[Tensor, "batch frame slot point"]]:
-    """Some points of each slot, and which of them are valid."""
+    """Gather up to `_POINTS` points of each slot, and say which of them are valid."""
     chosen, valid = _some_of_each(rearrange(owners, "b f v h w -> b f (v h w)"), slots, _POINTS)
     flat = rearrange(points, "b f v h w c -> b f 1 (v h w) c").expand(-1, -1, slots, -1, -1)
     return flat.gather(-2, repeat(chosen, "b f s n -> b f s n 3")), valid
