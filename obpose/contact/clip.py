@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int64
 from obpose.contact.fragments import Evidence, fragments_of, gather
 from obpose.contact.grouping import Pairs, group
 from obpose.contact.key_frames import evenly_spread
-from obpose.contact.rigidity import divergences
+from obpose.contact.rigidity import TOGETHER, common_motion
 from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
 
 FINER = 1.5
@@ -22,10 +22,10 @@ FINER = 1.5
 CAUTION = 0.75
 """Subtracted from the bias for joining parts before motion is considered, and added to it afterwards, for ten images:
 errors of single images cancel, so that fewer divisions are wrong. It is 0 for one image."""
-TOGETHER, TEARING = 0.0015, 4000.0
-"""Excess residual in metres up to which fragments move together, and loss of attraction per metre beyond it."""
+TEARING = 4000.0
+"""Loss of attraction by different motion, per metre of excess residual beyond that of parts that move together."""
 MOST_TORN = 12.0
-"""Largest loss of attraction by different motion."""
+"""Largest loss of attraction by different motion, and gain of parts that turn over together."""
 
 
 class Image(NamedTuple):
@@ -85,9 +85,10 @@ def segment_clip(
     labels, shared = fragments_of(candidates)
     evidence = gather(labels, shared, [image.pairs for image in images])
     labels, evidence = _join(labels, evidence, bias - caution)
-    # Join larger parts unless they move apart.
-    excess = divergences(clouds, labels, views=views) - TOGETHER
-    torn = np.clip(TEARING * excess, 0, MOST_TORN)
+    # Join larger parts unless they move apart, and those that turn over together.
+    motion = common_motion(clouds, labels, views=views)
+    torn = np.clip(TEARING * (motion.excess - TOGETHER), 0, MOST_TORN)
+    torn[(torn == 0) & motion.tumbling] = -MOST_TORN
     labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + caution)
     return np.stack([image.label_map(found) for image, found in zip(images, labels, strict=True)])
 

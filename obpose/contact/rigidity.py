@@ -1,11 +1,14 @@
-"""Do parts of a clip move as one rigid body? Registered together, they fit worse than each on its own if not."""
+"""Do parts of a clip move as one rigid body? Registered together, they fit worse than each on its own if not.
+
+Moving alike proves little, as a stack slides as a whole. Turning over together does.
+"""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int64
+from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
 from obpose.contact.tracking import LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, kabsch, median
@@ -22,6 +25,12 @@ FARTHEST = 0.05
 """Residuals are at most so many metres, so that single points do not decide."""
 LARGEST = 3
 """Number of comparisons, those with the largest excess, that are averaged."""
+TOGETHER = 0.0015
+"""Largest excess residual in metres of parts that move together."""
+TUMBLING = np.cos(np.radians(10))
+"""Largest cosine of the vertical's rotation by which parts that move together turn over."""
+EXPLAINED = 0.002
+"""Metres by which the common motion must reduce the residuals of parts that turn over together."""
 
 
 class Motion(NamedTuple):
@@ -34,34 +43,52 @@ class Motion(NamedTuple):
         """Move a cloud."""
         return Cloud(cloud.points @ self.rotation.T + self.shift, cloud.colours)
 
+    def then(self, other: "Motion") -> "Motion":
+        """Compose with a motion that follows."""
+        return Motion(other.rotation @ self.rotation, other.rotation @ self.shift + other.shift)
 
-def divergences(
-    clouds: Sequence[Cloud], labels: Sequence[Int64[np.ndarray, "_"]], *, views: int = 1
-) -> Float[np.ndarray, "part part"]:
+    @property
+    def inverse(self) -> "Motion":
+        """The motion back."""
+        return Motion(self.rotation.T, -self.rotation.T @ self.shift)
+
+
+REST = Motion(np.eye(3), np.zeros(3))
+
+
+class CommonMotion(NamedTuple):
+    """What motion says about pairs of parts; both arrays are symmetric."""
+
+    excess: Float[np.ndarray, "part part"]
+    """Mean residual in metres of joint registration minus that of separate ones, averaged over the frames where the
+    two differ most; 0 for pairs that were not near each other in frames where both are visible."""
+    tumbling: Bool[np.ndarray, "part part"]
+    """Whether the two turn over together between two of the frames."""
+
+
+def common_motion(clouds: Sequence[Cloud], labels: Sequence[Int64[np.ndarray, "_"]], *, views: int = 1) -> CommonMotion:
     """Measure how much worse pairs of parts fit if they are registered together than each on its own.
 
     Args:
         clouds: Foreground of each image, in the order of time; those of one time, one per view, follow each other.
         labels: Part of each point, from 0.
         views: Number of views.
-
-    Returns:
-        Mean residual in metres of joint registration minus that of separate ones, averaged over the frames where the
-        two differ most; symmetric, 0 for pairs that were not near each other in frames where both are visible.
     """
     count = 1 + max((int(found.max()) for found in labels if len(found)), default=-1)
     parts = [
         {name: cloud.part(found == name) for name in _large(found)} for cloud, found in zip(clouds, labels, strict=True)
     ]
     excesses: dict[tuple[int, int], list[float]] = {}
+    tumbling = np.zeros((count, count), bool)
     for step in STEPS:
         for before, after in zip(parts, parts[step * views :], strict=False):
-            for pair, excess in _compare(before, after):
+            for pair, excess, tumbled in _compare(before, after):
                 excesses.setdefault(pair, []).append(excess)
+                tumbling[pair] |= tumbled
     found = np.zeros((count, count))
-    for (one, other), values in excesses.items():
-        found[one, other] = found[other, one] = np.mean(np.sort(values)[-LARGEST:])
-    return found
+    for pair, values in excesses.items():
+        found[pair] = np.mean(np.sort(values)[-LARGEST:])
+    return CommonMotion(found + found.T, tumbling | tumbling.T)
 
 
 def register(source: Cloud, target: Cloud, motion: Motion | None, *, rounds: int) -> Motion:
@@ -91,8 +118,8 @@ def register(source: Cloud, target: Cloud, motion: Motion | None, *, rounds: int
     return motion
 
 
-def _compare(before: dict[int, Cloud], after: dict[int, Cloud]) -> Iterator[tuple[tuple[int, int], float]]:
-    """Excess residuals of the pairs of parts that are near each other in one of two frames."""
+def _compare(before: dict[int, Cloud], after: dict[int, Cloud]) -> Iterator[tuple[tuple[int, int], float, bool]]:
+    """Excess residuals of the pairs of parts that are near each other in one of two frames, and whether they tumble."""
     motions = {
         name: register(before[name], after[name], None, rounds=ROUNDS) for name in sorted(before.keys() & after.keys())
     }
@@ -101,12 +128,18 @@ def _compare(before: dict[int, Cloud], after: dict[int, Cloud]) -> Iterator[tupl
             continue
         sources, targets = ([parts[one], parts[other]] for parts in (before, after))
         alone = [_residual(*each) for each in zip(sources, targets, (motions[one], motions[other]), strict=True)]
-        excess = np.inf
+        # The better of two joint registrations.
+        excess, motion, joint = np.inf, REST, alone
         for start in (motions[one], motions[other]):
-            motion = register(_union(sources), _union(targets), start, rounds=JOINT_ROUNDS)
-            joint = [_residual(source, target, motion) for source, target in zip(sources, targets, strict=True)]
-            excess = min(excess, max(np.subtract(joint, alone)))
-        yield (one, other), float(excess)
+            tried = register(_union(sources), _union(targets), start, rounds=JOINT_ROUNDS)
+            residuals = [_residual(source, target, tried) for source, target in zip(sources, targets, strict=True)]
+            if (worse := float(max(np.subtract(residuals, alone)))) < excess:
+                excess, motion, joint = worse, tried, residuals
+        tumbled = excess < TOGETHER and motion.rotation[2, 2] < TUMBLING
+        if tumbled:
+            resting = [_residual(source, target, REST) for source, target in zip(sources, targets, strict=True)]
+            tumbled = min(np.subtract(resting, joint)) > EXPLAINED
+        yield (one, other), excess, bool(tumbled)
 
 
 def _large(labels: Int64[np.ndarray, "_"]) -> list[int]:

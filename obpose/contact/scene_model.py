@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from obpose.contact.boxes import boxes_over_time
 from obpose.contact.config import ContactConfig, ContactObPoseConfig
 from obpose.contact.model import ContactModel
 from obpose.contact.pasting import ClipsWithPasted
@@ -84,14 +85,20 @@ class ContactObPose(ObPose):
         return attended_as_labelled(observation.pseudo_labels, views.embeddings, self.attention, grid=grid)
 
     def _observed_pose(self, views: EmbeddedViews, masks: Masks) -> tuple[SlotPoints, SlotRotations]:
-        """T and R of every slot from the smallest box, which for a standing object reaches down to the table."""
+        """T and R of every slot from the smallest box, which for a standing object reaches down to the table.
+
+        At evaluation the box is that of all points that the clip shows of the object.
+        """
         if self.config.model.pose.conditioning != "full":
             return super()._observed_pose(views, masks)
         center = self._observed_center(views, masks)
         owners = self.pixel_owners(masks, views.embeddings, views.observation)
         table = self.config.model.table or 0.0
         middle, rotation, found = standing_boxes(views.points, owners, slots=center.shape[2], table=table)
-        return torch.where(found[..., None], middle, center), rotation
+        boxes = torch.where(found[..., None], middle, center), rotation
+        if self.training:
+            return boxes
+        return boxes_over_time(views.points, views.observation.rgb, owners, boxes, table=table)
 
     def _mask_terms(
         self, masks: Masks, log_masks: ComponentRays, fields: FieldsAlongRays, embeddings: Embeddings

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from obpose.contact.rigidity import divergences, register
+from obpose.contact.rigidity import common_motion, register
 from obpose.contact.tracking import Cloud
 
 
@@ -33,7 +33,7 @@ def test_joint_residuals_grow_with_relative_motion(slip: float):
     one, other = box(0, 0.0), box(1, 0.06)
     frames = [cloud(one + shift(t), other + shift(t, slip * t)) for t in range(5)]
     labels = [np.repeat([0, 1], 60)] * 5
-    found = divergences(frames, labels)
+    found = common_motion(frames, labels).excess
     assert np.array_equal(found, found.T)
     assert found[0, 1] < 1e-6 if slip == 0 else found[0, 1] > 0.003
 
@@ -41,7 +41,20 @@ def test_joint_residuals_grow_with_relative_motion(slip: float):
 def test_parts_that_are_far_apart_or_seen_once_are_not_compared():
     one, other = box(0, 0.0), box(1, 0.3)
     far = [cloud(one, other + shift(0, 0.01 * t)) for t in range(4)]
-    assert not divergences(far, [np.repeat([0, 1], 60)] * 4).any()
+    assert not common_motion(far, [np.repeat([0, 1], 60)] * 4).excess.any()
     once = [cloud(one), cloud(one, box(1, 0.06)), cloud(one)]
     labels = [np.zeros(60, int), np.repeat([0, 1], 60), np.zeros(60, int)]
-    assert not divergences(once, labels).any()
+    assert not common_motion(once, labels).excess.any()
+
+
+@pytest.mark.parametrize(
+    ("axis", "degrees", "slip", "tumbling"),
+    [("y", 15, 0.0, True), ("y", 4, 0.0, False), ("z", 15, 0.0, False), ("y", 15, 0.01, False)],
+)
+def test_parts_that_turn_over_together_tumble(axis: str, degrees: float, slip: float, tumbling: bool):
+    one, other = box(0, 0.0, 200), box(1, 0.06, 200)
+    turn = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    slipped = other + np.array([0, slip, 0])
+    frames = [cloud(one, other), cloud(one @ turn.T + shift(5), slipped @ turn.T + shift(5))]
+    found = common_motion(frames, [np.repeat([0, 1], 200)] * 2).tumbling
+    assert np.array_equal(found, tumbling * (1 - np.eye(2, dtype=int)).astype(bool))

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from obpose.contact.boxes import LEAST_POINTS, Surface, aligned, boxes_over_time, fused_points, linked_frames
+from obpose.contact.rigidity import REST, Motion
+from obpose.contact.tracking import Cloud
+
+HEIGHTS = 0.05, 0.03, 0.05, 0.03
+"""Heights of four blocks of 2 cm, side by side along x."""
+
+
+def surface(spacing: float = 0.004) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the blocks' tops, fronts and sides, around the middle of their box, and their normals."""
+    across, blocks = np.arange(-0.03, 0.0301, spacing), []
+    for number, height in enumerate(HEIGHTS):
+        x, z = np.arange(0.0, 0.0201, spacing) + 0.02 * number, np.arange(0.0, height, spacing)
+        for values, normal in (((x, across, [height]), 2), ((x, [-0.03], z), 1), ((x[:1], across, z), 0)):
+            points = np.stack(np.meshgrid(*values, indexing="ij"), axis=-1).reshape(-1, 3)
+            blocks.append((points - [0.04, 0, 0.025], np.tile(np.eye(3)[normal], (len(points), 1))))
+    points, normals = (np.concatenate(values) for values in zip(*blocks, strict=True))
+    return points, normals
+
+
+def turned(degrees: float, shift: tuple[float, float, float] = (0, 0, 0), axis: str = "z") -> Motion:
+    return Motion(Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), np.array(shift, float))
+
+
+def seen(motion: Motion) -> Cloud:
+    points = surface()[0]
+    return motion.moved(Cloud(points, np.zeros_like(points)))
+
+
+def test_registration_finds_the_motion_between_visible_sides():
+    points, normals = surface()
+    motion = turned(6, (0.005, -0.003, 0.0))
+    found, residual = aligned(seen(motion), Surface(Cloud(points, np.zeros_like(points)), normals), REST)
+    assert residual < 2e-4
+    np.testing.assert_allclose(found.inverse.rotation, motion.rotation, atol=0.01)
+    np.testing.assert_allclose(found.inverse.shift, motion.shift, atol=0.001)
+
+
+def test_frames_are_linked_until_the_motion_is_unknown():
+    few = seen(REST).part(np.arange(LEAST_POINTS - 1))
+    other = Cloud(3 * seen(REST).points, seen(REST).colours)
+    groups = linked_frames([seen(REST), seen(turned(5)), few, seen(turned(10)), other, other])
+    assert [[*group] for group in groups] == [[0, 1, 3], [4, 5]]
+    np.testing.assert_allclose(groups[0][3].rotation, turned(10).rotation, atol=0.02)
+    assert linked_frames([few, few]) == []
+
+
+@pytest.mark.parametrize(("axis", "height", "feet"), [("z", 0.0, True), ("x", 0.0, False), ("z", 0.1, False)])
+def test_standing_objects_have_feet_unless_they_turn_over(axis: str, height: float, feet: bool):
+    motions = {frame: turned(20.0 * frame, axis=axis) for frame in range(3)}
+    points = np.array([[0.0, 0.0, 0.01 + height], [0.01, 0.0, 0.04 + height]])
+    clouds = [motion.moved(Cloud(points, points)) for motion in motions.values()]
+    found = fused_points(clouds, motions, table=0.0)
+    assert len(found) == (12 if feet else 6)
+    np.testing.assert_allclose(found[:6], np.tile(points, (3, 1)), atol=1e-12)
+    if feet:
+        np.testing.assert_allclose(found[6:, 2], 0, atol=1e-12)
+
+
+def test_boxes_become_those_of_the_whole_object():
+    # Something in front hides all but 6.5 of its 8 cm, others in every frame.
+    motions = [turned(4.0 * frame, (0.01 * frame, 0.0, 0.4)) for frame in range(8)]
+    clouds = []
+    for frame, motion in enumerate(motions):
+        cloud, hidden = seen(motion), 0.0025 * frame - 0.0425
+        along = motion.inverse.moved(cloud).points[:, 0]
+        clouds.append(cloud.part((along > hidden) & (along < hidden + 0.065)))
+    width = max(len(cloud.points) for cloud in clouds)
+    points, rgb, owners = np.zeros((8, width, 3)), np.zeros((8, width, 3)), np.zeros((8, width), int)
+    for frame, cloud in enumerate(clouds):
+        points[frame, : len(cloud.points)], owners[frame, : len(cloud.points)] = cloud.points, 1
+        rgb[frame, : len(cloud.points)] = cloud.colours / 0.15
+    images = (torch.from_numpy(value)[None, :, None, None] for value in (points, rgb, owners))
+    first = torch.zeros(1, 8, 1, 3), torch.eye(3).expand(1, 8, 1, 3, 3)
+    middle, rotation = (value[0, :, 0].numpy() for value in boxes_over_time(*images, first, table=0.0))
+    whole = np.array([motion.shift for motion in motions])
+    visible = np.array([(cloud.points.min(axis=0) + cloud.points.max(axis=0)) / 2 for cloud in clouds])
+    assert np.linalg.norm(middle - whole, axis=1).max() < 0.003
+    assert np.linalg.norm(visible - whole, axis=1)[[0, -1]].min() > 0.006
+    # Each axis is one of the box's, and keeps its name from frame to frame.
+    along = np.abs(np.stack([motion.rotation for motion in motions]).transpose(0, 2, 1) @ rotation)
+    assert along.max(axis=1).min() > 0.995
+    steps = np.einsum("fij,fij->f", rotation[1:], rotation[:-1])
+    assert steps.min() > 1 + 2 * np.cos(np.radians(20))
+
+
+def test_boxes_of_single_frames_stay():
+    few = torch.rand(1, 2, 1, 1, 5, 3)
+    first = torch.rand(1, 2, 1, 3), torch.eye(3).expand(1, 2, 1, 3, 3)
+    found = boxes_over_time(few, few, torch.ones(1, 2, 1, 1, 5, dtype=torch.int64), first, table=0.0)
+    assert all(torch.equal(*pair) for pair in zip(found, first, strict=True))
