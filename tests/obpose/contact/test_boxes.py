@@ -75,9 +75,11 @@ def test_boxes_become_those_of_the_whole_object():
     for frame, cloud in enumerate(clouds):
         points[frame, : len(cloud.points)], owners[frame, : len(cloud.points)] = cloud.points, 1
         rgb[frame, : len(cloud.points)] = cloud.colours / 0.15
-    images = (torch.from_numpy(value)[None, :, None, None] for value in (points, rgb, owners))
+    arrays = tuple(torch.from_numpy(value)[None, :, None, None] for value in (points, rgb, owners))
     first = torch.zeros(1, 8, 1, 3), torch.eye(3).expand(1, 8, 1, 3, 3)
-    middle, rotation = (value[0, :, 0].numpy() for value in boxes_over_time(*images, first, table=0.0))
+    middle, rotation = (
+        value[0, :, 0].numpy() for value in boxes_over_time(arrays[0], arrays[1], arrays[2], first, table=0.0)
+    )
     whole = np.array([motion.shift for motion in motions])
     visible = np.array([(cloud.points.min(axis=0) + cloud.points.max(axis=0)) / 2 for cloud in clouds])
     assert np.linalg.norm(middle - whole, axis=1).max() < 0.003
