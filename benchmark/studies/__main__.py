@@ -14,13 +14,9 @@ from datagen.storage.atomic import write_atomically
 
 PROGRAM = "python -m benchmark.studies"
 STUDIES = {
-    "edits": "Draw the generator's edits of scenes beside a model's",
     "errors": "Count a model's errors by type, over time, by number of objects, and where objects adjoin",
-    "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
-    "object_frames": "Measure how much objects vary over time in their own frames",
     "real_frames": "List the scores of each frame of runs on the track real-table",
     "views": "Compare rendered pictures with the input view and with other views",
-    "voxel_shapes": "Compare the voxel estimate of shapes with exact shapes and with volume rendering",
 }
 """Modules of this package, each with one line of help."""
 

@@ -11,7 +11,7 @@ from benchmark.studies.__main__ import main
 from benchmark.studies.errors import objects_adjoin, scores_by_adjoining
 from datagen.errors import EXIT_OK
 from datagen.storage.reader import Dataset
-from tests.benchmark.studies.oracle_model import printed_table
+from tests.benchmark.studies.conftest import printed_table
 from tests.worlds import generated
 from tests.worlds.traced import write_dataset
 

@@ -1,18 +1,54 @@
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from benchmark.models.adapters.poses import poses_of
+from datagen.pipeline.generate import generate
+from datagen.storage.reader import Dataset
+from datagen.verify.scene_case import Case, make_case
 from obpose.geometry import unproject
-from obpose.types import Boxes
-from tests.benchmark.studies.oracle_model import FRAMES, dataset, true_clip, untrained
+from obpose.model.build import build_obpose
+from obpose.model.obpose import ObPose
+from obpose.scenes.clip import read_clip
+from obpose.types import Boxes, Observation, SceneSegmentation
+from obpose.variants import make_config
+from tests.worlds import generated
+
+FRAMES = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """A clip that is inferred without error: labels and boxes are the generator's, slot k is object k."""
+
+    truth: Case
+    observation: Observation
+    model: ObPose
+    segmentation: SceneSegmentation
+
+
+def untrained(conditioning: str = "full") -> ObPose:
+    torch.manual_seed(0)
+    model = {"model.pose.conditioning": conditioning, "model.pose.box_size": 0.3, "model.workspace_size": 1.0}
+    # All slots are in use, though a fresh pre-scope expects no object anywhere.
+    return build_obpose(make_config(**model, **{"model.attention.inactive_points": 0})).eval()
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory):
-    return true_clip(dataset(tmp_path_factory.mktemp("poses") / "data"))
+def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
+    folder: Path = tmp_path_factory.mktemp("poses") / "data"
+    generate(folder, generated.recipe(frames=FRAMES), splits={"val": 1}, resolution=generated.RESOLUTION)
+    truth, observation, model = make_case(Dataset(folder).split("val")[0]), read_clip(folder, "val", 0), untrained()
+    found = model.segment(observation)
+    poses = torch.from_numpy(truth.world_from_object).float()
+    poses = torch.cat([poses, torch.eye(4).expand(FRAMES, 4 - truth.count, 4, 4)], dim=1)[None]
+    boxes = Boxes(poses[..., :3, 3], poses[..., :3, :3], 0.3)
+    inference = replace(found.inference, boxes=boxes, observed_center=boxes.center)
+    labels = torch.from_numpy(truth.record["segmentation"]).long()[None]
+    return Told(truth, observation, model, replace(found, labels=labels, inference=inference))
 
 
 def test_boxes_are_the_smallest_around_their_middles_that_hold_what_is_seen(told):
