@@ -28,7 +28,7 @@ from obpose.model.build import build_obpose
 from obpose.model.layers.latent import RecurrentLatent
 from obpose.model.obpose import ObPose
 from obpose.model.pose.encoder import ObjectEncoder
-from obpose.model.pose.where import Where
+from obpose.model.pose.location import Where
 from obpose.training.devices import keep_memory, make_fabric
 from obpose.training.learner import Learner
 from obpose.types import Observation

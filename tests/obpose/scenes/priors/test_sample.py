@@ -12,14 +12,14 @@ from obpose.errors import UsageError
 from obpose.model.nerf.detail import EDGE
 from obpose.model.nerf.field import Conditioning
 from obpose.model.obpose import ObPose
-from obpose.scenes.extent import shape_extent
+from obpose.scenes.bounds import shape_extent
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.flow import Flow, sample_grids
 from obpose.scenes.priors.flow_prior import FlowObjects
+from obpose.scenes.priors.gaussian import learned_prior
 from obpose.scenes.priors.grids import Grids, facing
 from obpose.scenes.priors.interface import ScenePrior
-from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.priors.sample import default_camera, sample_scene
 from obpose.scenes.rendering import conditioning
 from obpose.scenes.scene import Scene
