@@ -1,5 +1,7 @@
-"""Agreement of clusterings above chance: the adjusted Rand index (Hubert and Arabie, 1985) in exact integers, and the
-adjusted mutual information (Vinh, Epps and Bailey, 2010) with exact expectations.
+"""Agreement of clusterings above chance.
+
+The adjusted Rand index (Hubert and Arabie, 1985) is computed in exact integers, and the adjusted mutual information
+(Vinh, Epps and Bailey, 2010) with exact expectations.
 """
 
 import math

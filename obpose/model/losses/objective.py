@@ -1,5 +1,6 @@
-"""Weighted sum of all loss terms (paper, section Training: L = L_obs + L_att + L_others), the terms of L_obs,
-and the regularisers of scope, translation and latents (L_others).
+"""Weighted sum of all loss terms (paper, section Training: L = L_obs + L_att + L_others).
+
+The terms of L_obs are collected here, and the regularisers of scope, translation and latents (L_others) defined.
 """
 
 import torch
