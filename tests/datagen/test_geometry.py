@@ -13,7 +13,6 @@ from datagen.geometry import (
     quaternion_from_rotation,
     rigid,
     rotation_from_quaternion,
-    transform,
     unproject,
 )
 
@@ -95,9 +94,3 @@ def test_inverting_a_pose_undoes_it():
     quaternions = random_rotations(5).as_quat(scalar_first=True)
     poses = rigid(np.random.default_rng(1).normal(size=(5, 3)), quaternions)
     np.testing.assert_allclose(invert_rigid(poses) @ poses, np.broadcast_to(np.eye(4), (5, 4, 4)), atol=1e-12)
-
-
-def test_transforming_equals_the_homogeneous_product():
-    pose = rigid(np.array([1.0, 2, 3]), np.array([0.5, 0.5, -0.5, 0.5]))
-    point = np.array([0.3, -0.2, 0.7])
-    np.testing.assert_allclose(transform(pose, point), (pose @ [*point, 1])[:3])

@@ -1,14 +1,12 @@
 import csv
 import io
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
 from statistics import mean
 
 import pytest
-import torch
 from rich.console import Console
 
 from benchmark.commands.train import ari_fg
@@ -21,7 +19,7 @@ from obpose.model.build import build_obpose
 from obpose.storage.checkpoint import load, read_config
 from obpose.training.loop import CurvePoint, Status
 from tests.paths import ROOT
-from tests.processes import errors_at_end, wait_until
+from tests.processes import errors_at_end
 from tests.worlds.imported import import_balls
 from tests.worlds.traced import write_dataset
 
@@ -201,21 +199,6 @@ def test_values_of_which_nothing_can_be_made_leave_no_run(
     assert main(["--data", str(data), "--out", str(run), "--set", "train.steps=-3"]) == 2
     assert capsys.readouterr().err == "obpose-train: train.steps is -3; expected 1 or more.\n"
     assert not run.exists()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_a_run_that_is_ended_goes_on_exactly(data: Path, tmp_path: Path):
-    assert "validation" in errors_at_end(training(data, tmp_path / "whole"))
-    table = tmp_path / "parts" / "training.csv"
-    process = training(data, tmp_path / "parts")
-    wait_until(lambda: table.exists() and table.read_text().count("\n") > 4, seconds=240, what="three steps")
-    process.send_signal(signal.SIGTERM)
-    assert "Stopped by SIGTERM after step" in errors_at_end(process)
-    assert process.returncode == 130
-    assert "validation" in errors_at_end(training(data, tmp_path / "parts"))
-    one, other = (load(tmp_path / name, build_obpose)[0].state_dict() for name in ("whole", "parts"))
-    assert all(torch.equal(value, other[name]) for name, value in one.items())
 
 
 @pytest.mark.slow

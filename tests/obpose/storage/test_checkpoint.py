@@ -1,6 +1,5 @@
 import json
 import math
-import os
 import re
 from pathlib import Path
 
@@ -188,14 +187,6 @@ def test_sizes_that_no_machine_could_hold_are_refused_before_a_model_is_built(ru
         (run / CONFIG).write_text(json.dumps({**facts, "config": changed}))
         with pytest.raises(UsageError, match=f"config.json: {part}.{name} is {value}; expected at most"):
             load(run, build)
-
-
-@pytest.mark.parametrize("place", [CONFIG, MODEL, TRAINING])
-def test_pipes_in_the_place_of_files_do_not_hang(run: Path, place: str):
-    (run / place).unlink()
-    os.mkfifo(run / place)
-    with pytest.raises(UsageError, match="is a pipe"):
-        load_training(run, CONFIGURATION) if place == TRAINING else load(run, ToyModel)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,3 @@
-import os
 import re
 import struct
 import tracemalloc
@@ -418,12 +417,6 @@ def test_label_maps_that_refer_to_other_files_are_refused(
     ):
         with pytest.raises(CorruptFile, match=r"labels\.h5 is truncated, damaged or not"):
             act()
-
-
-def test_a_pipe_is_no_file_of_label_maps(scenes: Split, tmp_path: Path):
-    os.mkfifo(tmp_path / "labels.h5")
-    with pytest.raises(UsageError, match="is a pipe"):
-        PredictionFolder(tmp_path).check(scenes.labels_shape)
 
 
 def test_poses_may_lie_beside_the_labels(clip: Clip, truths: list[np.ndarray], tmp_path: Path):

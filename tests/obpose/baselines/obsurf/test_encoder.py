@@ -28,13 +28,6 @@ def test_cells_are_two_by_two_or_four_by_four_pixels(blocks: tuple[int, int]):
     assert encoder(blocks=blocks, cell=4)(**inputs(15, 10)).shape == (3, 4, 3, 8)
 
 
-def test_no_image_depends_on_the_others():
-    module = encoder()
-    together = module(**inputs())
-    alone = module(**{name: value[1:2] for name, value in inputs().items()})
-    torch.testing.assert_close(together[1:2], alone, rtol=1e-4, atol=1e-5)
-
-
 @pytest.mark.parametrize("name", ["rgb", "rays", "points", "camera"])
 def test_it_sees_what_it_is_given_and_points_only_if_it_is_told_to(name: str):
     for told in (True, False):

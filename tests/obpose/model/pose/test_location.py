@@ -1,4 +1,3 @@
-import pytest
 import torch
 import torch.nn.functional as F
 
@@ -80,22 +79,6 @@ def test_idle_slots_and_empty_frames_have_finite_locations():
     center = observed_center(idle, points, valid, min_points=10, exponent=3.0)
     assert center.isfinite().all()
     torch.testing.assert_close(center[1, 0], points[1, 0, valid[1, 0]].mean(dim=0).expand(SLOTS, 3))
-
-
-@pytest.mark.parametrize("batch", [0, 2])
-def test_a_clip_does_not_depend_on_its_batch_mates(batch: int):
-    owner, points, valid = clip(3, 4, 40)
-    masks, one = hard_masks(owner), slice(batch, batch + 1)
-    together = observed_center(masks, points, valid, min_points=8, exponent=3.0)[one]
-    alone = observed_center(masks[one], points[one], valid[one], min_points=8, exponent=3.0)
-    torch.testing.assert_close(together, alone, atol=1e-6, rtol=0)
-
-
-def test_there_is_no_gradient_into_the_masks():
-    owner, points, valid = clip(1, 2, 40)
-    assert not observed_center(
-        hard_masks(owner).requires_grad_(), points, valid, min_points=1, exponent=3.0
-    ).requires_grad
 
 
 def test_traces_of_the_mask_on_the_table_do_not_move_the_center_of_a_small_object():

@@ -1,4 +1,3 @@
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,12 +90,6 @@ def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
     (tmp_path / "prior.safetensors").write_bytes(b"other")
     with pytest.raises(CorruptFile, match="is damaged"):
         load_gaussian(origin)
-
-
-def test_a_pipe_in_the_place_of_a_prior_does_not_hang(tmp_path: Path):
-    os.mkfifo(tmp_path / "prior.safetensors")
-    with pytest.raises(UsageError, match="make one with obpose-edit fit-prior --kind gaussian first"):
-        load_gaussian(some_origin(tmp_path))
 
 
 def test_priors_of_older_versions_know_no_tables(tmp_path: Path):

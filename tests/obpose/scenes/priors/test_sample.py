@@ -84,12 +84,6 @@ def test_objects_that_are_nowhere_or_above_the_middle_are_drawn_again(others: fl
     assert (scene.what[0, :, 0] > 0).all()
 
 
-def test_the_same_seed_gives_the_same_scene():
-    assert torch.equal(sampled(3).what, sampled(3).what)
-    assert torch.equal(sampled(3).center, sampled(3).center)
-    assert not torch.equal(sampled(3).center, sampled(3, seed=1).center)
-
-
 def test_there_may_be_none_and_there_may_be_too_many():
     assert sampled(0).ids == ()
     with pytest.raises(UsageError, match="no room for"):
