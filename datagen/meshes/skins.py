@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from datagen.meshes.read import LINEAR, RawMesh
+from datagen.geometry import LINEAR
+from datagen.meshes.read import RawMesh
 from datagen.shapes.shape import Skin
 
 MOST_TEXELS = 2048
