@@ -8,8 +8,7 @@ torchrun --nproc-per-node 2 -m benchmark.commands.train --track moving       two
 
 import os
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,13 +19,12 @@ from rich.console import Console
 
 from datagen.console.command_line import Command, run_command
 from datagen.console.interrupts import interruptible_imports
-from datagen.console.progress import status_console, track_progress, training_bar
+from datagen.console.progress import status_console, track_progress
 from datagen.console.text import counted
 from obpose.config_bounds import MOST_MINUTES, MOST_STEPS
 from obpose.config_text import parse_changes
 from obpose.errors import EXIT_OK, UsageError, unknown_name
 from obpose.systems import System, find_system, slots_for
-from obpose.training.loop import CurvePoint, Report, Status
 
 if TYPE_CHECKING:
     from datagen.tracks import DataFolder, Track
@@ -115,7 +113,7 @@ def run(values: Train, score: "Score | None" = None) -> int:
     with interruptible_imports(PROGRAM):
         import torch
 
-        from obpose.commands.train import progress_bar
+        from obpose.commands.train_progress import progress_bar
         from obpose.data.datasets import SceneDataset
         from obpose.data.scene_stats import measure_scene
         from obpose.training.loop import train
@@ -179,34 +177,3 @@ def _prepare(data: "Track | DataFolder", values: Train, console: Console) -> Pat
 def _process() -> int:
     """Number of this process among those that `torchrun` started."""
     return int(os.environ.get("RANK", 0))
-
-
-SMOOTHING = 0.98
-"""Share of the previous value in the running mean of each loss; single steps are too noisy to read."""
-
-
-@contextmanager
-def progress_bar(console: Console) -> Iterator[Report]:
-    """Show every status that is reported; the bar appears on terminals only."""
-    smooth: dict[str, float] = {}
-    last: CurvePoint | None = None
-    with training_bar(console) as update:
-
-        def report(status: Status) -> None:
-            nonlocal last
-            if status.validation and status.validation != last:
-                last = status.validation
-                console.print(validation_line(last), highlight=False)
-            for name, value in status.losses.items():
-                smooth[name] = SMOOTHING * smooth.get(name, value) + (1 - SMOOTHING) * value
-            losses = " ".join(f"{name} {smooth[name]:.3f}" for name in status.losses)
-            update(status.step, status.fraction, losses)
-
-        yield report
-
-
-def validation_line(point: CurvePoint) -> str:
-    """Describe one validation in one line."""
-    score = "" if point.ari_fg is None else f", ARI-FG {point.ari_fg:.3f}"
-    total = point.losses["total"]
-    return f"step {point.step}, {point.seconds / 60:.1f} minutes: validation loss {total:.4f}{score}"

@@ -1,5 +1,4 @@
 import csv
-import io
 import re
 import subprocess
 import sys
@@ -7,17 +6,15 @@ from pathlib import Path
 from statistics import mean
 
 import pytest
-from rich.console import Console
 
 from benchmark.commands.train import ari_fg
 from datagen.errors import EXIT_USAGE, UsageError
 from datagen.tracks import DataFolder, Track
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
-from obpose.commands.train import main, progress_bar, validation_line
+from obpose.commands.train import main
 from obpose.model.build import build_obpose
 from obpose.storage.checkpoint import load, read_config
-from obpose.training.loop import CurvePoint, Status
 from tests.paths import ROOT
 from tests.processes import errors_at_end
 from tests.worlds.imported import import_balls
@@ -250,40 +247,3 @@ def test_an_imported_dataset_without_masks_becomes_a_run(tmp_path: Path, capsys:
     assert "validation loss" in errors
     assert "ARI-FG" not in errors
     assert read_config(run).model.slots == 6  # assumed
-
-
-POINT = CurvePoint(120, 90.0, {"total": 1.25, "air": 0.5}, 0.875)
-
-
-def shown(*statuses: Status, terminal: bool) -> str:
-    file = io.StringIO()
-    console = Console(file=file, force_terminal=terminal, width=150, soft_wrap=True)
-    with progress_bar(console) as report:
-        for status in statuses:
-            report(status)
-    return file.getvalue()
-
-
-def status(step: int, total: float = 2.0, validation: CurvePoint | None = None) -> Status:
-    return Status(step, 1.0, step / 200, {"total": total, "air": 0.5}, validation)
-
-
-def test_a_terminal_shows_losses_and_time_left():
-    text = shown(status(1), status(100), terminal=True)
-    for part in ("step 100", "50 %", "total 2.000", "air 0.500", "left"):
-        assert part in text
-
-
-def test_losses_are_smoothed():
-    assert "total 2.020" in shown(status(1, 2.0), status(2, 3.0), terminal=True)
-
-
-def test_a_file_gets_a_line_for_each_validation_and_nothing_else():
-    text = shown(status(1), status(120, validation=POINT), status(121, validation=POINT), terminal=False)
-    assert text.split("\n") == [validation_line(POINT), "", ""] or text.strip() == validation_line(POINT)
-
-
-def test_a_validation_in_words():
-    assert validation_line(POINT) == "step 120, 1.5 minutes: validation loss 1.2500, ARI-FG 0.875"
-    unlabelled = CurvePoint(120, 90.0, {"total": 1.25}, None)
-    assert validation_line(unlabelled) == "step 120, 1.5 minutes: validation loss 1.2500"
