@@ -5,9 +5,10 @@ its centre lies at (0.5, 0.5). Depth is planar: the camera's z, not the length o
 matrix that takes points of frame b to frame a. Quaternions are (w, x, y, z).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 
 def look_at(position: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
@@ -153,7 +154,7 @@ def unproject(
     return transform(world_from_camera, pixel_rays(k, width, height) * depth[..., None].astype(np.float64))
 
 
-def linear(srgb: ArrayLike) -> Float[np.ndarray, "*shape"]:
+def linear(srgb: Sequence[float] | Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Linear light of sRGB values in 0..1 (IEC 61966-2-1)."""
     value = np.asarray(srgb, np.float64)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)

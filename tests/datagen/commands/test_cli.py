@@ -53,7 +53,7 @@ def run(*arguments: object) -> int:
         (("--scenes", 3, "--objects.minimum", 40, "--objects.maximum", 40), "40 objects"),
         (("--scenes", 3, "--simulate-only", "--resolution", "64x64"), "--simulate-only makes no images"),
         (("--scenes", 3, "--edits", "recolour"), "--edits recolour: unknown 'recolour'; expected some of remove"),
-        (("--scenes", 3, "--simulate-only", "--edits", "move"), "there is nothing to edit"),
+        (("--scenes", 3, "--simulate-only", "--edits", "move"), "give --edits to `render`"),
         (("--scenes", 3, "--novelty", 1), "--novelty"),
         (("--scenes", "many"), "many"),
         (("--scenes", 3, "--renderer", "blender"), "blender"),
