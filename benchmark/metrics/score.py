@@ -10,7 +10,7 @@ from benchmark.metrics.agreement import adjusted_mutual_information, adjusted_ra
 from benchmark.metrics.boundaries import region_and_boundary
 from benchmark.metrics.contingency import compact, contingency, count
 from benchmark.metrics.detection import detection_scores, hota, idf1
-from benchmark.metrics.identity import identity_switches
+from benchmark.metrics.errors_by_type import identity_switches
 from benchmark.metrics.overlap import (
     background_overlap,
     best_background_slot,

@@ -15,8 +15,7 @@ from torch import Tensor
 from obpose.baselines.obsurf import losses
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.decoder import SlotField
-from obpose.baselines.obsurf.encoder import ImageEncoder
-from obpose.baselines.obsurf.projection import code_size, fourier_code, nearest_cells, project
+from obpose.baselines.obsurf.encoder import ImageEncoder, code_size, fourier_code, nearest_cells, project
 from obpose.baselines.obsurf.slots import SlotAttention, Slots
 from obpose.data.clips import random_view, separate_views
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject, view_directions

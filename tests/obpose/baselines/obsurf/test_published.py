@@ -22,8 +22,7 @@ from torch import Tensor, nn
 from obpose.baselines.obsurf import losses
 from obpose.baselines.obsurf.config import DecoderConfig, ImageEncoderConfig
 from obpose.baselines.obsurf.decoder import SlotField
-from obpose.baselines.obsurf.encoder import ImageEncoder
-from obpose.baselines.obsurf.projection import FIRST_OCTAVE, code_size, fourier_code
+from obpose.baselines.obsurf.encoder import FIRST_OCTAVE, ImageEncoder, code_size, fourier_code
 from obpose.baselines.obsurf.slots import SlotAttention
 
 pytestmark = pytest.mark.skipif("OBSURF" not in os.environ, reason="OBSURF names no checkout of the published code")
