@@ -207,12 +207,6 @@ def test_label_maps_that_do_not_fit_the_scenes_get_one_line(copy: Path, capsys, 
     assert "does not fit the dataset's scenes" in capsys.readouterr().err
 
 
-def test_two_models_are_compared(finished: Path, capsys):
-    assert run_cli("compare", "good", "chance", "--run", finished) == EXIT_OK
-    assert "95 % interval" in capsys.readouterr().out
-    assert run_cli("compare", "good", "god", "--run", finished) == EXIT_USAGE
-
-
 def test_packed_results_are_compared_and_reported_and_never_run_into(
     data: Path, finished: Path, tmp_path: Path, capsys
 ):
@@ -230,11 +224,6 @@ def test_packed_results_are_compared_and_reported_and_never_run_into(
         assert run_cli(*command) == EXIT_USAGE
         assert "read-only" in capsys.readouterr().err
     assert sorted(packed.rglob("*")) == before
-
-
-def test_the_metrics_are_checked(capsys):
-    assert run_cli("selftest") == EXIT_OK
-    assert "all hold" in capsys.readouterr().out
 
 
 def test_models_and_tracks_are_listed(capsys):
@@ -307,13 +296,6 @@ def test_what_another_process_is_making_is_not_a_failure(data: Path, tmp_path: P
     assert run_cli("--model", "taken", "--data", data, "--out", out) == EXIT_USAGE
     assert "Another process is writing to there; let it end." in capsys.readouterr().err
     assert not load_runs(out)
-
-
-def test_a_damaged_row_gets_one_line(data: Path, tmp_path: Path, capsys):
-    (tmp_path / "runs").mkdir()
-    (tmp_path / "runs" / "x.json").write_text("{")
-    assert run_cli("--model", "good", "--data", data, "--out", tmp_path) == EXIT_INCOMPLETE
-    assert "x.json is damaged" in capsys.readouterr().err
 
 
 def test_torch_is_not_imported(data: Path, tmp_path: Path):

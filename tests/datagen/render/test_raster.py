@@ -117,15 +117,6 @@ def test_turning_camera_and_objects_together_about_z_changes_neither_depth_nor_i
     np.testing.assert_allclose(after.depth, before.depth, rtol=1e-6)
 
 
-def test_a_wider_picture_extends_a_narrow_one_of_the_same_camera(raster):
-    made = six_objects()
-    wide = render(raster, made, FRONT, 320, 240)
-    middle = dataclasses.replace(FRONT, field_of_view=2 * np.arctan(0.5 * np.tan(np.radians(20))))
-    narrow = render(raster, made, middle, 160, 120)
-    np.testing.assert_array_equal(narrow.segmentation, wide.segmentation[60:180, 80:240])
-    np.testing.assert_allclose(narrow.depth, wide.depth[60:180, 80:240], rtol=1e-6)
-
-
 def test_what_sinks_into_the_table_is_hidden_by_it(raster):
     image = render(raster, scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, -0.03))))
     whole = render(raster, scene(body("sphere", {"radius": 0.05}, (0.28, 0.0, 0.08))))

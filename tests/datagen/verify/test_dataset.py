@@ -227,17 +227,3 @@ def test_of_hundreds_of_scenes_none_is_suspected(tmp_path: Path, name: str, scen
 
     generate(tmp_path / name, load_recipe(name), splits={"train": scenes}, resolution=(64, 64), run=Run(workers=2))
     assert find(tmp_path / name, workers=2) == []
-
-
-@pytest.mark.slow
-def test_the_other_renderer_is_verified(tmp_path: Path):
-    from datagen.pipeline.generate import generate
-    from datagen.render import make_renderer
-
-    try:
-        make_renderer("pyrender")
-    except UsageError as error:
-        pytest.skip(str(error))
-    for name in ("moving", "static"):
-        generate(tmp_path / name, load_recipe(name), splits={"train": 4}, renderer="pyrender")
-        assert find(tmp_path / name) == []

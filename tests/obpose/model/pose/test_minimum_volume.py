@@ -42,14 +42,6 @@ def test_boxes_are_as_tight_as_those_of_trimesh(shapes):
     assert ratios.quantile(0.95) <= 1.05
 
 
-@pytest.mark.slow
-def test_boxes_of_two_hundred_shapes_are_as_tight_as_those_of_trimesh():
-    clouds = random_shapes(200, 300)
-    ratios = volumes(clouds, tightest(clouds)) / trimesh_volumes(clouds)
-    assert ratios.median() <= 1.02
-    assert ratios.quantile(0.95) <= 1.05
-
-
 def test_the_volume_does_not_depend_on_how_the_cloud_is_turned_or_where_it_is(shapes):
     turn = random_rotations(len(shapes), torch.Generator().manual_seed(5))
     turned = shapes @ turn.mT + torch.tensor([0.4, -0.3, 0.2])
