@@ -213,11 +213,6 @@ def test_links_within_the_page_lead_somewhere(page: Page) -> None:
     assert {(attributes["href"] or "")[1:] for attributes in page.all("a")} <= places
 
 
-def test_the_same_folder_gives_the_same_bytes(folder: Path, text: str) -> None:
-    write_report(folder / "run", {track: folder / track for track in TRACKS})
-    assert (folder / "run/report.html").read_text(encoding="utf-8") == text
-
-
 @pytest.mark.slow
 def test_another_process_gives_the_same_bytes(folder: Path, text: str) -> None:
     code = "import sys; from pathlib import Path; from tests.worlds.runs import TRACKS, write_report; "
