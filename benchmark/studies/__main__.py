@@ -14,7 +14,6 @@ from datagen.storage.atomic import write_atomically
 
 PROGRAM = "python -m benchmark.studies"
 STUDIES = {
-    "errors": "Count a model's errors by type, over time, by number of objects, and where objects adjoin",
     "real_frames": "List the scores of each frame of runs on the track real-table",
     "views": "Compare rendered pictures with the input view and with other views",
 }
