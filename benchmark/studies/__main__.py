@@ -9,7 +9,7 @@ import tyro
 from benchmark.ranking.leaderboard import to_csv
 from datagen.console.command_line import run_program
 from datagen.console.interrupts import interruptible_imports
-from datagen.errors import EXIT_OK, unknown_name
+from datagen.errors import EXIT_OK, UsageError, unknown_name
 from datagen.storage.atomic import write_atomically
 
 PROGRAM = "python -m benchmark.studies"
@@ -36,14 +36,12 @@ def _run(arguments: list[str]) -> int:
     if name not in STUDIES:
         raise unknown_name("study", name, STUDIES)
     with interruptible_imports(PROGRAM):
-        from benchmark.studies.inputs import TableFlags, check_suffix, markdown
+        from benchmark.studies.inputs import markdown
 
         study = import_module(f"benchmark.studies.{name}")
     flags = tyro.cli(study.Flags, prog=f"{PROGRAM} {name}", args=rest, description=study.__doc__)
-    if not isinstance(flags, TableFlags):
-        study.run(flags)
-        return EXIT_OK
-    check_suffix("--csv", flags.csv, ".csv")
+    if flags.csv is not None and flags.csv.suffix != ".csv":
+        raise UsageError(f"--csv {flags.csv}: expected a name that ends with .csv.")
     lines = list(study.run(flags))
     if lines:
         print(markdown(lines))

@@ -8,7 +8,6 @@ from typing import Literal
 import torch
 
 from benchmark.ranking.leaderboard import Cell, Line
-from datagen.errors import UsageError
 from datagen.tracks import DataFolder, Source, find_track
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.storage.pretrained import shipped_to_create
@@ -66,26 +65,6 @@ class ModelFlags:
         torch.set_num_threads(1)
         keep_memory()
         return load_origin(self._model)
-
-    def check(self, **least: int) -> None:
-        """Check that options, given by name, have at least these values.
-
-        Raises:
-            UsageError: one has not.
-        """
-        for name, smallest in least.items():
-            if (value := getattr(self, name)) < smallest:
-                raise UsageError(f"--{name.replace('_', '-')} {value}: expected {smallest} or more.")
-
-
-def check_suffix(flag: str, path: Path | None, suffix: str) -> None:
-    """Check the ending of a file's name.
-
-    Raises:
-        UsageError: it differs.
-    """
-    if path is not None and path.suffix != suffix:
-        raise UsageError(f"{flag} {path}: expected a name that ends with {suffix}.")
 
 
 def markdown(lines: Sequence[Line]) -> str:
