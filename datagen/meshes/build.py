@@ -66,9 +66,7 @@ def mass_of(surface: Surface, hulls: tuple[Float[np.ndarray, "_ 3"], ...]) -> Ma
     return total([of_mesh(*_triangulated(part)) for part in hulls])
 
 
-def make_shape(
-    placed: Placed, mass: Mass, hulls: tuple[Float[np.ndarray, "_ 3"], ...], *, resting: bool = True
-) -> Shape:
+def make_shape(placed: Placed, mass: Mass, hulls: tuple[Float[np.ndarray, "_ 3"], ...]) -> Shape:
     """The shape around its centre of mass.
 
     Open surfaces are drawn from both sides: their faces appear a second time in reverse order.
@@ -96,7 +94,7 @@ def make_shape(
         size=np.ptp(vertices, axis=0),
         backs=0 if surface.closed else len(surface.faces),
         skin=reordered(skin, rows, turned) if skin else None,
-        resting=resting_directions(np.concatenate(parts)) if parts and resting else (),
+        resting=resting_directions(np.concatenate(parts)) if parts else (),
     )
 
 
