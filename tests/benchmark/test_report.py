@@ -107,26 +107,6 @@ def test_models_tracks_and_seeds_are_counted(page: Page, tmp_path: Path) -> None
     assert "here models have 1 seed." in words
 
 
-@pytest.mark.parametrize(
-    ("given", "fit_track", "said"),
-    [
-        ((), "moving", "1 test scene; dataset 5bec5bec; models fitted on this track."),
-        (("a", "b"), "moving", "dataset 5bec5bec; weights (§) trained before this run."),
-        (("a",), "moving", "models fitted on this track, except weights trained before this run (§)."),
-        ((), "mixed", "models fitted on mixed."),
-        (("a",), "mixed", "models fitted on mixed, except weights trained before this run (§)."),
-    ],
-)
-def test_weights_that_were_given_were_not_fitted(
-    tmp_path: Path, given: tuple[str, ...], fit_track: str, said: str
-) -> None:
-    for model in ("a", "b"):
-        row = run_row(model, n_scenes=1, fit_track=fit_track, pretrained="weights" if model in given else "")
-        save_run(tmp_path, row, scene_table({"ari_fg": [0.5]}))
-    write_report(tmp_path, {})
-    assert said in " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).text)
-
-
 def test_the_first_lines_name_project_dataset_command_and_date(page: Page) -> None:
     first = " ".join(" ".join(page.text[: page.text.index("Track ")]).split())
     for words in ("ObPose", *TRACKS, "obpose-bench --model <b>", "2026-01-02", "commit 01234567"):

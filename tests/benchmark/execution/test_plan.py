@@ -231,13 +231,6 @@ def test_models_that_learn_nothing_run_beside_them_as_ever(register, shipped: Pa
     assert plan("plane-dbscan", fit_source=MIXED).jobs == tuple(job for job in made.jobs if job.model != "net")
 
 
-def test_weights_that_do_not_ship_are_named_with_those_that_do(register, shipped: Path):
-    with pytest.raises(
-        UsageError, match=r"No weights of 'net' trained on 'moving' at 64x64.*There are: net--mixed--64x64"
-    ):
-        plan(pretrained=True)
-
-
 def test_a_wanted_row_is_the_same_whoever_asks(register):
     register(extra=("att",))
     keys = plan().keys

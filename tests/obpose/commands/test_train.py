@@ -161,34 +161,6 @@ def test_a_dataset_without_validation_scenes_is_trained_on(
     assert "Training obpose on spheres, 1 step, into" in errors
 
 
-def test_a_run_of_another_configuration_is_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    command = ["--data", str(data), "--steps", "1", "--out", str(tmp_path), *SETTINGS]
-    assert main(command) == 0
-    assert main([*command, "--seed", "1"]) == 2
-    assert "train.seed: 0, 1" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
-def test_too_little_memory_ends_in_one_line(
-    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    def fail(*_values: object) -> int:
-        raise error
-
-    monkeypatch.setattr("obpose.commands.train.run", fail)
-    assert main(["--track", "moving"]) == 3
-    assert capsys.readouterr().err.startswith("obpose-train: Out of memory; give smaller")
-
-
-def test_errors_of_ours_keep_their_trace(monkeypatch: pytest.MonkeyPatch):
-    def fail(*_values: object) -> int:
-        raise RuntimeError("tensors refer to a single memory location")
-
-    monkeypatch.setattr("obpose.commands.train.run", fail)
-    with pytest.raises(RuntimeError, match="single memory"):
-        main(["--track", "moving"])
-
-
 def test_values_of_which_nothing_can_be_made_leave_no_run(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
