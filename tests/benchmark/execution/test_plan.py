@@ -7,7 +7,7 @@ import pytest
 import assets
 from benchmark.commands.arguments import Run
 from benchmark.commands.request import request_of
-from benchmark.execution.jobs import GRACE_SECONDS, OVERHEAD, SLOWDOWN, STARTING_SECONDS, Job, Target, blank_row
+from benchmark.execution.jobs import OVERHEAD, STARTING_SECONDS, Job, Target, blank_row
 from benchmark.execution.plan import (
     SCENE_SECONDS,
     SCORING_SECONDS,
@@ -288,10 +288,3 @@ def test_the_duration_is_unknown_for_steps_and_not_given_without_training():
     assert estimate(Plan((), (job(seconds=float("inf"), steps=10),), {}), 2) is None
     assert estimate(Plan((), (job(folder=None),), {}), 2) is None
     assert estimate(Plan((), (), {}), 2) is None
-
-
-def test_the_time_limit_follows_from_the_budget():
-    assert job(folder=None).time_limit == GRACE_SECONDS
-    assert job().time_limit == GRACE_SECONDS + SLOWDOWN * MINUTES_20
-    assert job(seconds=float("inf"), steps=500).time_limit == GRACE_SECONDS + SLOWDOWN * 500
-    assert job(checkpoint=Path("c")).time_limit == GRACE_SECONDS

@@ -256,13 +256,6 @@ def test_a_region_outside_of_the_workspace_is_given_up_early(monkeypatch: pytest
     assert draws(dataclasses.replace(moving, layout=layout), monkeypatch, "or enlarge --layout.workspace-half") <= 40
 
 
-@pytest.mark.slow
-def test_twenty_objects_in_a_heap_are_given_up_early(monkeypatch: pytest.MonkeyPatch):
-    cluttered = load_recipe("cluttered")
-    objects = dataclasses.replace(cluttered.objects, minimum=20, maximum=20)
-    assert draws(dataclasses.replace(cluttered, objects=objects), monkeypatch) <= 40
-
-
 def test_a_recipe_is_hopeless_where_far_too_few_objects_fit():
     rng = np.random.default_rng(0)
     assert is_hopeless(rng.normal(9, 1.5, 20).round().astype(int).tolist(), 20)

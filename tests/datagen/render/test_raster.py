@@ -18,7 +18,7 @@ from datagen.render.raster import RasterRenderer
 from datagen.scene import Camera, Material, Table
 from datagen.shapes import build
 from tests.rays import surface_distance, table_depth, trace
-from tests.worlds.handmade import ABOVE_LEFT, FILL, FRONT, body, poses, render, scene, six_objects
+from tests.worlds.handmade import ABOVE_LEFT, FRONT, body, poses, render, scene, six_objects
 
 TENTH = 1e-4
 """Metres: the promised accuracy."""
@@ -162,17 +162,6 @@ def test_an_empty_scene_is_table_and_backdrop(raster):
     backdrop = np.rint(255 * np.array(scene().backdrop))
     assert np.abs(image.rgb[image.depth == 0][::7] - backdrop).max() <= 40
     assert np.median(np.abs(image.rgb[image.depth == 0] - backdrop)) <= 1
-
-
-def test_a_shadow_darkens_the_table_and_nothing_gets_darker_without_it(raster):
-    made = scene(body("box", {"size": [0.06, 0.06, 0.1]}, (0.28, 0.0, 0.05)))
-    bare = dataclasses.replace(made, lights=(dataclasses.replace(ABOVE_LEFT, casts_shadow=False), FILL))
-    with_shadow, without = render(raster, made, width=128, height=128), render(raster, bare, width=128, height=128)
-    change = without.rgb.astype(int) - with_shadow.rgb
-    assert change.min() >= 0
-    table = change.min(axis=-1)[with_shadow.segmentation == 0]
-    assert np.count_nonzero(table > 20) > 60
-    assert np.mean(table == 0) > 0.9
 
 
 def test_a_shadow_lies_where_the_light_is_hidden(raster):
