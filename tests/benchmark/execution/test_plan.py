@@ -278,12 +278,6 @@ def test_the_paper_s_tables_have_a_duration_and_no_row_takes_an_hour(tmp_path: P
     assert max(one.training + one.scoring for one in alone if one) < 3600
 
 
-def test_shipped_weights_take_no_training_time():
-    found = estimate(Plan((), (job(checkpoint=Path("c")),), {}), 2)
-    assert found
-    assert (found.training, found.scoring) == (0.0, SCORING_SECONDS)
-
-
 def test_the_duration_is_unknown_for_steps_and_not_given_without_training():
     assert estimate(Plan((), (job(seconds=float("inf"), steps=10),), {}), 2) is None
     assert estimate(Plan((), (job(folder=None),), {}), 2) is None
