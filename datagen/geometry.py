@@ -1,9 +1,11 @@
-"""Cameras and rigid poses; the one place where conventions are turned into arithmetic.
+"""Cameras, rigid poses and sRGB; the one place where conventions are turned into arithmetic.
 
 World: right-handed, z up, metres. Camera: OpenCV (x right, y down, z forward). Image: pixel (0, 0) is the top left one,
 its centre lies at (0.5, 0.5). Depth is planar: the camera's z, not the length of the ray. A pose `a_from_b` is a 4x4
 matrix that takes points of frame b to frame a. Quaternions are (w, x, y, z).
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -150,3 +152,13 @@ def unproject(
     """World points of a planar depth image in metres; pixels without return (depth 0) land on the camera's centre."""
     height, width = depth.shape
     return transform(world_from_camera, pixel_rays(k, width, height) * depth[..., None].astype(np.float64))
+
+
+def linear(srgb: Sequence[float] | Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """Linear light of sRGB values in 0..1 (IEC 61966-2-1)."""
+    value = np.asarray(srgb, np.float64)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+LINEAR = linear(np.arange(256) / 255)
+"""Linear light of each sRGB byte."""

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from datagen.config import Sensor
-from datagen.geometry import pixel_rays
+from datagen.geometry import LINEAR, pixel_rays
 from datagen.schema import MAX_DEPTH
 
 EDGE_JUMP = 0.01
@@ -92,7 +92,7 @@ def incidence(depth: Depth, k: Float[np.ndarray, "3 3"]) -> Depth:
 
 def luminance(rgb: UInt8[np.ndarray, "height width 3"]) -> Depth:
     """Linear luminance of an sRGB image, 0..1; used as reflectance, so that shadows count as dark too."""
-    return _LINEAR[rgb] @ LUMINANCE
+    return LINEAR[rgb] @ LUMINANCE
 
 
 def _tangent(
@@ -110,11 +110,3 @@ def _quantised(depth: Depth, step: float) -> Depth:
         return depth
     with np.errstate(divide="ignore"):
         return 1 / (np.maximum(np.rint(1 / (depth * step)), 1) * step)
-
-
-def _linear_table() -> Float[np.ndarray, "256"]:
-    values = np.arange(256) / 255
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-
-
-_LINEAR = _linear_table()

@@ -157,8 +157,3 @@ def test_what_is_wrong_is_noticed():
     assert ragged_rows(BAD) == ["| one cell |"]
     assert missing_files(BAD) == ["datagen/nowhere.py"]
     assert long_lines("x" * 121 + "\n| " + "x" * 121 + " |\n") == [1]
-
-
-def test_code_blocks_are_not_read_as_prose():
-    text = "```sh\n# [gone](gone.md)\n| one |\n| one | two |\n```\n"
-    assert (list(broken_links(text, ROOT / "README.md")), ragged_rows(text), slugs(text)) == ([], [], [])

@@ -1,4 +1,4 @@
-"""Turn the flags of `obpose-bench` into a request, and into limits of its jobs."""
+"""Turn the flags of `obpose-bench` into a request, and into limits of its jobs; check the numbers."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -6,13 +6,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from benchmark.commands import arguments
-from benchmark.commands.flag_limits import LIMITS, check_flag
 from benchmark.execution.executor import Limits, Runnable, limits
 from benchmark.execution.on_cluster import on_cluster
 from benchmark.execution.plan import Request, Weights
 from benchmark.models.adapters.predictions import PredictionFolder
+from benchmark.models.interface import LARGEST_LABEL
 from benchmark.models.registry import budget_of, discover, expand, find_model, row_names
 from benchmark.names import check_model_name, find_twin
+from benchmark.ranking.text import plain_number
 from datagen.errors import UsageError
 from datagen.storage.reader import Dataset
 from datagen.tracks import (
@@ -28,6 +29,33 @@ from datagen.tracks import (
 )
 from obpose.storage.pretrained import find_checkpoint
 from obpose.systems import system_of
+
+LIMITS: dict[str, tuple[float, float]] = {
+    "seeds": (1, 1000),
+    "workers": (1, 256),
+    "steps": (1, 10**9),
+    "scenes": (1, 10**6),
+    "refine": (0, 100_000),
+    "slots": (1, LARGEST_LABEL),
+    "background-slot": (0, LARGEST_LABEL),
+    "budget": (0.001, 31 * 24 * 3600),
+    "time-limit": (0.001, 31 * 24 * 60),
+    "memory-limit": (1, 2**30),
+}
+"""Smallest and largest value by the name of the flag, in the flag's unit."""
+
+
+def check_flag(flag: str, value: float | None) -> None:
+    """Check the value of a flag; None stands for a flag that was left out.
+
+    Raises:
+        UsageError: the value is out of range; states the range.
+    """
+    low, high = LIMITS[flag]
+    if value is not None and not low <= value <= high:  # also nan
+        shown = str(value) if isinstance(value, int) else plain_number(value)
+        raise UsageError(f"--{flag} is {shown:.40}; expected {plain_number(low)} to {plain_number(high)}.")
+
 
 FITTED_ON = "desk"
 """Track on which models for real tables are fitted and tuned: never on the real frames."""

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, Integer
 
-from benchmark.metrics.adjusted_rand import adjusted_rand
+from benchmark.metrics.agreement import adjusted_mutual_information, adjusted_rand
 from benchmark.metrics.boundaries import region_and_boundary
 from benchmark.metrics.contingency import compact, contingency, count
 from benchmark.metrics.detection import detection_scores, hota, idf1
-from benchmark.metrics.identity import identity_switches
-from benchmark.metrics.mutual_information import adjusted_mutual_information
+from benchmark.metrics.errors_by_type import identity_switches
 from benchmark.metrics.overlap import (
     background_overlap,
     best_background_slot,

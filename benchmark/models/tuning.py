@@ -37,16 +37,15 @@ def choose(
     *,
     seed: int,
     budget: float,
-    limit: int = FRAMES,
 ) -> Choice:
     """Choose the value of the model's grid with the best MSC-FG on validation clips; the first of equal ones.
 
-    A new model is fitted for every value, with an equal part of `budget`. It is scored on at most `limit` frames (not
+    A new model is fitted for every value, with an equal part of `budget`. It is scored on at most `FRAMES` frames (not
     counting views), spread evenly over the clips and over the frames of each. Values without a defined score lose.
     """
     if len(spec.grid) < 2:
         return Choice({**options, **spec.default}, ())
-    sample = subsample(val, truths, limit, whole_clips=spec.uses_time)
+    sample = subsample(val, truths, FRAMES, whole_clips=spec.uses_time)
     scores = []
     for value in spec.grid:
         model = spec.build({**options, **value})

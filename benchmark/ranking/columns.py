@@ -82,10 +82,10 @@ class Score:
     scale: float = 1.0
     """Factor from the stored unit to the printed one."""
 
-    def cell(self, row: Row, digits: int | None = None) -> str:
+    def cell(self, row: Row) -> str:
         """Format the score of a row."""
         mean, std = (value * self.scale for value in row.result.score(self.name, without_failed=row.without_failed))
-        return mean_and_std(mean, std, self.digits if digits is None else digits)
+        return mean_and_std(mean, std, self.digits)
 
     @property
     def is_oracle(self) -> bool:

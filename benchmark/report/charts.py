@@ -8,6 +8,7 @@ from benchmark.ranking.text import plain_number
 from datagen.console.text import counted
 
 WIDTH, HEIGHT = 320, 208
+SCATTER_SIZE = 560, 300
 LEFT, RIGHT, TOP, BOTTOM = 34, 12, 12, 40
 """Margins of the plotting area, in the units of the drawing."""
 
@@ -132,12 +133,12 @@ def history_chart(title: str, axis: str, lines: Sequence[tuple[int, Values, Valu
     return LineChart(title, axis, tuple(x_ticks), tuple(y_ticks), tuple(curves))
 
 
-def scatter(points: Sequence[tuple[int, str, float, float, str]], *, width: int = 560, height: int = 300) -> Scatter:
+def scatter(points: Sequence[tuple[int, str, float, float, str]]) -> Scatter:
     """Draw quality (0 to 1) over cost (logarithmic axis).
 
     Each point is (model, kind, cost, quality, words), best models first.
     """
-    costs = [cost for _, _, cost, _, _ in points]
+    costs, (width, height) = [cost for _, _, cost, _, _ in points], SCATTER_SIZE
     low, high = math.floor(math.log10(min(costs))), math.ceil(math.log10(max(costs)))
     high = max(high, low + 1)
     scale = (width - LEFT - 2 * RIGHT) / (high - low)

@@ -27,7 +27,7 @@ import numpy as np
 from benchmark.results.csv_files import Curve, parse_curve
 from datagen.errors import CorruptFile, UsageError
 from datagen.storage.atomic import write_atomically
-from datagen.storage.safe_io import MOST_TEXT_BYTES, parse_json, read_bytes
+from datagen.storage.safe_io import MOST_TEXT_BYTES, file_version, parse_json, read_bytes
 
 ROWS_FILE, SCENES_FILE, CURVES_FILE = "runs.jsonl.xz", "scenes.csv.xz", "curves.csv.xz"
 DECIMALS = 6
@@ -148,12 +148,11 @@ def stored_curves(folder: Path) -> dict[str, Curve]:
 
 def _load(path: Path, parse: Callable[[Path], Parsed]) -> Parsed:
     """Parse a file, or return the cached result if the file has not changed."""
-    status = path.stat()
-    return _load_version(path, parse, (status.st_dev, status.st_ino, status.st_mtime_ns, status.st_size))
+    return _load_version(path, parse, file_version(path))
 
 
 @lru_cache(maxsize=48)
-def _load_version(path: Path, parse: Callable[[Path], Any], _version: tuple[int, ...]) -> Any:
+def _load_version(path: Path, parse: Callable[[Path], Any], _version: tuple[int, ...] | None) -> Any:
     return parse(path)
 
 

@@ -9,18 +9,13 @@ import tyro
 from benchmark.ranking.leaderboard import to_csv
 from datagen.console.command_line import run_program
 from datagen.console.interrupts import interruptible_imports
-from datagen.errors import EXIT_OK, unknown_name
+from datagen.errors import EXIT_OK, UsageError, unknown_name
 from datagen.storage.atomic import write_atomically
 
 PROGRAM = "python -m benchmark.studies"
 STUDIES = {
-    "edits": "Draw the generator's edits of scenes beside a model's",
-    "errors": "Count a model's errors by type, over time, by number of objects, and where objects adjoin",
-    "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
-    "object_frames": "Measure how much objects vary over time in their own frames",
     "real_frames": "List the scores of each frame of runs on the track real-table",
     "views": "Compare rendered pictures with the input view and with other views",
-    "voxel_shapes": "Compare the voxel estimate of shapes with exact shapes and with volume rendering",
 }
 """Modules of this package, each with one line of help."""
 
@@ -41,14 +36,12 @@ def _run(arguments: list[str]) -> int:
     if name not in STUDIES:
         raise unknown_name("study", name, STUDIES)
     with interruptible_imports(PROGRAM):
-        from benchmark.studies.inputs import TableFlags, check_suffix, markdown
+        from benchmark.studies.inputs import markdown
 
         study = import_module(f"benchmark.studies.{name}")
     flags = tyro.cli(study.Flags, prog=f"{PROGRAM} {name}", args=rest, description=study.__doc__)
-    if not isinstance(flags, TableFlags):
-        study.run(flags)
-        return EXIT_OK
-    check_suffix("--csv", flags.csv, ".csv")
+    if flags.csv is not None and flags.csv.suffix != ".csv":
+        raise UsageError(f"--csv {flags.csv}: expected a name that ends with .csv.")
     lines = list(study.run(flags))
     if lines:
         print(markdown(lines))

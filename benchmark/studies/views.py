@@ -16,6 +16,7 @@ from benchmark.models.tuning import evenly_spaced
 from benchmark.ranking.leaderboard import Line
 from benchmark.ranking.statistics import draw, summarise
 from benchmark.studies.inputs import ModelFlags, TableFlags
+from datagen.errors import UsageError
 from datagen.geometry import project, unproject
 from datagen.schema import decode_depth
 from datagen.storage.reader import Dataset, Split, read_camera_poses
@@ -89,7 +90,9 @@ class Similarity:
 
 def run(flags: Flags) -> list[Line]:
     """Score pictures of all views."""
-    flags.check(scenes=1, frames=1, refine=0)
+    for name, least in (("scenes", 1), ("frames", 1), ("refine", 0)):
+        if (value := getattr(flags, name)) < least:
+            raise UsageError(f"--{name} {value}: expected {least} or more.")
     origin, folder = flags.origin(), flags.folder()
     if Dataset(folder).views > 1:
         flags.folder("train")

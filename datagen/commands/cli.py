@@ -29,6 +29,7 @@ from datagen.commands.arguments import (
 from datagen.config import Recipe, recipe_names
 from datagen.console.command_line import Command, run_command
 from datagen.errors import EXIT_OK, EXIT_VERIFICATION, UsageError
+from datagen.schema import EDITS, SIGNALS, SPLITS
 from datagen.sensor_presets import with_sensor
 from datagen.storage.reader import Dataset
 from datagen.storage.spec import CARD_FILE, read_spec, rendered_recipe_of
@@ -114,16 +115,13 @@ def _generate(values: Generate) -> int:
     recipe = values.constants.recipe()
     if values.video and not recipe.video:
         raise UsageError("--video contradicts --frames 1; leave one of them out.")
-    if values.simulate_only and (values.resolution or values.renderer):
-        raise UsageError("--simulate-only makes no images; give --resolution and --renderer to `render` instead.")
-    edits = options.parse_edits(values.edits)
-    if values.simulate_only and edits:
-        raise UsageError("--simulate-only makes no images, so that there is nothing to edit; give --edits to `render`.")
-    signals = options.parse_signals(values.signals)
-    if values.simulate_only and signals:
-        raise UsageError("--simulate-only makes no images, and signals belong to images; give --with to `render`.")
-    if values.simulate_only and values.compression != "gzip":
-        raise UsageError("--simulate-only makes no images; give --compression to `render` instead.")
+    edits = options.parse_names("--edits", values.edits, EDITS)
+    signals = options.parse_names("--with", values.signals, SIGNALS)
+    other = values.compression if values.compression != "gzip" else None
+    of_images = {"--resolution": values.resolution, "--renderer": values.renderer, "--edits": edits, "--with": signals}
+    if values.simulate_only:
+        for flag in (flag for flag, given in {**of_images, "--compression": other}.items() if given):
+            raise UsageError(f"--simulate-only makes no images; give {flag} to `render` instead.")
     cameras = _cameras(values.cameras)
     size = None
     if not values.simulate_only:
@@ -184,7 +182,8 @@ def _render(values: Render) -> int:
     recipe = rendered_recipe_of(spec)
     wanted = dataclasses.replace(recipe, rig=values.rig, views=values.views)
     size = options.parse_resolution(values.resolution) if values.resolution else None
-    edits = options.parse_edits(values.edits)
+    edits = options.parse_names("--edits", values.edits, EDITS)
+    signals = options.parse_names("--with", values.signals, SIGNALS)
     cameras = _cameras(values.cameras)
     if cameras and wanted != recipe:
         raise UsageError("--cameras replaces the rig; leave out --rig.* and --views.")
@@ -202,8 +201,7 @@ def _render(values: Render) -> int:
         _announce_compilation()
     rig = wanted if wanted != recipe else None
     settings: dict[str, Any] = {"renderer": values.renderer, "samples": values.samples, "rig": rig, "edits": edits}
-    settings |= {"assets": values.assets, "signals": options.parse_signals(values.signals), "cameras": cameras}
-    settings["compression"] = values.compression
+    settings |= {"assets": values.assets, "signals": signals, "cameras": cameras, "compression": values.compression}
     report = render(values.source, folder, resolution=size, **settings, run=run)
     _print_report(folder, report, spec["splits"])
     return EXIT_OK
@@ -295,7 +293,7 @@ def _export(values: Export) -> int:
     from datagen.console.progress import scene_progress
     from datagen.formats.export import export
 
-    splits = options.parse_split_names(values.splits)
+    splits = options.parse_names("--splits", values.splits, SPLITS)
     settings: dict[str, Any] = {"assets": values.assets, "overwrite": values.overwrite, "progress": scene_progress}
     counts = export(values.folder, values.out, values.format, splits=splits, **settings)
     print(f"{values.out.resolve()}: {', '.join(f'{number} {split}' for split, number in counts.items())} scenes.")

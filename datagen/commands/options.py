@@ -4,14 +4,15 @@ import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from datagen.config import Recipe, constant_names, load_recipe
 from datagen.errors import UsageError
-from datagen.schema import EDITS, SIGNALS, SPLITS, EditKind, Signal
+from datagen.schema import SPLITS
+from datagen.storage.cameras_file import LEAST_SIDE, MOST_SIDE
 from datagen.storage.spec import MOST_SCENES, split_sizes
 
-LEAST_SIDE, MOST_SIDE = 8, 4096
-"""Smallest and largest side of an image, pixels."""
+Name = TypeVar("Name", bound=str)
 
 MOST_SEED = 2**63 - 1
 
@@ -89,28 +90,16 @@ def _short(number: int) -> str:
     return str(number) if abs(number) < 10**_MOST_DIGITS else f"of more than {_MOST_DIGITS} digits"
 
 
-def parse_edits(text: str | None) -> tuple[EditKind, ...]:
-    """Parse a list of edits such as `remove,add`; None gives no edits.
+def parse_names(flag: str, text: str | None, known: Sequence[Name]) -> tuple[Name, ...]:
+    """Parse a list of names such as `remove,add`, and give them in the order of the known ones; None gives none.
 
     Raises:
-        UsageError: there is no such edit.
+        UsageError: a name is unknown.
     """
     names = [] if text is None else text.split(",")
-    if text is not None and (unknown := [name for name in names if name not in EDITS]):
-        raise UsageError(f"--edits {text}: unknown {unknown[0]!r}; expected some of {','.join(EDITS)}.")
-    return tuple(kind for kind in EDITS if kind in names)
-
-
-def parse_split_names(text: str) -> tuple[str, ...]:
-    """Parse a list of splits such as `train,val`.
-
-    Raises:
-        UsageError: there is no such split.
-    """
-    names = text.split(",")
-    if unknown := [name for name in names if name not in SPLITS]:
-        raise UsageError(f"--splits {text:.80}: unknown {unknown[0]!r:.40}; expected some of {','.join(SPLITS)}.")
-    return tuple(split for split in SPLITS if split in names)
+    if unknown := [name for name in names if name not in known]:
+        raise UsageError(f"{flag} {text:.80}: unknown {unknown[0]!r:.40}; expected some of {','.join(known)}.")
+    return tuple(name for name in known if name in names)
 
 
 def parse_shares(text: str | None) -> tuple[float, float, float] | None:
@@ -126,18 +115,6 @@ def parse_shares(text: str | None) -> tuple[float, float, float] | None:
         raise UsageError(f"--assets-split {text:.40}: expected shares of train, val and test, such as 80/10/10.")
     train, val, test = (float(share) for share in match.groups())
     return train, val, test
-
-
-def parse_signals(text: str | None) -> tuple[Signal, ...]:
-    """Parse a list of signals such as `flow,normals`; None gives no signals.
-
-    Raises:
-        UsageError: there is no such signal.
-    """
-    names = [] if text is None else text.split(",")
-    if unknown := [name for name in names if name not in SIGNALS]:
-        raise UsageError(f"--with {text:.80}: unknown {unknown[0]!r:.40}; expected some of {','.join(SIGNALS)}.")
-    return tuple(name for name in SIGNALS if name in names)
 
 
 def parse_share(text: str | None) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Build the `Shape` of a mesh: welded surface, mass, resting positions, colours."""
+"""Build the `Shape` of a mesh: welded surface, mass, resting positions, symmetry, colours."""
 
 from dataclasses import dataclass
 
@@ -11,12 +11,12 @@ from datagen.meshes.hulls import convex_corners
 from datagen.meshes.named_files import BadMesh
 from datagen.meshes.read import RawMesh
 from datagen.meshes.skins import make_skin, reordered
-from datagen.meshes.symmetry import find_symmetry
 from datagen.meshes.topology import Surface, signed_volume, smooth_normals, weld
 from datagen.meshes.units import Up, rotation_to_z
 from datagen.shapes.geometry.bounding import Outline, minimum_box
 from datagen.shapes.geometry.mass import Mass, of_mesh, total
 from datagen.shapes.shape import Shape
+from datagen.shapes.symmetry import about_z
 
 MOST_OPEN = 0.3
 """Share of open edges from which on triangles form no surface."""
@@ -66,9 +66,7 @@ def mass_of(surface: Surface, hulls: tuple[Float[np.ndarray, "_ 3"], ...]) -> Ma
     return total([of_mesh(*_triangulated(part)) for part in hulls])
 
 
-def make_shape(
-    placed: Placed, mass: Mass, hulls: tuple[Float[np.ndarray, "_ 3"], ...], *, resting: bool = True
-) -> Shape:
+def make_shape(placed: Placed, mass: Mass, hulls: tuple[Float[np.ndarray, "_ 3"], ...]) -> Shape:
     """The shape around its centre of mass.
 
     Open surfaces are drawn from both sides: their faces appear a second time in reverse order.
@@ -96,7 +94,7 @@ def make_shape(
         size=np.ptp(vertices, axis=0),
         backs=0 if surface.closed else len(surface.faces),
         skin=reordered(skin, rows, turned) if skin else None,
-        resting=resting_directions(np.concatenate(parts)) if parts and resting else (),
+        resting=resting_directions(np.concatenate(parts)) if parts else (),
     )
 
 
@@ -125,3 +123,30 @@ def _triangulated(part: Float[np.ndarray, "corner 3"]) -> tuple[np.ndarray, np.n
     inward = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) < 0
     faces[inward] = faces[inward][:, ::-1]
     return hull.points, faces
+
+
+TOLERANCE, MOST = 0.01, 0.03
+"""Distances, as shares of the longest side, by which 95 % and all of a turned mesh may miss itself: scans are rough."""
+
+_ORDERS = (2, 3, 4, 5, 6, 8)
+_ROUND = 24
+"""Number of steps of a full turn that a mesh must all match to count as round."""
+_MOST_POINTS = 400
+
+
+def find_symmetry(vertices: Float[np.ndarray, "vertex 3"], solid: MeshSolid) -> str:
+    """Name of the rotation group, see `datagen.shapes.symmetry`; `C1` if no turn about z maps it to itself."""
+    points = vertices[:: max(1, len(vertices) // _MOST_POINTS)]
+    longest = float(np.max(np.ptp(vertices, axis=0)))
+
+    def fits(rotation: np.ndarray) -> bool:
+        distance = solid.distance(points @ rotation.T)
+        return bool(np.max(distance) <= MOST * longest and np.quantile(distance, 0.95) <= TOLERANCE * longest)
+
+    turns = [order for order in _ORDERS if fits(about_z(np.array([2 * np.pi / order]))[0])]
+    if not turns:
+        return "C1"
+    order = str(max(turns))
+    if len(turns) > 2 and all(fits(turn) for turn in about_z(2 * np.pi * np.arange(1, _ROUND // 2) / _ROUND)):
+        order = "inf"
+    return ("D" if fits(np.diag([1.0, -1.0, -1.0])) else "C") + order

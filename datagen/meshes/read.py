@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from datagen.geometry import LINEAR
 from datagen.meshes.named_files import BadMesh, NamedFiles, joint_hash, read_file
 from datagen.storage.safe_io import MOST_IMAGE_PIXELS, brief_reason
 
@@ -172,9 +173,9 @@ def _piece(path: Path, geometry: Any, matrix: np.ndarray) -> _Piece:
         else:
             image = None
     elif visual.kind == "vertex":
-        colors, has_colors = linear(np.asarray(visual.vertex_colors)[:, :3])[faces], True
+        colors, has_colors = LINEAR[np.asarray(visual.vertex_colors)[:, :3]][faces], True
     elif visual.kind == "face":
-        colors, has_colors = np.repeat(linear(np.asarray(visual.face_colors)[:, None, :3]), 3, axis=1), True
+        colors, has_colors = np.repeat(LINEAR[np.asarray(visual.face_colors)[:, None, :3]], 3, axis=1), True
     images = () if image is None else (image,)
     index = np.full(len(faces), -1 if image is None else 0)
     if not np.all(np.isfinite(uv)):
@@ -195,7 +196,7 @@ def _material(path: Path, material: Any) -> tuple[np.ndarray, np.ndarray | None,
     if picture and (given or picture.size != (2, 2)):
         # Exporters write any Kd beside map_Kd; viewers show the texture alone.
         return np.ones(3), _pixels(path, picture), True
-    return linear(np.asarray(material.diffuse)[:3]), None, given
+    return LINEAR[np.asarray(material.diffuse)[:3]], None, given
 
 
 def _pixels(path: Path, picture: Any) -> np.ndarray:
@@ -228,17 +229,3 @@ def _merge(pieces: list[_Piece]) -> _Piece:
         images=tuple(images),
         has_colors=any(piece.has_colors for piece in pieces),
     )
-
-
-def linear(srgb: UInt8[np.ndarray, "*batch channel"]) -> Float[np.ndarray, "*batch channel"]:
-    """Linear values of sRGB bytes (IEC 61966-2-1)."""
-    return LINEAR[srgb]
-
-
-def _linear_table() -> Float[np.ndarray, "256"]:
-    value = np.arange(256) / 255
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
-LINEAR = _linear_table()
-"""Linear value of each sRGB byte."""

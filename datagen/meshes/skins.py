@@ -3,8 +3,9 @@
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-from datagen.meshes.read import LINEAR, RawMesh
-from datagen.shapes.skin import Skin
+from datagen.geometry import LINEAR
+from datagen.meshes.read import RawMesh
+from datagen.shapes.shape import Skin
 
 MOST_TEXELS = 2048
 """Largest side of a texture; larger ones are halved until they fit."""

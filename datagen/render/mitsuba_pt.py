@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from datagen.errors import UsageError
+from datagen.geometry import linear
 from datagen.render import kernels
 from datagen.render.pyrender_gl import refine
 from datagen.render.raster import RasterRenderer, pattern_index
-from datagen.render.renderer import NEAREST, light_axes, linear
+from datagen.render.renderer import NEAREST, light_axes
 from datagen.scene import Camera, Material, Scene
 from datagen.shapes.shape import Shape
 

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from datagen.errors import UsageError
+from datagen.geometry import linear
 from datagen.render import kernels
-from datagen.render.renderer import NEAREST, Image, light_axes, linear
+from datagen.render.renderer import NEAREST, Image, light_axes
 from datagen.scene import Camera, Light, Material, Scene
-from datagen.shapes.shape import Shape
-from datagen.shapes.skin import Skin
+from datagen.shapes.shape import Shape, Skin
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 

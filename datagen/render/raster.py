@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from datagen.geometry import cross, invert_rigid
+from datagen.geometry import cross, invert_rigid, linear
 from datagen.render import kernels
-from datagen.render.renderer import Image, light_axes, linear
+from datagen.render.renderer import Image, light_axes
 from datagen.scene import Camera, Light, Material, Pattern, Scene
 from datagen.shapes.shape import Shape
 

@@ -63,12 +63,6 @@ class PathTracer(Renderer, Protocol):
         ...
 
 
-def linear(srgb: Vector) -> Float[np.ndarray, "3"]:
-    """Linear RGB of an sRGB colour in 0..1 (IEC 61966-2-1)."""
-    value = np.asarray(srgb, np.float64)
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
 def light_axes(direction: Vector) -> Float[np.ndarray, "3 3"]:
     """Right-handed axes in rows, the last one towards a light in the given world direction."""
     toward = np.asarray(direction, np.float64)

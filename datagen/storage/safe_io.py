@@ -96,6 +96,15 @@ def check_file(path: Path, most_bytes: int) -> None:
         )
 
 
+def file_version(path: Path) -> tuple[int, ...] | None:
+    """Give numbers that change with a file (device, inode, size, time of modification); None if it is not there."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
+
+
 def read_bytes(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
     """Read a whole file of limited size; raises as `check_file`, and OSError where it cannot be read."""
     check_file(path, most_bytes)

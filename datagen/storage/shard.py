@@ -35,6 +35,7 @@ from datagen.schema import (
 from datagen.storage.safe_io import (
     LZ4_FILTER,
     MOST_CHUNK_BYTES,
+    file_version,
     hdf5_attribute,
     hdf5_dataset,
     hdf5_dataset_again,
@@ -218,7 +219,7 @@ class Checked:
     """Checks that a shard has passed, which need no repetition while its file stays the same."""
 
     version: tuple[int, ...] | None
-    """Inode, size and time of modification of the file."""
+    """The file's `file_version`."""
     scenes: int
     fields: tuple[str, ...]
     """Names of all arrays."""
@@ -228,14 +229,6 @@ class Checked:
 
 _shared = functools.lru_cache(maxsize=64)(lambda names: names)
 """Gives one object for equal names, so that a million shards do not hold as many copies."""
-
-
-def _version(path: Path) -> tuple[int, ...] | None:
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 class Shard:
@@ -268,7 +261,7 @@ class Shard:
         if self._compression == "lz4":
             load_lz4()
         self._imported = is_imported(spec)
-        self._version = _version(self.path)
+        self._version = file_version(self.path)
         if checked and checked.version == self._version:
             self._file = open_hdf5_again(self.path, _ADVICE)
             self._scenes, self.fields, self._checked = checked.scenes, list(checked.fields), set(checked.arrays)

@@ -13,7 +13,7 @@ from obpose.model.layers.latent import LATENT, RecurrentLatent
 from obpose.model.nerf.field import Field
 from obpose.model.obpose import ObPose
 from obpose.model.pose.encoder import ObjectEncoder
-from obpose.model.pose.where import Where
+from obpose.model.pose.location import Where
 
 
 def build_obpose(config: Config) -> ObPose:

@@ -18,26 +18,22 @@ from obpose.config import Config
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject
 from obpose.model.attention.given import Labels, attended_as_labelled
 from obpose.model.attention.heads import Heads
-from obpose.model.attention.interface import Attended, Attention
-from obpose.model.attention.posterior import posterior_masks
-from obpose.model.attention.summary import not_largest
+from obpose.model.attention.interface import Attended, Attention, not_largest
 from obpose.model.attention.upsample import masks_at
 from obpose.model.backbone import Backbone, plain_colours
 from obpose.model.layers.latent import RecurrentLatent
 from obpose.model.losses.attention import attention_loss, attention_warmup
-from obpose.model.losses.objective import observation_terms, weighted_terms
+from obpose.model.losses.objective import kl, observation_terms, remaining_scope, translation, weighted_terms
 from obpose.model.losses.observation import colour_log_likelihood
-from obpose.model.losses.regularisers import kl, remaining_scope, translation
 from obpose.model.nerf.along import Decode, FieldsAlongRays, fields_along
 from obpose.model.nerf.components import Background, Codes, Colours, Fields, decode, decode_background
 from obpose.model.nerf.field import Field
 from obpose.model.nerf.voxels import estimate_shape
-from obpose.model.perception import Points, embed, pixel_owners, select_input_views
+from obpose.model.perception import Points, embed, pixel_owners, posterior_masks, select_input_views
 from obpose.model.pose.crop import BoxSamples, gather_box
 from obpose.model.pose.encoder import ObjectEncoder
-from obpose.model.pose.location import observed_center
+from obpose.model.pose.location import Where, observed_center
 from obpose.model.pose.orientation import observed_rotation
-from obpose.model.pose.where import Where
 from obpose.trainable import Trainable
 from obpose.types import (
     Boxes,

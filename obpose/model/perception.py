@@ -1,4 +1,10 @@
-"""Functions shared by models whose masks come from backbone, heads and attention (paper, section Encoder)."""
+"""Functions shared by models whose masks come from backbone, heads and attention (paper, section Encoder).
+
+Their masks do not depend on what the fields make of their points. Points at a border, or of an object that two masks
+share, are explained better by one of the fields. So masks become posteriors: an E-step of the fields' mixture.
+"""
+
+from dataclasses import replace
 
 import torch
 from einops import rearrange
@@ -8,9 +14,11 @@ from torch import Tensor
 from obpose.config import ModelConfig, Views
 from obpose.data.clips import Observed, random_view
 from obpose.model.attention.heads import Heads
+from obpose.model.attention.interface import EXCLUDED
 from obpose.model.attention.upsample import masks_at
 from obpose.model.backbone import Backbone
-from obpose.types import Embeddings, GridValid, Masks, Observation
+from obpose.model.nerf.compose import log_share
+from obpose.types import ComponentMasks, Embeddings, GridValid, Masks, Observation
 
 Points = Float[Tensor, "batch frame view height width 3"]
 
@@ -69,3 +77,19 @@ def pixel_owners(
         log_masks = masks_at(log_masks, valid, pixels, grid=(views, *grid), size=(height, width))
     owners = log_masks.argmax(dim=2)
     return owners.view_as(observation.valid) * observation.valid
+
+
+def posterior_masks(masks: Masks, logits: ComponentMasks, log_likelihood: ComponentMasks, valid: GridValid) -> Masks:
+    """Masks m_k in proportion to sigma_hat_k N(x | c_k), from density logits and log-likelihoods of the colours.
+
+    This is the posterior of the mixture in the first term of L_obs (paper, section Training), with one likelihood for
+    all colour channels. No scope remains. Invalid points belong to the background, which is the first component.
+    """
+    posterior = (log_share(logits) + log_likelihood).log_softmax(dim=2).clamp(min=EXCLUDED)
+    nobody = torch.full_like(posterior, EXCLUDED)
+    nobody[:, :, 0] = 0
+    return replace(
+        masks,
+        log_masks=torch.where(valid[:, :, None], posterior, nobody),
+        log_scope=torch.full_like(masks.log_scope, EXCLUDED),
+    )

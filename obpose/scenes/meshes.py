@@ -10,6 +10,7 @@ import trimesh
 from skimage.measure import marching_cubes
 from trimesh.visual import ColorVisuals
 
+from datagen.geometry import LINEAR
 from datagen.storage.atomic import write_atomically
 from obpose.errors import UsageError
 from obpose.geometry import from_box
@@ -96,14 +97,9 @@ def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:
 def to_glb(mesh: trimesh.Trimesh) -> bytes:
     """Encode a mesh as GLB, whose vertex colours are linear (glTF 2.0); those of the mesh are sRGB."""
     encoded = mesh.copy()
-    encoded.visual.vertex_colors = linear(np.asarray(mesh.visual.vertex_colors))  # pyright: ignore
+    colours = np.array(mesh.visual.vertex_colors)  # pyright: ignore
+    colours[:, :3] = (255 * LINEAR[colours[:, :3]]).round()
+    encoded.visual.vertex_colors = colours  # pyright: ignore
     data = encoded.export(file_type="glb")
     assert isinstance(data, bytes)
     return data
-
-
-def linear(colours: np.ndarray) -> np.ndarray:
-    """Convert 8-bit sRGB to linear RGB, which glTF's vertex colours are; an alpha channel stays unchanged."""
-    values = colours[:, :3] / 255
-    decoded = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    return np.concatenate([(255 * decoded).round().astype(np.uint8), colours[:, 3:]], axis=1)

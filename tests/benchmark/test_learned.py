@@ -115,18 +115,6 @@ def test_a_run_that_was_ended_goes_on_and_gives_the_same_labels(
         np.testing.assert_array_equal(labels_in(tmp_path)[model], labels)
 
 
-def test_another_track_is_scored_without_training_anew(tiny_dataset: Path, tmp_path: Path, capsys):
-    command = ("--model", "obpose-none", "--seeds", 1, "--data", tiny_dataset, "--out", tmp_path, "--steps", 2)
-    assert run_cli(*command) == EXIT_OK
-    (log,) = tmp_path.glob("training/*/training.csv")
-    before = log.read_bytes()
-    for path in (tmp_path / "runs").iterdir():
-        path.unlink()
-    assert run_cli(*command) == EXIT_OK
-    assert log.read_bytes() == before
-    assert len(load_runs(tmp_path)) == 2
-
-
 def test_a_budget_in_seconds_is_kept_and_the_time_is_told_beforehand(tiny_dataset: Path, tmp_path: Path, capsys):
     command = ("--model", "obpose-loc", "--seeds", 1, "--data", tiny_dataset, "--out", tmp_path, "--budget", 3)
     assert run_cli(*command) == EXIT_OK

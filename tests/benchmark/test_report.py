@@ -88,13 +88,6 @@ def test_the_page_refers_to_nothing_outside(text: str, page: Page) -> None:
             assert (attributes.get(name) or "#").startswith(("#", "data:"))
 
 
-def test_every_model_and_track_is_there(page: Page) -> None:
-    words = " ".join(page.text)
-    assert all(name in words for name in (*MODELS, *TRACKS))
-    options = {attributes.get("value") for attributes in page.all("option")}
-    assert set(TRACKS) <= options
-
-
 def test_models_tracks_and_seeds_are_counted(page: Page, tmp_path: Path) -> None:
     words = " ".join(page.text)
     assert "6 models on 2 tracks" in words
@@ -105,26 +98,6 @@ def test_models_tracks_and_seeds_are_counted(page: Page, tmp_path: Path) -> None
     assert "1 model on 1 track" in words
     assert "1 test scene;" in words
     assert "here models have 1 seed." in words
-
-
-@pytest.mark.parametrize(
-    ("given", "fit_track", "said"),
-    [
-        ((), "moving", "1 test scene; dataset 5bec5bec; models fitted on this track."),
-        (("a", "b"), "moving", "dataset 5bec5bec; weights (§) trained before this run."),
-        (("a",), "moving", "models fitted on this track, except weights trained before this run (§)."),
-        ((), "mixed", "models fitted on mixed."),
-        (("a",), "mixed", "models fitted on mixed, except weights trained before this run (§)."),
-    ],
-)
-def test_weights_that_were_given_were_not_fitted(
-    tmp_path: Path, given: tuple[str, ...], fit_track: str, said: str
-) -> None:
-    for model in ("a", "b"):
-        row = run_row(model, n_scenes=1, fit_track=fit_track, pretrained="weights" if model in given else "")
-        save_run(tmp_path, row, scene_table({"ari_fg": [0.5]}))
-    write_report(tmp_path, {})
-    assert said in " ".join(Page((tmp_path / "report.html").read_text(encoding="utf-8")).text)
 
 
 def test_the_first_lines_name_project_dataset_command_and_date(page: Page) -> None:
@@ -211,11 +184,6 @@ def test_the_papers_figures_stand_apart(page: Page) -> None:
 def test_links_within_the_page_lead_somewhere(page: Page) -> None:
     places = {attributes.get(name) for _, attributes in page.tags for name in ("id", "data-id")}
     assert {(attributes["href"] or "")[1:] for attributes in page.all("a")} <= places
-
-
-def test_the_same_folder_gives_the_same_bytes(folder: Path, text: str) -> None:
-    write_report(folder / "run", {track: folder / track for track in TRACKS})
-    assert (folder / "run/report.html").read_text(encoding="utf-8") == text
 
 
 @pytest.mark.slow

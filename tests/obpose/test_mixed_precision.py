@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from obpose.baselines.obsurf.projection import project
+from obpose.baselines.obsurf.encoder import project
 from obpose.config import LatentConfig
 from obpose.geometry import from_box, to_box, unproject, view_directions
 from obpose.model.layers.kpconv import influence, kernel_points

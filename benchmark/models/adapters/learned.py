@@ -1,4 +1,4 @@
-"""The systems of `obpose.systems` as models of the benchmark: clips to observations, labels back."""
+"""The systems of `obpose.systems` as models of the benchmark: clips to observations, labels and poses back."""
 
 import copy
 from collections.abc import Mapping, Sequence
@@ -6,17 +6,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from einops import rearrange
+from jaxtyping import Float, Int
 
-from benchmark.models.adapters.poses import poses_of
-from benchmark.models.interface import Clip, Prediction
+from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.models.model_spec import settings_of
 from benchmark.models.validation import ValidationScorer
 from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views
 from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
+from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
 from obpose.rgbd.weights import look_for
 from obpose.storage.checkpoint import load
@@ -24,6 +26,7 @@ from obpose.systems import find_system, slots_for
 from obpose.trainable import Trainable
 from obpose.training.devices import keep_memory
 from obpose.training.loop import CurvePoint, train
+from obpose.types import Boxes, Observation, SceneSegmentation, Segmentation
 
 
 class LearnedSegmenter:
@@ -130,3 +133,45 @@ def _point(point: CurvePoint) -> dict[str, float]:
     """Validation losses of a curve point. `benchmark.ranking.failed_seeds` looks for names that contain "loss"."""
     losses = {"loss" if name == "total" else f"{name} loss": value for name, value in point.losses.items()}
     return {"step": float(point.step), "seconds": point.seconds, **losses}
+
+
+def poses_of(model: Trainable, found: Segmentation, observation: Observation) -> Poses | None:
+    """Poses of the objects in a segmentation; None if the model has no poses. Label 0 is the background.
+
+    Scenes of the batch are views of one clip. The center is T_hat, the rotation is R. The model's own boxes are cubes
+    of one size, so boxes are measured: the smallest box, centred at T_hat and along R, around the label's surface
+    points. Objects are thus assumed symmetric about T_hat.
+    """
+    if not isinstance(model, ObPose) or not isinstance(found, SceneSegmentation) or found.inference.where is None:
+        return None
+    boxes = found.inference.boxes
+    reach = _reach(boxes, found.labels, unproject(observation))
+    there = reach.isfinite().all(dim=-1)
+    values = (
+        boxes.center.masked_fill(~there[..., None], torch.nan),
+        boxes.rotation.masked_fill(~there[..., None, None], torch.nan),
+        2 * reach.masked_fill(~there[..., None], torch.nan),
+    )
+    return Poses(*(_with_background(value) for value in values))
+
+
+def _reach(
+    boxes: Boxes,
+    labels: Int[torch.Tensor, "view frame 1 height width"],
+    points: Float[torch.Tensor, "view frame 1 height width 3"],
+) -> Float[torch.Tensor, "view frame slot 3"]:
+    """Largest distances of each label's points from its box's centre, along the box's axes; -inf without points."""
+    flat, owner = (rearrange(array, "v f 1 h w ... -> v f (h w) ...") for array in (points, labels))
+    reaches = []
+    for slot in range(boxes.center.shape[2]):
+        local = torch.einsum("vfpi,vfij->vfpj", flat - boxes.center[:, :, slot, None], boxes.rotation[:, :, slot])
+        mine = (owner == slot + 1)[..., None]
+        reaches.append(local.abs().masked_fill(~mine, -torch.inf).amax(dim=2))
+    return torch.stack(reaches, dim=2)
+
+
+def _with_background(
+    values: Float[torch.Tensor, "view frame slot *shape"],
+) -> Float[np.ndarray, "frame view label *shape"]:
+    array = rearrange(values, "view frame ... -> frame view ...").double().cpu().numpy()
+    return np.concatenate([np.full_like(array[:, :, :1], np.nan), array], axis=2)

@@ -26,7 +26,7 @@ from benchmark.models.contract import ARRAYS, pose_fault
 from benchmark.models.interface import LARGEST_LABEL, Clip, Poses, Prediction
 from benchmark.results.poses import GROUP, Order, StoredPoses, poses_in
 from datagen.errors import UsageError
-from datagen.storage.safe_io import hdf5_dataset, npz_headers, open_hdf5, open_image, read_hdf5, read_npz
+from datagen.storage.safe_io import file_version, hdf5_dataset, npz_headers, open_hdf5, open_image, read_hdf5, read_npz
 
 SPLIT = "test"
 HDF5 = "labels.h5"
@@ -183,23 +183,18 @@ def _read_hdf5(path: Path, scene: int, size: tuple[int, ...]) -> tuple[np.ndarra
         there = hdf5_dataset(file, "labels").shape if "labels" in file else ()
         labels = _labels_of(path, file, (max(scene + 1, *there[:1], 0), *size))
         slots = _background_slots(path, file, len(labels))
-        order = _order(path, _version(path))
+        order = _order(path, file_version(path))
         poses = StoredPoses(file, order) if order else None
         slot = None if slots is None else int(slots[scene])
         return read_hdf5(labels, scene), slot, None if poses is None else poses[scene]
 
 
 @functools.lru_cache(maxsize=1)
-def _order(path: Path, version: tuple[int, ...]) -> Order | None:
+def _order(path: Path, _version: tuple[int, ...] | None) -> Order | None:
     """Rows of the poses of each scene, found once for each version of a file."""
     with open_hdf5(path, ADVICE) as file:
         poses = poses_in(file)
         return poses.order if poses else None
-
-
-def _version(path: Path) -> tuple[int, ...]:
-    status = path.stat()
-    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _check_npz(path: Path, size: tuple[int, ...]) -> None:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int64, UInt8
 
-from benchmark.models.classical.points import pixel_width, scene_points, viewpoints
-from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.classical.points import Untrained, keep_largest, pixel_width, scene_points, viewpoints
 from benchmark.models.interface import Clip, Prediction
 from datagen.rgbd.plane import fit_plane
 

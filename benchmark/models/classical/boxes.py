@@ -15,7 +15,7 @@ from benchmark.clips import visible_centers
 from benchmark.metrics.box_overlap import Box
 from benchmark.models.classical.oracles import truth_of
 from benchmark.models.classical.plane_hdbscan import PlaneHdbscan
-from benchmark.models.classical.untrained import Untrained
+from benchmark.models.classical.points import Untrained
 from benchmark.models.interface import Clip, Poses, Prediction
 from datagen.shapes.geometry.bounding import Outline, minimum_box
 

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from benchmark.models.classical.above_plane import standing
-from benchmark.models.classical.points import pixel_width, scene_points
-from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.classical.points import Untrained, keep_largest, pixel_width, scene_points
 from benchmark.models.interface import Clip, Prediction
 from obpose.contact.tracking import COLOUR_SCALE, Cloud, join_small, large, split, track
 

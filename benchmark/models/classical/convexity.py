@@ -13,8 +13,7 @@ from jaxtyping import Bool, Float, Int64, UInt8
 
 from benchmark.models.classical.above_plane import standing
 from benchmark.models.classical.plane_hdbscan import adopt_lone
-from benchmark.models.classical.points import pixel_width, scene_points
-from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.classical.points import Untrained, keep_largest, pixel_width, scene_points
 from benchmark.models.interface import Clip, Prediction
 from obpose.contact.linkage import average_linkage
 

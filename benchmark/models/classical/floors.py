@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int64
 
-from benchmark.models.classical.untrained import Untrained
+from benchmark.models.classical.points import Untrained
 from benchmark.models.interface import Clip, Prediction
 
 

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int64
 
-from benchmark.models.classical.points import scene_points
-from benchmark.models.classical.untrained import Untrained
+from benchmark.models.classical.points import Untrained, scene_points
 from benchmark.models.interface import Clip, Prediction
 
 SAMPLE = 4096

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from benchmark.models.classical.floors import grid_cells
-from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.classical.points import Untrained, keep_largest
 from benchmark.models.interface import Clip, Prediction, object_slots
 
 QUARTER = 4

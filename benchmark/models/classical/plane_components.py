@@ -7,8 +7,7 @@ import scipy
 from jaxtyping import Bool, Float32, Int64
 
 from benchmark.models.classical.above_plane import standing
-from benchmark.models.classical.points import pixel_width, scene_points
-from benchmark.models.classical.untrained import Untrained, keep_largest
+from benchmark.models.classical.points import Untrained, keep_largest, pixel_width, scene_points
 from benchmark.models.interface import Clip, Prediction
 
 HALF_NEIGHBOURHOOD = ((0, 1), (1, -1), (1, 0), (1, 1))

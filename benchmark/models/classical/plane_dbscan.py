@@ -7,8 +7,7 @@ import scipy
 from jaxtyping import Float, Int64, UInt8
 
 from benchmark.models.classical.above_plane import PlaneClustering
-from benchmark.models.classical.points import VOXEL_PIXELS, scene_points, voxels
-from benchmark.models.classical.untrained import keep_largest
+from benchmark.models.classical.points import VOXEL_PIXELS, keep_largest, scene_points, voxels
 from benchmark.models.interface import Clip, Prediction
 
 LEAST_NEIGHBOURS = 3

@@ -1,9 +1,12 @@
-"""Surface points of a clip, and lengths derived from them."""
+"""Shared parts of models without training: their base, surface points of a clip, and a limit on labels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float, Int64
 
-from benchmark.models.interface import Clip
+from benchmark.models.interface import LARGEST_LABEL, Clip
 from datagen.geometry import invert_rigid
 
 VOXEL_PIXELS = 0.5
@@ -46,3 +49,25 @@ def cell_ids(points: Float[np.ndarray, "point 3"], size: float) -> Int64[np.ndar
     """Number the cubic cells of `size` metres; 21 bits per axis suffice for 8 km of cells of 4 mm."""
     x, y, z = (np.floor(points / size).astype(np.int64) & 0x1FFFFF).T
     return (x << 42) | (y << 21) | z
+
+
+@dataclass
+class Untrained:
+    """Base of segmenters that learn nothing; their fields are their options."""
+
+    seed: int = field(default=0, init=False)
+    """Set by `fit`."""
+
+    def fit(self, train: Sequence[Clip], val: Sequence[Clip], *, seed: int, budget: float) -> None:
+        """Keep the seed; there is nothing to learn."""
+        self.seed = seed
+
+
+def keep_largest(labels: Int64[np.ndarray, "*pixel"], count: int = LARGEST_LABEL) -> Int64[np.ndarray, "*pixel"]:
+    """Relabel the `count` largest segments from 1, in their old order; the others join segment 0."""
+    sizes = np.bincount(labels.ravel(), minlength=1)
+    sizes[0] = 0
+    largest = np.argsort(-sizes, kind="stable")[: min(count, np.count_nonzero(sizes))]
+    new = np.zeros(len(sizes), np.int64)
+    new[np.sort(largest)] = np.arange(1, len(largest) + 1)
+    return new[labels]

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.results.csv_files import read_csv
-from benchmark.tasks.editing.answers import Answer
-from benchmark.tasks.editing.scores import METRICS
+from benchmark.tasks.editing.answers import METRICS, Answer
 from benchmark.tasks.editing.truth import Pair
 from datagen.errors import CorruptFile
 from datagen.schema import EDITS

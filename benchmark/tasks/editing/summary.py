@@ -13,8 +13,8 @@ from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.ranking.statistics import Summary, draw, summarise
 from benchmark.ranking.text import markdown as markdown_text
 from benchmark.ranking.text import terminal
+from benchmark.tasks.editing.answers import LARGEST_PSNR, METRICS
 from benchmark.tasks.editing.lines import load_all
-from benchmark.tasks.editing.scores import LARGEST_PSNR, METRICS
 from datagen.console.text import counted
 from datagen.schema import EDITS
 from datagen.storage.atomic import write_atomically

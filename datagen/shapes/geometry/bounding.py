@@ -19,6 +19,9 @@ STARTS = 4
 WORTHWHILE = 0.999
 """Share of the aligned box's volume that a turned box must fall below to be preferred."""
 
+_SPACING = 0.2
+"""Angle between neighbouring orientations of the coarse grid, radians."""
+
 
 @dataclass(frozen=True, eq=False)
 class Outline:
@@ -125,10 +128,10 @@ def _volumes(outline: Outline, rotations: Float[np.ndarray, "box 3 3"]) -> Float
 
 
 @lru_cache(maxsize=1)
-def _orientations(spacing: float = 0.2) -> Float[np.ndarray, "box 3 3"]:
+def _orientations() -> Float[np.ndarray, "box 3 3"]:
     """Evenly spread orientations of a box; each stands for all 24 that give the same box."""
     limit = np.sqrt(2) - 1
-    steps = np.arange(-limit, limit + 1e-9, spacing / 2)
+    steps = np.arange(-limit, limit + 1e-9, _SPACING / 2)
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     # Rodrigues vectors of rotations closer to the identity than to any other rotation of the cube.
     return _from_rodrigues(grid[np.abs(grid).sum(axis=1) <= 1 + 1e-9])

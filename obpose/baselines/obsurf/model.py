@@ -15,12 +15,11 @@ from torch import Tensor
 from obpose.baselines.obsurf import losses
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.decoder import SlotField
-from obpose.baselines.obsurf.encoder import ImageEncoder
-from obpose.baselines.obsurf.projection import code_size, fourier_code, nearest_cells, project
+from obpose.baselines.obsurf.encoder import ImageEncoder, code_size, fourier_code, nearest_cells, project
 from obpose.baselines.obsurf.slots import SlotAttention, Slots
 from obpose.data.clips import random_view, separate_views
 from obpose.geometry import all_rays, sample_rays, sample_rays_where, unproject, view_directions
-from obpose.model.attention.summary import not_largest
+from obpose.model.attention.interface import not_largest
 from obpose.model.nerf.along import NEAR_SHARE, air_points, surface_points
 from obpose.trainable import Trainable
 from obpose.types import Observation, RayPoints, Rays, Segmentation

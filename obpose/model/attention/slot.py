@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from obpose.config import ModelConfig, Weights
-from obpose.model.attention.interface import EXCLUDED, Attended, Attention
-from obpose.model.attention.summary import mean_under
+from obpose.model.attention.interface import EXCLUDED, Attended, Attention, mean_under
 from obpose.model.layers.mlp import mlp, pass_on
 from obpose.model.nerf.field import positional_encoding
 from obpose.types import ComponentMasks, Embeddings, GridValid, Masks

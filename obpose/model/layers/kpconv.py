@@ -20,14 +20,14 @@ EXTENT = 0.48
 @torch.no_grad()
 @full_precision
 def influence(
-    offsets: Float[Tensor, "*points 3"], kernel: Float[Tensor, "kernel 3"], *, extent: float = EXTENT
+    offsets: Float[Tensor, "*points 3"], kernel: Float[Tensor, "kernel 3"]
 ) -> Float[Tensor, "*points kernel"]:
-    """Influence of each kernel point at each offset (Thomas et al., eq. 3): max(0, 1 - |y - k| / extent).
+    """Influence of each kernel point at each offset (Thomas et al., eq. 3): max(0, 1 - |y - k| / sigma).
 
     Offsets and kernel points are in units of the radius. There is no gradient. |y|^2 - 2 y k + |k|^2 instead of the
     difference avoids storing three coordinates per pair, and needs full precision.
     """
-    offsets, kernel = offsets / extent, kernel / extent
+    offsets, kernel = offsets / EXTENT, kernel / EXTENT
     # |y - k|^2 by a matrix product, then 1 - |y - k|, at least 0.
     own = offsets.square() @ offsets.new_ones(3, 1)
     distance = F.linear(offsets, -2 * kernel, kernel.square().sum(-1)).add_(own).clamp_(0, 1).sqrt_()

@@ -1,15 +1,19 @@
-"""Centres of the observed points of objects.
+"""Locations of objects: the centres of their observed points, and the learned correction, the `where` module.
 
-Paper, section Object Location and Orientation Conditioned Encoding, the first equation.
+Paper, section Object Location and Orientation Conditioned Encoding. The input of `where` are unrotated boxes at the
+observed centres, {T, I}.
 """
 
 import torch
 from einops import rearrange, repeat
 from jaxtyping import Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 
+from obpose.config import ModelConfig
+from obpose.model.layers.latent import LATENT, RecurrentLatent
+from obpose.model.layers.mlp import mlp
 from obpose.model.layers.numerics import full_precision, sharpen
-from obpose.types import ComponentMasks, GridPoints, GridValid
+from obpose.types import ComponentMasks, Draw, GridPoints, GridValid, Latent
 
 MIN_POINTS = 1
 """A slot keeps its location from the previous frame if it has the largest mask at fewer points of the embedding grid.
@@ -47,3 +51,28 @@ def count_points(log_masks: ComponentMasks, valid: GridValid) -> Int[Tensor, "ba
     owner = log_masks.max(dim=2).indices.masked_fill(~valid, 0)
     slots = torch.arange(1, log_masks.shape[2], device=log_masks.device)
     return (rearrange(owner, "b f point -> b f 1 point") == rearrange(slots, "slot -> slot 1")).sum(dim=-1)
+
+
+_TRANSLATION_WIDTH = 256
+"""Hidden width of f_where. [code]"""
+
+
+class Where(nn.Module):
+    """q(z_where | x_<=t), its prior, and the translation that z_where stands for."""
+
+    def __init__(self, code: int, config: ModelConfig):
+        """Initialise the weights, for codes with `code` channels."""
+        super().__init__()
+        self._latent = RecurrentLatent(code, config.latent, weights=config.weights)
+        self._translation = mlp(LATENT, _TRANSLATION_WIDTH, 3)
+        self._max_translation = config.pose.max_translation
+
+    def forward(
+        self, code: Float[Tensor, "batch frame slot code"], draw: Draw, generator: torch.Generator | None = None
+    ) -> Latent:
+        """z_where from the object encoder's codes."""
+        return self._latent(code, draw, generator)
+
+    def translation(self, z: Float[Tensor, "*shape latent"]) -> Float[Tensor, "*shape 3"]:
+        """Delta T = T_max tanh(f_where(z_where)), world frame, metres (paper, the equation after eq. transform)."""
+        return self._max_translation * torch.tanh(self._translation(z))

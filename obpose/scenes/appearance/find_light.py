@@ -17,7 +17,7 @@ from obpose.geometry import from_box
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance.background_pixels import Shown, occlusion_where_shown, shown_background
 from obpose.scenes.appearance.light import Light, no_light
-from obpose.scenes.extent import CELLS, occupied
+from obpose.scenes.bounds import CELLS, occupied
 from obpose.scenes.rendering import Renderer, object_codes
 from obpose.scenes.scene import Scene
 from obpose.types import Observation

@@ -4,8 +4,8 @@ from typing import Literal
 
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors import flow_prior, gaussian
+from obpose.scenes.priors.gaussian import learned_prior
 from obpose.scenes.priors.interface import PriorKind, ScenePrior
-from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.priors.train_flow import fit_flow
 
 PriorName = Literal["flow", "gaussian", "learned"]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from obpose.model.obpose import ObPose
 from obpose.scenes.appearance import no_appearance
-from obpose.scenes.extent import LEAST_VOXELS, occupied
+from obpose.scenes.bounds import LEAST_VOXELS, occupied
 from obpose.scenes.priors.interface import Objects
 from obpose.scenes.priors.mixture import Mixture
 

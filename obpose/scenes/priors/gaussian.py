@@ -3,7 +3,7 @@
 The priors that a model learns have little weight in training (`loss.kl`), and latents of real scenes fill only a few
 of their directions. Mixtures fitted afterwards to the posterior means of training clips (ex-post density estimation,
 Ghosh et al. 2020) match them better. A single Gaussian has most of its mass between the kinds of objects. No labels
-are used.
+are used. The learned priors (paper, section Object Location and Orientation Conditioned Encoding) are here too.
 """
 
 from collections.abc import Iterable, Iterator
@@ -24,7 +24,7 @@ from obpose.scenes.infer import views_as_trained
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.interface import WEIGHTS, FitSettings, Say, ScenePrior, read_prior
-from obpose.scenes.priors.mixture import Mixture, fit_mixture
+from obpose.scenes.priors.mixture import Mixture, fit_mixture, normal
 from obpose.scenes.priors.tables import MOST, Tables, are_tables, find_tables, no_tables
 from obpose.storage.tensors import Form, Forms, pack
 from obpose.types import Observation
@@ -142,3 +142,16 @@ def _expected_file(found: Forms) -> Forms:
 def _length(found: Forms, name: str) -> int:
     """Length of a tensor's first axis; 1 if there is none."""
     return found[name].shape[0] if name in found and found[name].shape else 1
+
+
+def learned_prior(origin: Origin) -> ScenePrior:
+    """Give the normal priors of z_what and z_bg in a first frame.
+
+    They do not cover positions and tables: objects are put in the middle half of the workspace, tables have no light
+    and no texture.
+    """
+    model = origin.model
+    assert model.background is not None
+    half, middle = model.config.model.workspace_size / 4, model.center[:2]
+    what, background = normal(*model.what.first()), normal(*model.background.first())
+    return ScenePrior(CodePrior(what), background, no_tables(middle), middle - half, middle + half)

@@ -17,7 +17,7 @@ from obpose.geometry import to_box
 from obpose.model.nerf.detail import EDGE
 from obpose.model.nerf.voxels import THRESHOLD, occupancy
 from obpose.model.obpose import ObPose
-from obpose.scenes.extent import LEAST_VOXELS, above_table, shape_extent
+from obpose.scenes.bounds import LEAST_VOXELS, above_table, shape_extent
 from obpose.scenes.rendering import object_codes
 from obpose.scenes.scene import Scene, upright
 

@@ -12,7 +12,7 @@ from datagen.config import Rig
 from datagen.console.text import counted
 from obpose.errors import UsageError
 from obpose.model.obpose import ObPose
-from obpose.scenes.extent import above_table, shape_extent
+from obpose.scenes.bounds import above_table, shape_extent
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.grids import facing
 from obpose.scenes.priors.interface import Objects, ScenePrior

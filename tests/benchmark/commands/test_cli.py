@@ -6,10 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
-import h5py
-import numpy as np
 import pytest
 
 from benchmark.commands.cli import main
@@ -148,13 +145,6 @@ def test_every_failure_is_a_row_with_its_reason_and_the_rest_goes_on(data: Path,
 
 
 @pytest.mark.slow
-def test_a_model_that_hangs_is_stopped(data: Path, tmp_path: Path):
-    limit = ("--time-limit", 0.1)
-    assert run_cli("--model", "hangs", "--data", data, "--out", tmp_path, "--seeds", 1, *limit) == EXIT_INCOMPLETE
-    assert rows_of(tmp_path)["hangs"].reason == "took longer than the time limit of 0.1 minutes"
-
-
-@pytest.mark.slow
 def test_a_model_that_takes_too_much_memory_is_stopped(data: Path, tmp_path: Path):
     limit = ("--memory-limit", 500)
     assert run_cli("--model", "hoards", "--data", data, "--out", tmp_path, "--seeds", 1, *limit) == EXIT_INCOMPLETE
@@ -197,22 +187,6 @@ def test_scores_stay_as_they_were_where_one_label_map_is_missing(copy: Path, cap
     assert {path.read_text() for path in (copy / "scenes").iterdir()} == {"as they were"}
 
 
-@pytest.mark.parametrize("cut", [np.s_[:1], np.s_[..., :16]])
-def test_label_maps_that_do_not_fit_the_scenes_get_one_line(copy: Path, capsys, cut: Any):
-    with h5py.File(min((copy / "labels").iterdir()), "a") as file:
-        labels = np.asarray(file["labels"])[cut]
-        del file["labels"]
-        file["labels"] = labels
-    assert run_cli("rescore", copy) == EXIT_INCOMPLETE
-    assert "does not fit the dataset's scenes" in capsys.readouterr().err
-
-
-def test_two_models_are_compared(finished: Path, capsys):
-    assert run_cli("compare", "good", "chance", "--run", finished) == EXIT_OK
-    assert "95 % interval" in capsys.readouterr().out
-    assert run_cli("compare", "good", "god", "--run", finished) == EXIT_USAGE
-
-
 def test_packed_results_are_compared_and_reported_and_never_run_into(
     data: Path, finished: Path, tmp_path: Path, capsys
 ):
@@ -230,11 +204,6 @@ def test_packed_results_are_compared_and_reported_and_never_run_into(
         assert run_cli(*command) == EXIT_USAGE
         assert "read-only" in capsys.readouterr().err
     assert sorted(packed.rglob("*")) == before
-
-
-def test_the_metrics_are_checked(capsys):
-    assert run_cli("selftest") == EXIT_OK
-    assert "all hold" in capsys.readouterr().out
 
 
 def test_models_and_tracks_are_listed(capsys):
@@ -307,13 +276,6 @@ def test_what_another_process_is_making_is_not_a_failure(data: Path, tmp_path: P
     assert run_cli("--model", "taken", "--data", data, "--out", out) == EXIT_USAGE
     assert "Another process is writing to there; let it end." in capsys.readouterr().err
     assert not load_runs(out)
-
-
-def test_a_damaged_row_gets_one_line(data: Path, tmp_path: Path, capsys):
-    (tmp_path / "runs").mkdir()
-    (tmp_path / "runs" / "x.json").write_text("{")
-    assert run_cli("--model", "good", "--data", data, "--out", tmp_path) == EXIT_INCOMPLETE
-    assert "x.json is damaged" in capsys.readouterr().err
 
 
 def test_torch_is_not_imported(data: Path, tmp_path: Path):

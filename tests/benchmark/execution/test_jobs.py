@@ -140,12 +140,6 @@ def test_validation_scores_stand_in_the_learning_curve(data: Path, tmp_path: Pat
     assert last["msc_fg"] > 0
 
 
-def test_a_row_says_how_many_views_its_model_uses(data: Path, tmp_path: Path, register):
-    register(background, views=Views("one", "all"))
-    job(data, tmp_path / "out").run()
-    assert load_runs(tmp_path / "out")[0].views == "1 in, 2 supervise"
-
-
 @pytest.mark.parametrize(
     ("facts", "changes", "options", "config"),
     [

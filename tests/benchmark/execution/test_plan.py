@@ -7,7 +7,7 @@ import pytest
 import assets
 from benchmark.commands.arguments import Run
 from benchmark.commands.request import request_of
-from benchmark.execution.jobs import GRACE_SECONDS, OVERHEAD, SLOWDOWN, STARTING_SECONDS, Job, Target, blank_row
+from benchmark.execution.jobs import OVERHEAD, STARTING_SECONDS, Job, Target, blank_row
 from benchmark.execution.plan import (
     SCENE_SECONDS,
     SCORING_SECONDS,
@@ -231,13 +231,6 @@ def test_models_that_learn_nothing_run_beside_them_as_ever(register, shipped: Pa
     assert plan("plane-dbscan", fit_source=MIXED).jobs == tuple(job for job in made.jobs if job.model != "net")
 
 
-def test_weights_that_do_not_ship_are_named_with_those_that_do(register, shipped: Path):
-    with pytest.raises(
-        UsageError, match=r"No weights of 'net' trained on 'moving' at 64x64.*There are: net--mixed--64x64"
-    ):
-        plan(pretrained=True)
-
-
 def test_a_wanted_row_is_the_same_whoever_asks(register):
     register(extra=("att",))
     keys = plan().keys
@@ -285,20 +278,7 @@ def test_the_paper_s_tables_have_a_duration_and_no_row_takes_an_hour(tmp_path: P
     assert max(one.training + one.scoring for one in alone if one) < 3600
 
 
-def test_shipped_weights_take_no_training_time():
-    found = estimate(Plan((), (job(checkpoint=Path("c")),), {}), 2)
-    assert found
-    assert (found.training, found.scoring) == (0.0, SCORING_SECONDS)
-
-
 def test_the_duration_is_unknown_for_steps_and_not_given_without_training():
     assert estimate(Plan((), (job(seconds=float("inf"), steps=10),), {}), 2) is None
     assert estimate(Plan((), (job(folder=None),), {}), 2) is None
     assert estimate(Plan((), (), {}), 2) is None
-
-
-def test_the_time_limit_follows_from_the_budget():
-    assert job(folder=None).time_limit == GRACE_SECONDS
-    assert job().time_limit == GRACE_SECONDS + SLOWDOWN * MINUTES_20
-    assert job(seconds=float("inf"), steps=500).time_limit == GRACE_SECONDS + SLOWDOWN * 500
-    assert job(checkpoint=Path("c")).time_limit == GRACE_SECONDS

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmark.metrics.errors_by_type import ERROR_TYPES, errors_by_type
-from benchmark.metrics.identity import identity_switches
+from benchmark.metrics.errors_by_type import ERROR_TYPES, errors_by_type, identity_switches
 from benchmark.metrics.overlap import intersection_over_union
 
 # Rows: background, first and second object; columns: slots, of which 0 is the background's.

@@ -14,20 +14,21 @@ few = settings(deadline=None, derandomize=True, max_examples=15)
 SHAPE = (3, 5, 6)
 truths = hnp.arrays(np.uint8, SHAPE, elements=st.integers(0, 3))
 predictions = hnp.arrays(np.int64, SHAPE, elements=st.integers(0, 9))
+ignored = hnp.arrays(bool, SHAPE)
 
 
-def others(truth: np.ndarray, prediction: np.ndarray, slot: int = 0) -> np.ndarray:
-    scores = score(truth, prediction, slot)
+def others(truth: np.ndarray, prediction: np.ndarray, slot: int = 0, ignore: np.ndarray | None = None) -> np.ndarray:
+    scores = score(truth, prediction, slot, ignore)
     return np.array([scores[name] for name in OTHER_METRICS])
 
 
 @few
-@given(truths, predictions, st.permutations([1, 2, 3]), st.permutations(range(10)), st.integers(0, 9))
-def test_names_do_not_matter_but_that_of_the_background(truth, prediction, objects, slots, background):
-    renamed = others(np.array([0, *objects])[truth], np.array(slots)[prediction], slots[background])
+@given(truths, predictions, ignored, st.permutations([1, 2, 3]), st.permutations(range(10)), st.integers(0, 9))
+def test_names_do_not_matter_but_that_of_the_background(truth, prediction, ignore, objects, slots, background):
+    renamed = others(np.array([0, *objects])[truth], np.array(slots)[prediction], slots[background], ignore)
     # HOTA matches each frame by itself, and which of equal matchings it takes is a matter of names.
     free = np.arange(len(OTHER_METRICS)) != OTHER_METRICS.index("hota")
-    np.testing.assert_allclose(renamed[free], others(truth, prediction, background)[free], atol=1e-9)
+    np.testing.assert_allclose(renamed[free], others(truth, prediction, background, ignore)[free], atol=1e-9)
 
 
 @few

@@ -14,13 +14,6 @@ def test_an_unknown_name_gets_the_nearest():
         expand(["plane-dbscan", "training_free"])
 
 
-def test_training_free_is_everything_that_learns_nothing():
-    assert expand(["training-free"]) == [*expand(["floors"]), *expand(["classical"]), *expand(["oracles"])]
-    assert {"one-cluster", "all-background", "random-slots", "constant-grid"} == set(expand(["floors"]))
-    assert len(expand(["oracles"])) == 3
-    assert not {MODELS[name].kind for name in expand(["training-free"])} - {"floor", "classical", "oracle"}
-
-
 def test_the_group_of_the_paper():
     assert list(GROUPS["paper"].members) == [
         "obpose-loc",
@@ -41,9 +34,6 @@ def test_a_model_named_twice_runs_once():
     assert len(names) == len(set(names)) == len(expand(["training-free"]))
 
 
-TRAINING_FREE = sorted(expand(["training-free"]))
-
-
 @pytest.mark.parametrize("name", sorted(MODELS))
 def test_every_model_says_what_the_tables_need(name: str):
     spec = MODELS[name]
@@ -56,13 +46,6 @@ def test_every_model_says_what_the_tables_need(name: str):
     assert len({str(value) for value in spec.grid}) == len(spec.grid)
     assert spec.default == (spec.grid[0] if spec.grid else {})
     assert isinstance(spec.build({"slots": 5, **spec.default}), Segmenter)
-
-
-@pytest.mark.parametrize("name", TRAINING_FREE)
-def test_defaults_are_the_first_values_of_the_grid(name: str):
-    if name != "plane-dbscan-colour":  # It is plane-dbscan with the colour that it else leaves out.
-        spec = MODELS[name]
-        assert spec.build({"slots": 5}) == spec.build({"slots": 5, **spec.default}) or not spec.grid
 
 
 def test_every_variant_is_a_model_and_a_constant_of_it_that_changes_makes_new_rows():

@@ -1,5 +1,3 @@
-import doctest
-import importlib
 import math
 import re
 
@@ -17,11 +15,6 @@ from benchmark.ranking.text import (
     terminal,
 )
 from tests.chosen_scores import HOSTILE
-
-
-def test_the_examples_in_the_docstrings():
-    result = doctest.testmod(importlib.import_module("benchmark.ranking.text"))
-    assert (result.attempted, result.failed) == (5, 0)
 
 
 @pytest.mark.parametrize("escaped", [printable, one_line, brief, markdown, latex, lambda text: terminal(text).plain])

@@ -104,14 +104,6 @@ def test_no_rows_where_there_is_no_folder(tmp_path: Path):
         check_runs(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", "{", json.dumps({"key": {"track": 1}})])
-def test_a_damaged_row_is_named(tmp_path: Path, text: str):
-    save_row(tmp_path, ROW)
-    row_path(tmp_path, KEY).write_text(text)
-    with pytest.raises(CorruptFile, match="delete it and run the same command"):
-        load_runs(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("part", "name", "value"),
     [

@@ -7,13 +7,7 @@ from obpose.model.build import build_obpose
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.storage.checkpoint import save_model
 from obpose.variants import make_config
-from tests.benchmark.studies import oracle_model
 from tests.worlds import generated, rendered
-
-
-@pytest.fixture(scope="session")
-def oracle_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return oracle_model.dataset(tmp_path_factory.mktemp("oracle") / "data")
 
 
 @pytest.fixture(scope="session")
@@ -45,3 +39,11 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def origin(checkpoint: Path) -> Origin:
     return load_origin(str(checkpoint))
+
+
+def printed_table(text: str) -> list[dict[str, str]]:
+    """Cells of the last Markdown table in a text, one dictionary per line."""
+    lines = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("|")]
+    start = max(index for index, cells in enumerate(lines) if {*cells} == {"---"})
+    header = [cell.strip() for cell in lines[start - 1]]
+    return [dict(zip(header, (cell.strip() for cell in cells), strict=True)) for cells in lines[start + 1 :]]

@@ -29,7 +29,7 @@ from datagen.config import Rig
 from datagen.geometry import unproject
 from datagen.storage.reader import Dataset, Split
 from obpose.scenes.model_ref import Origin
-from tests.benchmark.studies.oracle_model import printed_table
+from tests.benchmark.studies.conftest import printed_table
 from tests.worlds import moving_cameras, rendered
 
 NOTHING = Picture(np.zeros((32, 32, 3)), np.zeros((32, 32)))

@@ -3,6 +3,7 @@ import pytest
 from datagen.commands import options
 from datagen.config import load_recipe
 from datagen.errors import UsageError
+from datagen.schema import EDITS
 
 
 def test_sizes_are_width_by_height():
@@ -84,12 +85,12 @@ def test_recipes_without_parts_note_nothing():
     assert options.with_overrides(load_recipe("moving"), ["--frames", "10"]) == load_recipe("moving")
 
 
-def test_edits_have_one_order_and_no_others_are_known():
-    assert options.parse_edits("add,remove") == ("remove", "add")
-    assert options.parse_edits(None) == ()
+def test_names_have_one_order_and_no_others_are_known():
+    assert options.parse_names("--edits", "add,remove", EDITS) == ("remove", "add")
+    assert options.parse_names("--edits", None, EDITS) == ()
     for text in ("", "remove,", "recolour", "remove move"):
-        with pytest.raises(UsageError, match=r"expected some of remove,move,add"):
-            options.parse_edits(text)
+        with pytest.raises(UsageError, match=r"--edits .*expected some of remove,move,add"):
+            options.parse_names("--edits", text, EDITS)
 
 
 HUGE = "9" * 5000
@@ -134,9 +135,3 @@ def test_the_limits_themselves_are_accepted():
 def test_an_empty_name_is_no_recipe():
     with pytest.raises(UsageError, match="Unknown recipe ''"):
         options.choose_recipe("", video=False)
-
-
-def test_names_of_splits_keep_their_order():
-    assert options.parse_split_names("test,train") == ("train", "test")
-    with pytest.raises(UsageError, match="--splits train,valid: unknown 'valid'; expected some of train,val,test"):
-        options.parse_split_names("train,valid")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from datagen.meshes.build import find_symmetry
 from datagen.meshes.distance import MeshSolid, squared_distances
 from datagen.meshes.raycast import first_hits
-from datagen.meshes.symmetry import find_symmetry
 from datagen.meshes.topology import smooth_normals, weld
 from datagen.shapes.geometry.mass import of_mesh
 from tests.worlds.meshes import BOX, triangles

@@ -6,7 +6,7 @@ import pytest
 
 from datagen.errors import DatagenError
 from datagen.geometry import rotation_from_quaternion
-from datagen.physics.rigid_body import multiply, principal_axes, shrink, wavefront, wavefront_file, xyzw
+from datagen.physics.rigid_body import multiply, principal_axes, shrink, wavefront, wavefront_file
 
 
 def test_principal_axes_take_the_inertia_apart():
@@ -20,20 +20,10 @@ def test_principal_axes_take_the_inertia_apart():
         assert np.linalg.det(rotation) > 0
 
 
-def test_a_diagonal_inertia_keeps_its_frame():
-    moments, quaternion = principal_axes(np.diag([3.0, 1.0, 2.0]) + 1e-9)
-    np.testing.assert_allclose(moments, [3.0, 1.0, 2.0], atol=1e-8)
-    np.testing.assert_array_equal(quaternion, [1, 0, 0, 0])
-
-
 def test_a_product_of_quaternions_is_the_product_of_their_rotations():
     a, b = np.random.default_rng(1).normal(size=(2, 4))
     product = rotation_from_quaternion(multiply(a, b))
     np.testing.assert_allclose(product, rotation_from_quaternion(a) @ rotation_from_quaternion(b), atol=1e-12)
-
-
-def test_pybullet_wants_the_real_part_last():
-    assert xyzw(np.array([1.0, 2.0, 3.0, 4.0])) == [2.0, 3.0, 4.0, 1.0]
 
 
 def test_a_shrunk_box_is_smaller_by_the_margin_on_every_side():

@@ -11,7 +11,7 @@ from datagen import schema
 from datagen.config import Rig
 from datagen.errors import DatagenError, UsageError
 from datagen.pipeline.generate import Run, generate, regenerate, render
-from datagen.pipeline.make_scene import make_scene, object_rows
+from datagen.pipeline.make_scene import object_rows
 from datagen.storage import manifest
 from datagen.storage.atomic import write_atomically
 from datagen.storage.manifest import read_manifest
@@ -72,12 +72,6 @@ def test_two_workers_make_the_same_files(whole, tmp_path):
     assert shards(tmp_path) == shards(whole)
 
 
-def test_a_scene_alone_is_the_same_scene(whole):
-    dataset = Dataset(whole)
-    for index in (4, 1):
-        assert schema.scene_hash(make_scene(dataset.spec, "train", index)) == dataset.split("train").hash(index)
-
-
 def test_a_scene_depends_on_the_seed(whole, tmp_path):
     make(tmp_path, {"val": 1}, seed=1)
     assert hashes(tmp_path)["val"] != hashes(whole)["val"]
@@ -109,12 +103,6 @@ def test_the_same_run_again_makes_nothing(whole):
     assert {path: path.stat().st_ino for path in whole.glob("*.h5")} == before
 
 
-def test_asking_for_fewer_scenes_deletes_none(whole):
-    report = make(whole, {"train": 1})
-    assert report.spec["splits"] == SIZES
-    assert report.complete
-
-
 def test_missing_shards_are_made_again(whole, tmp_path):
     make(tmp_path, SIZES)
     (tmp_path / "train-00001.h5").unlink()
@@ -122,30 +110,8 @@ def test_missing_shards_are_made_again(whole, tmp_path):
     assert shards(tmp_path) == shards(whole)
 
 
-def test_scenes_of_another_dataset_in_the_folder_are_refused(whole, tmp_path):
-    make(tmp_path, {"train": 1}, seed=1)
-    (tmp_path / "train-00001.h5").write_bytes((whole / "train-00001.h5").read_bytes())
-    with pytest.raises(UsageError, match="belongs to another dataset"):
-        make(tmp_path, {"train": 4}, seed=1)
-
-
-def test_overwriting_makes_other_settings_anew(tmp_path):
-    make(tmp_path, {"train": 3}, seed=1)
-    make(tmp_path, {"val": 1}, seed=2, overwrite=True)
-    assert list(shards(tmp_path)) == ["val-00000.h5"]
-    assert Dataset(tmp_path).spec["seed"] == 2
-
-
 def impossible():
     return dataclasses.replace(recipe(attempts=1), least_visible_pixels=10_000)
-
-
-def test_an_impossible_request_gives_nothing_up(tmp_path):
-    make(tmp_path, {"train": 1})
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(UsageError, match="1 attempts"):
-        generate(tmp_path, impossible(), splits={"val": 1}, run=Run(overwrite=True))
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_an_impossible_request_does_not_stand_in_the_way_of_the_corrected_one(tmp_path):
@@ -320,11 +286,6 @@ def test_edits_are_part_of_a_dataset_s_identity_and_none_are_not(whole, edited, 
     assert Dataset(edited).edits == schema.EDITS
     with pytest.raises(UsageError, match=r"other settings \(edits: null"):
         generate(whole, recipe(), splits=SIZES, resolution=(32, 32), edits=("move",))
-
-
-def test_edits_need_images(tmp_path):
-    with pytest.raises(UsageError, match="Edits are pictures"):
-        generate(tmp_path, recipe(), splits={"train": 1}, renderer=None, edits=("move",))
 
 
 def test_edits_are_the_same_in_one_stage_or_two_and_made_anew(whole, edited, tmp_path):

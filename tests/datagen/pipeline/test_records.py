@@ -19,12 +19,6 @@ RECORD = rendered.record(WORLD, sensor=True)
 COUNT = len(WORLD.bodies)
 
 
-def test_a_record_has_every_field_of_the_format():
-    schema.validate(RECORD, ("simulation", "pixels", "sensor"))
-    optional = (*schema.EDITS, *schema.SIGNALS, "moving_camera")
-    assert set(RECORD) == {name for name, field in schema.FIELDS.items() if field.group not in optional}
-
-
 def test_scene_and_trajectory_survive_the_record():
     scene, trajectory = scene_and_trajectory(RECORD)
     expected = rendered.trajectory(WORLD)

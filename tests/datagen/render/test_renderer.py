@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from datagen.render.renderer import light_axes, linear
+from datagen.geometry import linear
+from datagen.render.renderer import light_axes
 
 
 def test_linear_light_has_the_fixed_points_and_the_middle_grey_of_srgb():

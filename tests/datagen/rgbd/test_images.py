@@ -1,4 +1,3 @@
-import os
 import struct
 import zlib
 from pathlib import Path
@@ -222,14 +221,6 @@ def test_too_large_images_are_refused_by_their_headers(tmp_path: Path):
     (tmp_path / "rgb.png").write_bytes(png(12_000, 12_000, 8, 2))
     with pytest.raises(CorruptFile, match=r"12000 x 12000 pixels; expected at most 40,000,000"):
         colour_size(tmp_path / "rgb.png")
-
-
-@pytest.mark.parametrize("size_of", [colour_size, depth_size])
-@pytest.mark.parametrize("name", ["a.png", "a.npy"])
-def test_a_pipe_does_not_hang(tmp_path: Path, size_of, name: str):
-    os.mkfifo(tmp_path / name)
-    with pytest.raises(UsageError, match="is a pipe"):
-        size_of(tmp_path / name)
 
 
 def test_damaged_metadata_cause_no_warning(tmp_path: Path):

@@ -232,12 +232,6 @@ def test_a_dataset_is_not_extended_around_a_shard_that_belongs_elsewhere(tmp_pat
     assert content(tmp_path) == before
 
 
-def test_a_name_that_only_looks_like_a_shard_s_is_left_alone(tmp_path):
-    begin(tmp_path, spec(train=3))
-    add_scenes(tmp_path, spec(), 3).rename(tmp_path / "train-000007.h5")
-    assert begin(tmp_path, spec(train=3)) == spec(train=3)
-
-
 @contextmanager
 def at_work(folder, wanted) -> Iterator[None]:
     """Another run that fills the folder; locks of one process keep each other out as those of two do."""

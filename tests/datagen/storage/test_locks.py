@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from contextlib import closing
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from datagen.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
+from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.storage.locks import FolderLock
 from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
@@ -95,15 +94,6 @@ def test_a_run_keeps_others_out_until_it_is_killed(tmp_path):
     assert other.returncode == EXIT_OK, other.stderr
     assert Dataset(folder).spec["seed"] == 1
     hashes(folder)
-
-
-def test_a_run_that_is_interrupted_before_its_first_shard_leaves_nothing(tmp_path):
-    process = start(tmp_path / "new" / "set", "--split", "train=1000")
-    wait_for(tmp_path / "new" / "set" / "dataset.json")
-    os.killpg(process.pid, signal.SIGINT)
-    assert "Interrupted" in errors_at_end(process)
-    assert process.returncode == EXIT_INTERRUPTED
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

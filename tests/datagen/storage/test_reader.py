@@ -108,12 +108,6 @@ def test_missing_scenes_are_counted_and_the_others_can_be_read(folder):
     assert_equal(dataset.split("train")[4], random_record(4))
 
 
-def test_a_shard_of_another_dataset_is_refused(folder):
-    write_shard(folder, random_spec(seed=1), "train", 0, [pack(random_record(0))])
-    with pytest.raises(UsageError, match="belongs to another dataset"):
-        Dataset(folder).split("train")[0]
-
-
 def swap(folder, first: str, second: str) -> None:
     (folder / first).rename(folder / "other")
     (folder / second).rename(folder / first)

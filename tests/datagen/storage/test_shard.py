@@ -128,6 +128,7 @@ def test_lz4_without_its_package_says_what_to_install(lz4_path, monkeypatch):
         struct.pack(">QII", 2**40, 105, 105) + bytes(105),
         struct.pack(">QII", 105, 0, 105) + bytes(105),
         struct.pack(">QII", 105, 105, 105) + bytes(50),
+        struct.pack(">QII", 105, 105, 50) + bytes(105),
         struct.pack(">QII", 105, 60, 60) + bytes(60),
     ],
 )

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -98,24 +97,6 @@ def test_a_scene_that_is_there_twice_is_found(plain: Path):
     (finding,) = find(plain)
     assert finding.check == "duplicate"
     assert finding.message == "train scene 1 is the same scene as train scene 0"
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("depth_scale", 1e-3, "attribute depth_scale is 0.001, expected 0.0001"),
-        ("data_version", 7, "attribute data_version is 7, expected 1"),
-        ("first_scene", 1, "holds scenes of train from scene 1 on; expected train from scene 0 on"),
-        ("split", "test", "holds scenes of test from scene 0 on; expected train from scene 0 on"),
-        ("settings_hash", "0" * 64, "belongs to another dataset"),
-    ],
-)
-def test_what_a_shard_says_about_itself_is_checked(plain: Path, name: str, value: object, message: str):
-    with h5py.File(plain / "train-00000.h5", "r+") as file:
-        file.attrs[name] = value
-    found = find(plain)
-    assert {finding.check for finding in found} == {"file"}
-    assert [finding.scene for finding in found if message in finding.message] == [0, 1, 2, None]
 
 
 def test_a_changed_identity_is_found(plain: Path):
@@ -227,17 +208,3 @@ def test_of_hundreds_of_scenes_none_is_suspected(tmp_path: Path, name: str, scen
 
     generate(tmp_path / name, load_recipe(name), splits={"train": scenes}, resolution=(64, 64), run=Run(workers=2))
     assert find(tmp_path / name, workers=2) == []
-
-
-@pytest.mark.slow
-def test_the_other_renderer_is_verified(tmp_path: Path):
-    from datagen.pipeline.generate import generate
-    from datagen.render import make_renderer
-
-    try:
-        make_renderer("pyrender")
-    except UsageError as error:
-        pytest.skip(str(error))
-    for name in ("moving", "static"):
-        generate(tmp_path / name, load_recipe(name), splits={"train": 4}, renderer="pyrender")
-        assert find(tmp_path / name) == []

@@ -33,7 +33,9 @@ def test_hits_lie_at_the_asked_depth_below_the_surface_and_misses_tell_how_near_
 def test_nothing_is_hit_outside_the_stretch():
     origins, directions = parallel_rays(np.zeros(3))
     near, far = np.array([0.0, 0.6, 0.6]), np.array([0.4, 1.0, 0.5])
-    assert np.all(np.isinf(trace(sphere, origins, directions, near, far, 1e-4)[0]))
+    hit, closest = trace(sphere, origins, directions, near, far, 1e-4)
+    assert np.all(np.isinf(hit))
+    np.testing.assert_allclose(closest[0], 0.2 - RADIUS)  # where the stretch ends
 
 
 def test_a_surface_just_before_the_stretch_ends_is_not_stepped_over():

@@ -15,9 +15,8 @@ from obpose.model.layers.latent import LATENT
 from obpose.scenes.model_ref import load_origin
 from obpose.scenes.priors import train_flow
 from obpose.scenes.priors.flow_prior import save_flow
-from obpose.scenes.priors.gaussian import load_gaussian, save_gaussian
+from obpose.scenes.priors.gaussian import learned_prior, load_gaussian, save_gaussian
 from obpose.scenes.priors.interface import FitSettings
-from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.scene import Scene
 from obpose.scenes.storage import load_scene
 from tests.obpose.commands.test_edit import MODEL, SMALL, run

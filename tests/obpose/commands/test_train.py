@@ -1,13 +1,11 @@
 import csv
 import re
-import signal
 import subprocess
 import sys
 from pathlib import Path
 from statistics import mean
 
 import pytest
-import torch
 
 from benchmark.commands.train import ari_fg
 from datagen.errors import EXIT_USAGE, UsageError
@@ -18,7 +16,7 @@ from obpose.commands.train import main
 from obpose.model.build import build_obpose
 from obpose.storage.checkpoint import load, read_config
 from tests.paths import ROOT
-from tests.processes import errors_at_end, wait_until
+from tests.processes import errors_at_end
 from tests.worlds.imported import import_balls
 from tests.worlds.traced import write_dataset
 
@@ -163,34 +161,6 @@ def test_a_dataset_without_validation_scenes_is_trained_on(
     assert "Training obpose on spheres, 1 step, into" in errors
 
 
-def test_a_run_of_another_configuration_is_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    command = ["--data", str(data), "--steps", "1", "--out", str(tmp_path), *SETTINGS]
-    assert main(command) == 0
-    assert main([*command, "--seed", "1"]) == 2
-    assert "train.seed: 0, 1" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
-def test_too_little_memory_ends_in_one_line(
-    error: Exception, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    def fail(*_values: object) -> int:
-        raise error
-
-    monkeypatch.setattr("obpose.commands.train.run", fail)
-    assert main(["--track", "moving"]) == 3
-    assert capsys.readouterr().err.startswith("obpose-train: Out of memory; give smaller")
-
-
-def test_errors_of_ours_keep_their_trace(monkeypatch: pytest.MonkeyPatch):
-    def fail(*_values: object) -> int:
-        raise RuntimeError("tensors refer to a single memory location")
-
-    monkeypatch.setattr("obpose.commands.train.run", fail)
-    with pytest.raises(RuntimeError, match="single memory"):
-        main(["--track", "moving"])
-
-
 def test_values_of_which_nothing_can_be_made_leave_no_run(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -198,21 +168,6 @@ def test_values_of_which_nothing_can_be_made_leave_no_run(
     assert main(["--data", str(data), "--out", str(run), "--set", "train.steps=-3"]) == 2
     assert capsys.readouterr().err == "obpose-train: train.steps is -3; expected 1 or more.\n"
     assert not run.exists()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_a_run_that_is_ended_goes_on_exactly(data: Path, tmp_path: Path):
-    assert "validation" in errors_at_end(training(data, tmp_path / "whole"))
-    table = tmp_path / "parts" / "training.csv"
-    process = training(data, tmp_path / "parts")
-    wait_until(lambda: table.exists() and table.read_text().count("\n") > 4, seconds=240, what="three steps")
-    process.send_signal(signal.SIGTERM)
-    assert "Stopped by SIGTERM after step" in errors_at_end(process)
-    assert process.returncode == 130
-    assert "validation" in errors_at_end(training(data, tmp_path / "parts"))
-    one, other = (load(tmp_path / name, build_obpose)[0].state_dict() for name in ("whole", "parts"))
-    assert all(torch.equal(value, other[name]) for name, value in one.items())
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ from datagen import schema
 from datagen.errors import CorruptFile, UsageError
 from datagen.storage import reader
 from obpose.data.datasets import SceneDataset
-from tests.worlds.imported import import_balls
 from tests.worlds.traced import write_dataset
 
 DEFAULT_KEYS = {"rgb", "depth", "valid", "k", "world_from_camera"}
@@ -178,13 +177,3 @@ def test_damage_keeps_its_kind_through_loader_workers(video: Path, tmp_path: Pat
 def test_an_item_beyond_the_end_is_refused(video: Path):
     with pytest.raises(IndexError, match="Item 4 of a dataset with 4 items"):
         SceneDataset(video)[4]
-
-
-def test_an_imported_dataset_needs_no_labels(tmp_path: Path):
-    folder = import_balls(tmp_path, masks=("val",)).folder
-    item = SceneDataset(folder)[0]
-    assert set(item) == DEFAULT_KEYS
-    assert item["rgb"].shape == (1, 1, 36, 48, 3)
-    assert SceneDataset(folder, "val", extra=["segmentation"])[0]["segmentation"].max() == 2
-    with pytest.raises(UsageError, match="segmentation is unknown in its split train"):
-        SceneDataset(folder, extra=["segmentation"])

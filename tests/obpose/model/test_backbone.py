@@ -57,29 +57,6 @@ def test_the_points_of_the_grid_are_of_those_observed(backbone: Backbone):
 
 
 @torch.no_grad()
-def test_images_keep_their_order_and_do_not_know_of_each_other(backbone: Backbone):
-    points, rgb, valid = cloud(3, 20, 17)
-    together = encode(backbone, points, rgb, valid)
-    order = torch.tensor([2, 0, 1])
-    shuffled = encode(backbone, points[order], rgb[order], valid[order])
-    torch.testing.assert_close(shuffled.embedding, together.embedding[order], atol=1e-5, rtol=0)
-    torch.testing.assert_close(shuffled.scene, together.scene[order], atol=1e-5, rtol=0)
-    alone = encode(backbone, points[1:2], rgb[1:2], valid[1:2])
-    torch.testing.assert_close(alone.embedding[0], together.embedding[1], atol=1e-5, rtol=0)
-    torch.testing.assert_close(alone.scene[0], together.scene[1], atol=1e-5, rtol=0)
-
-
-@torch.no_grad()
-@pytest.mark.parametrize("content", [5.0, float("nan")])
-def test_what_is_not_valid_has_no_influence(backbone: Backbone, content: float):
-    points, rgb, valid = cloud(2, 20, 17)
-    clean = encode(backbone, points, rgb, valid)
-    hole = ~valid[..., None]
-    dirty = encode(backbone, points.masked_fill(hole, content), rgb.masked_fill(hole, content), valid)
-    assert difference(clean, dirty) == 0
-
-
-@torch.no_grad()
 def test_moving_world_and_workspace_together_changes_nothing(backbone: Backbone):
     points, rgb, valid = cloud(1, 20, 17)
     valid[:, :, 8:] = False

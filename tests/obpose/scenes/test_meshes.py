@@ -1,3 +1,4 @@
+import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from obpose.model.nerf.along import JITTER
 from obpose.model.nerf.field import Conditioning, Hidden
 from obpose.model.obpose import ObPose
 from obpose.scenes import edit
-from obpose.scenes.meshes import linear, object_mesh, write_mesh
+from obpose.scenes.meshes import object_mesh, to_glb, write_mesh
 from obpose.scenes.scene import Scene
 from tests.obpose.analytic_fields import BallField
 from tests.obpose.scenes.small_scenes import some_model, some_scene
@@ -140,7 +141,9 @@ def test_colours_are_those_of_as_far_behind_the_surface_as_they_were_trained():
     np.testing.assert_allclose(found, 0.5 - behind, atol=0.03)
 
 
-def test_vertex_colours_are_linear():
+def test_vertex_colours_of_glb_files_are_linear():
     """188 is the sRGB value of half the light."""
-    colours = np.array([[0, 188, 255, 128]], np.uint8)
-    assert linear(colours).tolist() == [[0, 128, 255, 128]]
+    mesh = trimesh.creation.box()
+    mesh.visual.vertex_colors = [0, 188, 255, 128]
+    read = trimesh.load(io.BytesIO(to_glb(mesh)), file_type="glb", force="mesh")
+    assert read.visual.vertex_colors[0].tolist() == [0, 128, 255, 128]

@@ -1,13 +1,10 @@
-import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from benchmark.metrics.images import psnr
-from datagen.geometry import look_at
 from obpose.model.nerf.along import JITTER
 from obpose.model.obpose import ObPose
 from obpose.scenes import edit
@@ -16,10 +13,8 @@ from obpose.scenes.appearance.table_texture import no_texture
 from obpose.scenes.clip import read_clip
 from obpose.scenes.infer import infer_scene
 from obpose.scenes.model_ref import load_origin
-from obpose.scenes.priors import load_prior
 from obpose.scenes.rendering import Renderer, outlines
-from obpose.scenes.scene import Camera, Scene
-from obpose.storage.pretrained import shipped_names
+from obpose.scenes.scene import Scene
 from tests.obpose.scenes.dense import densely
 from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene
 
@@ -138,31 +133,3 @@ def test_a_picture_is_that_of_dense_sampling_of_all_slots(tiny_dataset: Path, re
     assert float(image.shares[1:].sum(dim=0).max()) > 0.9
     assert psnr(image.rgb.numpy(), dense.colour[0, 0].view_as(image.rgb).numpy()) > 60
     torch.testing.assert_close(image.depth, dense.depth[0, 0].view_as(image.depth), atol=2e-3, rtol=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in shipped_names() if "--desk--" not in name])
-@pytest.mark.parametrize("elevation", [45, 90])
-def test_so_it_is_for_all_weights_and_from_above(name: str, elevation: int):
-    """With nothing on the table, whose field is thinner than cells, as are sheets of fog where no camera looked."""
-    origin = load_origin(name)
-    background = load_prior(origin).background.means[:1]
-    empty = edit.remove(some_scene(objects=1, frames=1), 1)
-    camera = looking_down(origin.model, elevation)
-    scene = replace(empty, background=background, cameras=(camera,)).with_appearance(
-        light=no_light(), texture=no_texture()
-    )
-    renderer = Renderer(origin.model)
-    image = renderer.render(scene, antialiased=False)
-    dense = densely(renderer, scene, camera, behind=JITTER)
-    assert psnr(image.rgb.numpy(), dense.colour[0, 0].view_as(image.rgb).numpy()) > 40
-
-
-def looking_down(model: ObPose, elevation: int) -> Camera:
-    """Onto the middle of the table, from as far as the workspace is wide."""
-    middle = model.center.numpy() * (1, 1, 0)
-    rise = math.radians(elevation)
-    toward = np.array([math.cos(rise), 1e-3, math.sin(rise)])
-    pose = look_at(middle + model.config.model.workspace_size * toward, middle)
-    k = torch.tensor([[24.0, 0.0, 12.0], [0.0, 24.0, 12.0], [0.0, 0.0, 1.0]])
-    return Camera(k, torch.from_numpy(pose).float(), width=24, height=24)

@@ -40,14 +40,6 @@ def test_processes_share_the_batch_of_one():
     assert [len(part) for part in parts] == [2, 2]
 
 
-def test_a_batch_holds_its_windows_and_no_labels():
-    source = ToyClips(labels=True)
-    batch = next(batches(source, SAMPLING, Share(), first_step=6, readers=0))
-    assert set(batch) == {"rgb", "depth", "valid", "k", "world_from_camera"}
-    expected = [source.window(window.clip, window.start, 2)["depth"] for window in SAMPLING.windows(6)]
-    assert torch.equal(batch["depth"], torch.stack(expected))
-
-
 class DamagedClips(ToyClips):
     """The third clip cannot be read."""
 

@@ -5,7 +5,6 @@ import torch
 from torch import Tensor
 
 from obpose.data.clips import stack
-from obpose.errors import UsageError
 from obpose.storage.checkpoint import TrainingState
 from obpose.training.devices import make_fabric
 from obpose.training.learner import Learner
@@ -67,12 +66,6 @@ def test_state_is_taken_over_exactly(batch: dict[str, Tensor]):
         made._config = toy_config().train  # the same noise
         made.step(batch, step=5, fraction=0.5, learning_rate=0.01)
     assert all(torch.equal(value, other.weights()[name]) for name, value in one.weights().items())
-
-
-def test_state_of_another_optimiser_is_named():
-    made = learner()
-    with pytest.raises(UsageError, match=r"state of the optimiser does not fit .*elsewhere\.exp_avg is unknown"):
-        made.restore(TrainingState(made.weights(), {"elsewhere.exp_avg": torch.zeros(1)}, {}))
 
 
 def test_parameters_without_a_gradient_yet_have_no_state(batch: dict[str, Tensor]):

@@ -1,5 +1,4 @@
 import csv
-import os
 import sys
 from pathlib import Path
 
@@ -98,9 +97,3 @@ def test_rows_that_are_damaged_are_dropped(tmp_path: Path, row: str):
     path.write_text(f"step,total\n1,0.5\n{row}\n2,0.25\n")
     CsvLog(path, steps=9)
     assert [row["total"] for row in table(path)] == ["0.5", "0.25"]
-
-
-def test_a_pipe_in_the_place_of_a_table_does_not_hang(tmp_path: Path):
-    os.mkfifo(tmp_path / "log.csv")
-    with pytest.raises(UsageError, match="is a pipe"):
-        CsvLog(tmp_path / "log.csv", steps=9)

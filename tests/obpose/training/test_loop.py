@@ -144,21 +144,6 @@ def test_a_checkpoint_that_does_not_say_how_far_it_came_is_damaged(tmp_path: Pat
         run(tmp_path)
 
 
-def test_a_run_of_another_configuration_is_refused(tmp_path: Path):
-    run(tmp_path)
-    with pytest.raises(UsageError, match=r"train.learning_rate: 0.001, 0.5"):
-        run(tmp_path, **{"train.learning_rate": 0.5})
-
-
-def test_the_last_checkpoint_is_the_model_that_was_returned(tmp_path: Path):
-    trained = run(tmp_path)
-    model, config, info = load(tmp_path, ToyModel)
-    assert config == toy_config()
-    assert (info["step"], info["seconds"]) == (6, trained.seconds)
-    for name, value in trained.model.state_dict().items():
-        assert torch.equal(model.state_dict()[name], value)
-
-
 def test_validation_changes_nothing(tmp_path: Path):
     alone = run()
     watched = run(tmp_path, val_source=ToyClips(labels=True))

@@ -1,10 +1,12 @@
 import math
+from typing import Literal
 
 import numpy as np
 import pytest
 import torch
 
-from obpose.training.validation import CLIPS, CurvePoint, validate, validation_losses, validation_score
+from obpose.data.clips import observation_of
+from obpose.training.validation import CLIPS, CurvePoint, segment_clip, validate, validation_losses, validation_score
 from tests.obpose.toy import QuietToy, ToyClips, ToyModel, toy_config
 
 CPU = torch.device("cpu")
@@ -99,3 +101,24 @@ def test_a_point_is_a_row_and_plain_values():
     assert point.row() == {"step": 3, "seconds": 2.0, "ari_fg": 0.25, "total": 1.5}
     assert CurvePoint(**point.plain()) == point
     assert "ari_fg" not in CurvePoint(3, 2.0, {"total": 1.5}, None).row()
+
+
+@pytest.mark.parametrize("views", ["all", "separate"])
+def test_labels_are_a_map_of_every_frame_and_view(views: Literal["all", "separate"]):
+    window = ToyClips(views=3, labels=True).window(1, 0, 4)
+    labels = segment_clip(ToyModel(toy_config()), observation_of([window]), views)
+    assert labels.shape == (4, 3, 8, 8)
+    assert torch.equal(torch.from_numpy(labels), (window["segmentation"] > 0).long())
+
+
+def test_views_apart_are_segmented_each_alone():
+    seen = []
+
+    class Watched(ToyModel):
+        def segment(self, observation):
+            seen.append(tuple(observation.depth.shape))
+            return super().segment(observation)
+
+    window = observation_of([ToyClips(views=3).window(1, 0, 4)])
+    segment_clip(Watched(toy_config()), window, "separate")
+    assert seen == [(3, 4, 1, 8, 8)]

@@ -9,8 +9,7 @@ from obpose.scenes import edit
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.priors.codes import CodePrior
 from obpose.scenes.priors.flow_prior import save_flow
-from obpose.scenes.priors.gaussian import save_gaussian
-from obpose.scenes.priors.learned import learned_prior
+from obpose.scenes.priors.gaussian import learned_prior, save_gaussian
 from obpose.scenes.priors.mixture import Mixture
 from obpose.scenes.rendering import Renderer
 from obpose.scenes.storage import load_scene, save_scene

@@ -1,4 +1,3 @@
-import os
 import re
 import struct
 import tracemalloc
@@ -389,41 +388,6 @@ def test_hidden_files_and_notes_are_let_be(scenes: Split, truths: list[np.ndarra
     for name in ("README.txt", ".DS_Store", "._00000.npz", "00000/notes.txt"):
         (tmp_path / "test" / name).write_bytes(b"")
     PredictionFolder(tmp_path).check(scenes.labels_shape)
-
-
-@pytest.mark.parametrize("kind", ["external storage", "external link", "soft link", "virtual dataset"])
-def test_label_maps_that_refer_to_other_files_are_refused(
-    scenes: Split, truths: list[np.ndarray], clip: Clip, tmp_path: Path, kind: str
-):
-    secret = tmp_path / "secret"
-    secret.write_bytes(bytes(np.stack(truths).size))
-    shape = np.stack(truths).shape
-    write_hdf5(tmp_path / "other", truths)
-    (tmp_path / "mine").mkdir()
-    with h5py.File(tmp_path / "mine" / "labels.h5", "w") as file:
-        if kind == "external storage":
-            file.create_dataset("labels", shape, np.uint8, external=[(str(secret), 0, h5py.h5f.UNLIMITED)])
-        elif kind == "external link":
-            file["labels"] = h5py.ExternalLink(str(tmp_path / "other" / "labels.h5"), "labels")
-        elif kind == "soft link":
-            file["real"] = np.stack(truths)
-            file["labels"] = h5py.SoftLink("/real")
-        else:
-            layout = h5py.VirtualLayout(shape, np.uint8)
-            layout[:] = h5py.VirtualSource(tmp_path / "other" / "labels.h5", "labels", shape)
-            file.create_virtual_dataset("labels", layout)
-    for act in (
-        lambda: PredictionFolder(tmp_path / "mine").check(scenes.labels_shape),
-        lambda: PredictionFolder(tmp_path / "mine").read(0, clip),
-    ):
-        with pytest.raises(CorruptFile, match=r"labels\.h5 is truncated, damaged or not"):
-            act()
-
-
-def test_a_pipe_is_no_file_of_label_maps(scenes: Split, tmp_path: Path):
-    os.mkfifo(tmp_path / "labels.h5")
-    with pytest.raises(UsageError, match="is a pipe"):
-        PredictionFolder(tmp_path).check(scenes.labels_shape)
 
 
 def test_poses_may_lie_beside_the_labels(clip: Clip, truths: list[np.ndarray], tmp_path: Path):

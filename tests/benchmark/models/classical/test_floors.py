@@ -52,7 +52,3 @@ def test_cells_are_rectangles_of_about_equal_size(count: int):
     for cell in range(count):
         rows, columns = np.nonzero(grid == cell)
         assert (np.ptp(rows) + 1) * (np.ptp(columns) + 1) == areas[cell]
-
-
-def test_four_cells_are_quadrants():
-    np.testing.assert_array_equal(grid_cells(4, 4, 4), [[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 3, 3], [2, 2, 3, 3]])

@@ -5,7 +5,7 @@ import pytest
 
 from benchmark.metrics import clip_scores
 from benchmark.models.classical.oracles import OracleKSlots, OracleQuarterResolution, OracleSplitBackground, coarsen
-from benchmark.models.classical.untrained import keep_largest
+from benchmark.models.classical.points import keep_largest
 from benchmark.models.interface import Prediction
 from tests.worlds.sphere_clips import arbitrary, clip_and_truth
 

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from benchmark.metrics import clip_scores
 from benchmark.models.classical.plane_dbscan import LARGEST_MOVE, PlaneDbscan, PlaneDbscanTracked, follow
@@ -62,8 +61,3 @@ def test_what_hides_comes_back_under_its_label():
 
 def test_two_clusters_never_share_a_label_in_one_frame():
     assert names({1: 0.0}, {1: 0.01, 2: -0.02}) == [[1], [1, 2]]
-
-
-@pytest.mark.parametrize("frames", [({},), ({}, {1: 0.0}, {})])
-def test_empty_frames_are_no_trouble(frames: tuple[dict[int, float], ...]):
-    assert [len(found) for found in names(*frames)] == [len(frame) for frame in frames]

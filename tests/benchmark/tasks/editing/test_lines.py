@@ -3,9 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.tasks.editing.answers import Answer, Match
+from benchmark.tasks.editing.answers import METRICS, Answer, Match
 from benchmark.tasks.editing.lines import COLUMNS, line_of, line_without_edit, load_all, load_lines, path_of, save_lines
-from benchmark.tasks.editing.scores import METRICS
 from datagen.errors import CorruptFile
 from tests.benchmark.tasks.editing import oracle
 

@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 from benchmark.tasks.editing import summary
+from benchmark.tasks.editing.answers import METRICS
 from benchmark.tasks.editing.lines import path_of, save_lines
-from benchmark.tasks.editing.scores import METRICS
 
 
 def line(scene: int, value: float, *, edit: str = "remove", answer: str = "edit", found: str = "yes"):

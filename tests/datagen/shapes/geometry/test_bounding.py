@@ -66,12 +66,3 @@ def test_boxes_are_as_tight_as_those_of_trimesh():
     ratios = volume_ratios(1)
     assert np.median(ratios) <= 1
     assert ratios.max() <= 1.01
-
-
-@pytest.mark.slow
-def test_boxes_of_two_hundred_shapes_are_as_tight_as_those_of_trimesh():
-    ratios = volume_ratios(5)
-    assert len(ratios) >= 200
-    assert np.median(ratios) <= 1
-    assert np.quantile(ratios, 0.98) <= 1.01
-    assert ratios.max() <= 1.03

@@ -91,13 +91,6 @@ def test_points_on_the_axis_are_not_near_the_profile_edge_that_lies_there():
     np.testing.assert_allclose(cylinder.signed_distance(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.06]])), [-0.02, 0.01])
 
 
-@pytest.mark.parametrize(
-    ("point", "distance"), [([0, 0, 0], -0.02), ([0.05, 0, 0], 0.02), ([0, 0, 0.03], 0.01), ([0, -0.06, 0], 0.01)]
-)
-def test_ellipsoid_on_its_axes(point, distance):
-    assert SOLIDS["ellipsoid"].signed_distance(np.array([point], float))[0] == pytest.approx(distance, abs=1e-9)
-
-
 def test_polyhedron_is_exact_in_front_of_a_face_and_too_short_in_front_of_a_corner():
     polyhedron = SOLIDS["polyhedron"]
     corner = 0.03 * np.sqrt(3)

@@ -3,8 +3,8 @@ import pytest
 from obpose.baselines.obsurf import losses
 from obpose.baselines.obsurf.config import OBSURF_PROFILES
 from obpose.baselines.obsurf.decoder import DEPTH
+from obpose.baselines.obsurf.encoder import FIRST_OCTAVE
 from obpose.baselines.obsurf.model import JITTER
-from obpose.baselines.obsurf.projection import FIRST_OCTAVE
 from obpose.baselines.obsurf.slots import HEADS, ITERATIONS
 from obpose.model.nerf.along import NEAR_SHARE
 from obpose.systems import find_system

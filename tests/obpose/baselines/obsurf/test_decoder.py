@@ -56,9 +56,3 @@ def test_colours_see_the_image_if_they_are_let():
         _, hidden = module.density(ENCODED, CODES)
         colours = [module.colour(hidden, DIRECTIONS, pixels) for pixels in (PIXELS, PIXELS + 1)]
         assert torch.equal(*colours) is not lets
-
-
-def test_colours_depend_on_the_ray():
-    module = field()
-    _, hidden = module.density(ENCODED, CODES)
-    assert not torch.equal(module.colour(hidden, DIRECTIONS, PIXELS), module.colour(hidden, -DIRECTIONS, PIXELS))

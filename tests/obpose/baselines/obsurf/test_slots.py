@@ -78,11 +78,3 @@ def test_everything_that_decides_the_slots_is_saved():
     other.load_state_dict(first.state_dict())
     told = [module(tokens(1), module.evaluation_noise[None]).codes for module in (first, other)]
     assert torch.equal(*told)
-
-
-def test_iterations_change_the_slots():
-    torch.manual_seed(0)
-    once = SlotAttention(slots=SLOTS, width=WIDTH, iterations=1)
-    module = attention()
-    module.load_state_dict(once.state_dict())
-    assert not torch.allclose(once(tokens(), noise()).codes, module(tokens(), noise()).codes, atol=0.01)

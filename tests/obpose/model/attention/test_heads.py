@@ -73,15 +73,6 @@ def test_position_enters_the_colour_embedding_also_without_semi_convolution():
     assert torch.equal(here.features, there.features)
 
 
-def test_where_a_point_without_depth_is_said_to_be_does_not_matter():
-    points, valid, rgb, embedding = _points()
-    heads = _heads()
-    elsewhere = torch.where(valid[..., None], points, 1e6)
-    _assert_close(
-        heads(points, valid, rgb, embedding, center=CENTER), heads(elsewhere, valid, rgb, embedding, center=CENTER)
-    )
-
-
 def test_each_point_speaks_for_itself():
     points, valid, rgb, embedding = _points()
     heads = _heads()

@@ -1,5 +1,4 @@
 import math
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -68,15 +67,6 @@ def _total(masks: Masks) -> torch.Tensor:
 def test_background_masks_and_scope_sum_to_one_at_every_point(seeds: str, inactive: str, division: str):
     masks = _attend(*_scene(), seeds=seeds, inactive=inactive, division=division)
     torch.testing.assert_close(_total(masks), torch.ones(2, 3, 40), rtol=0, atol=1e-5)
-
-
-def test_more_slots_leave_the_first_masks_alone_and_the_scope_not_larger():
-    scene = _scene()
-    runs = [_attend(*scene, slots=slots) for slots in range(1, SLOTS + 1)]
-    for fewer, more in pairwise(runs):
-        torch.testing.assert_close(more.log_masks[:, :, :-1], fewer.log_masks)
-        assert (more.log_scope <= fewer.log_scope).all()
-    assert all((masks.log_scope.exp() >= 0).all() for masks in runs)
 
 
 def _reference(colour: torch.Tensor, valid: torch.Tensor, prescope: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -161,14 +151,6 @@ def test_half_precision_inputs_give_finite_single_precision_masks(dtype: torch.d
     assert masks.log_masks.isfinite().all()
 
 
-def test_greedy_seeds_are_the_points_with_the_largest_scope():
-    colour, valid, _ = _clusters((2, 2, 2, 2))
-    scope = torch.tensor([0.1, 0.1, 0.5, 0.6, 0.9, 0.2, 0.3, 0.7]).expand(1, 2, -1)
-    masks = _attend(colour, valid, torch.stack([1 - scope, scope], dim=-1).log(), slots=3)
-    owners = masks.log_masks[0, 0, 1:].argmax(dim=0)
-    assert owners[2:].tolist() == [2, 2, 0, 0, 1, 1]
-
-
 def test_stochastic_seeds_are_distributed_as_the_argmax_of_uniform_times_scope():
     scope, draws = torch.tensor([0.9, 0.6, 0.2]), 20000
     colour = (100 * torch.arange(3.0))[:, None].expand(draws, 1, 3, CHANNELS)
@@ -187,24 +169,6 @@ def _chances(scope: list[float]) -> torch.Tensor:
         below = [(value / other).clamp(max=1) for place, other in enumerate(scope) if place != own]
         chances.append(torch.where(value <= s, torch.stack(below).prod(dim=0) / s, 0.0).mean())
     return torch.stack(chances)
-
-
-def test_seeds_differ_between_draws_but_not_between_equal_generators():
-    scene = _scene()
-    one, same, other = (_attend(*scene, seeds="stochastic", seed=seed).log_masks for seed in (1, 1, 2))
-    assert torch.equal(one, same)
-    assert not torch.equal(one, other)
-
-
-def test_seeds_of_the_first_frame_are_kept_in_later_ones():
-    colour, valid, log_prescope = _clusters((4, 3, 3), frames=3)
-    colour = colour.clone()
-    colour[:, 1] = colour[:, 1].roll(2, dims=1)
-    colour[:, 2] = colour[:, 2].roll(5, dims=1)
-    log_prescope = torch.full_like(log_prescope, math.log(0.5))
-    masks = _attend(colour, valid, log_prescope).log_masks[0, :, 1:]
-    torch.testing.assert_close(masks[1], masks[0].roll(2, dims=-1))
-    torch.testing.assert_close(masks[2], masks[0].roll(5, dims=-1))
 
 
 def _sliding(step: float, *, gone: tuple[int, ...] = ()) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -232,12 +196,6 @@ def test_a_seed_waits_while_its_object_is_out_of_sight():
     assert (_of_sliding_object(masks)[[0, 1, 2, 5]] > 0.3).all()
 
 
-def test_seeds_that_do_not_move_give_the_same_as_objects_that_do_not():
-    moving = _attend(*_sliding(0.0))
-    still = _attend(*_sliding(0.0), config=AttentionConfig(mean_shift_steps=0))
-    torch.testing.assert_close(moving.log_masks, still.log_masks)
-
-
 def test_seeds_come_to_rest_at_the_means_under_their_sharpened_masks():
     colour, valid, log_prescope = _scene(batch=1, frames=2, points=80, spread=0.05)
     colour[:, :, ::2, 0] += 0.7
@@ -253,16 +211,6 @@ def test_seeds_come_to_rest_at_the_means_under_their_sharpened_masks():
         alpha = torch.exp(-(colour[0, 1] - weight @ colour[0, 1] / weight.sum()).square().sum(-1) / sigma)
         torch.testing.assert_close(mask, left * alpha, rtol=1e-3, atol=1e-4)
         left = left * (1 - alpha)
-
-
-def test_later_frames_have_no_influence_on_earlier_ones():
-    colour, valid, log_prescope = _scene()
-    other = _scene(seed=9)
-    changed = [
-        torch.cat([a[:, :2], b[:, 2:]], dim=1) for a, b in zip((colour, valid, log_prescope), other, strict=True)
-    ]
-    before, after = _attend(colour, valid, log_prescope), _attend(changed[0], changed[1], changed[2])
-    assert torch.equal(before.log_masks[:, :2], after.log_masks[:, :2])
 
 
 def test_gradient_reaches_the_embedding_of_a_seed_from_a_later_frame():
@@ -332,11 +280,6 @@ def test_shares_divide_what_sticks_take():
     torch.testing.assert_close(shares.log_scope, sticks.log_scope)
     torch.testing.assert_close(shares.log_masks[:, :, 0], sticks.log_masks[:, :, 0])
     assert not torch.allclose(shares.log_masks, sticks.log_masks)
-
-
-def test_one_slot_has_the_same_by_shares_and_sticks():
-    one, other = (_attend(*_scene(), slots=1, division=division) for division in ("stick_breaking", "softmax"))
-    torch.testing.assert_close(one.log_masks.exp(), other.log_masks.exp(), rtol=1e-4, atol=1e-30)
 
 
 def _neighbours(apart: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -412,14 +355,6 @@ def test_invalid_points_are_background_never_seed_and_change_nothing(seeds: str,
     assert (nowhere[:, 1:] == EXCLUDED).all()
 
 
-def test_no_gradient_from_invalid_points():
-    colour, valid, log_prescope = _scene()
-    inputs = (colour.requires_grad_(), log_prescope.requires_grad_())
-    masks = _attend(colour, valid, log_prescope)
-    gradients = torch.autograd.grad(masks.log_masks.sum() + masks.log_scope.sum(), inputs)
-    assert all(gradient[~valid].eq(0).all() for gradient in gradients)
-
-
 @pytest.mark.parametrize("inactive", ["never", "bernoulli", "threshold"])
 def test_a_clip_that_starts_without_points_is_all_background(inactive: str):
     colour, valid, log_prescope = _scene()
@@ -428,25 +363,6 @@ def test_a_clip_that_starts_without_points_is_all_background(inactive: str):
     assert not masks.active[0].any()
     assert masks.log_masks.isfinite().all()
     torch.testing.assert_close(_total(masks), torch.ones(2, 3, 40), rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize("inactive", ["never", "threshold"])
-def test_a_clip_does_not_depend_on_its_batch_mates(inactive: str):
-    colour, valid, log_prescope = _scene(batch=3)
-    colour[1], valid[2] = 1e4 * colour[1], False
-    together = _attend(colour, valid, log_prescope, inactive=inactive)
-    for clip in range(3):
-        one = slice(clip, clip + 1)
-        alone = _attend(colour[one], valid[one], log_prescope[one], inactive=inactive)
-        torch.testing.assert_close(together.log_masks[one], alone.log_masks, rtol=1e-6, atol=1e-6)
-        torch.testing.assert_close(together.log_scope[one], alone.log_scope, rtol=1e-6, atol=1e-6)
-        assert torch.equal(together.active[one], alone.active)
-
-
-def test_one_frame_alone_is_like_the_first_of_many():
-    colour, valid, log_prescope = _scene()
-    clip, image = _attend(colour, valid, log_prescope), _attend(colour[:, :1], valid[:, :1], log_prescope[:, :1])
-    torch.testing.assert_close(image.log_masks, clip.log_masks[:, :1])
 
 
 @pytest.mark.parametrize("division", ["stick_breaking", "softmax"])
@@ -460,14 +376,6 @@ def test_without_a_background_slots_and_the_remainder_sum_to_one(division: str):
     assert (shares[:, :, 0][~valid] == 1).all()
     assert masks.log_scope.exp().eq(0).all()
     assert masks.active.shape == (2, SLOTS + 1)
-
-
-def test_the_last_slot_takes_what_the_others_leave_and_changes_nothing_of_them():
-    colour, valid, log_prescope = _scene()
-    apart = _attend(colour, valid, log_prescope)
-    taken = add_remainder_slot(apart)
-    torch.testing.assert_close(taken.log_masks[:, :, :-1], apart.log_masks)
-    torch.testing.assert_close(taken.log_masks[:, :, -1], apart.log_scope)
 
 
 def test_a_higher_power_draws_seeds_to_where_masks_are_certain():

@@ -161,15 +161,6 @@ def test_slots_of_a_frame_begin_where_those_of_the_frame_before_ended():
     torch.testing.assert_close(codes(twice)[:, 1], codes(attend(once, (points, valid, features)))[:, 0])
 
 
-def test_training_draws_follow_the_generator_and_evaluation_draws_nothing():
-    net = module()
-    one, same, other = (codes(attend(net, seed=seed)) for seed in (0, 0, 1))
-    assert torch.equal(one, same)
-    assert not torch.equal(one, other)
-    net.eval()
-    assert torch.equal(codes(attend(net, seed=0)), codes(attend(net, seed=1)))
-
-
 def test_object_slots_are_not_equal_at_evaluation():
     objects = codes(attend(module().eval()))
     assert (objects[:, :, 0] - objects[:, :, 1]).abs().max() > 1e-2

@@ -54,15 +54,6 @@ def test_windows_are_the_valid_neighbours_within_the_border():
 
 
 @torch.no_grad()
-def test_moving_the_cloud_changes_nothing():
-    grid, layer = rough_table(), KPConv(3, 4)
-    features = noise(grid, 3)
-    moved = Grid((grid.points + torch.tensor([0.5, -0.3, 0.2])) * grid.valid[..., None], grid.valid)
-    difference = convolve(moved, features, layer) - convolve(grid, features, layer)
-    assert difference[grid.valid].abs().max() < 2e-3
-
-
-@torch.no_grad()
 def test_scaling_cloud_and_radius_together_changes_nothing():
     grid, layer = rough_table(), KPConv(3, 4)
     features = noise(grid, 3)

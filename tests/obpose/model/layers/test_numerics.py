@@ -3,7 +3,7 @@ from decimal import Decimal, localcontext
 import pytest
 import torch
 
-from obpose.model.layers.numerics import log1mexp, log_sum_exp, sharpen
+from obpose.model.layers.numerics import log1mexp, log_sum_exp
 
 ARGUMENTS = (-1e-30, -1e-7, -1e-3, -0.5, -0.6931, -0.6932, -1.0, -10.0, -40.0, -80.0)
 
@@ -42,8 +42,3 @@ def test_sum_of_exponentials_is_torchs_where_some_terms_are_nothing():
     assert value.equal(expected)
     torch.testing.assert_close(gradient, other, rtol=0, atol=1e-30)
     assert gradient[:, 0].gt(0).all()
-
-
-def test_sharpening_is_a_power():
-    masks = torch.tensor([0.5, 0.01, 1.0])
-    torch.testing.assert_close(sharpen(masks.log(), 3.0).exp(), masks**3)

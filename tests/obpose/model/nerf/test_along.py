@@ -36,14 +36,6 @@ def test_the_weights_are_those_of_the_points_in_the_air():
     assert abs(estimates.mean() - depth**2 / 2) < error < 0.02
 
 
-def test_the_generator_decides():
-    rays = rays_of_depth(torch.ones(1, 1, 20))
-    first, again, other = (fields_along(rays, height_as_density, generator(seed)) for seed in (3, 3, 4))
-    assert torch.equal(first.surface.logits, again.surface.logits)
-    assert torch.equal(first.air.logits, again.air.logits)
-    assert not torch.equal(first.air.logits, other.air.logits)
-
-
 def rays_of_depth(depth: torch.Tensor) -> Rays:
     """Side by side along a direction that is not of unit length, one metre of planar depth to one of z."""
     ones = torch.ones(*depth.shape, 3)
@@ -90,10 +82,3 @@ def test_points_are_on_the_rays():
     rays = rays_of_depth(torch.rand(2, 3, 50, generator=generator(1)) + 0.5)
     for points in (surface_points(rays, 0.01, generator()), air_points(rays, 0.98, generator())[0]):
         torch.testing.assert_close(points, rays.direction * points[..., 2:])
-
-
-def test_the_generator_decides_points_in_the_air():
-    rays = rays_of_depth(torch.ones(1, 1, 20))
-    first, second = (air_points(rays, 0.98, generator(3))[0] for _ in range(2))
-    assert first.equal(second)
-    assert not first.equal(air_points(rays, 0.98, generator(4))[0])

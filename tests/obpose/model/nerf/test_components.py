@@ -150,16 +150,6 @@ def test_an_object_looks_the_same_wherever_its_box_is(world: World):
     )
 
 
-def test_a_scene_does_not_depend_on_its_batch_mates(world: World):
-    together = world.decode()
-    for scene in range(BATCH):
-        alone = world.scene(scene).decode()
-        torch.testing.assert_close(alone.logits[0], together.logits[scene], atol=1e-6, rtol=1e-6)
-        assert alone.colours is not None
-        assert together.colours is not None
-        torch.testing.assert_close(alone.colours[0], together.colours[scene], atol=1e-6, rtol=1e-6)
-
-
 def test_each_code_hears_of_its_own_points_alone(world: World):
     z_what = world.z_what.requires_grad_()
     decoded = world.decode("without")

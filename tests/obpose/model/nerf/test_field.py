@@ -74,18 +74,6 @@ def test_density_does_not_depend_on_where_it_is_seen_from_but_colour_does():
     assert ((colours > 0) & (colours < 1)).all()
 
 
-def test_gradients_are_those_of_finite_differences():
-    field = Field(FieldConfig(4, 4, 2, 1), 2).double()
-    points, codes = torch.rand(3, 3, dtype=torch.float64), torch.rand(3, 2, dtype=torch.float64)
-
-    def densities_and_colours(points: torch.Tensor, codes: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        added = field.condition(codes)
-        logits, hidden = field.density(points, added)
-        return logits, field.colour(hidden, points, added)
-
-    assert torch.autograd.gradcheck(densities_and_colours, (points.requires_grad_(), codes.requires_grad_()))
-
-
 def test_plain_weights_leave_codes_as_pytorch_draws_them():
     for weights, orthogonal in (("orthogonal", True), ("uniform", False)):
         codes = Field(SMALL, 5, weights).codes.weight

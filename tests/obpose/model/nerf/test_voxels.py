@@ -201,32 +201,12 @@ def test_one_frame_of_each_clip_is_found_as_if_all_were_looked_at():
     torch.testing.assert_close(some.center[expected], everything.center[expected])
 
 
-def test_a_scene_does_not_depend_on_its_batch_mates():
-    boxes, active = random_boxes(2, 1, 2), torch.ones(2, 2, dtype=torch.bool)
-    codes = torch.randn(2, 1, 2, 5, generator=torch.Generator().manual_seed(0))
-    torch.manual_seed(0)
-    field = Field(BallField(0.5).config, 5)
-    jitter = lambda: torch.Generator().manual_seed(1)  # noqa: E731
-    together = estimate_shape(field, boxes, active, codes, blind(2), **OPTIONS, generator=jitter())
-    for scene in range(2):
-        one = slice(scene, scene + 1)
-        own = Boxes(boxes.center[one], boxes.rotation[one], boxes.size)
-        alone = estimate_shape(field, own, active[one], codes[one], blind(), **OPTIONS, generator=jitter())
-        torch.testing.assert_close(alone.center[0], together.center[scene], atol=1e-6, rtol=0)
-
-
 def test_the_centre_does_not_depend_on_where_voxels_are_dense():
     points = torch.rand(1, 1, 1, 50, 3, generator=torch.Generator().manual_seed(0))
     corners = world_points((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     crowded = torch.cat([corners, 0.1 * points], dim=-2)
     shape = shape_of(Voxels(crowded, torch.ones(crowded.shape[:-1], dtype=torch.bool)))
     torch.testing.assert_close(shape.center[0, 0, 0], torch.full((3,), 0.5))
-
-
-def test_there_is_no_gradient():
-    boxes = random_boxes(1, 1, 1)
-    boxes.center.requires_grad_()
-    assert not estimate_shape(BallField(0.6), boxes, ONE, CODE, blind(), **OPTIONS).center.requires_grad
 
 
 def _pixels(size: int) -> torch.Tensor:

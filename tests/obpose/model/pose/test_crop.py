@@ -85,25 +85,6 @@ def test_places_without_a_point_hold_zeros():
     assert (samples.points.abs() <= 1).all()
 
 
-def test_the_order_of_the_points_does_not_matter():
-    world, shuffled = World(), World()
-    order = torch.randperm(POINTS, generator=torch.Generator().manual_seed(5))
-    for name in ("points", "valid", "features"):
-        setattr(shuffled, name, getattr(world, name)[:, :, order])
-    shuffled.log_masks = world.log_masks[..., order]
-    one, other = world.gather(6), shuffled.gather(6)
-    for box in boxes():
-        torch.testing.assert_close(rows(one, *box), rows(other, *box))
-
-
-def test_a_clip_does_not_depend_on_its_batch_mates():
-    world, other = World(), World()
-    for name in ("points", "valid", "features", "log_masks"):
-        setattr(other, name, torch.cat([getattr(world, name)[:1], getattr(World(1), name)[1:]]))
-    for box in boxes()[: FRAMES * SLOTS]:
-        assert torch.equal(rows(world.gather(6), *box), rows(other.gather(6), *box))
-
-
 def test_features_have_a_gradient_masks_and_boxes_have_none():
     world = World()
     for tensor in (world.features, world.log_masks, world.boxes.center, world.boxes.rotation):

@@ -29,11 +29,6 @@ def geometry(samples: BoxSamples, radius: float = RADIUS) -> Neighbourhoods:
     )
 
 
-def reordered(samples: BoxSamples, order: torch.Tensor) -> BoxSamples:
-    parts = dataclasses.asdict(samples).items()
-    return BoxSamples(**{name: part[:, :, :, order] for name, part in parts})
-
-
 def joined(*samples: BoxSamples, along: Literal["batch", "sample"] = "batch") -> BoxSamples:
     names = [field.name for field in dataclasses.fields(BoxSamples)]
     axis = {"batch": 0, "sample": 3}[along]
@@ -101,24 +96,11 @@ def test_positions_sines_and_mean_features_can_be_left_out():
     torch.testing.assert_close(whole(samples)[..., WIDTH:], mean)
 
 
-def test_the_order_of_the_samples_does_not_matter():
-    samples = crop(half_a_cube(SPARSE), table(SPARSE))
-    order = torch.randperm(samples.valid.shape[-1], generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(encoder()(reordered(samples, order)), encoder()(samples), atol=1e-5, rtol=0)
-
-
 @pytest.mark.parametrize("value", [0.0, 0.3])
 def test_samples_that_are_not_there_do_not_matter(value: float):
     samples = crop(half_a_cube(DENSE), NOTHING)
     assert samples.valid.all()
     torch.testing.assert_close(encoder()(padded(samples, 50, value)), encoder()(samples), atol=1e-5, rtol=0)
-
-
-def test_a_box_does_not_depend_on_its_batch_mates():
-    one, other = (crop(half_a_cube(spacing), table(SPARSE), samples=40) for spacing in (SPARSE, DENSE))
-    net = encoder()
-    together = net(joined(one, other))
-    torch.testing.assert_close(together, torch.cat([net(one), net(other)]), atol=1e-6, rtol=0)
 
 
 def test_turning_the_cloud_and_its_box_together_changes_nothing():

@@ -1,8 +1,11 @@
-import pytest
 import torch
 import torch.nn.functional as F
 
-from obpose.model.pose.location import count_points, observed_center
+from obpose.config import LatentConfig, ModelConfig, PoseConfig
+from obpose.model.layers.latent import LATENT
+from obpose.model.pose.encoder import ObjectEncoder
+from obpose.model.pose.location import Where, count_points, observed_center
+from tests.obpose.model.pose.clouds import crop, half_a_cube, table
 
 SLOTS = 3
 
@@ -78,22 +81,6 @@ def test_idle_slots_and_empty_frames_have_finite_locations():
     torch.testing.assert_close(center[1, 0], points[1, 0, valid[1, 0]].mean(dim=0).expand(SLOTS, 3))
 
 
-@pytest.mark.parametrize("batch", [0, 2])
-def test_a_clip_does_not_depend_on_its_batch_mates(batch: int):
-    owner, points, valid = clip(3, 4, 40)
-    masks, one = hard_masks(owner), slice(batch, batch + 1)
-    together = observed_center(masks, points, valid, min_points=8, exponent=3.0)[one]
-    alone = observed_center(masks[one], points[one], valid[one], min_points=8, exponent=3.0)
-    torch.testing.assert_close(together, alone, atol=1e-6, rtol=0)
-
-
-def test_there_is_no_gradient_into_the_masks():
-    owner, points, valid = clip(1, 2, 40)
-    assert not observed_center(
-        hard_masks(owner).requires_grad_(), points, valid, min_points=1, exponent=3.0
-    ).requires_grad
-
-
 def test_traces_of_the_mask_on_the_table_do_not_move_the_center_of_a_small_object():
     points = torch.cat([torch.full((10, 3), 0.3), 2 * torch.rand(1000, 3) - 1])[None, None]
     mask = torch.cat([torch.full((10,), 0.9), torch.full((1000,), 0.01)])
@@ -114,3 +101,40 @@ def test_a_lower_power_lets_traces_of_a_mask_elsewhere_pull():
     )
     assert near < 0.001
     torch.testing.assert_close(far, torch.tensor(10 / 19))
+
+
+CODE = ObjectEncoder(4, LatentConfig()).size
+
+
+def where(max_translation: float = 0.05) -> Where:
+    torch.manual_seed(0)
+    return Where(CODE, ModelConfig(pose=PoseConfig(max_translation=max_translation)))
+
+
+def test_translations_stay_within_their_maximum_and_reach_it():
+    z = 1e4 * torch.randn(4, 2, 3, LATENT, generator=torch.Generator().manual_seed(0))
+    largest = where(0.03).translation(z).abs().max()
+    torch.testing.assert_close(largest, torch.tensor(0.03))
+
+
+def test_a_small_latent_is_translated_in_proportion_to_the_maximum():
+    z = 0.1 * torch.randn(1, 1, 1, LATENT, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(where(0.1).translation(z), 2 * where(0.05).translation(z))
+
+
+def test_the_translation_trains_the_encoder():
+    torch.manual_seed(0)
+    encoder, module = ObjectEncoder(4, LatentConfig()), where()
+    latent = module(encoder(crop(half_a_cube(0.025), table(0.025))), "sample", torch.Generator().manual_seed(0))
+    assert latent.z.shape == (1, 1, 1, LATENT)
+    corrected = torch.zeros(3) + module.translation(latent.z)
+    corrected.square().sum().backward()
+    for name, parameter in encoder.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.abs().sum() > 0, name
+
+
+def test_the_first_prior_is_standard_normal():
+    latent = where()(torch.ones(1, 2, 3, CODE), "mean")
+    assert (latent.prior_mean[:, 0] == 0).all()
+    assert (latent.prior_std[:, 0] == 1).all()

@@ -10,8 +10,7 @@ from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.priors import available_priors
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.flow_prior import FlowObjects, load_flow, save_flow
-from obpose.scenes.priors.gaussian import save_gaussian
-from obpose.scenes.priors.learned import learned_prior
+from obpose.scenes.priors.gaussian import learned_prior, save_gaussian
 from obpose.storage.pretrained import shipped_names
 from tests.obpose.scenes.small_scenes import some_model, some_tables
 

@@ -1,4 +1,3 @@
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +10,8 @@ from obpose.scenes.appearance.table_texture import PATCH
 from obpose.scenes.model_ref import Origin, load_origin
 from obpose.scenes.priors import available_priors
 from obpose.scenes.priors.codes import CodePrior
-from obpose.scenes.priors.gaussian import fit_codes, load_gaussian, save_gaussian
+from obpose.scenes.priors.gaussian import fit_codes, learned_prior, load_gaussian, save_gaussian
 from obpose.scenes.priors.interface import ScenePrior
-from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.priors.mixture import Mixture, normal
 from obpose.storage.pretrained import shipped_names
 from tests.obpose.scenes.small_scenes import some_model, some_tables
@@ -94,12 +92,6 @@ def test_a_stored_prior_is_the_same_and_others_are_refused(tmp_path: Path):
         load_gaussian(origin)
 
 
-def test_a_pipe_in_the_place_of_a_prior_does_not_hang(tmp_path: Path):
-    os.mkfifo(tmp_path / "prior.safetensors")
-    with pytest.raises(UsageError, match="make one with obpose-edit fit-prior --kind gaussian first"):
-        load_gaussian(some_origin(tmp_path))
-
-
 def test_priors_of_older_versions_know_no_tables(tmp_path: Path):
     origin, path = some_origin(tmp_path), tmp_path / "prior.safetensors"
     save_gaussian(origin, replace(learned_prior(origin), tables=some_tables()))
@@ -124,3 +116,15 @@ def test_priors_that_ship_are_of_the_weights_beside_them(name: str):
     origin = load_origin(name)
     if "gaussian" in available_priors(origin):
         assert load_gaussian(origin).background.means.isfinite().all()
+
+
+def test_the_learned_prior_is_the_first_one_of_training():
+    model = some_model()
+    prior = learned_prior(Origin(model, Path("folder"), "name", "hash"))
+    inference = model.infer(table_scene(batch=1))
+    assert inference.background is not None
+    assert isinstance(prior.objects, CodePrior)
+    torch.testing.assert_close(prior.background.means[0], inference.background.prior_mean[0, 0])
+    torch.testing.assert_close(prior.background.factors[0].diag(), inference.background.prior_std[0, 0])
+    torch.testing.assert_close(prior.objects.what.means[0], inference.what.prior_mean[0, 0, 0])
+    torch.testing.assert_close(prior.objects.what.factors[0], torch.diag(inference.what.prior_std[0, 0, 0]))

@@ -7,8 +7,7 @@ from obpose.scenes.model_ref import load_origin
 from obpose.scenes.priors import available_priors, load_prior
 from obpose.scenes.priors.flow import Flow
 from obpose.scenes.priors.flow_prior import save_flow
-from obpose.scenes.priors.gaussian import save_gaussian
-from obpose.scenes.priors.learned import learned_prior
+from obpose.scenes.priors.gaussian import learned_prior, save_gaussian
 from obpose.scenes.priors.shrink import shrink_checkpoint
 from obpose.storage.checkpoint import save_model
 from tests.obpose.scenes.small_scenes import some_model, some_tables

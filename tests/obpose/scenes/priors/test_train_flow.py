@@ -15,9 +15,8 @@ from obpose.scenes.priors import train_flow
 from obpose.scenes.priors.examples import find_examples
 from obpose.scenes.priors.flow import VALUES
 from obpose.scenes.priors.flow_prior import load_flow
-from obpose.scenes.priors.gaussian import save_gaussian
+from obpose.scenes.priors.gaussian import learned_prior, save_gaussian
 from obpose.scenes.priors.interface import FitSettings
-from obpose.scenes.priors.learned import learned_prior
 from obpose.scenes.priors.train_flow import PARTIAL, fit_flow, nearest
 from tests.worlds import generated
 

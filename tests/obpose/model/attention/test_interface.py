@@ -1,6 +1,6 @@
 import torch
 
-from obpose.model.attention.summary import mean_under, not_largest
+from obpose.model.attention.interface import mean_under, not_largest
 
 
 def test_it_is_the_mean_of_the_valid_points_weighted_by_the_mask():

@@ -7,10 +7,10 @@ from torch import Tensor
 
 from obpose.geometry import unproject
 from obpose.model.attention.interface import EXCLUDED
-from obpose.model.attention.posterior import posterior_masks
 from obpose.model.build import build_obpose
 from obpose.model.nerf.compose import OUTSIDE
 from obpose.model.obpose import ObPose
+from obpose.model.perception import posterior_masks
 from obpose.types import Decoded, Masks
 from obpose.variants import make_config
 from tests.worlds.observations import labels_by_colour, table_scene
