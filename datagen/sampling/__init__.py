@@ -68,7 +68,7 @@ def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator, meshes: 
         return _touching(recipe, split, rng, meshes)
     items = sample_items(recipe.objects, split, rng, meshes)
     spots: list[Spot] = []
-    if recipe.layout.container_share and rng.uniform() < recipe.layout.container_share:
+    if items and recipe.layout.container_share and rng.uniform() < recipe.layout.container_share:
         spots, items = _filled(recipe, items, split, rng)
     motions: list[Motion] = [sample_motion(item, recipe.motion, rng) for item in items]
     if recipe.layout.placement == "scattered":
