@@ -70,6 +70,7 @@ CATEGORIES: dict[str, Category] = {
     "lamp": Category("lamp", furniture.sample_lamp, "furniture"),
     "sofa": Category("sofa", furniture.sample_sofa, "furniture"),
     "bed": Category("bed", furniture.sample_bed, "furniture"),
+    "crate": Category("crate", primitives.sample_crate, "named"),
 }
 """All categories by name."""
 
@@ -78,6 +79,9 @@ TABLETOP = tuple(name for name, category in CATEGORIES.items() if category.group
 
 FURNITURE = tuple(name for name, category in CATEGORIES.items() if category.group == "furniture")
 """Names of what stands upright."""
+
+CONTAINERS = ("bowl", "crate")
+"""Names of what others may lie in."""
 
 
 def sample_shape(category: str, rng: np.random.Generator, size: tuple[float, float]) -> ShapeSpec:

@@ -15,6 +15,9 @@ from datagen.recipe_rules import OPTIONAL_RANGES, constants, problems
 
 LATER = (
     *OPTIONAL_RANGES,
+    "layout.container_share",
+    "lighting.exposure",
+    "lighting.tint",
     *(f"rig.{name}" for name in ("motion", "orbit", "travel", "shake", "sway")),
     *(f"sensor.{name}" for name in ("device", "depth_step", "nearest", "farthest")),
 )
@@ -66,6 +69,8 @@ class Layout:
     """Middle of the region where objects start, metres on the table."""
     half_extent: tuple[float, float] = (0.18, 0.2)
     """Half sides of that region, metres."""
+    container_share: float = 0.0
+    """Probability that a bowl or an open box replaces an object, and others drop into it; not if `touching`."""
     gap: float = 0.008
     """Least distance between scattered objects, metres."""
     upright_share: float = 0.6
@@ -203,6 +208,10 @@ class Lighting:
     """Range of the fill light's irradiance; it casts no shadow."""
     ambient: tuple[float, float] = (0.2, 0.3)
     """Range of the ambient light, which comes from everywhere."""
+    exposure: tuple[float, float] = (1.0, 1.0)
+    """Range of the factor of all light, drawn evenly on a logarithmic scale: the exposure of the cameras."""
+    tint: float = 0.0
+    """Standard deviation of the logarithm of a factor of each colour of all light: errors of the white balance."""
 
 
 @dataclass(frozen=True)

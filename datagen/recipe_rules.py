@@ -37,6 +37,7 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "objects.friction": (0, 5, ""),
     "objects.restitution": _SHARE,
     "layout.stack_share": _SHARE,
+    "layout.container_share": _SHARE,
     "layout.center": (-100, 100, "metres"),
     "layout.half_extent": (0.001, 100, "metres"),
     "layout.gap": (0, 100, "metres"),
@@ -81,6 +82,8 @@ LIMITS: dict[str, tuple[int | float, int | float, str]] = {
     "lighting.key": (0, 100, ""),
     "lighting.fill": (0, 100, ""),
     "lighting.ambient": (0, 100, ""),
+    "lighting.exposure": (0.01, 100, ""),
+    "lighting.tint": (0, 1, ""),
     "physics.step": (1e-5, 1 / 120, "seconds"),
     "physics.gravity": (0.1, 100, "m/s^2"),
     "physics.table_friction": (0, 5, ""),
@@ -114,7 +117,7 @@ RANGES = {
     *OPTIONAL_RANGES,
     "objects.size", "objects.density", "objects.friction", "objects.restitution", "motion.speed", "motion.drop_height",
     "motion.push_start", "motion.push_duration", "lighting.elevation", "lighting.key", "lighting.fill",
-    "lighting.ambient",
+    "lighting.ambient", "lighting.exposure",
 }  # fmt: skip
 """Pairs of a least and a greatest value."""
 

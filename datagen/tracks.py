@@ -14,6 +14,7 @@ from datagen.config import Recipe, load_recipe, names_without_meshes
 from datagen.console.progress import Progress, no_progress
 from datagen.console.text import counted
 from datagen.errors import DatagenError, UsageError, unknown_name
+from datagen.rgbd import OBJECTS
 from datagen.schema import EditKind
 from datagen.storage.portable_names import check_dataset_name
 from datagen.storage.reader import Dataset
@@ -178,6 +179,11 @@ class RealTable(DataFolder):
         """Name of the track; masks that are predictions of another model have a track of their own."""
         origin = Dataset(self.folder).spec.get("import") or {}
         return REAL_TABLES[bool(origin.get("predicted_masks"))]
+
+    @property
+    def slots(self) -> int:
+        """Slots that every model may use, whatever the masks show."""
+        return 1 + OBJECTS
 
 
 Source = Track | DataFolder

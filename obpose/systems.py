@@ -157,7 +157,7 @@ DESCRIPTIONS = {
 
 
 _LARGER_BOXES: dict[str, Changes] = {track: {"model.pose.box_size": 0.35} for track in ("multishape", "desk")}
-"""Changes for objects of up to 28 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
+"""Changes for objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
 
 
 def _obpose_system(variant: str) -> System:

@@ -3,13 +3,14 @@
 import dataclasses
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from benchmark.models.interface import Segmenter
 from datagen.tracks import Profile
+from obpose.config_text import LATER
 
 Options = Mapping[str, Any]
 """Keyword arguments of a model's constructor: numbers, strings, booleans."""
@@ -124,7 +125,11 @@ class Builder:
 
 def settings_of(config: Any) -> dict[str, Any]:
     """Give all values of a configuration on which results depend, nested as in the configuration."""
-    settings = dataclasses.asdict(config)
+    settings = dataclasses.asdict(config, dict_factory=_without_later)
     if math.isinf(config.train.minutes):
         settings["train"]["minutes"] = None  # steps count, and JSON has no inf
     return settings
+
+
+def _without_later(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in values if (name, value) not in LATER.items()}

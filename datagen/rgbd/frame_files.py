@@ -85,6 +85,26 @@ def pair_frames(colours: Sequence[Path], partners: Sequence[Path], kind: str, pl
     return list(partners)
 
 
+def pair_masks(colours: Sequence[Path], masks: Sequence[Path], place: Path) -> list[Path | None]:
+    """Find the mask of each colour image like `pair_frames`; without times, the names have to agree, too.
+
+    Names agree if they hold the same numbers or, without numbers, if the mask's name contains that of the image.
+
+    Raises:
+        UsageError: as `pair_frames`, or a mask has a name of its own.
+    """
+    found = pair_frames(colours, masks, "masks", place)
+    if len(colours) > 1 and not (_times(colours) and _times(masks)):
+        for colour, mask in zip(colours, masks, strict=True):
+            numbers = [_key(path, _SIGNED_INTEGER)[1::2] for path in (colour, mask)]
+            if numbers[0] != numbers[1] or not (numbers[0] or colour.stem in mask.stem):
+                raise UsageError(
+                    f"{mask} would be the mask of {colour}, but their names do not agree; expected the image's number "
+                    "or name in that of its mask. Rename the masks, or leave them out with --ignore-masks."
+                )
+    return found
+
+
 def nearest_times(times: Sequence[float], others: Sequence[float]) -> list[int | None]:
     """Find the other time that is nearest to each time; None where that is nearer to another one of `times`.
 

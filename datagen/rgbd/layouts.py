@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from datagen.errors import CorruptFile, UsageError
 from datagen.rgbd.camera_file import CAMERA, MATRIX, MILLIMETRE, Camera
 from datagen.rgbd.camera_pose import Pose, check_pose, read_pose
-from datagen.rgbd.frame_files import list_frames, nearest_times, pair_frames, sort_frames
+from datagen.rgbd.frame_files import list_frames, nearest_times, pair_frames, pair_masks, sort_frames
 from datagen.storage.safe_io import npz_headers, read_npz, read_text
 
 COLOUR, DEPTH, MASK = ("rgb", "color", "colour", "image", "images"), ("depth",), ("mask", "masks", "segmentation")
@@ -85,7 +85,7 @@ def paired(place: Path, colour: list[Path], depth: list[Path], masks: list[Path]
     if not depth:
         raise UsageError(f"{place} has colour but no depth; expected depth/*.png or depth.png.")
     partners = pair_frames(colour, depth, "depth images", place)
-    labels = pair_frames(colour, masks, "masks", place) if masks else [None] * len(colour)
+    labels = pair_masks(colour, masks, place) if masks else [None] * len(colour)
     kept = [row for row in zip(colour, partners, labels, strict=True) if row[1] and (row[2] or not masks)]
     if not kept:
         raise UsageError(f"{place}: no colour image has a depth image of about the same time.")

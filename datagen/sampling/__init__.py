@@ -5,17 +5,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from datagen.catalog import CONTAINERS
 from datagen.config import Layout, Recipe
 from datagen.geometry import quaternion_from_rotation
 from datagen.meshes.library import Library
 from datagen.sampling.appearance import sample_backdrop, sample_materials, sample_table
-from datagen.sampling.cameras import sample_ambient, sample_cameras, sample_lights
+from datagen.sampling.cameras import exposed, sample_ambient, sample_cameras, sample_lights
 from datagen.sampling.items import Item, Rejected, sample_item, sample_items
-from datagen.sampling.layout import Spot, cluster, flattest, on_top, place, scatter, try_to_place
+from datagen.sampling.layout import Spot, cluster, fill, fits, flattest, on_top, place, scatter, try_to_place
 from datagen.sampling.motion import Start, sample_motion, sample_starts
 from datagen.scene import Body, Camera, Material, Motion, Scene, Table, rounded, vector
 
 __all__ = ["Rejected", "sample_scene"]
+
+_MOST_INSIDE = 4
+"""Largest number of objects in a container."""
 
 
 def sample_scene(
@@ -39,7 +43,7 @@ def sample_scene(
     sizes = [float(np.max(spot.item.shape.size)) for spot in spots]
     materials = sample_materials(recipe.appearance, sizes, rng)
     materials = [_own_colors(spot, material) for spot, material in zip(spots, materials, strict=True)]
-    return Scene(
+    scene = Scene(
         bodies=tuple(_body(*row) for row in zip(spots, starts, materials, strict=True)),
         table=Table(_table_size(recipe.layout, rng), sample_table(recipe.appearance, rng)),
         cameras=cameras or sample_cameras(recipe, rng),
@@ -49,6 +53,7 @@ def sample_scene(
         frames=recipe.frames,
         fps=recipe.fps,
     )
+    return exposed(scene, recipe.lighting, rng)
 
 
 def _table_size(layout: Layout, rng: np.random.Generator) -> float:
@@ -62,10 +67,27 @@ def _sample_spots(recipe: Recipe, split: str, rng: np.random.Generator, meshes: 
     if recipe.layout.placement == "touching":
         return _touching(recipe, split, rng, meshes)
     items = sample_items(recipe.objects, split, rng, meshes)
+    spots: list[Spot] = []
+    if items and recipe.layout.container_share and rng.uniform() < recipe.layout.container_share:
+        spots, items = _filled(recipe, items, split, rng)
     motions: list[Motion] = [sample_motion(item, recipe.motion, rng) for item in items]
     if recipe.layout.placement == "scattered":
-        return scatter(items, motions, recipe.layout, recipe.motion, rng)
-    return _stacked(recipe, items, rng)
+        return scatter(items, motions, recipe.layout, recipe.motion, rng, spots)
+    return _stacked(recipe, items, rng, spots)
+
+
+def _filled(
+    recipe: Recipe, items: Sequence[Item], split: str, rng: np.random.Generator
+) -> tuple[list[Spot], list[Item]]:
+    """A large container in place of the last object with some that fit in, and the rest."""
+    greatest = recipe.objects.size[1]
+    large = dataclasses.replace(recipe.objects, categories=CONTAINERS, size=(greatest / 2, greatest), sizes=())
+    container, items = sample_item(large, split, rng), items[:-1]
+    inside = [item for item in items if fits(item, container)][: rng.integers(1, _MOST_INSIDE + 1)]
+    return (
+        fill(container, inside, recipe.layout, recipe.motion, rng),
+        [item for item in items if item not in inside],
+    )
 
 
 def _touching(recipe: Recipe, split: str, rng: np.random.Generator, meshes: Library | None) -> list[Spot]:
@@ -90,9 +112,9 @@ def _steady_item(recipe: Recipe, split: str, rng: np.random.Generator, meshes: L
     raise Rejected("unsteady")
 
 
-def _stacked(recipe: Recipe, items: Sequence[Item], rng: np.random.Generator) -> list[Spot]:
+def _stacked(recipe: Recipe, items: Sequence[Item], rng: np.random.Generator, others: Sequence[Spot]) -> list[Spot]:
     """Objects on the table and on each other; what finds no place falls onto the rest."""
-    spots: list[Spot] = []
+    spots = [*others]
     for item in items:
         spot = None
         stance = flattest(item)

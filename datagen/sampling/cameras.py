@@ -9,7 +9,7 @@ from datagen.config import Lighting, Recipe, Rig
 from datagen.geometry import look_at, quaternion_from_rotation
 from datagen.recipe_rules import OPTIONAL_RANGES
 from datagen.sampling.poses import about_vertical
-from datagen.scene import Camera, CameraPose, Light, rounded, vector
+from datagen.scene import Camera, CameraPose, Light, Scene, rounded, vector
 
 
 def sample_cameras(recipe: Recipe, rng: np.random.Generator) -> tuple[Camera, ...]:
@@ -70,6 +70,16 @@ def sample_lights(lighting: Lighting, rng: np.random.Generator) -> tuple[Light, 
 def sample_ambient(lighting: Lighting, rng: np.random.Generator) -> tuple[float, float, float]:
     """Linear RGB of the light from everywhere."""
     return vector(np.full(3, rng.uniform(*lighting.ambient)))
+
+
+def exposed(scene: Scene, lighting: Lighting, rng: np.random.Generator) -> Scene:
+    """The scene with all light times one factor per colour: the exposure and the white balance of its cameras."""
+    if lighting.exposure == (1.0, 1.0) and not lighting.tint:
+        return scene
+    gain = np.exp(rng.uniform(*np.log(lighting.exposure)) + lighting.tint * rng.normal(size=3))
+    backdrop = np.minimum(gain ** (1 / 2.2) * scene.backdrop, 1)
+    lights = tuple(replace(light, radiance=vector(gain * light.radiance)) for light in scene.lights)
+    return replace(scene, lights=lights, ambient=vector(gain * scene.ambient), backdrop=vector(backdrop))
 
 
 TREMOR = (0.3, 2.0)

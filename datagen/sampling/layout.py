@@ -18,6 +18,10 @@ AIRBORNE = ("drop", "throw")
 _CLEARANCE = 2e-4
 """Initial gap between touching surfaces, metres, so that the simulation does not start by pushing them apart."""
 
+_OPENING, _SPREAD, _DROP = 0.75, 0.015, (0.005, 0.02)
+"""Longest diagonal of what fits into a container, in widths of the container; largest distance from its middle along
+each axis, and range of the free height below, metres."""
+
 
 @dataclass(frozen=True, eq=False)
 class Spot:
@@ -44,15 +48,41 @@ class Spot:
         return self.position[2] + self.stance.top
 
 
-def scatter(
-    items: Sequence[Item], motions: Sequence[Motion], layout: Layout, motion: MotionConfig, rng: np.random.Generator
+def fill(
+    container: Item, items: Sequence[Item], layout: Layout, motion: MotionConfig, rng: np.random.Generator
 ) -> list[Spot]:
-    """Place every object apart from the others; airborne objects may hang above those on the table.
+    """Stand a container on the table, and hang objects that fit in above it, one above the other.
+
+    Raises:
+        Rejected: as `place`.
+    """
+    spots = [place(container, "rest", [], dataclasses.replace(layout, upright_share=1.0), motion, rng)]
+    x, y, _ = spots[0].position.tolist()
+    inside = dataclasses.replace(layout, center=(x, y), half_extent=(_SPREAD, _SPREAD))
+    for item in items:
+        spots.append(place(item, "drop", spots, inside, dataclasses.replace(motion, drop_height=_DROP), rng))
+    return spots
+
+
+def fits(item: Item, container: Item) -> bool:
+    """Whether an object fits into a container, whatever its orientation."""
+    return float(np.sqrt(np.sum(item.shape.size**2))) < _OPENING * float(np.min(container.shape.size[:2]))
+
+
+def scatter(
+    items: Sequence[Item],
+    motions: Sequence[Motion],
+    layout: Layout,
+    motion: MotionConfig,
+    rng: np.random.Generator,
+    others: Sequence[Spot] = (),
+) -> list[Spot]:
+    """Place every object apart from all others; airborne objects may hang above those on the table.
 
     Raises:
         Rejected: no free place was found for one of them.
     """
-    spots: list[Spot] = []
+    spots = [*others]
     for row in sorted(range(len(items)), key=lambda row: motions[row] in AIRBORNE):
         spot = try_to_place(items[row], motions[row], spots, layout, motion, rng)
         if spot is None:

@@ -12,6 +12,7 @@ from datagen.storage.safe_io import parse_json
 
 FAMILIES: dict[str, Callable[..., Shape]] = {
     "box": primitives.build_box,
+    "crate": primitives.build_crate,
     "sphere": primitives.build_sphere,
     "cylinder": primitives.build_cylinder,
     "frustum": primitives.build_frustum,

@@ -17,6 +17,7 @@ import tyro
 from datagen.console.command_line import Command, run_command
 from datagen.console.interrupts import interruptible_imports
 from datagen.console.text import counted
+from datagen.rgbd import OBJECTS
 from obpose.errors import EXIT_OK, UsageError
 from obpose.rgbd.frame_arguments import Frames
 
@@ -35,8 +36,6 @@ FARTHEST, LOWEST = 1.65, 21.0
 `desk`, on which they were trained, has 0.5 to 1.3 m and 25 to 85 degrees; docs/own_frames.md has scores beyond."""
 WIDEST = 0.35
 """Greatest width of the upright box of an object in 100 validation scenes of `desk`, metres."""
-OBJECTS = 16
-"""Most objects that are looked for if the user does not say."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,6 +32,9 @@ class ContactModelConfig:
     """Middle of the observed points, world frame, metres; measured before training."""
     spacing: float = 0.01
     """Median distance in metres between the surface points of neighbouring pixels; measured before training."""
+    image_scale: int = 1
+    """Width of the training images in units of 64 pixels, rounded; measured before training. Partners of pixels are
+    that many times as far away, in images of any width."""
 
     @property
     def floor(self) -> float:
@@ -85,7 +88,7 @@ def model_rules(part: str) -> tuple[Rule, ...]:
     """Give the rules for a `ContactModelConfig` that is the value `part` of a configuration."""
     division = f"{part}.division_gap"
     return (
-        positive(f"{part}.gap {part}.spacing"),
+        positive(f"{part}.gap {part}.spacing {part}.image_scale"),
         (division, lambda value: value is None or 0 < value < math.inf, "none, or more than 0 and finite"),
         not_negative(f"{part}.noise"),
     )

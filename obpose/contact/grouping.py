@@ -35,7 +35,7 @@ def foreground_pairs(
     Args:
         mask: Foreground.
         affinities: Logits of whether a pixel and its partner at each of `offsets(scale)` belong to the same object.
-        scale: Width of the image in units of 64 pixels.
+        scale: Width of the training images in units of 64 pixels.
         components: Parts of the foreground that share no object; None: one part.
     """
     index = np.full(mask.shape, -1)

@@ -94,7 +94,7 @@ class ContactModel(Trainable):
         self, observation: Observation, *, step: int, fraction: float = 0.0, generator: torch.Generator | None = None
     ) -> dict[str, Tensor]:
         """Compute the losses on augmented crops around the objects."""
-        scale = scale_of(observation)
+        scale = self.config.model.image_scale
         images = cropped(augmented(self.images(observation), generator), CROP * scale, generator)
         foreground, embedding, affinities = self.outputs(images)
         pull, push = embedding_loss(embedding, images.labels)
@@ -130,7 +130,7 @@ class ContactModel(Trainable):
     @torch.no_grad()
     def clip_images(self, observation: Observation) -> list[ClipImage]:
         """Run the network, and prepare its outputs for inference: batch, then frame, then view."""
-        images, scale = self.images(observation), scale_of(observation)
+        images, scale = self.images(observation), self.config.model.image_scale
         outputs = self.outputs(images)
         masks = ((outputs.foreground > 0) & images.valid).cpu().numpy()
         embeddings = rearrange(outputs.embedding.cpu().numpy(), "i c h w -> i h w c")
@@ -154,8 +154,3 @@ class ContactModel(Trainable):
         if (gap := self.config.model.division_gap) is None:
             return [None] * len(masks)
         return [image_components(*each, gap=gap, least=1) for each in zip(points, masks, strict=True)]
-
-
-def scale_of(observation: Observation) -> int:
-    """Factor from the 64 pixels' width that lengths in pixels refer to."""
-    return max(1, round(observation.depth.shape[-1] / 64))

@@ -37,6 +37,8 @@ class SceneMeasures:
     """Edge of the cube with the same centre that holds all points and the cameras, metres."""
     noise: float
     """Median over the images of the standard deviation of the largest plane's points, metres; 0 without planes."""
+    image_scale: int
+    """Width of the images in units of 64 pixels, rounded; at least 1."""
 
     def changes(self) -> dict[str, Any]:
         """Give the statistics as configuration changes; `obpose.systems.System.known` selects those of a system."""
@@ -74,6 +76,7 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
         workspace_size=MARGIN * float((high - low).max()),
         background_size=2 * float(reach),
         noise=_plane_noise(clouds),
+        image_scale=max(1, round(images[0].depth.shape[-1] / 64)),
     )
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from obpose.config import Config
 from obpose.config_text import differences, from_plain, parse_changes, to_plain
+from obpose.contact.config import ContactConfig
 from obpose.errors import UsageError
 from obpose.variants import PROFILES, VARIANTS, make_config
 
@@ -36,6 +37,12 @@ def test_values_may_not_be_missing(lost: list[str], message: str):
         plain = {}
     with pytest.raises(UsageError, match=re.escape(message)):
         from_plain(plain)
+
+
+def test_later_values_may_be_missing():
+    plain = to_plain(ContactConfig())
+    del plain["model"]["image_scale"]
+    assert from_plain(plain, ContactConfig) == ContactConfig()
 
 
 @pytest.mark.parametrize(

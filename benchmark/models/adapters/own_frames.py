@@ -9,7 +9,7 @@ import numpy as np
 from benchmark.models.adapters.learned import LearnedSegmenter
 from benchmark.models.interface import Clip, Prediction, Segmenter
 from datagen.errors import NoTable, UsageError
-from obpose.commands.segment import OBJECTS
+from datagen.rgbd import OBJECTS
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.frames import prepare, trained_on
 from obpose.rgbd.recording import Recording

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from datagen.shapes import part as parts
-from datagen.shapes.part import assemble
-from datagen.shapes.sampling import Size, longest, rounded
+from datagen.shapes.part import assemble, slab
+from datagen.shapes.sampling import Size, draw, longest, rounded
 from datagen.shapes.shape import Shape
 
 
@@ -51,6 +51,16 @@ def build_ellipsoid(half_axes: list[float]) -> Shape:
     return assemble([parts.ellipsoid(half_axes)], symmetry, aligned=True)
 
 
+def build_crate(width: float, depth: float, height: float, wall: float) -> Shape:
+    """A box without a lid, with walls and a floor of one thickness."""
+    x, y, z = (-width / 2, width / 2), (-depth / 2, depth / 2), (wall, height)
+    pieces = [slab(x, y, (0, wall))]
+    for side in (-1, 1):
+        pieces.append(slab(sorted((side * width / 2, side * (width / 2 - wall))), y, z))
+        pieces.append(slab((x[0] + wall, x[1] - wall), sorted((side * depth / 2, side * (depth / 2 - wall))), z))
+    return assemble(pieces, "C4" if width == depth else "C2")
+
+
 def odd_last(lengths: list[float]) -> list[float]:
     """Three lengths in their order or, where only two are equal, turned so that they come first.
 
@@ -66,6 +76,12 @@ def sample_box(rng: np.random.Generator, size: Size) -> dict[str, Any]:
     x, y, z = rng.uniform(0.3, 1, 3)
     sides = [x, x, x] if kind < 0.2 else [x, x, z] if kind < 0.4 else [x, y, z]
     return rounded({"size": sides}, longest(rng, size) / max(sides))
+
+
+def sample_crate(rng: np.random.Generator, size: Size) -> dict[str, Any]:
+    """An open box, from trays to bins."""
+    lengths = draw(rng, width=1.0, depth=(0.6, 1.0), height=(0.2, 0.6), wall=(0.025, 0.04))
+    return rounded(lengths, longest(rng, size))
 
 
 def sample_cube(rng: np.random.Generator, size: Size) -> dict[str, Any]:

@@ -45,6 +45,7 @@ def test_true_and_predicted_masks_are_rows_of_their_own(
     for name, flags in {"true": [], "predicted": ["--predicted-masks"]}.items():
         assert datagen([*command, *flags, "--out", str(tmp_path / name)]) == EXIT_OK
         models = ["--checkpoint", WEIGHTS, *(["--model", "plane-components"] if name == "true" else [])]
+        assert tracks.RealTable(tmp_path / name).slots == 17, "masks must not tell the number of objects"
         run = ["--track", tracks.REAL_TABLE, "--data", str(tmp_path / name), *models, "--seeds", "1"]
         assert cli.main([*run, "--out", str(out), "--workers", "1"]) == EXIT_OK
     assert "Masks of 2 recordings left out" in capsys.readouterr().out

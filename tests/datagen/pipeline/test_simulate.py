@@ -66,7 +66,7 @@ def check_promises(name: str, made: Simulated) -> None:
     assert np.min(trajectory.position[..., 2]) > 0
     assert made.attempts == 1 + sum(made.rejections.values())
     for segmentation in segmentations(made, recipe.visibility_resolution):
-        assert np.min(np.bincount(segmentation.ravel(), minlength=count + 1)) >= 20
+        assert np.min(np.bincount(segmentation.ravel(), minlength=count + 1)) >= recipe.least_visible_pixels
     if recipe.video:
         assert np.max(travel(made)) >= 0.03
     else:
@@ -312,3 +312,18 @@ def test_a_rig_that_cannot_show_the_table_is_refused_at_once(rig: dict, words: s
     monkeypatch.setattr(simulate, "sample_scene", None)
     with pytest.raises(UsageError, match=words):
         simulate_scene(near_rig(**rig), 0, "test", 0)
+
+
+def test_objects_rest_in_their_container():
+    recipe = load_recipe("static")
+    recipe = dataclasses.replace(
+        recipe,
+        objects=Objects(minimum=2, maximum=2, categories=("cube",), size=(0.03, 0.3), sizes=(0.05,)),
+        layout=dataclasses.replace(recipe.layout, container_share=1.0),
+    )
+    inside = []
+    for index in range(6):
+        made = simulate_scene(recipe, 0, "train", index)
+        (x, y, z), container = np.abs(np.diff(made.trajectory.position[0], axis=0))[0], made.shapes[0]
+        inside.append(np.hypot(x, y) < np.min(container.size[:2]) / 2 and z < container.size[2])
+    assert sum(inside) >= 3

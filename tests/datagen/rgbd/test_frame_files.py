@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import UsageError
-from datagen.rgbd.frame_files import check_pairs, list_frames, sort_frames
+from datagen.rgbd.frame_files import check_pairs, list_frames, pair_masks, sort_frames
 
 
 def files(names: str, folder: str = "") -> list[Path]:
@@ -96,3 +96,23 @@ def test_matching_pairs_are_accepted(colours: str, depths: str):
 def test_pairs_of_different_frames_are_refused(colours: str, depths: str, said: str):
     with pytest.raises(UsageError, match=said):
         check_pairs(files(colours, "rgb"), files(depths, "depth"))
+
+
+@pytest.mark.parametrize(
+    ("colours", "masks"),
+    [
+        ("1 2", "1 2"),
+        ("0001 0002", "1_mask 2_mask"),
+        ("cup fork", "cup-mask fork"),
+        ("photo", "labels"),
+        ("1700000000.1 1700000001.1", "1700000000.2 1700000001.2"),
+    ],
+)
+def test_masks_with_the_names_of_their_images_are_paired(colours: str, masks: str):
+    assert pair_masks(files(colours, "rgb"), files(masks, "masks"), Path()) == files(masks, "masks")
+
+
+@pytest.mark.parametrize(("colours", "masks"), [("1 2", "11 12"), ("1 2", "a b"), ("cup fork", "one two")])
+def test_masks_with_other_names_are_refused(colours: str, masks: str):
+    with pytest.raises(UsageError, match="their names do not agree"):
+        pair_masks(files(colours, "rgb"), files(masks, "masks"), Path())

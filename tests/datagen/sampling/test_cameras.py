@@ -6,7 +6,7 @@ import pytest
 
 from datagen.config import Lighting, Recipe, Rig, load_recipe
 from datagen.sampling import sample_scene
-from datagen.sampling.cameras import sample_cameras, sample_lights
+from datagen.sampling.cameras import exposed, sample_cameras, sample_lights
 from datagen.verify.cameras import check_cameras
 
 
@@ -71,6 +71,18 @@ def test_lights_come_from_above_and_only_the_key_casts_a_shadow():
         assert fill.direction[2] > 0
         assert (key.casts_shadow, fill.casts_shadow) == (True, False)
         assert max(fill.radiance) < min(key.radiance)
+
+
+def test_exposure_and_white_balance_change_all_light_alike():
+    recipe, rng = load_recipe("moving"), np.random.default_rng(0)
+    scene = sample_scene(recipe, rng, "train", 0)
+    assert exposed(scene, recipe.lighting, rng) == scene
+    bright = exposed(scene, Lighting(exposure=(2.0, 2.0)), rng)
+    assert bright.ambient == pytest.approx(2 * np.array(scene.ambient), abs=1e-5)
+    tinted = exposed(scene, Lighting(tint=0.1), rng)
+    gains = [np.divide(light.radiance, old.radiance) for light, old in zip(tinted.lights, scene.lights, strict=True)]
+    assert gains[0] == pytest.approx(gains[1], abs=1e-3)
+    assert np.ptp(gains[0]) > 0.01
 
 
 def test_shadows_can_be_switched_off():

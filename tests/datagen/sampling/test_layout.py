@@ -12,9 +12,9 @@ LAYOUT = Layout()
 MOTION = MotionConfig()
 
 
-def items(count: int, seed: int = 0, categories: tuple[str, ...] = ()) -> list[Item]:
+def items(count: int, seed: int = 0, categories: tuple[str, ...] = (), sizes: tuple[float, ...] = ()) -> list[Item]:
     rng = np.random.default_rng(seed)
-    objects = dataclasses.replace(OBJECTS, categories=categories)
+    objects = dataclasses.replace(OBJECTS, categories=categories, sizes=sizes)
     return [sample_item(objects, "train", rng) for _ in range(count)]
 
 
@@ -38,6 +38,19 @@ def test_what_drops_hangs_over_the_rest_and_never_in_it():
     assert ground.motion == "rest"
     assert air[0].low >= ground.high + MOTION.drop_height[0] - 1e-9
     assert air[1].low >= air[0].high + MOTION.drop_height[0] - 1e-9
+
+
+def test_what_fits_in_hangs_over_its_container():
+    container, *others = items(1, 0, ("crate",), (0.2,)) + items(8, 1, sizes=(0.04, 0.16))
+    small = [item for item in others if layouts.fits(item, container)]
+    assert 0 < len(small) < len(others)
+    crate, *inside = layouts.fill(container, small, LAYOUT, MOTION, np.random.default_rng(0))
+    assert np.allclose(crate.stance.rotation[2], [0, 0, 1])
+    below = crate
+    for spot in inside:
+        assert spot.low > below.high
+        assert np.all(np.abs(spot.position[:2] - crate.position[:2]) < np.min(container.shape.size[:2]) / 4)
+        below = spot
 
 
 def test_a_full_table_is_given_up():

@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from datagen.catalog import CONTAINERS
 from datagen.config import load_recipe, names_without_meshes
 from datagen.sampling import Rejected, sample_scene
 from datagen.scene import Scene, scene_from_json, scene_to_json
@@ -42,6 +43,15 @@ def test_recipes_that_differ_in_looks_only_share_their_motion():
 def test_mixed_draws_what_its_part_draws():
     for index, name in enumerate(load_recipe("mixed").parts):
         assert scene("mixed", index=index) == scene(name, index=index)
+
+
+def test_a_container_replaces_an_object():
+    recipe = load_recipe("cluttered")
+    recipe = dataclasses.replace(recipe, layout=dataclasses.replace(recipe.layout, container_share=1.0))
+    for seed in range(5):
+        bodies = sample_scene(recipe, np.random.default_rng(seed), "train", 0).bodies
+        assert bodies[0].category in CONTAINERS
+        assert recipe.objects.minimum <= len(bodies) <= recipe.objects.maximum
 
 
 def test_touching_scenes_hold_a_group_in_contact():

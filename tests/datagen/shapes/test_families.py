@@ -128,6 +128,7 @@ EXTENTS = [
     ("torus", {"ring_radius": 0.05, "tube_radius": 0.02}, [0.14, 0.14, 0.04]),
     ("ellipsoid", {"half_axes": [0.02, 0.03, 0.05]}, [0.04, 0.06, 0.1]),
     ("snowman", {"radii": [0.04, 0.03], "distances": [0.05]}, [0.08, 0.08, 0.12]),
+    ("crate", {"width": 0.2, "depth": 0.15, "height": 0.08, "wall": 0.01}, [0.2, 0.15, 0.08]),
 ]
 
 

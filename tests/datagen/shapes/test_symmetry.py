@@ -92,6 +92,8 @@ def test_other_names_are_refused(name):
         ("hammer", {"handle_radius": 0.01, "handle_length": 0.1, "head_size": [0.04, 0.04, 0.03]}, "C4"),
         ("hammer", {"handle_radius": 0.01, "handle_length": 0.1, "head_size": [0.06, 0.04, 0.03]}, "C2"),
         ("snowman", {"radii": [0.03, 0.03], "distances": [0.05]}, "Dinf"),
+        ("crate", {"width": 0.1, "depth": 0.1, "height": 0.05, "wall": 0.01}, "C4"),
+        ("crate", {"width": 0.1, "depth": 0.08, "height": 0.05, "wall": 0.01}, "C2"),
     ],
 )
 def test_exactly_equal_parameters_make_the_larger_group(family, parameters, symmetry):

@@ -105,6 +105,15 @@ def test_segmentations_have_the_shape_of_the_clip_and_leave_out_pixels_without_d
     assert torch.equal(found.labels > 0, valid)
 
 
+@pytest.mark.parametrize("scale", [1, 2])
+def test_partners_are_as_far_away_as_in_training(observation: PastedObservation, scale: int):
+    model = ContactModel(override(ContactConfig(), {"model.image_scale": scale})).eval()
+    model.network.head[-1].bias.data[0] = 9.0  # everything is foreground
+    image = model.clip_images(observation)[0]
+    columns = np.nonzero(image.mask)[1][image.pairs.pixels]
+    assert np.unique(np.abs(columns[1] - columns[0])).tolist() == [0, 1, 3 * scale, 7 * scale]
+
+
 def test_settings_that_cannot_work_are_refused():
     system = find_system("contact-masks")
     for name, value, message in (("frames", 2, "expected 1"), ("views", "all", "expected separate")):

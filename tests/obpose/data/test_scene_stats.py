@@ -19,9 +19,16 @@ class Wall:
     frames_of_clip = 3
 
     def __init__(
-        self, clips: int = 40, depth: float = 2.0, place: tuple[float, float, float] = (0, 0, 0), holes=0.0, noise=0.0
+        self,
+        clips: int = 40,
+        depth: float = 2.0,
+        place: tuple[float, float, float] = (0, 0, 0),
+        holes=0.0,
+        noise=0.0,
+        width: int = WIDTH,
     ):
         self._clips, self._depth, self._place, self._holes, self._noise = clips, depth, place, holes, noise
+        self._width = width
         self.read: list[tuple[int, int, int]] = []
 
     def __len__(self) -> int:
@@ -29,7 +36,7 @@ class Wall:
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
         self.read.append((index, start, frames))
-        shape = (frames, 1, HEIGHT, WIDTH)
+        shape = (frames, 1, HEIGHT, self._width)
         generator = torch.Generator().manual_seed(index)
         valid = torch.rand(shape, generator=generator) >= self._holes
         pose = torch.eye(4)
@@ -53,6 +60,11 @@ def test_spacing_is_the_distance_between_neighbouring_pixels():
 def test_the_noise_is_that_of_the_points_of_a_plane():
     assert measure_scene(Wall()).noise == pytest.approx(0, abs=1e-6)
     assert measure_scene(Wall(noise=0.002)).noise == pytest.approx(0.002, rel=0.1)
+
+
+@pytest.mark.parametrize(("width", "scale"), [(30, 1), (80, 1), (128, 2)])
+def test_the_scale_of_images_is_their_width_in_units_of_64_pixels(width: int, scale: int):
+    assert measure_scene(Wall(width=width)).image_scale == scale
 
 
 def test_the_workspace_holds_almost_all_points_and_little_more():

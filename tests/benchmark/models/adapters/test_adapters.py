@@ -15,8 +15,9 @@ from benchmark.models.model_spec import settings_of
 from benchmark.models.registry import find_model
 from benchmark.results.run_folder import load_runs
 from obpose.baselines.obsurf.config import ObsurfConfig
-from obpose.config import Config
+from obpose.config import Config, override
 from obpose.config_text import dotted_values, to_plain
+from obpose.contact.config import ContactConfig
 from obpose.systems import find_system
 from obpose.variants import make_config
 
@@ -59,6 +60,12 @@ def test_weights_state_their_own_priors_and_views(tmp_path: Path):
 def test_minutes_that_do_not_count_are_none_since_json_has_no_infinity(name: str):
     config = find_system(name).config(changes={"train.steps": 5, "train.minutes": math.inf})
     assert settings_of(config)["train"]["minutes"] is None
+
+
+def test_later_values_count_only_if_they_are_not_the_defaults():
+    default, wide = (settings_of(override(ContactConfig(), {"model.image_scale": scale})) for scale in (1, 2))
+    assert "image_scale" not in default["model"]
+    assert wide["model"]["image_scale"] == 2
 
 
 @pytest.mark.parametrize("config", [Config(), ObsurfConfig()])
