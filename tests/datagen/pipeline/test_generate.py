@@ -18,6 +18,7 @@ from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
 from datagen.storage.spec import SPEC_FILE, spec_text, with_splits
+from datagen.verify.dataset import find
 from tests.worlds.generated import ROOT, hashes, make, recipe
 from tests.worlds.rendered import write_shard
 
@@ -224,11 +225,13 @@ def test_simulating_and_rendering_apart_gives_the_same_files(whole, tmp_path):
 
 def test_compression_belongs_to_the_dataset_and_not_to_its_scenes(whole, tmp_path):
     pytest.importorskip("hdf5plugin")
+    settings = {"resolution": (32, 32), "compression": "lz4", "run": Run(workers=2)}
     for scenes in (1, 3):
-        generate(tmp_path / "lz4", recipe(), splits={"train": scenes}, resolution=(32, 32), compression="lz4")
+        generate(tmp_path / "lz4", recipe(), splits={"train": scenes}, **settings)
     packed = Dataset(tmp_path / "lz4")
     assert packed.spec["compression"] == "lz4"
     assert hashes(tmp_path / "lz4")["train"] == hashes(whole)["train"][:3]
+    assert find(tmp_path / "lz4", workers=2) == []
     with pytest.raises(UsageError, match=r'other settings \(compression: "lz4" -> "gzip"\)'):
         make(tmp_path / "lz4", {"train": 4})
     render(tmp_path / "lz4", tmp_path / "kept")
