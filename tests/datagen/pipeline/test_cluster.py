@@ -12,12 +12,11 @@ from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, Impossibl
 from datagen.pipeline.cluster import connected
 from datagen.storage import spec
 from datagen.storage.manifest import read_manifest
-from datagen.storage.reader import Dataset
 from datagen.storage.spec import Compression
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 from tests.worlds.dask_workers import DaskWorkers
-from tests.worlds.generated import hashes, make
+from tests.worlds.generated import compressions, hashes, make
 
 pytest.importorskip("distributed")
 
@@ -94,7 +93,7 @@ def test_a_lost_worker_loses_no_scene(
     errors = errors_at_end(process)
     assert process.returncode == EXIT_OK, errors
     check_same(folder, alone)
-    assert spec.compression_of(Dataset(folder).spec) == compression
+    assert compressions(folder) == {compression}
 
 
 @pytest.mark.slow
