@@ -22,6 +22,9 @@ SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 MOST_FACES = 500_000
 """Largest number of triangles of a mesh."""
 
+_MOST_ROWS = 10 * MOST_FACES
+"""Largest number of rows of an array in a GLB file."""
+
 FARTHEST = 1e9
 """Largest coordinate of a vertex, in the units of its file."""
 
@@ -140,6 +143,8 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
     log = logging.getLogger("trimesh")
     disabled, log.disabled = log.disabled, True
     try:
+        if path.suffix.lower() == ".glb":
+            _check_glb(path, data)
         with warnings.catch_warnings(action="ignore"):
             loaded: Any = trimesh.load(
                 io.BytesIO(data),
@@ -148,8 +153,6 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
                 process=False,
                 force="scene",
             )
-        if path.suffix.lower() == ".glb":
-            _check_glb(path, data)
     except BadMesh:
         raise
     except Exception as error:
@@ -170,18 +173,22 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
 
 
 def _check_glb(path: Path, data: bytes) -> None:
-    """Refuse a GLB file with compressed triangles or damaged images, which trimesh leaves out without an error."""
+    """Refuse a GLB file with huge arrays, compressed triangles, or images that trimesh silently leaves out."""
     start = 20 + int.from_bytes(data[12:16], "little")
     header = parse_json(data[20:start].decode())
     if compressed := _COMPRESSED & set(header.get("extensionsRequired", [])):
         raise BadMesh(f"{path} needs {min(compressed)}, which is not supported. Export it without compression.")
+    if (count := max((each["count"] for each in header.get("accessors", [])), default=0)) > _MOST_ROWS:
+        raise BadMesh(f"{path} has an array of {count:,} rows; expected at most {_MOST_ROWS:,}. Simplify the mesh.")
     for number, image in enumerate(header.get("images", [])):
         if "bufferView" in image:
             view = header["bufferViews"][image["bufferView"]]
             first = start + 8 + view.get("byteOffset", 0)
             content = data[first : first + view["byteLength"]]
+        elif image["uri"].startswith("data:"):
+            content = base64.b64decode(image["uri"].partition(",")[2])
         else:
-            content = base64.b64decode(image.get("uri", "").partition(",")[2])
+            continue  # another file, which `NamedFiles` refuses
         try:
             with open_embedded_image(f"{path}: image {number}", io.BytesIO(content)):
                 pass

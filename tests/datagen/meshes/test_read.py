@@ -4,6 +4,7 @@ import json
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from datagen.errors import DatagenError
 from datagen.meshes.build import place
 from datagen.meshes.named_files import content_hash
 from datagen.meshes.read import LINEAR, read_mesh
+from datagen.storage.safe_io import parse_json
 from tests.worlds.meshes import (
     BOX,
     SIDES,
@@ -152,15 +154,31 @@ def huge_embedded_texture(folder: Path) -> str:
     return path.name
 
 
-def compressed(folder: Path) -> str:
-    path = write_textured_glb(folder / "a.glb")
+def change_header(path: Path, change: Callable[[dict[str, Any]], object]) -> str:
+    """Change the JSON part of a GLB file."""
     data = path.read_bytes()
     end = 20 + int.from_bytes(data[12:16], "little")
-    header = {**json.loads(data[20:end]), "extensionsRequired": ["KHR_draco_mesh_compression"]}
+    header = parse_json(data[20:end].decode())
+    change(header)
     head = json.dumps(header).ljust(end + 80).encode()
     chunk = len(head).to_bytes(4, "little") + b"JSON" + head
     path.write_bytes(data[:8] + (12 + len(chunk) + len(data) - end).to_bytes(4, "little") + chunk + data[end:])
     return path.name
+
+
+def compressed(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    return change_header(path, lambda header: header.update(extensionsRequired=["KHR_draco_mesh_compression"]))
+
+
+def huge_array(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    return change_header(path, lambda header: header["accessors"].append({"count": 10**9}))
+
+
+def texture_elsewhere(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    return change_header(path, lambda header: header.update(images=[{"uri": "../a.png"}]))
 
 
 def empty(folder: Path) -> str:
@@ -233,6 +251,8 @@ def single_point(folder: Path) -> str:
         (damaged_texture, r"box\.png is damaged"),
         (damaged_other_texture, r"box\.webp is damaged"),
         (damaged_embedded_texture, r"a\.glb: image 0 is damaged"),
+        (huge_array, r"a\.glb has an array of 1,000,000,000 rows"),
+        (texture_elsewhere, r"a\.glb names '\.\./a\.png', which lies outside of"),
         (compressed, r"a\.glb needs KHR_draco_mesh_compression"),
         (huge_embedded_texture, r"a\.glb: image 0 has too many pixels"),
         (empty, r"a\.stl is empty"),
