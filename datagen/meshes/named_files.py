@@ -17,7 +17,7 @@ MOST_BYTES = 2**28
 _MOST_HEADER = 65536
 """Largest part of a PLY file in which its header is searched, bytes."""
 
-_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".tga", ".gif")
 
 
 class BadMesh(CorruptFile):
@@ -66,7 +66,12 @@ class NamedFiles:
             DatagenError: it is too large, or a damaged image.
         """
         name = name.strip().replace("\\", "/")
-        path = (self.mesh.parent / name).resolve()
+        try:
+            path = (self.mesh.parent / name).resolve()
+            is_there = path.is_file()
+        except (OSError, ValueError):  # a name that is too long, or has a null character
+            self.missing.append(name)
+            return None
         if not path.is_relative_to(self.folder.resolve()):
             raise BadMesh(
                 f"{self.mesh} names {name!r:.80}, which lies outside of {self.folder}; nothing was read. "
@@ -74,11 +79,11 @@ class NamedFiles:
             )
         if self.mesh.suffix.lower() not in (".obj", ".ply"):
             raise BadMesh(f"{self.mesh} names the file {name!r:.80}; expected one file with all data embedded.")
-        if not path.is_file():
+        if not is_there:
             self.missing.append(name)
             return None
         if path.suffix.lower() in _IMAGES:
-            with open_image(path, ("PNG", "JPEG", "TIFF", "BMP")):
+            with open_image(path, ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "TGA", "GIF")):
                 pass
         return read_bytes(path, MOST_BYTES)
 

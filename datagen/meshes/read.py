@@ -1,5 +1,6 @@
 """Read OBJ, PLY, STL and GLB files into one triangle list with textures; the only module that imports trimesh."""
 
+import base64
 import io
 import logging
 import re
@@ -11,9 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from datagen.errors import CorruptFile
 from datagen.geometry import LINEAR
 from datagen.meshes.named_files import BadMesh, NamedFiles, joint_hash, read_file
-from datagen.storage.safe_io import MOST_IMAGE_PIXELS, brief_reason
+from datagen.storage.safe_io import MOST_IMAGE_PIXELS, brief_reason, open_embedded_image, parse_json
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 """File types that can be read, lower case."""
@@ -21,8 +23,17 @@ SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 MOST_FACES = 500_000
 """Largest number of triangles of a mesh."""
 
+_MOST_ROWS = 10 * MOST_FACES
+"""Largest number of rows of an array in a GLB file."""
+
 FARTHEST = 1e9
 """Largest coordinate of a vertex, in the units of its file."""
+
+_MOST_NAMED = 5
+"""Largest number of missing files that are listed."""
+
+_COMPRESSED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression"}
+"""glTF extensions that compress triangles."""
 
 _GREY = 0.6
 """Linear grey of parts without a colour of their own."""
@@ -81,8 +92,10 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
             f"{path} has vertices that are NaN, infinite or beyond {FARTHEST:g}. Export it again, or remove it."
         )
     sha256 = joint_hash(files, data)
-    problems = tuple(f"{name:.80} is missing" for name in dict.fromkeys(files.missing) if name)
-    return RawMesh(**vars(merged), parts=len(pieces), sha256=sha256, problems=problems)
+    missing = [name for name in dict.fromkeys(files.missing) if name]
+    problems = [f"{name:.80} is missing" for name in missing[:_MOST_NAMED]]
+    problems += [f"{len(missing) - _MOST_NAMED} more files are missing"] * (len(missing) > _MOST_NAMED)
+    return RawMesh(**vars(merged), parts=len(pieces), sha256=sha256, problems=tuple(problems))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +144,8 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
     log = logging.getLogger("trimesh")
     disabled, log.disabled = log.disabled, True
     try:
+        if path.suffix.lower() == ".glb":
+            _check_glb(path, data)
         with warnings.catch_warnings(action="ignore"):
             loaded: Any = trimesh.load(
                 io.BytesIO(data),
@@ -139,6 +154,8 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
                 process=False,
                 force="scene",
             )
+    except BadMesh:
+        raise
     except Exception as error:
         # Damaged files make trimesh's parsers fail in any way.
         raise files.failure or BadMesh(
@@ -154,6 +171,30 @@ def _load(path: Path, data: bytes, files: NamedFiles) -> list[tuple[Any, np.ndar
         if isinstance(geometry := loaded.geometry[name], trimesh.Trimesh):
             found.append((geometry, np.asarray(matrix, np.float64)))
     return found
+
+
+def _check_glb(path: Path, data: bytes) -> None:
+    """Refuse a GLB file with huge arrays, compressed triangles, or images that trimesh silently leaves out."""
+    start = 20 + int.from_bytes(data[12:16], "little")
+    header = parse_json(data[20:start].decode())
+    if compressed := _COMPRESSED & set(header.get("extensionsRequired", [])):
+        raise BadMesh(f"{path} needs {min(compressed)}, which is not supported. Export it without compression.")
+    if (count := max((each["count"] for each in header.get("accessors", [])), default=0)) > _MOST_ROWS:
+        raise BadMesh(f"{path} has an array of {count:,} rows; expected at most {_MOST_ROWS:,}. Simplify the mesh.")
+    for number, image in enumerate(header.get("images", [])):
+        if "bufferView" in image:
+            view = header["bufferViews"][image["bufferView"]]
+            first = start + 8 + view.get("byteOffset", 0)
+            content = data[first : first + view["byteLength"]]
+        elif image["uri"].startswith("data:"):
+            content = base64.b64decode(image["uri"].partition(",")[2])
+        else:
+            continue  # another file, which `NamedFiles` refuses
+        try:
+            with open_embedded_image(f"{path}: image {number}", io.BytesIO(content)):
+                pass
+        except CorruptFile as error:
+            raise BadMesh(f"{error} Export the mesh again with another texture.") from None
 
 
 def _piece(path: Path, geometry: Any, matrix: np.ndarray) -> _Piece:

@@ -578,28 +578,37 @@ def open_image(path: Path, formats: Sequence[str] = ("PNG", "JPEG", "TIFF")) -> 
         UsageError: it is no regular file.
         CorruptFile: it is damaged, of another format, or has more pixels than `MOST_IMAGE_PIXELS`.
     """
+    check_file(path, 16 * MOST_IMAGE_PIXELS)
+    with open_embedded_image(str(path), path, formats) as image:
+        yield image
+
+
+@contextmanager
+def open_embedded_image(
+    name: str, content: Path | BytesIO, formats: Sequence[str] = ("PNG", "JPEG", "WEBP")
+) -> Iterator["Image.Image"]:
+    """Open an image as `open_image`; `name` stands for it in messages."""
     from PIL import Image, UnidentifiedImageError
 
-    check_file(path, 16 * MOST_IMAGE_PIXELS)
     try:
         # Pillow warns of damaged metadata, and of sizes that are refused below.
-        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=list(formats)) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(content, formats=list(formats)) as image:
             width, height = image.size
             if width * height > MOST_IMAGE_PIXELS:
                 raise CorruptFile(
-                    f"{path} has {width} x {height} pixels; expected at most {MOST_IMAGE_PIXELS:,}. Make it smaller."
+                    f"{name} has {width} x {height} pixels; expected at most {MOST_IMAGE_PIXELS:,}. Make it smaller."
                 )
             yield image
     except UnidentifiedImageError:
-        raise CorruptFile(f"{path} is damaged or no image; expected {', '.join(formats)}.") from None
+        raise CorruptFile(f"{name} is damaged or no image; expected {', '.join(formats)}.") from None
     except Image.DecompressionBombError:
         raise CorruptFile(
-            f"{path} has too many pixels; expected at most {MOST_IMAGE_PIXELS:,}. Make it smaller."
+            f"{name} has too many pixels; expected at most {MOST_IMAGE_PIXELS:,}. Make it smaller."
         ) from None
     except (FileNotFoundError, PermissionError):
         raise
     except _IMAGE_ERRORS as error:
-        raise CorruptFile(f"{path} is damaged or no image ({brief_reason(error)}).") from None
+        raise CorruptFile(f"{name} is damaged or no image ({brief_reason(error)}).") from None
 
 
 def exr_header(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:

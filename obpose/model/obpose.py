@@ -241,7 +241,7 @@ class ObPose(Trainable):
         rays = all_rays(observation)
         surface = rays.origin + rays.direction * rays.depth[..., None]
         logits = self.decode(inference, surface, rays.direction, where_background="in boxes").logits
-        return (logits.argmax(dim=2) * rays.valid).reshape(observation.depth.shape)
+        return (logits.max(dim=2).indices * rays.valid).reshape(observation.depth.shape)
 
     def _segment_as_labelled(self, views: EmbeddedViews, labels: Labels) -> SceneSegmentation:
         grid = self.backbone.grid_size(*labels.shape[3:])

@@ -1,8 +1,9 @@
-"""CPU time to train the contact model's network on one core: float32, bfloat16 and torch.compile (needs g++).
+"""CPU time to train the contact model's network on one core: float32, bfloat16, and torch.compile if there is g++.
 
 python -m tests.perf.network_precision
 """
 
+import shutil
 import statistics
 import time
 from collections.abc import Callable
@@ -24,13 +25,14 @@ def main() -> None:
         network = UNet(11, 21)
         half = UNet(11, 21).to(torch.bfloat16)
         images = torch.randn(BATCH, 11, side, side)
-        compiled = torch.compile(network, dynamic=False)
         ways: dict[str, Callable[[], Tensor]] = {
             "float32": lambda network=network, images=images: network(images),
             "bfloat16": lambda half=half, images=images: half(images.bfloat16()),
             "autocast": lambda network=network, images=images: _autocast(network, images),
-            "torch.compile": lambda compiled=compiled, images=images: compiled(images),
         }
+        if shutil.which("g++"):
+            compiled = torch.compile(network, dynamic=False)
+            ways["torch.compile"] = lambda compiled=compiled, images=images: compiled(images)
         first = {name: _cost(way) for name, way in ways.items()}
         costs = {name: [] for name in ways}
         for _ in range(ROUNDS):

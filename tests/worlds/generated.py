@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from datagen import schema
@@ -12,6 +13,7 @@ from datagen.config import Recipe, load_recipe, recipe_to_dict
 from datagen.pipeline.generate import Report, Run, generate
 from datagen.storage import spec
 from datagen.storage.reader import Dataset
+from datagen.storage.safe_io import LZ4_FILTER
 from tests.paths import ROOT
 
 RESOLUTION = (32, 32)
@@ -42,6 +44,16 @@ def hashes(folder: Path) -> dict[str, list[str]]:
         scenes = dataset.split(name)
         found[name] = [scenes.hash(index) for index in range(number)]
         assert found[name] == [schema.scene_hash(record) for record in scenes]
+    return found
+
+
+def compressions(folder: Path) -> set[str]:
+    """Compressions of the images in all shards."""
+    found = set()
+    for path in folder.glob("*.h5"):
+        with h5py.File(path) as file:
+            lz4 = file["rgb"].id.get_create_plist().get_filter_by_id(LZ4_FILTER)
+            found.add("lz4" if lz4 else file["rgb"].compression)
     return found
 
 

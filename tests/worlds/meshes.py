@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from PIL import Image
 
 BOX = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -65,6 +66,15 @@ def write_textured_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> P
     rows = body.splitlines()
     rows[: len(vertices)] = [f"{row} 0.5 0.5" for row in rows[: len(vertices)]]
     path.write_text(head + "end_header\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def write_textured_glb(path: Path) -> Path:
+    """A GLB file of a cube with a PNG image inside."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.new("RGB", (4, 4), (250, 120, 10)))
+    visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)
+    trimesh.Trimesh(0.05 * BOX, triangles(), visual=visual, process=False).export(path)
     return path
 
 

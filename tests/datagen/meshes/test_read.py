@@ -1,7 +1,10 @@
 """Files of all kinds become triangles with colours; bad ones are refused with their name and a remedy."""
 
+import json
+import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +15,17 @@ from datagen.errors import DatagenError
 from datagen.meshes.build import place
 from datagen.meshes.named_files import content_hash
 from datagen.meshes.read import LINEAR, read_mesh
-from tests.worlds.meshes import BOX, SIDES, triangles, write_obj, write_ply, write_stl, write_textured_ply
+from datagen.storage.safe_io import parse_json
+from tests.worlds.meshes import (
+    BOX,
+    SIDES,
+    triangles,
+    write_obj,
+    write_ply,
+    write_stl,
+    write_textured_glb,
+    write_textured_ply,
+)
 
 
 def test_an_obj_with_a_texture(tmp_path: Path):
@@ -55,6 +68,11 @@ def test_a_glb_keeps_the_transforms_of_its_parts(tmp_path: Path):
     np.testing.assert_allclose(np.max(raw.vertices, axis=0), [1.05, 2.05, 3.05], atol=1e-6)
 
 
+def test_a_glb_has_its_texture_inside(tmp_path: Path):
+    raw = read_mesh(tmp_path, write_textured_glb(tmp_path / "a.glb").name)
+    assert raw.images[0][0, 0].tolist() == [250, 120, 10]
+
+
 def test_the_hash_covers_the_texture(tmp_path: Path):
     write_obj(tmp_path)
     before = content_hash(tmp_path, "box.obj")
@@ -68,6 +86,14 @@ def test_a_missing_texture_is_a_problem_and_no_failure(tmp_path: Path):
     raw = read_mesh(tmp_path, "box.obj")
     assert raw.problems == ("gone.png is missing",)
     assert raw.images == ()
+
+
+def test_names_of_files_that_cannot_be_are_missing_and_few_are_listed(tmp_path: Path):
+    path = write_obj(tmp_path)
+    names = ["a\0.mtl", 5000 * "a", *(f"{number}.mtl" for number in range(9))]
+    path.write_text("".join(f"mtllib {name}\n" for name in names) + path.read_text())
+    problems = read_mesh(tmp_path, "box.obj").problems
+    assert (len(problems), problems[-1]) == (6, "6 more files are missing")
 
 
 def test_texture_coordinates_without_a_material_give_no_colours(tmp_path: Path):
@@ -105,6 +131,54 @@ def damaged_texture(folder: Path) -> str:
     write_obj(folder)
     (folder / "box.png").write_bytes(b"no image")
     return "box.obj"
+
+
+def damaged_other_texture(folder: Path) -> str:
+    write_obj(folder, texture="box.webp")
+    (folder / "box.webp").write_bytes(b"no image")
+    return "box.obj"
+
+
+def damaged_embedded_texture(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    path.write_bytes(path.read_bytes().replace(b"\x89PNG", b"\0PNG"))
+    return path.name
+
+
+def huge_embedded_texture(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    data = path.read_bytes()
+    start = data.index(b"IHDR")
+    head = b"IHDR" + 2 * (20_000).to_bytes(4, "big") + data[start + 12 : start + 17]
+    path.write_bytes(data[:start] + head + zlib.crc32(head).to_bytes(4, "big") + data[start + 21 :])
+    return path.name
+
+
+def change_header(path: Path, change: Callable[[dict[str, Any]], object]) -> str:
+    """Change the JSON part of a GLB file."""
+    data = path.read_bytes()
+    end = 20 + int.from_bytes(data[12:16], "little")
+    header = parse_json(data[20:end].decode())
+    change(header)
+    head = json.dumps(header).ljust(end + 80).encode()
+    chunk = len(head).to_bytes(4, "little") + b"JSON" + head
+    path.write_bytes(data[:8] + (12 + len(chunk) + len(data) - end).to_bytes(4, "little") + chunk + data[end:])
+    return path.name
+
+
+def compressed(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    return change_header(path, lambda header: header.update(extensionsRequired=["KHR_draco_mesh_compression"]))
+
+
+def huge_array(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    return change_header(path, lambda header: header["accessors"].append({"count": 10**9}))
+
+
+def texture_elsewhere(folder: Path) -> str:
+    path = write_textured_glb(folder / "a.glb")
+    return change_header(path, lambda header: header.update(images=[{"uri": "../a.png"}]))
 
 
 def empty(folder: Path) -> str:
@@ -175,6 +249,12 @@ def single_point(folder: Path) -> str:
         (outside_by_link, "outside of"),
         (huge_texture, "too many pixels"),
         (damaged_texture, r"box\.png is damaged"),
+        (damaged_other_texture, r"box\.webp is damaged"),
+        (damaged_embedded_texture, r"a\.glb: image 0 is damaged"),
+        (huge_array, r"a\.glb has an array of 1,000,000,000 rows"),
+        (texture_elsewhere, r"a\.glb names '\.\./a\.png', which lies outside of"),
+        (compressed, r"a\.glb needs KHR_draco_mesh_compression"),
+        (huge_embedded_texture, r"a\.glb: image 0 has too many pixels"),
         (empty, r"a\.stl is empty"),
         (garbage, r"a\.glb is damaged or no mesh"),
         (without_faces, "no triangles"),

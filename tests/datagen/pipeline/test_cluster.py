@@ -12,10 +12,11 @@ from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, Impossibl
 from datagen.pipeline.cluster import connected
 from datagen.storage import spec
 from datagen.storage.manifest import read_manifest
+from datagen.storage.spec import Compression
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 from tests.worlds.dask_workers import DaskWorkers
-from tests.worlds.generated import hashes, make
+from tests.worlds.generated import compressions, hashes, make
 
 pytest.importorskip("distributed")
 
@@ -79,15 +80,20 @@ def check_same(folder: Path, alone: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", ["shared", "apart"])
-def test_a_lost_worker_loses_no_scene(cluster: DaskWorkers, alone: Path, tmp_path: Path, place: str):
+@pytest.mark.parametrize(("place", "compression"), [("shared", "gzip"), ("apart", "lz4")])
+def test_a_lost_worker_loses_no_scene(
+    cluster: DaskWorkers, alone: Path, tmp_path: Path, place: str, compression: Compression
+):
+    if compression == "lz4":
+        pytest.importorskip("hdf5plugin")
     folder = tmp_path / "set"
-    process = client(folder, f"--dask={cluster.address}", place=place)
+    process = client(folder, f"--dask={cluster.address}", f"--compression={compression}", place=place)
     wait_until(lambda: list(folder.glob("*.h5")), seconds=200, what="a first shard")
     cluster.workers[0].kill()
     errors = errors_at_end(process)
     assert process.returncode == EXIT_OK, errors
     check_same(folder, alone)
+    assert compressions(folder) == {compression}
 
 
 @pytest.mark.slow

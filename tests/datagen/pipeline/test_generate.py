@@ -18,7 +18,8 @@ from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
 from datagen.storage.shard import pack
 from datagen.storage.spec import SPEC_FILE, spec_text, with_splits
-from tests.worlds.generated import ROOT, hashes, make, recipe
+from datagen.verify.dataset import find
+from tests.worlds.generated import ROOT, compressions, hashes, make, recipe
 from tests.worlds.rendered import write_shard
 
 SIZES = {"train": 5, "val": 1, "test": 1}
@@ -190,17 +191,21 @@ def test_simulating_and_rendering_apart_gives_the_same_files(whole, tmp_path):
 
 def test_compression_belongs_to_the_dataset_and_not_to_its_scenes(whole, tmp_path):
     pytest.importorskip("hdf5plugin")
+    settings = {"resolution": (32, 32), "compression": "lz4", "run": Run(workers=2)}
     for scenes in (1, 3):
-        generate(tmp_path / "lz4", recipe(), splits={"train": scenes}, resolution=(32, 32), compression="lz4")
+        generate(tmp_path / "lz4", recipe(), splits={"train": scenes}, **settings)
     packed = Dataset(tmp_path / "lz4")
     assert packed.spec["compression"] == "lz4"
     assert hashes(tmp_path / "lz4")["train"] == hashes(whole)["train"][:3]
+    assert find(tmp_path / "lz4", workers=2) == []
+    assert compressions(tmp_path / "lz4") == {"lz4"}
     with pytest.raises(UsageError, match=r'other settings \(compression: "lz4" -> "gzip"\)'):
         make(tmp_path / "lz4", {"train": 4})
     render(tmp_path / "lz4", tmp_path / "kept")
     assert shards(tmp_path / "kept") == shards(tmp_path / "lz4")
     render(tmp_path / "lz4", tmp_path / "gzip", compression="gzip")
     assert "compression" not in Dataset(tmp_path / "gzip").spec
+    assert compressions(tmp_path / "gzip") == {"gzip"}
     with pytest.raises(UsageError, match="Compression lz4 is for images"):
         generate(tmp_path / "none", recipe(), splits={"train": 1}, renderer=None, compression="lz4")
 
