@@ -13,6 +13,7 @@ from datagen.scene import Camera, Scene, ShapeSpec, scene_from_json
 from datagen.schema import SceneRecord
 from datagen.sensor import sense
 from datagen.verify import verify_record
+from datagen.verify.bodies import check_boxes
 from datagen.verify.scene_case import make_case
 from tests.worlds import rendered
 
@@ -243,6 +244,14 @@ def test_every_stored_fact_is_compared(video: SceneRecord, name: str, expected: 
     first = (0,) * record[name].ndim
     record[name][first] = b"other" if record[name].dtype.kind == "S" else record[name][first] + 1
     assert expected in checks(record)
+
+
+def test_a_shape_that_reaches_beyond_its_box_is_found(video: SceneRecord):
+    case = make_case(video)
+    first, *others = case.shapes
+    box = dataclasses.replace(first.minimum_box, size=first.minimum_box.size - 4e-4)
+    found = check_boxes(dataclasses.replace(case, shapes=[dataclasses.replace(first, minimum_box=box), *others]))
+    assert "object 1 reaches 0.200 mm beyond its minimum box" in {finding.message for finding in found}
 
 
 def test_visible_pixels_are_counted(video: SceneRecord):
