@@ -406,6 +406,16 @@ def test_sensor_depth_that_the_noise_does_not_explain_is_found(video: SceneRecor
     assert noise_findings(exact, sensor) == [], "less noise is no contradiction"
 
 
+def test_sensor_depth_from_outside_of_the_range_is_found(video: SceneRecord):
+    sensor = Sensor(enabled=True)
+    record = sensed(video, sensor)
+    far = schema.decode_depth(record["depth"][record["sensor_valid"] > 0])
+    middle = float(np.median(far))
+    for limits in ({"farthest": middle}, {"nearest": middle}):
+        found = noise_findings(record, dataclasses.replace(sensor, **limits))
+        assert ["outside of the sensor's range" in text for text in found] == [True]
+
+
 def test_objects_at_the_side_of_a_wide_view_are_verified_and_still_checked():
     ball = ShapeSpec("sphere", {"radius": 0.1})
     camera = Camera((0.0, 0.0, 0.25), (1.0, 0.0, 0.25), float(np.radians(165)), 200 / 60)
