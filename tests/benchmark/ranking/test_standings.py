@@ -66,13 +66,6 @@ def test_label_maps_made_elsewhere_are_seeds_of_one_entry():
     assert len(standings(*zip(*models, strict=True))) == 2
 
 
-def test_one_run_stands_for_all_seeds_where_they_make_no_difference():
-    fixed = [scored("fixed", 0.5, seed, random=False) for seed in range(3)]
-    chance = [scored("chance", 0.5, seed) for seed in range(3)]
-    results = results_of(*fixed, *chance)
-    assert (results["fixed"].n_runs, results["chance"].n_runs) == (1, 3)
-
-
 def test_models_are_ranked_by_both_metrics():
     """A model that is best in one metric and worst in the other loses to one that is second in both."""
     pairs = []

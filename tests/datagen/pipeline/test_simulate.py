@@ -201,11 +201,6 @@ def test_a_clip_in_which_nothing_travels_is_refused():
         check_course(load_recipe("moving"), frozen)
 
 
-def test_a_recipe_of_one_object_works():
-    lone = Recipe(objects=Objects(minimum=1, maximum=1, categories=("box",)))
-    assert len(simulate_scene(lone, 0, "train", 0).shapes) == 1
-
-
 @pytest.mark.parametrize(("width", "height"), [(256, 128), (128, 256)])
 def test_images_of_another_aspect_show_the_same_and_more(width: int, height: int):
     made = simulate_scene(load_recipe("moving"), 0, "train", 1)

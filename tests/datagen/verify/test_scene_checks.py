@@ -13,6 +13,7 @@ from datagen.scene import Camera, Scene, ShapeSpec, scene_from_json
 from datagen.schema import SceneRecord
 from datagen.sensor import sense
 from datagen.verify import verify_record
+from datagen.verify.bodies import check_boxes
 from datagen.verify.scene_case import make_case
 from tests.worlds import rendered
 
@@ -245,6 +246,14 @@ def test_every_stored_fact_is_compared(video: SceneRecord, name: str, expected: 
     assert expected in checks(record)
 
 
+def test_a_shape_that_reaches_beyond_its_box_is_found(video: SceneRecord):
+    case = make_case(video)
+    first, *others = case.shapes
+    box = dataclasses.replace(first.minimum_box, size=first.minimum_box.size - 4e-4)
+    found = check_boxes(dataclasses.replace(case, shapes=[dataclasses.replace(first, minimum_box=box), *others]))
+    assert "object 1 reaches 0.200 mm beyond its minimum box" in {finding.message for finding in found}
+
+
 def test_visible_pixels_are_counted(video: SceneRecord):
     record = copy(video)
     record["visibility/visible_pixels"][0, 0, 0] -= 1
@@ -395,6 +404,16 @@ def test_sensor_depth_that_the_noise_does_not_explain_is_found(video: SceneRecor
     assert ["1 pixels are up to" in text for text in noise_findings(one, sensor)] == [True]
     exact = {**clean, "sensor_depth": np.where(valid, clean["depth"], 0).astype(np.uint16)}
     assert noise_findings(exact, sensor) == [], "less noise is no contradiction"
+
+
+def test_sensor_depth_from_outside_of_the_range_is_found(video: SceneRecord):
+    sensor = Sensor(enabled=True)
+    record = sensed(video, sensor)
+    far = schema.decode_depth(record["depth"][record["sensor_valid"] > 0])
+    middle = float(np.median(far))
+    for limits in ({"farthest": middle}, {"nearest": middle}):
+        found = noise_findings(record, dataclasses.replace(sensor, **limits))
+        assert ["outside of the sensor's range" in text for text in found] == [True]
 
 
 def test_objects_at_the_side_of_a_wide_view_are_verified_and_still_checked():
