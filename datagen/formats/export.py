@@ -78,7 +78,8 @@ def _check_request(dataset: Dataset, exporter: Exporter, counts: Mapping[str, in
     for split in counts:
         fields = dataset.split(split).fields()
         if missing := [field for field in exporter.needs if field not in fields]:
-            remedy = "Choose another --format."
+            whole = [name for name in counts if set(exporter.needs) <= set(dataset.split(name).fields())]
+            remedy = f"Choose --splits {','.join(whole)}, or another --format." if whole else "Choose another --format."
             if "rgb" not in fields and "scene/description" in fields:
                 remedy = f"Render it first: obpose-datagen render --from {dataset.folder}"
             raise UsageError(

@@ -51,31 +51,32 @@ def judge(case: Case, sights: Sequence[Sight]) -> list[Verdicts]:
     lines = _lines(case, sights)
     row, world = np.concatenate([sight.row for sight in sights]), lines.center + lines.depth[:, None] * lines.ray
     shown, hidden = row < 0, np.zeros(len(row), bool)
-    for place in range(case.count):
-        poses = case.world_from_object[lines.frame, place]
-        origins = np.einsum("pj,pji->pi", lines.center - poses[:, :3, 3], poses[:, :3, :3])
-        local = np.einsum("pj,pji->pi", lines.ray, poses[:, :3, :3])
-        points = origins + lines.depth[:, None] * local
-        shape, own = case.shapes[place], np.flatnonzero(row == place)
+    for place, shape in enumerate(case.shapes):
+        part = np.flatnonzero((row == place) | _near_box(case, lines, place))
+        poses, depth = case.world_from_object[lines.frame[part], place], lines.depth[part]
+        origins = np.einsum("pj,pji->pi", lines.center[part] - poses[:, :3, 3], poses[:, :3, :3])
+        local = np.einsum("pj,pji->pi", lines.ray[part], poses[:, :3, :3])
+        points = origins + depth[:, None] * local
+        own = np.flatnonzero(row[part] == place)
         if len(own):
             normal = surface_normals(shape, points[own], local[own])
             length = np.sqrt(np.sum(local[own] ** 2, axis=1))
-            shown[own] = np.sum(normal * local[own], axis=1) < -FACING * length
+            shown[part[own]] = np.sum(normal * local[own], axis=1) < -FACING * length
         near, far = clip_to_box(shape.minimum_box, origins, local, NEAR_MISS + SHELL)
-        some = np.flatnonzero(near < np.minimum(far, lines.depth))
-        ends = np.minimum(far, lines.depth - LAST)
-        sideways = case.allowed.precision.sideways(lines.depth[some], lines.focal[some])
+        some = np.flatnonzero(near < np.minimum(far, depth))
+        ends, there = np.minimum(far, depth - LAST), part[some]
+        sideways = case.allowed.precision.sideways(depth[some], lines.focal[there])
         if mesh := mesh_rays.mesh_of(shape):
             first, last = mesh_rays.bounds(mesh, origins[some], local[some], NEAR_MISS + sideways)
             met, passed = last < ends[some], first >= ends[some]
         else:
             hit, closest = trace(shape.signed_distance, origins[some], local[some], near[some], ends[some], SHELL)
             met, passed = np.isfinite(hit), closest > NEAR_MISS + sideways
-        hidden[some] |= met & (sideways == 0)
-        shown[some[~passed]] = False
-        others = some[(row[some] != place) & shown[some]]
+        hidden[there] |= met & (sideways == 0)
+        shown[there[~passed]] = False
+        others = some[(row[there] != place) & shown[there]]
         close = mesh.within(points[others], CLOSE) if mesh else shape.signed_distance(points[others]) <= CLOSE
-        shown[others[close]] = False
+        shown[part[others[close]]] = False
     shown[(world[:, 2] < 0) & (row >= 0)] = False
     hidden |= _below_table(case, lines) & (row != -1)
     ends = np.cumsum([len(sight.row) for sight in sights])[:-1]
@@ -109,6 +110,16 @@ def _lines(case: Case, sights: Sequence[Sight]) -> _Lines:
         depth=np.minimum(np.concatenate([sight.z for sight in sights]), FAR),
         focal=np.repeat(case.focal[[sight.view for sight in sights]], counts),
     )
+
+
+def _near_box(case: Case, lines: _Lines, place: int) -> Bool[np.ndarray, "point"]:
+    """Whether lines of sight meet the ball around an object's box; all others miss the box."""
+    box, poses = case.shapes[place].minimum_box, case.world_from_object[:, place]
+    centers = poses[:, :3, :3] @ box.center + poses[:, :3, 3]
+    radius = 0.5 * np.linalg.norm(box.size) + 2 * (NEAR_MISS + SHELL)
+    towards = centers[lines.frame] - lines.center
+    along, length = (np.einsum("pi,pi->p", lines.ray, other) for other in (towards, lines.ray))
+    return np.einsum("pi,pi->p", towards, towards) - along**2 / length < radius**2
 
 
 CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float64)

@@ -11,7 +11,7 @@ from datagen.formats.export import EXPORT_FILE, export
 from datagen.formats.export_card import export_card
 from datagen.formats.exporters import EXPORTERS, Format
 from datagen.schema import FIELDS
-from datagen.storage.reader import Dataset
+from datagen.storage.reader import Dataset, Split
 from tests.worlds import rendered
 
 FORMATS: list[Format] = list(EXPORTERS)
@@ -109,6 +109,15 @@ def test_a_dataset_without_images_has_to_be_rendered_first(clips: Path, tmp_path
     monkeypatch.setattr("datagen.storage.reader.Split.fields", lambda *_: sorted(FIELDS.keys() - {"rgb"}))
     with pytest.raises(UsageError, match=r"needs rgb, .* Render it first: obpose-datagen render --from"):
         export(clips, tmp_path / "out", "rgbd")
+
+
+def test_splits_that_have_the_fields_are_named(clips: Path, monkeypatch):
+    def fields(split: Split) -> list[str]:
+        return sorted(FIELDS.keys() - ({"segmentation"} if split.name == "train" else set()))
+
+    monkeypatch.setattr(Split, "fields", fields)
+    with pytest.raises(UsageError, match=r"needs segmentation, .* Choose --splits val, or another --format"):
+        module._check_request(Dataset(clips), EXPORTERS["coco"], {"train": 1, "val": 1}, ("train", "val"))
 
 
 def test_an_incomplete_dataset_is_refused(tmp_path: Path):
