@@ -68,7 +68,7 @@ bench: .venv/.dev
 	$(BIN)/python -m pytest tests/perf -o addopts= --benchmark-columns=median,min,max,rounds --benchmark-group-by=group -s
 	$(BIN)/python -m tests.perf.scene_costs moving static cluttered
 	@echo "The first scene on a new machine, compilation included:"
-	cache=$$(mktemp -d) && NUMBA_CACHE_DIR=$$cache $(BIN)/python -m tests.perf.scene_costs moving; rm -r $$cache
+	cache=$$(mktemp -d) && NUMBA_CACHE_DIR=$$cache $(BIN)/python -m tests.perf.scene_costs moving && rm -r $$cache
 	$(BIN)/python -m tests.perf.command_costs
 	$(BIN)/python -m tests.perf.dask_overhead
 	$(BIN)/python -m tests.perf.growth
