@@ -32,8 +32,8 @@ FindMethod = Callable[[str, int], "Method"]
 AUTO = "auto"
 UNTRAINED_CHOICE = "plane-hdbscan"
 FARTHEST, LOWEST = 1.65, 21.0
-"""Greatest distance (metres) and least elevation (degrees) of cameras for which `auto` takes the weights. The recipe
-`desk`, on which they were trained, has 0.5 to 1.3 m and 25 to 85 degrees; docs/own_frames.md has scores beyond."""
+"""Greatest distance (metres) and least elevation (degrees) of cameras for which `auto` takes the weights. Those
+of their training images are 0.5 to 1.3 m and 25 to 85 degrees; docs/own_frames.md compares methods beyond."""
 WIDEST = 0.35
 """Greatest width of the upright box of an object in 100 validation scenes of `desk`, metres."""
 
