@@ -16,7 +16,7 @@ from obpose.systems import ARCHITECTURES, SYSTEMS, architecture_of, build_model,
 from obpose.types import LabelledObservation
 from obpose.variants import VARIANTS, make_config
 
-MEASURES = SceneMeasures(0.02, (0.1, 0.2, 0.3), 0.7, 1.9, 0.001).changes()
+MEASURES = SceneMeasures(0.02, (0.1, 0.2, 0.3), 0.7, 1.9, 0.001, 1).changes()
 
 
 @pytest.mark.parametrize(("name", "profile"), [(n, p) for n, s in SYSTEMS.items() for p in s.architecture.profiles])
