@@ -76,7 +76,7 @@ def test_a_configuration_says_which_model_it_is_of():
         ContactObPoseConfig,
     }
     with pytest.raises(TypeError, match="configured by SceneMeasures"):
-        architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0, 0.0))
+        architecture_of(SceneMeasures(0.02, (0.0, 0.0, 0.0), 1.0, 1.0, 0.0, 1))
 
 
 def test_a_system_that_uses_labels_is_one_whose_model_sees_them():
