@@ -13,7 +13,7 @@ import assets
 from datagen.errors import UsageError, unknown_name
 from datagen.recipe_rules import OPTIONAL_RANGES, constants, problems
 
-LATER = (
+ADDED_LATER = (
     *OPTIONAL_RANGES,
     "layout.container_share",
     "lighting.exposure",
@@ -393,7 +393,7 @@ def recipe_from_dict(data: dict[str, Any]) -> Recipe:
 def recipe_to_dict(recipe: Recipe) -> dict[str, Any]:
     """Convert a recipe to nested plain values; `recipe_from_dict` turns them back into an equal recipe."""
     values, defaults = dataclasses.asdict(recipe), dataclasses.asdict(Recipe())
-    for group, _, name in (path.partition(".") for path in LATER):
+    for group, _, name in (path.partition(".") for path in ADDED_LATER):
         if values[group][name] == defaults[group][name]:
             del values[group][name]
     return values

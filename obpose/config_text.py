@@ -15,7 +15,7 @@ Plain = dict[str, Any]
 """A configuration as nested dicts of JSON values."""
 _NAMED, _LONGEST = 3, 80
 """Largest number of unknown values that a message names, and of characters that it shows of a value."""
-LATER: Plain = {"image_scale": 1}
+ADDED_LATER: Plain = {"image_scale": 1}
 """Values, with their defaults, that older files lack. Settings of results leave them out at their defaults, so that
 older results keep their keys."""
 
@@ -29,14 +29,14 @@ def from_plain(plain: Mapping[str, Any], kind: type = Config) -> Any:
     """Rebuild a configuration of this kind: the inverse of `to_plain`.
 
     Raises:
-        UsageError: a value is missing and not among `LATER`, a name is unknown, or a value is of the wrong kind.
+        UsageError: a value is missing and not among `ADDED_LATER`, a name is unknown, or a value is of the wrong kind.
     """
     kinds, values = dict(_kinds(kind, "")), dict(_flatten(plain, ""))
     if unknown := sorted(values.keys() - kinds.keys()):
         names = ", ".join(map(_brief, unknown[:_NAMED])) + ", ..." * (len(unknown) > _NAMED)
         raise UsageError(f"The configuration has unknown values, {names}: it was written by another version.")
     changes = {name: _conform(value, kinds[name], name) for name, value in values.items()}
-    if missing := [name for name in kinds if name not in values and name.rpartition(".")[2] not in LATER]:
+    if missing := [name for name in kinds if name not in values and name.rpartition(".")[2] not in ADDED_LATER]:
         others = f" and {counted(len(missing) - 1, 'other value')}" if missing[1:] else ""
         raise UsageError(f"The configuration lacks {missing[0]}{others}: the file is damaged, or was written by hand.")
     return override(kind(), changes)

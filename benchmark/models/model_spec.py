@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from benchmark.models.interface import Segmenter
 from datagen.tracks import Profile
-from obpose.config_text import LATER
+from obpose.config_text import ADDED_LATER
 
 Options = Mapping[str, Any]
 """Keyword arguments of a model's constructor: numbers, strings, booleans."""
@@ -132,4 +132,4 @@ def settings_of(config: Any) -> dict[str, Any]:
 
 
 def _without_later(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
-    return {name: value for name, value in values if (name, value) not in LATER.items()}
+    return {name: value for name, value in values if (name, value) not in ADDED_LATER.items()}

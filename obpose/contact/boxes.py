@@ -77,7 +77,7 @@ def boxes_over_time(
             for frame, motion in motions.items():
                 turn, shift = (torch.from_numpy(value).to(middle) for value in motion)
                 middle[scene, frame, slot], rotation[scene, frame, slot] = turn @ center + shift, turn @ axes
-        # Of the 24 rotations of the same box, the nearest to the frame before.
+        # Keep the names of the axes from frame to frame.
         for frame in range(1, len(clouds)):
             rotation[scene, frame, slot] = nearest_axes(rotation[scene, frame, slot], rotation[scene, frame - 1, slot])
     return middle, rotation
@@ -151,7 +151,7 @@ def fused_points(clouds: Sequence[Cloud], motions: dict[int, Motion], *, table: 
 
 
 def nearest_axes(rotation: Float[Tensor, "3 3"], before: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
-    """Of the 24 rotations of the same box, the nearest to another rotation."""
+    """Choose among the 24 rotations of the same box the one nearest to the rotation before."""
     named = equivalents(rotation)
     return named[(before * named).sum(dim=(-1, -2)).argmax()]
 

@@ -57,7 +57,7 @@ REST = Motion(np.eye(3), np.zeros(3))
 
 
 class CommonMotion(NamedTuple):
-    """What motion says about pairs of parts; both arrays are symmetric."""
+    """Evidence of motion on whether pairs of parts belong together; both arrays are symmetric."""
 
     excess: Float[np.ndarray, "part part"]
     """Mean residual in metres of joint registration minus that of separate ones, averaged over the frames where the
