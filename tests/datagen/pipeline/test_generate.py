@@ -348,14 +348,17 @@ def test_an_impossible_scene_is_one_error(tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_memory_stays_flat_over_many_scenes(tmp_path):
+    # Free memory goes back to the system before each reading: what the allocator keeps differs by 2 MiB between runs.
     code = (
-        "import resource; from pathlib import Path; from datagen.pipeline.make_scene import SceneMaker\n"
+        "import ctypes, gc; from pathlib import Path; from datagen.pipeline.make_scene import SceneMaker\n"
         "from datagen.storage.spec import make_spec; from datagen.config import load_recipe, recipe_to_dict\n"
         "recipe = {**recipe_to_dict(load_recipe('moving')), 'frames': 2}\n"
         "renderer = {'name': 'raster', 'version': 1}\n"
         "spec = make_spec(recipe, seed=0, splits={}, resolution=(16, 16), renderer=renderer)\n"
         "make = SceneMaker(spec)\n"
         "def used():\n"
+        "    gc.collect()\n"
+        "    ctypes.CDLL('libc.so.6').malloc_trim(0)\n"
         "    return 4096 * int(Path('/proc/self/statm').read_text().split()[1])\n"
         "for index in range(1000):\n"
         "    make('train', index)\n"
@@ -365,7 +368,8 @@ def test_memory_stays_flat_over_many_scenes(tmp_path):
         "print(used() - before)"
     )
     result = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert int(result.stdout.split()[-1]) < 2 * 2**20  # measured: 0.9 MiB
+    # Keeping every scene would cost 18 MiB; without that, the two readings differ by 1 MiB at most (measured).
+    assert int(result.stdout.split()[-1]) < 4 * 2**20
 
 
 def test_the_specs_json_is_what_the_docs_say(whole):
