@@ -156,12 +156,15 @@ DESCRIPTIONS = {
 }
 
 
-_LARGER_BOXES: dict[str, Changes] = {track: {"model.pose.box_size": 0.35} for track in ("multishape", "desk")}
-"""Changes for objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
+_LARGER_BOXES: Changes = {"model.pose.box_size": 0.35}
+"""For objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
+_FEWER_DIVISIONS: Changes = {"contact.bias": 2.5}
+"""For stills. Pasted images have more contacts than these tracks, and there is no motion to join parts again."""
 
 
 def _obpose_system(variant: str) -> System:
-    on_tracks = _LARGER_BOXES if variant in ("obpose", "obpose-loc", "obpose-l2", "obpose-sharp") else {}
+    larger = variant in ("obpose", "obpose-loc", "obpose-l2", "obpose-sharp")
+    on_tracks = {"desk": _LARGER_BOXES, "multishape": _LARGER_BOXES} if larger else {}
     facts = (VARIANTS[variant], DESCRIPTIONS[variant], _priors(make_config(variant)))
     return System(OBPOSE, *facts, version=2, searched=SEARCHED.get(variant, {}), on_tracks=on_tracks)
 
@@ -231,7 +234,12 @@ SYSTEMS: dict[str, System] = {
         ("background slot", "camera pose", "plane", "object size"),
         version=4,
         extra=("density",),
-        on_tracks=_LARGER_BOXES,
+        on_tracks={
+            "clevr3d": _FEWER_DIVISIONS,
+            "desk": _LARGER_BOXES,
+            "multishape": {**_LARGER_BOXES, **_FEWER_DIVISIONS},
+            "static": _FEWER_DIVISIONS,
+        },
     ),
 }
 """Systems by the names of the benchmark's models and of `obpose-train --variant`."""
