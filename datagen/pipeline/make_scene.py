@@ -79,6 +79,27 @@ class SceneMaker:
         record = make_scene(self.spec, split, index, self._source_record(split, index), self.meshes)
         return pack(record, compression_of(self.spec))
 
+    def with_absolute_paths(self) -> "SceneMaker":
+        """Copy for processes that have other working directories."""
+        source, meshes = self.source, self.meshes
+        return dataclasses.replace(
+            self,
+            source=source and dataclasses.replace(source, folder=source.folder.absolute()),
+            meshes=meshes and dataclasses.replace(meshes, folder=meshes.folder.absolute()),
+        )
+
+    def check_inputs(self) -> None:
+        """Check that this machine sees the folders that scenes are made from.
+
+        Raises:
+            UsageError: a folder does not exist here.
+        """
+        for value in (self.source, self.meshes):
+            if value and not value.folder.is_dir():
+                raise UsageError(
+                    f"A Dask worker does not see {value.folder}; put it into a folder that all machines share."
+                )
+
     def _source_record(self, split: str, index: int) -> SceneRecord | None:
         if self.source is None:
             return None

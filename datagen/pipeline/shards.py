@@ -110,7 +110,8 @@ def make_on_cluster(
     A worker that shares the dataset's folder writes its shards; others return their scenes to this process.
     """
     with connected(address) as cluster, shared_mark(folder) as mark:
-        for task, new in cluster.map(make_shard, tasks, maker=maker, mark=mark, arithmetic=_arithmetic()):
+        shared = {"maker": maker.with_absolute_paths(), "mark": mark, "arithmetic": _arithmetic()}
+        for task, new in cluster.map(make_shard, tasks, **shared):
             for _ in task.todo:
                 advance()
             yield task, new
@@ -120,7 +121,7 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: st
     """Make the new scenes of a shard on a worker; returns them unless it could write the shard beside `mark`.
 
     Raises:
-        UsageError: the worker would make other scenes than the client.
+        UsageError: the worker would make other scenes than the client, or does not see the folder of an input.
     """
     if _arithmetic() != arithmetic:
         raise UsageError(
@@ -128,6 +129,7 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: st
             "versions of obpose and its libraries there, and start workers with OPENBLAS_CORETYPE=Haswell in their "
             "environment."
         )
+    maker.check_inputs()
     with _ONE_AT_A_TIME:
         new = [maker(task.split, index) for index in task.todo]
     if not mark.exists():

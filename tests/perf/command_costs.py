@@ -15,6 +15,8 @@ COMMANDS = (
     "obpose-train --help",
     "obpose-datagen verify --help",
     "obpose-datagen --help",
+    "obpose-datagen render --help",
+    "obpose-view --help",
     "obpose-bench --list",
     "obpose-bench compare obpose contact-masks --run docs/results",
     "obpose-bench --model obpose --pretrained --seeds 1",

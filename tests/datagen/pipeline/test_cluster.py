@@ -8,15 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, ImpossibleScene
+from datagen.config import recipe_to_dict
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, ImpossibleScene, UsageError
+from datagen.meshes.library import Library
 from datagen.pipeline.cluster import connected
+from datagen.pipeline.make_scene import SceneMaker, Source
 from datagen.storage import spec
 from datagen.storage.manifest import read_manifest
-from datagen.storage.spec import Compression
+from datagen.storage.spec import Compression, make_spec
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 from tests.worlds.dask_workers import DaskWorkers
-from tests.worlds.generated import compressions, hashes, make
+from tests.worlds.generated import RESOLUTION, compressions, hashes, make, recipe
 
 pytest.importorskip("distributed")
 
@@ -165,6 +168,20 @@ def test_threads_of_a_worker_make_the_same_scenes(local_cluster: str, tmp_path: 
     make(tmp_path / "threads", {"train": 4}, dask=local_cluster)
     make(tmp_path / "alone", {"train": 4})
     check_same(tmp_path / "threads", tmp_path / "alone")
+
+
+def test_workers_look_for_inputs_under_absolute_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    spec = make_spec(recipe_to_dict(recipe()), seed=0, splits={}, resolution=RESOLUTION, renderer=None)
+    maker = SceneMaker(spec, Source(Path("set"), ""), Library(Path("meshes"), ())).with_absolute_paths()
+    assert maker.source
+    assert maker.meshes
+    assert [maker.source.folder, maker.meshes.folder] == [tmp_path / "set", tmp_path / "meshes"]
+    (tmp_path / "set").mkdir()
+    with pytest.raises(UsageError, match=f"does not see {tmp_path / 'meshes'}"):
+        maker.check_inputs()
+    (tmp_path / "meshes").mkdir()
+    maker.check_inputs()
 
 
 def test_without_a_scheduler_the_command_says_how_to_start_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
