@@ -155,7 +155,7 @@ def _lz4(frames: np.ndarray) -> tuple[bytes, ...]:
 def _deflate(frame: np.ndarray) -> bytes:
     """Compress a chunk as HDF5's shuffle and gzip filters do."""
     shuffled = frame.view(np.uint8).reshape(-1, frame.itemsize).T if frame.itemsize > 1 else frame
-    return deflate.zlib_compress(shuffled.tobytes(), _DEFLATE_LEVEL)
+    return bytes(deflate.zlib_compress(shuffled.tobytes(), _DEFLATE_LEVEL))
 
 
 def _inflate(chunk: bytes, frame: np.ndarray) -> None:

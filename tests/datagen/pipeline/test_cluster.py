@@ -8,15 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, ImpossibleScene
+from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, ImpossibleScene, UsageError
+from datagen.pipeline import shards
 from datagen.pipeline.cluster import connected
+from datagen.pipeline.make_scene import SceneMaker
 from datagen.storage import spec
 from datagen.storage.manifest import read_manifest
 from datagen.storage.spec import Compression
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 from tests.worlds.dask_workers import DaskWorkers
-from tests.worlds.generated import compressions, hashes, make
+from tests.worlds.generated import compressions, hashes, make, random_spec
 
 pytest.importorskip("distributed")
 
@@ -128,6 +130,14 @@ def test_workers_whose_arithmetic_differs_are_refused(cluster: DaskWorkers, tmp_
     assert "start workers with OPENBLAS_CORETYPE=Haswell" in errors_at_end(process)
     assert process.returncode == EXIT_USAGE
     assert not (tmp_path / "set").exists()
+
+
+def test_workers_whose_renderer_differs_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    maker, task = SceneMaker(random_spec(train=1)), shards.ShardTask("train", 0, range(0), range(1))
+    arithmetic = shards.arithmetic_of(maker.spec)
+    monkeypatch.setattr(shards, "renderer_identity", lambda name, _: {"name": name, "version": 1, "engine": "llvm"})
+    with pytest.raises(UsageError, match=r"it has .* and renderer raster 1 llvm; expected .* and renderer raster 1\."):
+        shards.make_shard(task, maker=maker, mark=tmp_path / "nowhere", arithmetic=arithmetic)
 
 
 @pytest.mark.slow
