@@ -183,3 +183,12 @@ def test_without_a_scheduler_the_command_says_how_to_start_one(tmp_path: Path, m
     monkeypatch.setattr(cluster, "_SECONDS", 0.2)
     with pytest.raises(cluster.UsageError, match="no scheduler answers there"), cluster.connected("tcp://127.0.0.1:9"):
         pass
+
+
+@pytest.mark.parametrize("address", ["", "host", "tcp://", "tcp://host:port", "http://host:80"])
+def test_a_malformed_address_is_refused_before_dask_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
+):
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("a client was started"))
+    with pytest.raises(UsageError, match=f"--dask '{address}': no scheduler answers there"):
+        make(tmp_path, {"train": 1}, renderer=None, dask=address)
