@@ -157,7 +157,7 @@ def connected(address: str) -> Iterator[Cluster]:
     """
     try:
         from distributed import Client
-        from distributed.comm import get_address_host
+        from distributed.comm.addressing import get_address_host
     except ImportError:
         raise UsageError("--dask needs dask.distributed; install it with: pip install 'obpose[dask]'") from None
     # Its records of lost connections come with tracebacks; commands report them in one line.

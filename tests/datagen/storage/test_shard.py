@@ -8,6 +8,7 @@ import pytest
 
 from datagen import schema
 from datagen.errors import CorruptFile, DatagenError, UsageError
+from datagen.storage import safe_io
 from datagen.storage import shard as shard_module
 from datagen.storage.shard import Shard, pack, scenes_present, shard_image, shard_settings
 from datagen.storage.spec import make_spec, settings_hash
@@ -136,6 +137,14 @@ def test_scenes_compressed_with_lz4_are_those_compressed_with_gzip(lz4_path):
     np.testing.assert_array_equal(shard.read(1, "rgb", slice(1, 2)), RECORDS[1]["rgb"][1:2])
     taken = [shard.packed(row) for row in range(3)]
     assert shard_image(taken, {}) == shard_image([pack(record, "lz4") for record in RECORDS], {})
+
+
+def test_huge_lz4_chunks_are_refused_unread(lz4_path, monkeypatch):
+    with h5py.File(lz4_path, "r+") as file:
+        file["rgb"].id.write_direct_chunk((0,) * 6, bytes(2000))
+    monkeypatch.setattr(safe_io, "_is_lz4", lambda chunk, _: pytest.fail("it was read") if chunk else False)
+    with pytest.raises(CorruptFile, match="a chunk that does not unpack to its 105 bytes"):
+        Shard(lz4_path.parent, lz4_spec(train=3), "train", 0).read(0, "rgb")
 
 
 def test_lz4_without_its_package_says_what_to_install(lz4_path, monkeypatch):
