@@ -298,7 +298,7 @@ def _check_dataset(dataset: h5py.Dataset) -> None:
     if layout == h5d.CHUNKED and math.prod(created.get_chunk()) * dataset.id.get_type().get_size() > MOST_CHUNK_BYTES:
         raise ValueError(f"{dataset.name} has chunks of {dataset.chunks}, more than {MOST_CHUNK_BYTES:,} bytes")
     numbers = [created.get_filter(place)[0] for place in range(created.get_nfilters())]
-    if len(set(numbers)) < len(numbers):
+    if len(set(numbers)) < len(numbers) or (LZ4_FILTER in numbers and h5z.FILTER_DEFLATE in numbers):
         raise ValueError(f"{dataset.name} is packed twice")
     if foreign := [number for number in numbers if number >= _FOREIGN_FILTERS and number != LZ4_FILTER]:
         raise ValueError(f"{dataset.name} is packed with HDF5 filter {foreign[0]}; expected gzip or lz4")
@@ -399,10 +399,10 @@ def read_hdf5(dataset: h5py.Dataset, selection: Any = (), sound: set[tuple[int, 
     size = math.prod(map(len, places)) * dataset.dtype.itemsize
     if size > MOST_ARRAY_BYTES:
         raise ValueError(f"{dataset.name} is an array of {size:,} bytes, more than {MOST_ARRAY_BYTES:,}")
-    if size and dataset.compression == "gzip":
-        _check_packed(dataset, places, set() if sound is None else sound)
-    elif size and dataset.compression == "unknown":
+    if size and dataset.compression == "unknown":
         _check_lz4(dataset, places)
+    elif size and dataset.chunks:
+        _check_packed(dataset, places, set() if sound is None else sound)
     return np.asarray(dataset[selection])
 
 
@@ -418,23 +418,28 @@ def _check_packed(dataset: h5py.Dataset, places: Sequence[range], sound: set[tup
     """
     size = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     for start in _chunks(dataset, places):
-        packed = 0 if start in sound else dataset.id.get_chunk_info_by_coord(start).size or 0
-        if packed > size + size // 100 + 1024 or (packed and not _is_deflated(dataset, start, size)):
+        if start not in sound and not _has_size(dataset, start, size):
             raise ValueError(f"{dataset.name} has a chunk that does not unpack to its {size:,} bytes")
         sound.add(start)
 
 
-def _is_deflated(dataset: h5py.Dataset, start: tuple[int, ...], size: int) -> bool:
-    """Whether a chunk unpacks to its size, as far as its other filters keep it."""
-    filters = dataset.id.get_create_plist()
-    numbers = [filters.get_filter(place)[0] for place in range(filters.get_nfilters())]
-    skipped, chunk = dataset.id.read_direct_chunk(start)
-    if not skipped >> numbers.index(h5z.FILTER_DEFLATE) & 1:
+def _has_size(dataset: h5py.Dataset, start: tuple[int, ...], size: int) -> bool:
+    """Whether a chunk is absent or unpacks to its size, as far as its filters are known to keep it."""
+    stored = dataset.id.get_chunk_info_by_coord(start)
+    if not stored.size:
+        return True
+    if stored.size > size + size // 100 + 1024:
+        return False
+    created = dataset.id.get_create_plist()
+    places = [place for place in range(created.get_nfilters()) if not stored.filter_mask >> place & 1]
+    filters, length = {created.get_filter(place)[0] for place in places}, stored.size
+    if h5z.FILTER_DEFLATE in filters:
         try:
-            chunk = deflate.zlib_decompress(chunk, size + 1024)  # other filters may add some bytes
+            # Other filters may add some bytes.
+            length = len(deflate.zlib_decompress(dataset.id.read_direct_chunk(start)[1], size + 1024))
         except deflate.DeflateError:
             return False
-    return len(chunk) in (size, size + _CHECKSUM_BYTES) or not {*numbers} <= _FILTERS_THAT_KEEP_SIZES
+    return length in (size, size + _CHECKSUM_BYTES) or not filters <= _FILTERS_THAT_KEEP_SIZES
 
 
 def _check_lz4(dataset: h5py.Dataset, places: Sequence[range]) -> None:
