@@ -44,7 +44,7 @@ def run(values: arguments.Run) -> int:
     plan = make_plan(request, rows, values.out)
     rows = _make_room(values, plan, rows)
     plan = make_plan(request, rows, values.out)
-    if not values.dask and (found := estimate(plan, values.workers)):
+    if values.dask is None and (found := estimate(plan, values.workers)):
         status_console().print(str(found))
     elif not plan.jobs:
         status_console().print("All rows are there; writing tables and report.")

@@ -104,15 +104,15 @@ def job_limits(values: arguments.Run, seconds: float) -> Limits:
     return limits(
         60 * values.time_limit if values.time_limit else seconds,
         workers=values.workers,
-        memory_mib=values.memory_limit or (math.inf if values.dask else None),
-        threads=1 if values.deterministic or values.dask else None,
+        memory_mib=values.memory_limit or (math.inf if values.dask is not None else None),
+        threads=1 if values.deterministic or values.dask is not None else None,
     )
 
 
 @contextmanager
 def places(values: arguments.Run, jobs: Sequence[Runnable]) -> Iterator[int]:
     """Choose where `run_jobs` runs jobs, and yield how many it may start at a time; a cluster queues them itself."""
-    if not (values.dask and jobs):
+    if values.dask is None or not jobs:
         yield values.workers
         return
     with on_cluster(values.dask, values.out):

@@ -221,7 +221,7 @@ def _how(values: Generate | Render) -> Any:
     from datagen.console.progress import scene_progress
     from datagen.pipeline.generate import Run
 
-    if values.dask and (values.shard or values.workers):
+    if values.dask is not None and (values.shard or values.workers):
         raise UsageError("--dask makes all shards by the cluster's workers; leave out --shard and --workers.")
     return Run(workers=workers, dask=values.dask, share=share, overwrite=values.overwrite, progress=scene_progress)
 

@@ -157,18 +157,20 @@ def connected(address: str) -> Iterator[Cluster]:
     """
     try:
         from distributed import Client
+        from distributed.comm.addressing import get_address_host
     except ImportError:
         raise UsageError("--dask needs dask.distributed; install it with: pip install 'obpose[dask]'") from None
     # Its records of lost connections come with tracebacks; commands report them in one line.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
+        get_address_host(address)  # after a malformed address, a client would hang at its end
         client = Client(address, timeout=_SECONDS, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(
-            f"--dask {address}: no scheduler answers there ({reason:.200}). Start one with `dask scheduler`, and give "
-            "the address that it prints."
+            f"--dask {address!r}: no scheduler answers there ({reason:.200}). Start one with `dask scheduler`, and "
+            "give the address that it prints."
         ) from None
     try:
         yield Cluster(client, address)

@@ -279,7 +279,7 @@ def _fill(folder: Path, wanted: Spec, source: Source | None, meshes: Library | N
         scenes = sum(len(task.todo) for task in tasks)
         maker = SceneMaker(spec, source, meshes)
         with (run.progress if tasks else no_progress)(scenes) as advance:
-            if run.dask and tasks:
+            if run.dask is not None and tasks:
                 shards = make_on_cluster(maker, tasks, run.dask, folder, advance)
             else:
                 shards = make_here(maker, tasks, run.workers, advance)

@@ -10,7 +10,7 @@ from pathlib import Path
 from datagen.console.progress import Advance
 from datagen.errors import UsageError
 from datagen.pipeline.cluster import connected, shared_mark
-from datagen.pipeline.make_scene import SceneMaker
+from datagen.pipeline.make_scene import SceneMaker, renderer_identity
 from datagen.pipeline.parallel import make_all
 from datagen.schema import DATA_VERSION, FIELDS, SPLITS
 from datagen.storage.dataset_folder import write_file
@@ -110,7 +110,7 @@ def make_on_cluster(
     A worker that shares the dataset's folder writes its shards; others return their scenes to this process.
     """
     with connected(address) as cluster, shared_mark(folder) as mark:
-        shared = {"maker": maker.with_absolute_paths(), "mark": mark, "arithmetic": _arithmetic()}
+        shared = {"maker": maker.with_absolute_paths(), "mark": mark, "arithmetic": arithmetic_of(maker.spec)}
         for task, new in cluster.map(make_shard, tasks, **shared):
             for _ in task.todo:
                 advance()
@@ -123,9 +123,9 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: st
     Raises:
         UsageError: the worker would make other scenes than the client, or does not see the folder of an input.
     """
-    if _arithmetic() != arithmetic:
+    if (here := arithmetic_of(maker.spec)) != arithmetic:
         raise UsageError(
-            f"A Dask worker would make other scenes: it has {_arithmetic()}; expected {arithmetic}. Install the same "
+            f"A Dask worker would make other scenes: it has {here}; expected {arithmetic}. Install the same "
             "versions of obpose and its libraries there, and start workers with OPENBLAS_CORETYPE=Haswell in their "
             "environment."
         )
@@ -138,10 +138,15 @@ def make_shard(task: ShardTask, *, maker: SceneMaker, mark: Path, arithmetic: st
     return None
 
 
-def _arithmetic() -> str:
-    """Describe what decides the last bits of a scene: the data version, libraries, and the kernels of OpenBLAS."""
+def arithmetic_of(spec: Spec) -> str:
+    """Describe what decides the last bits of a scene: data version, libraries, OpenBLAS's kernels and the renderer."""
     from threadpoolctl import threadpool_info
 
     kernels = {library["architecture"] for library in threadpool_info() if library["internal_api"] == "openblas"}
     libraries = ", ".join(f"{name} {package_version(name)}" for name in ("numpy", "numba", "pybullet"))
-    return f"data version {DATA_VERSION}, {libraries} and OpenBLAS kernels {', '.join(sorted(kernels))}"
+    chosen = spec["renderer"] or {}
+    renderer = renderer_identity(chosen.get("name"), chosen.get("samples")) or {"name": "none"}
+    return (
+        f"data version {DATA_VERSION}, {libraries}, OpenBLAS kernels {', '.join(sorted(kernels))} and renderer "
+        f"{' '.join(map(str, renderer.values()))}"
+    )

@@ -22,6 +22,8 @@ Facts = dict[str, list[dict[str, Any]]]
 
 _LISTED = ("file", "scenes", "bytes", "sha256", "content_hash")
 """Facts about a shard that the manifest lists; the others are summed."""
+_KINDS = {**dict.fromkeys(_LISTED, str), "scenes": int, "bytes": int, "attempts": int, "rejections": dict}
+"""Types of the facts about a shard."""
 _PACKAGES = ("obpose", "numpy", "h5py", "numba", "pybullet", "pyrender", "mitsuba")
 
 
@@ -78,10 +80,12 @@ def recorded_facts(folder: Path, spec: Spec) -> Facts | None:
         for number, scenes in enumerate(shard_ranges(spec["splits"][split], spec["scenes_per_shard"]))
     }
     records = {place: _record(folder, spec, *place) for place in places}
-    # Shards at the end are those that a run has made longer.
-    for place, scenes in reversed(places.items()):
-        record = records[place]
-        if (record["scenes"] if record else _length(folder, spec, *place)) < scenes:
+    if any(record["scenes"] < places[place] for place, record in records.items() if record):
+        return None
+    # Of shards without records, which a finished run has left, the last of a split may be too short for a longer one.
+    unrecorded = [place for place, record in records.items() if not record]
+    for place in (*dict(unrecorded).items(), *unrecorded):
+        if _length(folder, spec, *place) < places[place]:
             return None
     facts: Facts = {split: [] for split in SPLITS}
     for place, record in records.items():
@@ -100,10 +104,18 @@ def _record(folder: Path, spec: Spec, split: str, number: int) -> dict[str, Any]
     with suppress(CorruptFile, OSError):
         record = read_json(path)
         size = path.with_suffix(".h5").stat().st_size
-        whole = isinstance(record, dict) and {*_LISTED, "attempts", "rejections"} <= record.keys()
-        if whole and (record.get("settings_hash"), record["bytes"]) == (settings_hash(spec), size):
+        expected = settings_hash(spec), shard_name(split, number), size
+        if _is_record(record) and (record.get("settings_hash"), record["file"], record["bytes"]) == expected:
             return record
     return None
+
+
+def _is_record(value: Any) -> bool:
+    return (
+        isinstance(value, dict)
+        and all(type(value.get(key)) is kind for key, kind in _KINDS.items())
+        and all(type(count) is int for count in value["rejections"].values())
+    )
 
 
 def write_record(folder: Path, spec: Spec, split: str, number: int) -> None:

@@ -23,9 +23,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import deflate
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5f, h5l, h5o, h5p  # pyright: ignore[reportAttributeAccessIssue]
+from h5py import h5a, h5d, h5f, h5l, h5o, h5p, h5z  # pyright: ignore[reportAttributeAccessIssue]
 
 from datagen.errors import CorruptFile, UsageError
 
@@ -53,8 +54,9 @@ Attribute = TypeVar("Attribute", str, int, float)
 
 _CHUNK_CACHE_BYTES = 2**18
 """Cache of unpacked chunks of each open HDF5 dataset: enough for tables; frames are read once."""
-_DEFLATE_RATIO = 1032
-"""Greatest number of bytes that one byte unpacks to."""
+_FILTERS_THAT_KEEP_SIZES = {h5z.FILTER_SHUFFLE, h5z.FILTER_FLETCHER32, h5z.FILTER_DEFLATE}
+"""Filters that do not change the size of a chunk, a checksum aside."""
+_CHECKSUM_BYTES = 4
 LZ4_FILTER = 32004
 """Number of HDF5's LZ4 filter, which the package hdf5plugin has."""
 _FOREIGN_FILTERS = 32001
@@ -296,7 +298,7 @@ def _check_dataset(dataset: h5py.Dataset) -> None:
     if layout == h5d.CHUNKED and math.prod(created.get_chunk()) * dataset.id.get_type().get_size() > MOST_CHUNK_BYTES:
         raise ValueError(f"{dataset.name} has chunks of {dataset.chunks}, more than {MOST_CHUNK_BYTES:,} bytes")
     numbers = [created.get_filter(place)[0] for place in range(created.get_nfilters())]
-    if len(set(numbers)) < len(numbers):
+    if len(set(numbers)) < len(numbers) or (LZ4_FILTER in numbers and h5z.FILTER_DEFLATE in numbers):
         raise ValueError(f"{dataset.name} is packed twice")
     if foreign := [number for number in numbers if number >= _FOREIGN_FILTERS and number != LZ4_FILTER]:
         raise ValueError(f"{dataset.name} is packed with HDF5 filter {foreign[0]}; expected gzip or lz4")
@@ -382,11 +384,13 @@ def hdf5_attribute(item: h5py.HLObject, name: str, kind: type[Attribute]) -> Att
     return value
 
 
-def read_hdf5(dataset: h5py.Dataset, selection: Any = ()) -> np.ndarray:
+def read_hdf5(dataset: h5py.Dataset, selection: Any = (), sound: set[tuple[int, ...]] | None = None) -> np.ndarray:
     """Read a part of a dataset whose size was checked first: an integer, a slice or a tuple over the leading axes.
 
+    `sound` holds the first places of the chunks that were unpacked before and had their size; it grows.
+
     Raises:
-        ValueError: the selected part is larger than `MOST_ARRAY_BYTES`, or its chunks unpack to more than their size.
+        ValueError: the selected part is larger than `MOST_ARRAY_BYTES`, or its chunks do not unpack to their size.
         OSError: it is damaged. `open_hdf5` and `reading_hdf5` report both as `CorruptFile`.
     """
     picks = selection if isinstance(selection, tuple) else (selection,)
@@ -395,10 +399,10 @@ def read_hdf5(dataset: h5py.Dataset, selection: Any = ()) -> np.ndarray:
     size = math.prod(map(len, places)) * dataset.dtype.itemsize
     if size > MOST_ARRAY_BYTES:
         raise ValueError(f"{dataset.name} is an array of {size:,} bytes, more than {MOST_ARRAY_BYTES:,}")
-    if size and dataset.compression == "gzip":
-        _check_packed(dataset, places)
-    elif size and dataset.compression == "unknown":
+    if size and dataset.compression == "unknown":
         _check_lz4(dataset, places)
+    elif size and dataset.chunks:
+        _check_packed(dataset, places, set() if sound is None else sound)
     return np.asarray(dataset[selection])
 
 
@@ -407,28 +411,44 @@ def _places(pick: int | slice, size: int) -> range:
     return range(size)[pick] if isinstance(pick, slice) else range(pick % size, pick % size + 1)
 
 
-def _check_packed(dataset: h5py.Dataset, places: Sequence[range]) -> None:
-    """Refuse chunks that unpack to more than their size: HDF5 would unpack all of it before it looks."""
-    if dataset.id.get_storage_size() * _DEFLATE_RATIO <= MOST_ARRAY_BYTES:
-        return
-    most = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+def _check_packed(dataset: h5py.Dataset, places: Sequence[range], sound: set[tuple[int, ...]]) -> None:
+    """Refuse chunks that do not unpack to their size.
+
+    HDF5 would unpack all of a longer one before it looks, and read memory behind a shorter one.
+    """
+    size = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     for start in _chunks(dataset, places):
-        packed = dataset.id.get_chunk_info_by_coord(start).size or 0
-        too_long = packed > most + most // 100 + 1024
-        if not too_long and packed * _DEFLATE_RATIO > MOST_ARRAY_BYTES:
-            unpack = zlib.decompressobj()
-            unpack.decompress(dataset.id.read_direct_chunk(start)[1], most)
-            too_long = not unpack.eof
-        if too_long:
-            raise ValueError(f"{dataset.name} has a chunk that unpacks to more than its {most:,} bytes")
+        if start not in sound and not _has_size(dataset, start, size):
+            raise ValueError(f"{dataset.name} has a chunk that does not unpack to its {size:,} bytes")
+        sound.add(start)
+
+
+def _has_size(dataset: h5py.Dataset, start: tuple[int, ...], size: int) -> bool:
+    """Whether a chunk is absent or unpacks to its size, as far as its filters are known to keep it."""
+    stored = dataset.id.get_chunk_info_by_coord(start)
+    if not stored.size:
+        return True
+    if stored.size > size + size // 100 + 1024:
+        return False
+    created = dataset.id.get_create_plist()
+    places = [place for place in range(created.get_nfilters()) if not stored.filter_mask >> place & 1]
+    filters, length = {created.get_filter(place)[0] for place in places}, stored.size
+    if h5z.FILTER_DEFLATE in filters:
+        try:
+            # Other filters may add some bytes.
+            length = len(deflate.zlib_decompress(dataset.id.read_direct_chunk(start)[1], size + 1024))
+        except deflate.DeflateError:
+            return False
+    return length in (size, size + _CHECKSUM_BYTES) or not filters <= _FILTERS_THAT_KEEP_SIZES
 
 
 def _check_lz4(dataset: h5py.Dataset, places: Sequence[range]) -> None:
     """Refuse chunks whose lengths do not fit: the filter would trust them."""
     size = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     for start in _chunks(dataset, places):
-        if dataset.id.get_chunk_info_by_coord(start).size:
-            skipped, chunk = dataset.id.read_direct_chunk(start)
+        if packed := dataset.id.get_chunk_info_by_coord(start).size:
+            is_huge = packed > 5 * size + 1024  # more than blocks of one byte, each with its length
+            skipped, chunk = (0, b"") if is_huge else dataset.id.read_direct_chunk(start)
             if skipped or not _is_lz4(chunk, size):
                 raise ValueError(f"{dataset.name} has a chunk that does not unpack to its {size:,} bytes")
 

@@ -7,7 +7,7 @@ Pixel arrays are stored one frame a chunk, so that any frame can be read alone; 
 import functools
 import itertools
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -155,7 +155,7 @@ def _lz4(frames: np.ndarray) -> tuple[bytes, ...]:
 def _deflate(frame: np.ndarray) -> bytes:
     """Compress a chunk as HDF5's shuffle and gzip filters do."""
     shuffled = frame.view(np.uint8).reshape(-1, frame.itemsize).T if frame.itemsize > 1 else frame
-    return deflate.zlib_compress(shuffled.tobytes(), _DEFLATE_LEVEL)
+    return bytes(deflate.zlib_compress(shuffled.tobytes(), _DEFLATE_LEVEL))
 
 
 def _inflate(chunk: bytes, frame: np.ndarray) -> None:
@@ -272,6 +272,7 @@ class Shard:
         self.path = folder / shard_name(split, number)
         self._datasets: dict[str, h5py.Dataset] = {}
         self._deflated: dict[str, bool] = {}
+        self._sound: defaultdict[str, set[tuple[int, ...]]] = defaultdict(set)
         self._lengths = lengths_of(spec)
         self._compression: Compression = compression_of(spec)
         if self._compression == "lz4":
@@ -328,7 +329,7 @@ class Shard:
         if frames is not None and name in FIELDS and "frame" in FIELDS[name].axes:
             place = row, *(slice(None),) * FIELDS[name].axes.index("frame"), frames
         with reading_hdf5(self.path, _ADVICE):
-            array = read_hdf5(dataset, place if len(place) > 1 else row)
+            array = read_hdf5(dataset, place if len(place) > 1 else row, self._sound[name])
             self._check_values(array, name)
         return array
 
@@ -337,7 +338,8 @@ class Shard:
         dataset = self._datasets[name]
         if name not in self._deflated:
             with reading_hdf5(self.path, _ADVICE):
-                self._deflated[name] = self._compression == "gzip" and _is_packed_as_here(dataset, "gzip")
+                is_small = dataset.id.get_storage_size() <= MOST_ARRAY_BYTES  # and each chunk with it
+                self._deflated[name] = is_small and self._compression == "gzip" and _is_packed_as_here(dataset, "gzip")
         count, views, *frame_shape = dataset.shape[1:]
         chosen = range(count)[frames or slice(None)]
         size = len(chosen) * views * math.prod(frame_shape) * dataset.dtype.itemsize
@@ -359,7 +361,7 @@ class Shard:
         """One field of all scenes."""
         dataset = self._dataset(name)
         with reading_hdf5(self.path, _ADVICE):
-            array = read_hdf5(dataset)
+            array = read_hdf5(dataset, sound=self._sound[name])
             self._check_values(array, name)
         return array
 

@@ -11,6 +11,7 @@ import pytest
 from datagen.config import recipe_to_dict
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, Busy, ImpossibleScene, UsageError
 from datagen.meshes.library import Library
+from datagen.pipeline import shards
 from datagen.pipeline.cluster import connected
 from datagen.pipeline.make_scene import SceneMaker, Source
 from datagen.storage import spec
@@ -19,7 +20,7 @@ from datagen.storage.spec import Compression, make_spec
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 from tests.worlds.dask_workers import DaskWorkers
-from tests.worlds.generated import RESOLUTION, compressions, hashes, make, recipe
+from tests.worlds.generated import RESOLUTION, compressions, hashes, make, random_spec, recipe
 
 pytest.importorskip("distributed")
 
@@ -133,6 +134,14 @@ def test_workers_whose_arithmetic_differs_are_refused(cluster: DaskWorkers, tmp_
     assert not (tmp_path / "set").exists()
 
 
+def test_workers_whose_renderer_differs_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    maker, task = SceneMaker(random_spec(train=1)), shards.ShardTask("train", 0, range(0), range(1))
+    arithmetic = shards.arithmetic_of(maker.spec)
+    monkeypatch.setattr(shards, "renderer_identity", lambda name, _: {"name": name, "version": 1, "engine": "llvm"})
+    with pytest.raises(UsageError, match=r"it has .* and renderer raster 1 llvm; expected .* and renderer raster 1\."):
+        shards.make_shard(task, maker=maker, mark=tmp_path / "nowhere", arithmetic=arithmetic)
+
+
 @pytest.mark.slow
 def test_the_benchmark_gives_the_same_scores_though_a_worker_is_lost(cluster: DaskWorkers, alone: Path, tmp_path: Path):
     flags = ("--model", "one-cluster", "random-slots", "--seeds", "2", "--data", str(alone))
@@ -190,3 +199,12 @@ def test_without_a_scheduler_the_command_says_how_to_start_one(tmp_path: Path, m
     monkeypatch.setattr(cluster, "_SECONDS", 0.2)
     with pytest.raises(cluster.UsageError, match="no scheduler answers there"), cluster.connected("tcp://127.0.0.1:9"):
         pass
+
+
+@pytest.mark.parametrize("address", ["", "host", "tcp://", "tcp://host:port", "http://host:80"])
+def test_a_malformed_address_is_refused_before_dask_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
+):
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: pytest.fail("a client was started"))
+    with pytest.raises(UsageError, match=f"--dask '{address}': no scheduler answers there"):
+        make(tmp_path, {"train": 1}, renderer=None, dask=address)

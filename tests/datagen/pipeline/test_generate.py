@@ -3,6 +3,7 @@ import json
 import subprocess
 import sys
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from datagen.storage import manifest
 from datagen.storage.atomic import write_atomically
 from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
+from datagen.storage.safe_io import read_json
 from datagen.storage.shard import pack
 from datagen.storage.spec import SPEC_FILE, spec_text, with_splits
 from datagen.verify.dataset import find
@@ -156,6 +158,27 @@ def test_a_job_hashes_nothing_while_another_s_shard_is_too_short(tmp_path, monke
     make(tmp_path, {"train": 3})
     monkeypatch.setattr(manifest, "shard_facts", lambda *_: pytest.fail("a shard was hashed"))
     assert not make(tmp_path, {"train": 4}, share=(0, 2)).complete
+
+
+def test_a_job_opens_few_shards_while_another_s_shard_is_too_short(tmp_path, monkeypatch):
+    make(tmp_path, {"train": 3, "test": 12}, renderer=None)
+    lengths, length = [], manifest._length
+    monkeypatch.setattr(manifest, "_length", lambda *place: lengths.append(place[2:]) or length(*place))
+    assert not make(tmp_path, {"train": 4}, renderer=None, share=(0, 9)).complete
+    assert lengths == [("train", 1)]
+
+
+@pytest.mark.parametrize(
+    "damage", [{"attempts": "x"}, {"scenes": "2"}, {"content_hash": 5}, {"rejections": {"a": "b"}}, {"file": "x"}]
+)
+def test_damaged_records_are_made_again(tmp_path, damage: dict[str, Any]):
+    make(tmp_path / "expected", {"train": 4}, renderer=None)
+    make(tmp_path / "set", {"train": 4}, renderer=None, share=(0, 2))
+    record = tmp_path / "set" / "train-00000.json"
+    record.write_text(json.dumps(read_json(record) | damage))
+    assert make(tmp_path / "set", {"train": 4}, renderer=None, share=(1, 2)).complete
+    splits = [read_manifest(tmp_path / name)["splits"] for name in ("set", "expected")]
+    assert splits[0] == splits[1]
 
 
 def test_progress_is_told_of_every_scene(tmp_path):

@@ -8,6 +8,8 @@ import pytest
 
 from datagen import schema
 from datagen.errors import CorruptFile, DatagenError, UsageError
+from datagen.storage import safe_io
+from datagen.storage import shard as shard_module
 from datagen.storage.shard import Shard, pack, scenes_present, shard_image, shard_settings
 from datagen.storage.spec import make_spec, settings_hash
 from tests.worlds.generated import random_record, random_spec
@@ -51,6 +53,25 @@ def test_frames_without_some_of_the_filters_are_read(path, packed, filter_mask: 
         first = RECORDS[0]["depth"][:1, :1].tobytes()
         file["depth"].id.write_direct_chunk((0,) * 5, packed(first), filter_mask=filter_mask)
     np.testing.assert_array_equal(opened(path).read(0, "depth"), RECORDS[0]["depth"])
+
+
+@pytest.mark.parametrize("chunk", [zlib.compress(b"short"), zlib.compress(bytes(10**6)), b"damaged"])
+@pytest.mark.parametrize("name", ["depth", "poses/position"])
+def test_chunks_that_do_not_unpack_to_their_size_are_reported(path, name: str, chunk: bytes):
+    with h5py.File(path, "r+") as file:
+        file[name].id.write_direct_chunk((0,) * file[name].ndim, chunk)
+    with pytest.raises(CorruptFile, match="has a chunk that does not unpack to its"):
+        opened(path).read(0, name)
+
+
+def test_frames_are_not_read_from_huge_chunks(path, monkeypatch):
+    with h5py.File(path, "r+") as file:
+        (_, chunk), most = file["depth"].id.read_direct_chunk((0,) * 5), 2000
+        file["depth"].id.write_direct_chunk((0,) * 5, chunk + bytes(most))
+    np.testing.assert_array_equal(opened(path).read(0, "depth"), RECORDS[0]["depth"])
+    monkeypatch.setattr(shard_module, "MOST_ARRAY_BYTES", most)
+    with pytest.raises(CorruptFile, match="has a chunk that does not unpack to its 70 bytes"):
+        opened(path).read(0, "depth")
 
 
 def test_the_filters_are_stock_and_a_frame_is_a_chunk(path):
@@ -116,6 +137,14 @@ def test_scenes_compressed_with_lz4_are_those_compressed_with_gzip(lz4_path):
     np.testing.assert_array_equal(shard.read(1, "rgb", slice(1, 2)), RECORDS[1]["rgb"][1:2])
     taken = [shard.packed(row) for row in range(3)]
     assert shard_image(taken, {}) == shard_image([pack(record, "lz4") for record in RECORDS], {})
+
+
+def test_huge_lz4_chunks_are_refused_unread(lz4_path, monkeypatch):
+    with h5py.File(lz4_path, "r+") as file:
+        file["rgb"].id.write_direct_chunk((0,) * 6, bytes(2000))
+    monkeypatch.setattr(safe_io, "_is_lz4", lambda chunk, _: pytest.fail("it was read") if chunk else False)
+    with pytest.raises(CorruptFile, match="a chunk that does not unpack to its 105 bytes"):
+        Shard(lz4_path.parent, lz4_spec(train=3), "train", 0).read(0, "rgb")
 
 
 def test_lz4_without_its_package_says_what_to_install(lz4_path, monkeypatch):
