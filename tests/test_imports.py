@@ -134,8 +134,8 @@ def test_a_cycle_is_found():
 
 
 @pytest.mark.parametrize("module", ["datagen.schema", "datagen.storage.reader"])
-def test_reading_costs_numpy_and_h5py_only(module: str):
-    assert third_party_modules_of(module) <= {"numpy", "h5py"}
+def test_reading_costs_numpy_h5py_and_deflate_only(module: str):
+    assert third_party_modules_of(module) <= {"numpy", "h5py", "deflate"}
 
 
 def third_party_modules_of(module: str) -> set[str]:

@@ -1,4 +1,4 @@
-"""Read datasets with NumPy and h5py alone.
+"""Read datasets with NumPy, h5py and deflate alone.
 
 dataset = Dataset("data/moving-128x128-seed0")
 scenes = dataset.split("train")
