@@ -96,6 +96,12 @@ def test_what_a_system_is_told_follows_from_its_values():
     assert SYSTEMS["ic-sbp"].priors == SYSTEMS["obsurf"].priors == ("slots", "camera pose")
 
 
+@pytest.mark.parametrize(("track", "bias"), [("static", 2.5), ("multishape", 2.5), ("moving", 0.5)])
+def test_stills_are_divided_less(track: str, bias: float):
+    system = find_system("obpose-contact")
+    assert system.config("cpu", system.on_tracks.get(track, {})).contact.bias == bias
+
+
 @pytest.mark.parametrize("track", [track.name for track in all_tracks() if track.name != "mixed"])
 @pytest.mark.parametrize("name", ["obpose", "obpose-loc"])
 def test_boxes_are_longer_than_the_objects_of_a_track(name: str, track: str):
