@@ -141,7 +141,6 @@ DESCRIPTIONS = {
     "obpose-loc": "obpose with objects encoded at their location only",
     "obpose-none": "obpose with objects encoded in the workspace's frame",
     "obpose-l2": "obpose with the paper's other attention loss",
-    "obpose-sharp": "obpose with sharper surfaces, for pictures",
     "obpose-as-published": "obpose without most of our additions",
     "ic-sbp": "IC-SBP without background, poses or boxes",
     "slot-attention": "slot attention without poses or boxes",
@@ -163,7 +162,7 @@ _FEWER_DIVISIONS: Changes = {"contact.bias": 2.5}
 
 
 def _obpose_system(variant: str) -> System:
-    larger = variant in ("obpose", "obpose-loc", "obpose-l2", "obpose-sharp")
+    larger = variant in ("obpose", "obpose-loc", "obpose-l2")
     on_tracks = {"desk": _LARGER_BOXES, "multishape": _LARGER_BOXES} if larger else {}
     facts = (VARIANTS[variant], DESCRIPTIONS[variant], _priors(make_config(variant)))
     return System(OBPOSE, *facts, version=2, searched=SEARCHED.get(variant, {}), on_tracks=on_tracks)

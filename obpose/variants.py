@@ -18,7 +18,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "obpose-loc": {"model.pose.conditioning": "location"},
     "obpose-none": {"model.pose.conditioning": "none"},
     "obpose-l2": {"loss.attention": "l2", "loss.attention_weight": 5.0},
-    "obpose-sharp": {"loss.air_growth": 10.0},
     "obpose-as-published": {
         "model.attention.semi_convolution": 0.0,
         "model.attention.semi_colour": 0.0,
@@ -68,7 +67,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
 """Configuration changes of each variant, by dotted name.
 
 - `obpose-l2` has the paper's other attention loss.
-- `obpose-sharp` is for pictures.
 - `obpose-as-published` omits our additions that help learning; docs/paper.md lists those that stay. Its floor is
   log 1e-8, as in the authors' code.
 - `ic-sbp` and `slot-attention` are the paper's ablations, with our additions where they apply.

@@ -40,7 +40,7 @@ class ModelFlags:
     scenes: int = 100
     """Number of scenes, from the first on."""
     checkpoint: str = ""
-    """Folder of a model, or name of shipped weights; default: obpose-sharp, or else obpose, for the track."""
+    """Folder of a model, or name of shipped weights; default: obpose-contact, or else obpose, for the track."""
 
     @property
     def source(self) -> Source:

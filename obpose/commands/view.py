@@ -36,7 +36,7 @@ class Arguments:
     """Folder of a dataset with images, of a scene, or of a trained model (or the name of shipped weights)."""
     checkpoint: str | None = None
     """For a dataset: folder of the model that infers the scene, or the name of shipped weights. Default: the shipped
-    weights for its recipe, of obpose-sharp if there are any. For a scene: folder of its model, if it was moved."""
+    weights for its recipe, of obpose-contact if there are any. For a scene: folder of its model, if it was moved."""
     data: Path | None = None
     """For a model: folder of the dataset to infer a scene from. For a scene: folder of its dataset, to show the input
     beside it."""

@@ -26,7 +26,7 @@ RAYS, RAYS_OF_CLIP, LEAST_RAYS = 512, 5120, 32
 LATENT_STEP, PLACE_STEP, DETAIL_STEP = 0.05, 5e-4, 0.1
 """Initial learning rates of Adam (Kingma and Ba 2015), which decay to 0; the second is in metres."""
 AIR = 10.0
-"""Factor on the training weight of the air loss, as for `obpose-sharp`, which is made for pictures."""
+"""Factor on the training weight of the air loss, as for `obpose-contact`."""
 NEIGHBOURS, SIZE = 2.6, 4.0
 """Prior of details: standard deviations of differences between neighbouring points, and of the values, in logits."""
 

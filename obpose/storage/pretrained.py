@@ -48,12 +48,12 @@ def find_shipped(model: str, track: str, resolution: tuple[int, int]) -> Path:
 
 
 def shipped_to_create(track: str) -> str:
-    """Name of the weights for pictures of a track: those of `obpose-sharp`, otherwise of `obpose`.
+    """Name of the weights for pictures of a track: those of `obpose-contact`, otherwise of `obpose`.
 
     Raises:
         UsageError: neither exists.
     """
-    for model in ("obpose-sharp", "obpose"):
+    for model in ("obpose-contact", "obpose"):
         for name in shipped_names():
             if name.startswith(f"{model}--{track}--"):
                 return name

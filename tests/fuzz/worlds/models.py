@@ -27,8 +27,8 @@ def build_models(world: Path) -> None:
     with mock.patch.object(Record, "log_step", stop_at_second), mock.patch("obpose.training.record.SAVE_SECONDS", 0):
         run(CONTINUE.format(w=world), code=2)
     run(f"obpose-train --data {world}/data --steps 1 --variant obsurf --out {world}/obsurf")
-    shutil.copytree(assets.CHECKPOINTS / "obpose-sharp--moving--64x64", world / "model")
-    shutil.copytree(assets.CHECKPOINTS / "obpose-sharp--moving--64x64", world / "learning")
+    shutil.copytree(assets.CHECKPOINTS / "obpose-contact--moving--64x64", world / "model")
+    shutil.copytree(assets.CHECKPOINTS / "obpose-contact--moving--64x64", world / "learning")
     (world / "learning" / "flow.safetensors").unlink()
     infer = f"obpose-edit infer --checkpoint {world}/model --refine 0 --resolution 8x8"
     run(f"{infer} --data {world}/data --out {world}/scene")

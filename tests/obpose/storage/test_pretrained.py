@@ -35,9 +35,9 @@ def test_weights_are_found_by_model_track_and_resolution(checkpoints: Path):
 
 
 def test_pictures_are_made_with_the_weights_for_them_where_there_are_any(checkpoints: Path):
-    for name in ("obpose--clevr3d--80x60", "obpose--moving--64x64", "obpose-sharp--moving--64x64"):
+    for name in ("obpose--clevr3d--80x60", "obpose--moving--64x64", "obpose-contact--moving--64x64"):
         ship(checkpoints, name)
-    assert shipped_to_create("moving") == "obpose-sharp--moving--64x64"
+    assert shipped_to_create("moving") == "obpose-contact--moving--64x64"
     assert shipped_to_create("clevr3d") == "obpose--clevr3d--80x60"
     with pytest.raises(UsageError, match="No weights of obpose for static ship with this package"):
         shipped_to_create("static")

@@ -16,7 +16,7 @@ from obpose.scenes.storage import load_scene, save_scene
 from obpose.viewer.scene_io import Sampler, open_path, save_new
 from tests.obpose.scenes.small_scenes import CAMERA, dense_flow, equal, some_model, some_scene
 
-MODEL = "obpose-sharp--moving--64x64"
+MODEL = "obpose-contact--moving--64x64"
 PLAIN = {"checkpoint": None, "data": None, "split": "test", "index": 0}
 
 
