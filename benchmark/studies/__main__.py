@@ -14,6 +14,7 @@ from datagen.storage.atomic import write_atomically
 
 PROGRAM = "python -m benchmark.studies"
 STUDIES = {
+    "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
     "real_frames": "List the scores of each frame of runs on the track real-table",
     "views": "Compare rendered pictures with the input view and with other views",
 }
@@ -36,10 +37,13 @@ def _run(arguments: list[str]) -> int:
     if name not in STUDIES:
         raise unknown_name("study", name, STUDIES)
     with interruptible_imports(PROGRAM):
-        from benchmark.studies.inputs import markdown
+        from benchmark.studies.inputs import TableFlags, markdown
 
         study = import_module(f"benchmark.studies.{name}")
     flags = tyro.cli(study.Flags, prog=f"{PROGRAM} {name}", args=rest, description=study.__doc__)
+    if not isinstance(flags, TableFlags):
+        study.run(flags)
+        return EXIT_OK
     if flags.csv is not None and flags.csv.suffix != ".csv":
         raise UsageError(f"--csv {flags.csv}: expected a name that ends with .csv.")
     lines = list(study.run(flags))

@@ -28,6 +28,7 @@ def test_help_lists_every_study_in_one_line(capsys: pytest.CaptureFixture[str]):
         ("views --frames 0", "--frames 0: expected 1 or more."),
         ("views --csv a.txt", "--csv a.txt: expected a name that ends with .csv."),
         ("views --track nowhere", "Unknown track"),
+        ("fitted_scenes --picture a.jpg", "--picture a.jpg: expected a name that ends with .png."),
     ],
 )
 def test_wrong_options_are_reported_before_anything_is_made(
