@@ -16,6 +16,7 @@ PROGRAM = "python -m benchmark.studies"
 STUDIES = {
     "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
     "real_frames": "List the scores of each frame of runs on the track real-table",
+    "samples": "Compare sampled scenes with real ones, in numbers and in a picture",
     "views": "Compare rendered pictures with the input view and with other views",
 }
 """Modules of this package, each with one line of help."""

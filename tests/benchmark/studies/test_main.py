@@ -28,6 +28,9 @@ def test_help_lists_every_study_in_one_line(capsys: pytest.CaptureFixture[str]):
         ("views --frames 0", "--frames 0: expected 1 or more."),
         ("views --csv a.txt", "--csv a.txt: expected a name that ends with .csv."),
         ("views --track nowhere", "Unknown track"),
+        ("samples --seed -3", "--seed -3: expected 0 or more."),
+        ("samples --picture a.jpg", "--picture a.jpg: expected a name that ends with .png."),
+        ("samples --split val", "--split val: scenes of val are a reference"),
         ("fitted_scenes --picture a.jpg", "--picture a.jpg: expected a name that ends with .png."),
     ],
 )
