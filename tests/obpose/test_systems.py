@@ -96,10 +96,13 @@ def test_what_a_system_is_told_follows_from_its_values():
     assert SYSTEMS["ic-sbp"].priors == SYSTEMS["obsurf"].priors == ("slots", "camera pose")
 
 
-@pytest.mark.parametrize(("track", "bias"), [("static", 2.5), ("multishape", 2.5), ("moving", 0.5)])
-def test_stills_are_divided_less(track: str, bias: float):
+@pytest.mark.parametrize(
+    ("track", "bias", "translation"), [("static", 2.5, 0.05), ("multishape", 2.5, 0.05), ("moving", 0.5, 0.0)]
+)
+def test_stills_are_divided_less_and_their_middles_are_learned(track: str, bias: float, translation: float):
     system = find_system("obpose-contact")
-    assert system.config("cpu", system.on_tracks.get(track, {})).contact.bias == bias
+    config = system.config("cpu", system.on_tracks.get(track, {}))
+    assert (config.contact.bias, config.model.pose.max_translation) == (bias, translation)
 
 
 @pytest.mark.parametrize("track", [track.name for track in all_tracks() if track.name != "mixed"])
