@@ -68,7 +68,7 @@ def descendants(process: int) -> Iterator[int]:
 
 
 def command_line(process: int) -> bytes:
-    """What a process was started with; empty once it is gone."""
+    """Command line of a process; empty once it is gone."""
     try:
         return Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:

@@ -61,7 +61,7 @@ def _bench(arguments: list[str]) -> int:
 
 
 def _view(arguments: list[str]) -> int:
-    """What `obpose-view` does before it serves a page."""
+    """Do the work of `obpose-view` before it serves a page."""
     import tyro
 
     from obpose.commands.view import PROGRAM, Arguments

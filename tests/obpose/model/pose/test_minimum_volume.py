@@ -172,7 +172,7 @@ def test_an_object_seen_in_few_points_keeps_its_orientation():
 
 
 def least_angle(rotations: torch.Tensor) -> torch.Tensor:
-    """Of all names of all boxes, to the identity."""
+    """Smallest angle to the identity over all boxes and their equivalents."""
     named = equivalents(rotations)
     return geodesic_distance(named, torch.eye(3).expand_as(named)).min()
 
