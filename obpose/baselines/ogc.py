@@ -21,9 +21,9 @@ from torch import Tensor
 from obpose.contact.components import image_components
 from obpose.contact.config import OgcConfig
 from obpose.contact.images import Images
-from obpose.contact.key_frames import follow_objects
 from obpose.contact.model import ContactModel
-from obpose.contact.tracking import COLOUR_SCALE, Cloud, Followed, register
+from obpose.contact.motion.key_frames import follow_objects
+from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, Followed, register
 from obpose.data.clips import ClipSource
 from obpose.geometry import unproject
 from obpose.types import Observation, Segmentation
