@@ -184,6 +184,7 @@ def _supervise(
     """Pass the job to its process, and follow its events until it ends or exceeds a limit."""
     assert process.stdin
     assert process.stdout
+    # The job goes in by standard input; events come out line by line, read by a thread.
     with suppress(BrokenPipeError), process.stdin as pipe:
         pickle.dump((os.getpid(), job), pipe)
     lines: queue.Queue[bytes | None] = queue.Queue()
@@ -193,10 +194,12 @@ def _supervise(
     while True:
         try:
             line = lines.get(timeout=_POLL_SECONDS)
+        # Limits are checked while there is nothing to read.
         except queue.Empty:
             if reason := _exceeded_limit(process, limits, deadline, stop):
                 return Outcome(tuple(events), reason)
             continue
+        # The process has ended.
         if line is None:
             done = set(job.results) <= set(events)
             return Outcome(tuple(events), _ending(process.wait(), done))
