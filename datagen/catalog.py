@@ -77,9 +77,6 @@ CATEGORIES: dict[str, Category] = {
 TABLETOP = tuple(name for name, category in CATEGORIES.items() if category.group == "tabletop")
 """Names of what may lie about on a table."""
 
-FURNITURE = tuple(name for name, category in CATEGORIES.items() if category.group == "furniture")
-"""Names of what stands upright."""
-
 CONTAINERS = ("bowl", "crate")
 """Names of what others may lie in."""
 

@@ -35,7 +35,7 @@ class Tab:
     def __init__(self, socket: Any):
         self._socket, self._numbers = socket, itertools.count(1)
         self.complaints: list[str] = []
-        """What the page wrote to its console as errors, and exceptions."""
+        """Errors and exceptions on the page's console."""
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
@@ -132,7 +132,7 @@ def browser(address: str, profile: Path, *, width: int = 1280, height: int = 800
 
 
 def _tab_address(profile: Path) -> str:
-    """Of the debugging socket of the first tab."""
+    """Address of the debugging socket of the first tab."""
     from urllib.request import urlopen
 
     deadline = time.monotonic() + 60

@@ -3,13 +3,17 @@
 import os
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from benchmark.execution.executor import Limits, Outcome, Runnable, running_jobs_by
+from datagen.errors import Busy, DatagenError
 
 
 def errors_at_end(process: subprocess.Popen[Any], *, seconds: float = 240) -> Any:
@@ -64,7 +68,7 @@ def descendants(process: int) -> Iterator[int]:
 
 
 def command_line(process: int) -> bytes:
-    """What a process was started with; empty once it is gone."""
+    """Command line of a process; empty once it is gone."""
     try:
         return Path(f"/proc/{process}/cmdline").read_bytes()
     except OSError:
@@ -85,3 +89,24 @@ def wait_until(happened: Callable[[], object], *, seconds: float = 60, what: str
     while not happened():
         assert time.monotonic() < deadline, f"waited {seconds:g} s for {what}"
         time.sleep(0.005)
+
+
+def in_this_process() -> AbstractContextManager[None]:
+    """Make `run_jobs` run all jobs in this process, without limits; only a `DatagenError` is a failed job."""
+    return running_jobs_by(_run_here)
+
+
+def _run_here(job: Runnable, limits: Limits, stop: threading.Event, on_event: Callable[[str], None]) -> Outcome:
+    events: list[str] = []
+
+    def announce(event: str) -> None:
+        events.append(event)
+        on_event(event)
+
+    try:
+        job.run(announce)
+    except Busy:
+        raise
+    except DatagenError as error:
+        return Outcome(tuple(events), str(error))
+    return Outcome(tuple(events), "")

@@ -23,7 +23,7 @@ DEFAULTS = sorted({code for code in CODES if DEFAULT.fullmatch(code)})
 
 @cache
 def names_in(file: str) -> set[str]:
-    """What a file below obpose/ defines: functions, classes, their methods, constants; nothing is imported.
+    """Names that a file below obpose/ defines: functions, classes, their methods, constants; nothing is imported.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -49,7 +49,7 @@ def exists(place: str) -> bool:
 
 
 def wrong_defaults(text: str) -> list[str]:
-    """What differs from the default configuration.
+    """Differences from the default configuration.
 
     Raises:
         UsageError: there is no such value.

@@ -39,6 +39,7 @@ def run(values: arguments.Run) -> int:
         return score_edits(values, request)
     for folder in request.predictions:
         folder.check(request.sources[0].labels_shape(SPLIT))
+    # Rows that are missing, after those that are in the way are removed.
     remove_abandoned(values.out, recursive=True)
     rows = load_runs(values.out)
     plan = make_plan(request, rows, values.out)
@@ -48,6 +49,7 @@ def run(values: arguments.Run) -> int:
         status_console().print(str(found))
     elif not plan.jobs:
         status_console().print("All rows are there; writing tables and report.")
+    # Datasets, jobs, tables.
     prepare(plan.splits, workers=values.workers)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)

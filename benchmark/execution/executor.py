@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from typing import IO, Protocol, TypeVar, runtime_checkable
 
 from benchmark.machine import ROOT, cores, machine_mib, resident_mib
 from datagen.console.text import counted
-from datagen.errors import EXIT_INTERRUPTED, Busy, DatagenError
+from datagen.errors import EXIT_INTERRUPTED, Busy
 
 LOGS = "logs"
 MEMORY_SHARE = 0.9
@@ -161,29 +161,7 @@ def run_isolated(job: Runnable, limits: Limits, stop: threading.Event, on_event:
     return outcome
 
 
-def run_here(job: Runnable, limits: Limits, stop: threading.Event, on_event: Callable[[str], None]) -> Outcome:
-    """Run a job in this process, without limits; only `DatagenError` counts as a failure, the rest is raised."""
-    events: list[str] = []
-
-    def announce(event: str) -> None:
-        events.append(event)
-        on_event(event)
-
-    try:
-        job.run(announce)
-    except Busy:
-        raise
-    except DatagenError as error:
-        return Outcome(tuple(events), str(error))
-    return Outcome(tuple(events), "")
-
-
 _runner: ContextVar[Runner] = ContextVar("runner", default=run_isolated)
-
-
-def in_this_process() -> AbstractContextManager[None]:
-    """Make `run_jobs` run all jobs in this process, for debuggers and tests."""
-    return running_jobs_by(run_here)
 
 
 @contextmanager
@@ -206,6 +184,7 @@ def _supervise(
     """Pass the job to its process, and follow its events until it ends or exceeds a limit."""
     assert process.stdin
     assert process.stdout
+    # The job goes in by standard input; events come out line by line, read by a thread.
     with suppress(BrokenPipeError), process.stdin as pipe:
         pickle.dump((os.getpid(), job), pipe)
     lines: queue.Queue[bytes | None] = queue.Queue()
@@ -215,10 +194,12 @@ def _supervise(
     while True:
         try:
             line = lines.get(timeout=_POLL_SECONDS)
+        # Limits are checked while there is nothing to read.
         except queue.Empty:
             if reason := _exceeded_limit(process, limits, deadline, stop):
                 return Outcome(tuple(events), reason)
             continue
+        # The process has ended.
         if line is None:
             done = set(job.results) <= set(events)
             return Outcome(tuple(events), _ending(process.wait(), done))

@@ -160,6 +160,7 @@ def scores_of(clip: CountedClip) -> ClipScores:
 def other_scores(clips: Sequence[CountedClip]) -> list[ClipScores]:
     """`OTHER_METRICS` of clips of equal shape; many at once are cheaper. nan over time where clips have one frame."""
     frames, views, *image = clips[0].truth.shape
+    # Contingency tables of all clips, padded to one size; each view is a clip from here on.
     rows, columns = (max(2, *(clip.tables.shape[axis] for clip in clips)) for axis in (2, 3))
     tables = np.zeros((len(clips), frames, views, rows, columns), np.int64)
     for table, clip in zip(tables, clips, strict=True):
@@ -167,11 +168,13 @@ def other_scores(clips: Sequence[CountedClip]) -> list[ClipScores]:
     tables = tables.swapaxes(1, 2).reshape(-1, frames, rows, columns)
     slots = np.repeat([clip.background_slot for clip in clips], views)
     flat = tables.reshape(-1, rows, columns)
+    # Overlaps of objects with segments other than the background.
     segments = np.arange(columns) != slots[:, None]
     overlaps = (
         intersection_over_union(flat)[:, 1:].reshape(len(slots), frames, rows - 1, columns) * segments[:, None, None]
     )
     visible, used = tables[:, :, 1:].sum(axis=3) > 0, (tables.sum(axis=2) > 0) & segments[:, None]
+    # Scores of single frames.
     scores = detection_scores(overlaps, visible.sum(axis=2), used.sum(axis=2)) | {
         "ami": adjusted_mutual_information(flat).reshape(-1, frames),
         "ami_fg": adjusted_mutual_information(flat[:, 1:]).reshape(-1, frames),
@@ -180,6 +183,7 @@ def other_scores(clips: Sequence[CountedClip]) -> list[ClipScores]:
         name: values.reshape(-1, views, frames).swapaxes(1, 2).reshape(-1, frames * views)
         for name, values in scores.items()
     }
+    # Scores over time.
     if frames == 1:
         over_time = dict.fromkeys(OTHER_CLIP_METRICS, np.full(len(slots), np.nan))
     else:

@@ -78,6 +78,7 @@ def compare(
     if not shared:
         tracks = ", ".join(sorted({track for track, *_ in first}))
         raise UsageError(f"{one} and {two} have no track in common in {folder}; run both on one of {tracks}.")
+    # Differences on every shared track, with p-values corrected over all of them.
     wanted = [(a, b, name) for a, b in shared for name in metrics]
     found = [(*line, compare_results(*line)) for line in progress(wanted, "resampling scenes")]
     found = [line for line in found if line[3].n_scenes > 0]

@@ -48,6 +48,7 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
         UsageError: no run has label maps, or no scene shows an object.
         CorruptFile: label maps are damaged, or of other scenes.
     """
+    # Runs with label maps; one run stands for all seeds of a model without randomness.
     with_maps = {model: [row for row in rows if labels_path(folder, row).exists()] for model, rows in seeds.items()}
     kept = {model: rows if rows[0].random else rows[:1] for model, rows in with_maps.items() if rows}
     if not kept:
@@ -56,6 +57,7 @@ def analyse(folder: Path, scenes: Split, objects: Objects, seeds: Mapping[int, S
         raise UsageError("No scene shows an object.")
     for row in (row for rows in kept.values() for row in rows):
         check_labels_fit(labels_path(folder, row), scenes)
+    # Outcomes of every model, and their means over seeds.
     truths = [read_truth(scenes, index) for index in range(len(scenes))]
     found = {
         model: [outcome(truths, read_labels(labels_path(folder, r))) for r in rows] for model, rows in kept.items()

@@ -95,6 +95,7 @@ def run(flags: Flags) -> Iterator[Line]:
         raise UsageError(f"--picture {flags.picture}: expected a name that ends with .png.")
     if flags.split == TUNED_ON:
         raise UsageError(f"--split {TUNED_ON}: scenes of {TUNED_ON} are a reference; expected test or train.")
+    # Real images, and sampled ones of each prior.
     origin = flags.origin()
     segmenter = load_origin(flags.segmenter or shipped_to_segment(flags.source.name) or origin.name)
     dataset = Dataset(flags.folder(TUNED_ON))
@@ -103,6 +104,7 @@ def run(flags: Flags) -> Iterator[Line]:
     for name in available_priors(origin):
         images = sampled_images(origin, load_prior(origin, name), real, seed=flags.seed)
         kinds[f"sampled, prior {name}"] = list(images)
+    # Scores of the segmentations.
     circular = ", which also samples: what it draws it recognises" if origin.hash == segmenter.hash else ""
     print(f"{OBPOSE} segments with {segmenter.name}{circular}.")
     segmenters = {OBPOSE: _obpose(segmenter), CLUSTERING: _clustering(reference, flags.source.slots)}

@@ -120,6 +120,7 @@ def measure_views(
             cameras = cameras_of(observation)
             for seen in range(records.views):
                 one = select_part(observation, views=slice(seen, seen + 1))
+                # One view is the input; pictures of all views are compared.
                 scene = infer_scene(origin, one, refinements=refinements)
                 for frame, place in places.items():
                     truth = read_views(records, index, frame)

@@ -110,6 +110,7 @@ def _default_render(arguments: list[str]) -> dict[str, Any]:
 
 
 def _generate(values: Generate) -> int:
+    # Flags, checked before slow libraries are loaded.
     options.check_seed(values.seed)
     splits = options.parse_splits(values.scenes, values.split)
     recipe = values.constants.recipe()
@@ -119,6 +120,7 @@ def _generate(values: Generate) -> int:
     signals = options.parse_names("--with", values.signals, SIGNALS)
     other = values.compression if values.compression != "gzip" else None
     of_images = {"--resolution": values.resolution, "--renderer": values.renderer, "--edits": edits, "--with": signals}
+    # Flags that belong to images.
     if values.simulate_only:
         for flag in (flag for flag, given in {**of_images, "--compression": other}.items() if given):
             raise UsageError(f"--simulate-only makes no images; give {flag} to `render` instead.")
@@ -178,6 +180,7 @@ def _meshes(values: Generate, recipe: Recipe) -> "Library | None":
 
 
 def _render(values: Render) -> int:
+    # Settings of the source, and the cameras to render it with.
     spec = read_spec(values.source)
     recipe = rendered_recipe_of(spec)
     wanted = dataclasses.replace(recipe, rig=values.rig, views=values.views)

@@ -72,12 +72,14 @@ def make_shape(placed: Placed, mass: Mass, hulls: tuple[Float[np.ndarray, "_ 3"]
     Open surfaces are drawn from both sides: their faces appear a second time in reverse order.
     """
     surface = placed.surface
+    # Surface about the centre of mass.
     vertices, faces = surface.vertices - mass.center, surface.faces
     normals, rows, turned = smooth_normals(vertices, faces), surface.rows, surface.turned
     solid = MeshSolid(vertices, faces, closed=surface.closed)
     if not surface.closed:
         faces, rows = np.concatenate([faces, faces[:, ::-1]]), np.concatenate([rows, rows])
         normals, turned = np.concatenate([normals, -normals[:, ::-1]]), np.concatenate([turned, ~turned])
+    # Outline, colours and parts for the simulation.
     corners = convex_corners(vertices)
     skin = make_skin(placed.raw, surface_vertices(placed)) if placed.raw.has_colors else None
     parts = tuple(part - mass.center for part in hulls)

@@ -73,6 +73,7 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
     Raises:
         BadMesh: the file, or one that it names, is damaged, empty, too large or outside of the folder.
     """
+    # Triangles of all parts of the file.
     path = folder / file
     files = NamedFiles(folder, path)
     data = read_file(folder, file)
@@ -84,6 +85,7 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
         raise BadMesh(f"{path} is truncated: {count:,} of its triangles are missing. Export it again, or remove it.")
     if not pieces:
         raise BadMesh(f"{path} has no triangles; expected a surface. Export it again, or remove it.")
+    # One surface, within limits.
     merged = _merge(pieces)
     if len(merged.faces) > MOST_FACES:
         raise _too_many(path, len(merged.faces))
@@ -91,6 +93,7 @@ def read_mesh(folder: Path, file: str) -> RawMesh:
         raise BadMesh(
             f"{path} has vertices that are NaN, infinite or beyond {FARTHEST:g}. Export it again, or remove it."
         )
+    # Missing files that the mesh names are problems, not errors.
     sha256 = joint_hash(files, data)
     missing = [name for name in dict.fromkeys(files.missing) if name]
     problems = [f"{name:.80} is missing" for name in missing[:_MOST_NAMED]]

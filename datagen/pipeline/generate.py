@@ -122,6 +122,7 @@ def dataset_spec(
     Raises:
         UsageError: edits, signals or lz4 are requested without images, or the recipe needs meshes and there are none.
     """
+    # Combinations that make no dataset.
     if not meshes and (named := [name for name in recipe.objects.categories if name.startswith(MESH_PREFIX)]):
         raise UsageError(
             f"Recipe {recipe.name!r} needs meshes such as {named[0].removeprefix(MESH_PREFIX)}; give the folder that "
@@ -144,6 +145,7 @@ def dataset_spec(
         raise UsageError(
             f"Split {bare[0]} has scenes, but no mesh; give it a share in --assets-split, or make no scenes for it."
         )
+    # Given cameras decide the number of views, and the size unless one is given.
     if cameras:
         cameras.check_frames(recipe.frames)
         recipe = dataclasses.replace(recipe, views=len(cameras.views))

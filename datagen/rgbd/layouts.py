@@ -219,6 +219,7 @@ def _archive(place: Path) -> FrameFiles | None:
     if depth is None:
         raise UsageError(f"{place} has the array {colour} but no depth; expected depth of height and width.")
     shape, count = headers[colour][0], None
+    # An array of four axes holds many frames.
     if len(shape) == 4:
         count = shape[0]
         lengths = {name: headers[name][0][:1] for name in (depth, mask) if name}
@@ -228,6 +229,7 @@ def _archive(place: Path) -> FrameFiles | None:
             )
     if 0 in shape:
         raise UsageError(f"{place}: {colour} has shape {shape}, which holds no pixel; expected at least one frame.")
+    # Frames, poses, and the file with the camera.
     lists = [_members(place, name, count) for name in (colour, depth, mask)]
     poses: list[Pose] = []
     if "world_from_camera" in headers:

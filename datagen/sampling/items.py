@@ -36,11 +36,13 @@ def sample_item(objects: Objects, split: str, rng: np.random.Generator, meshes: 
 
     With meshes, objects are those of the split, and the other categories that the recipe names.
     """
+    # Category: built-in ones, and meshes of the split.
     categories = objects.categories or catalog.TABLETOP
     if meshes:
         named = [name for name in objects.categories if not name.startswith(MESH_PREFIX)]
         categories = [*named, *(MESH_PREFIX + name for name in meshes.names(split))]
     category = str(rng.choice(categories))
+    # Shape: a mesh, a member of the pool, or a new one.
     shape_id = None
     if meshes and category.startswith(MESH_PREFIX):
         category = category.removeprefix(MESH_PREFIX)
@@ -51,6 +53,7 @@ def sample_item(objects: Objects, split: str, rng: np.random.Generator, meshes: 
         spec = _sample_spec(category, objects, pool_rng(number, shape_id))
     else:
         spec = _sample_spec(category, objects, rng)
+    # Physical properties; densities are even in the logarithm.
     low, high = np.log(objects.density)
     return Item(
         category,

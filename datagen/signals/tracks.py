@@ -16,12 +16,14 @@ TABLE_SHARE = 0.25
 def track_fields(clip: ClipSurfaces, rng: np.random.Generator) -> SceneRecord:
     """Fields of the group `tracks`; `rng` chooses the points."""
     frames, views = clip.shape[:2]
+    # Points on the surfaces that the chosen pixels show.
     images = _choose(clip, rng)
     count = len(images)
     points, pixels = _points(clip, images, images[:, 2:] + rng.random((count, 2)))
     position_2d = np.zeros((views, count, frames, 2), np.float32)
     position_3d = np.zeros((count, frames, 3), np.float32)
     occluded = np.ones((views, count, frames), np.uint8)
+    # Their places in every frame, and whether a view sees them there.
     for frame in range(frames):
         world = clip.move(points, frame)
         position_3d[:, frame] = world

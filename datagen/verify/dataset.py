@@ -136,6 +136,7 @@ def _check_scenes(dataset: Dataset, meshes: Library | None, split: str, scenes: 
         except UNREADABLE as error:
             findings.append(Finding("file", f"cannot be read: {error}", **place))
             continue
+        # Stored hash, then content.
         if schema.scene_hash(record) != stored:
             findings.append(Finding("hash", f"the arrays' SHA-256 is not the stored {stored[:16]}...", **place))
         if recipe is None:
@@ -153,6 +154,7 @@ def _check_scenes(dataset: Dataset, meshes: Library | None, split: str, scenes: 
                 rendered = rendered_recipe_of(dataset.spec).for_scene(scene)
                 found = list(check_cameras(record, rendered, dataset.spec.get("cameras", ())))
         findings.extend(dataclasses.replace(finding, **place) for finding in found)
+        # Hashes of contents, to find scenes that occur twice.
         if "scene/description" in record:
             text = bytes(record["scene/description"].item())
             contents[f"{split} scene {scene}"] = hashlib.sha256(text).hexdigest()
@@ -196,6 +198,7 @@ def _check_manifest(dataset: Dataset, shards: Collection[tuple[str, int]]) -> It
     if manifest is None:
         yield Finding("file", f"{MANIFEST_FILE} is missing: the dataset was never completed")
         return
+    # Expected manifest from the files; totals only if all shards are there.
     try:
         wrong = [] if manifest.get("spec_hash") == dataset.spec["spec_hash"] else ["spec_hash"]
         facts: Facts = {split: [] for split in schema.SPLITS}

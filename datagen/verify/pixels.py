@@ -21,9 +21,6 @@ from datagen.verify.sphere_tracing import clip_to_box, trace
 SURFACE_STEPS, PLANE_STEPS = 0.7, 0.8
 """Steps of depth that stored depth may be off: half a step, and a reserve for arithmetic in float32."""
 
-SURFACE_TOLERANCE = MESH_TOLERANCE + SURFACE_STEPS * DEPTH_SCALE
-"""Metres that a single unprojected pixel in the middle of an image may lie off the surface it is labelled with."""
-
 MEDIAN_TOLERANCE = 9e-5
 """Metres that the median of very many of an object's pixels may lie off its surface: just above a mesh's tolerance."""
 

@@ -21,9 +21,9 @@ from torch import Tensor
 from obpose.contact.components import image_components
 from obpose.contact.config import OgcConfig
 from obpose.contact.images import Images
-from obpose.contact.key_frames import follow_objects
 from obpose.contact.model import ContactModel
-from obpose.contact.tracking import COLOUR_SCALE, Cloud, Followed, register
+from obpose.contact.motion.key_frames import follow_objects
+from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, Followed, register
 from obpose.data.clips import ClipSource
 from obpose.geometry import unproject
 from obpose.types import Observation, Segmentation
@@ -73,6 +73,7 @@ class Ogc(ContactModel):
         dynamic, smooth, invariant = [], [], []
         points = images.points.movedim(1, -1)
         rgb = images.rgb.movedim(1, -1)
+        # Pairs of neighbouring frames, in both directions.
         for first in range(0, len(points), 2):
             for one, two in ((first, first + 1), (first + 1, first)):
                 if not standing[one].any():
@@ -86,6 +87,7 @@ class Ogc(ContactModel):
                 dynamic.append(dynamic_loss(place, torch.from_numpy(flow).to(place), here))
                 smooth.append(smoothness_loss(place, here))
                 invariant.append(invariance_loss(here, other[one][:, standing[one]]))
+        # Weighted sum; smoothness is off at first.
         terms = {
             name: torch.stack(values).mean() if values else masks.sum() * 0
             for name, values in (("dynamic", dynamic), ("smooth", smooth), ("invariant", invariant))

@@ -52,6 +52,7 @@ OWN = "own"
 
 def infer(values: Infer) -> None:
     """Infer a scene and write it."""
+    # Flags, before the weights are loaded.
     framed = any((values.source, values.rgb, values.depth, values.intrinsics, values.camera_pose))
     if framed == (values.data is not None):
         raise UsageError(
@@ -62,6 +63,7 @@ def infer(values: Infer) -> None:
     _size(values.resolution)
     origin = load_origin(values.checkpoint)
     if values.data is not None:
+        # A clip of a dataset.
         place = (values.data, values.split, values.scene)
         clip = read_clip(*place)
         check_new_folder(values.out)
@@ -72,6 +74,7 @@ def infer(values: Infer) -> None:
         scene = infer_scene(origin, clip, refinements=values.refine, labels=labels)
         scene = replace(scene, clip=name_clip(*place))
     else:
+        # Frames of the user.
         frames = prepare_frames(values, trained_on(origin.model.config))
         check_new_folder(values.out)
         if frames.moves:

@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, Int64
 
 from obpose.contact.fragments import Evidence, fragments_of, gather
 from obpose.contact.grouping import Pairs, group
-from obpose.contact.key_frames import evenly_spread
-from obpose.contact.rigidity import TOGETHER, common_motion
-from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
+from obpose.contact.motion.key_frames import evenly_spread
+from obpose.contact.motion.rigidity import TOGETHER, common_motion
+from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, track
 
 FINER = 1.5
 """Subtracted from the bias for the finer of the two groupings of key frames."""

@@ -1,4 +1,7 @@
-"""Connected components of what stands above the table: pseudo-objects for training without labels."""
+"""Pairs of neighbouring pixels, and connected components of what stands above the table.
+
+Components are the pseudo-objects for training without labels. The network predicts affinities of the pairs.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int64, UInt8
@@ -7,6 +10,18 @@ from scipy.sparse.csgraph import connected_components
 
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Rows and columns from a pixel to half of its eight neighbours."""
+_STEPS = (1, 3, 7)
+OFFSETS = len(NEIGHBOURS) * len(_STEPS)
+"""Number of partners of each pixel."""
+
+
+def offsets(scale: int) -> list[tuple[int, int]]:
+    """Rows and columns from a pixel to its partners, for a network trained on images with `scale` times 64 columns.
+
+    Longer steps grow with the training images. Direct neighbours remain partners, so that all pixels are connected.
+    """
+    steps = [step if step == 1 else step * scale for step in _STEPS]
+    return [(down * step, right * step) for step in steps for down, right in NEIGHBOURS]
 
 
 def image_components(

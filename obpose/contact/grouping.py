@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64, Integer
 from scipy.spatial import KDTree
 
-from obpose.contact.components import shifted
+from obpose.contact.components import offsets, shifted
 from obpose.contact.linkage import average_linkage
-from obpose.contact.offsets import offsets
 
 LEAST = 3
 """Segments of fewer pixels join the nearest larger one."""

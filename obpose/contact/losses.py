@@ -5,8 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from obpose.contact.components import shifted
-from obpose.contact.offsets import offsets
+from obpose.contact.components import offsets, shifted
 
 PULL_MARGIN, PUSH_MARGIN = 0.3, 3.0
 """Distance from the mean embedding below which pixels are not pulled, and between means above which they are not

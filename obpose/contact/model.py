@@ -17,13 +17,12 @@ from torch import Tensor
 
 from obpose.contact.clip import Image as ClipImage
 from obpose.contact.clip import segment_clip
-from obpose.contact.components import image_components
+from obpose.contact.components import OFFSETS, image_components
 from obpose.contact.config import ContactConfig
 from obpose.contact.grouping import foreground_pairs
 from obpose.contact.images import CHANNELS, Images, augmented, cropped, images_of
 from obpose.contact.losses import affinity_loss, embedding_loss, foreground_loss
 from obpose.contact.network import UNet
-from obpose.contact.offsets import OFFSETS
 from obpose.contact.pasting import PastedClips
 from obpose.data.clips import ClipSource
 from obpose.geometry import unproject

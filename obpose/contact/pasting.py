@@ -15,7 +15,7 @@ from torch import Tensor
 
 from datagen import geometry
 from obpose.contact.components import image_components
-from obpose.contact.tracking import COLOUR_SCALE, Cloud, track
+from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, track
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject

@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from obpose.contact.boxes import boxes_over_time
 from obpose.contact.config import ContactConfig, ContactObPoseConfig
 from obpose.contact.model import ContactModel
+from obpose.contact.motion.boxes import boxes_over_time
 from obpose.contact.pasting import ClipsWithPasted
 from obpose.data.clips import ClipSource
 from obpose.model.attention.given import Labels, attended_as_labelled

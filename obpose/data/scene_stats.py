@@ -53,6 +53,7 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
     """
     if not len(source):
         raise UsageError("There are no training clips; expected a training split with at least one scene.")
+    # Points of the first frames of clips that are evenly spread over the split.
     count = min(CLIPS, len(source))
     images = [observation_of([source.window(i * len(source) // count, 0, 1)]) for i in range(count)]
     clouds = [unproject(image)[image.valid] for image in images]
@@ -65,6 +66,7 @@ def measure_scene(source: ClipSource) -> SceneMeasures:
             "The surface points of the training clips are not finite: their depths, camera matrices or poses hold NaN "
             "or infinity. obpose-datagen verify says where."
         )
+    # Workspace without outliers, and the distance of cameras from its middle.
     low, high = _quantile(points, TAIL), _quantile(points, 1 - TAIL)
     middle = (low + high) / 2
     x, y, z = middle.tolist()

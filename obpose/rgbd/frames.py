@@ -116,6 +116,7 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
         UsageError: flags are wrong.
         NoTable: the frames show no table, or nothing within the workspace.
     """
+    # World and workspace.
     table = None if frames.table is None else parse_pixel(frames.table)
     world = choose_world(recording, table, trained.center)
     shown = table_frames(recording)
@@ -125,6 +126,7 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
     warnings = (*world.warnings, *seen, UNSUPPORTED) if (*world.warnings, *seen) else ()
     if frames.workspace is not None:
         workspace = rectangle(parse_rectangle(frames.workspace), workspace.floor)
+    # Resolution with point distances as in training.
     some = replace(recording, rgb=recording.rgb[shown], depth=recording.depth[shown], poses=None)
     spacing = surface_spacing(observe(some, world.poses[shown], workspace, trained))
     if spacing is None:

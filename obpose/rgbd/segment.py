@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Int, Integer, UInt8
 from scipy.spatial import KDTree
 
-from obpose.contact.key_frames import follow_objects
-from obpose.contact.tracking import COLOUR_SCALE, Cloud
+from obpose.contact.motion.key_frames import follow_objects
+from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud
 from obpose.geometry import unproject
 from obpose.rgbd.frames import PreparedFrames, Trained
 from obpose.types import Observation

@@ -62,9 +62,11 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
     """
     if not (recording.depth > 0).any():
         raise NoTable("No frame has a depth nearer than --depth-max; expected a table in view.")
+    # Points of the table in the first camera.
     given, frames = recording.poses, len(recording.depth)
     relative = np.tile(np.eye(4), (frames, 1, 1)) if given is None else invert_rigid(given[0]) @ given
     points = np.concatenate(table_clouds(recording, relative))
+    # Plane: that of the named pixel, one that is level by the given poses, or any.
     named = None if table is None else _point(unproject(recording.depth[0], recording.k, np.eye(4)), table)
     if named is not None:
         plane, reason = find_table(points, near=named), "that of the pixel --table"
@@ -79,6 +81,7 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
         reason = f"{FOUND}. It is not that of the given poses, where {fault}: they only tell how the camera moves"
     else:
         plane, reason = find_table(points), FOUND
+    # Camera pose over that plane.
     fitted = pose_over_table(points, center=center, plane=plane)
     warnings = (WALL,) if plane is not None and given is None and named is None and is_wall(plane) else ()
     place = None if named is None else transform(fitted, named)[:2]

@@ -169,12 +169,14 @@ class _Run:
         self._save()
         feed = self._feed()
         while fraction < 1:
+            # One step; its time counts towards the budget.
             rate = learning_rate(settings, fraction)
             with watch.running():
                 result = self.learner.step(next(feed), step=progress.step, fraction=fraction, learning_rate=rate)
             progress.step += 1
             progress.seconds = self._agree(watch.seconds)
             before, fraction = fraction, budget.fraction(progress.step, progress.seconds)
+            # Logs, validation and progress.
             if self.record:
                 self.record.log_step(progress.step, progress.seconds, rate, result)
             if budget.validation_is_due(before, fraction):
@@ -182,6 +184,7 @@ class _Run:
             if self.fabric.is_global_zero:
                 latest = progress.curve[-1] if progress.curve else None
                 self.report(Status(progress.step, progress.seconds, fraction, result.losses, latest))
+            # Stop in all processes together, or save.
             if self._agree(float(request.received is not None)):
                 self._stop(request)
             if self.record and self.record.save_is_due():
@@ -218,6 +221,7 @@ class _Run:
         if not self.fabric.is_global_zero:
             return
         progress, model, device = self.progress, self.learner.model, self.fabric.device
+        # Losses and score on the validation clips.
         if self.val_source is not None and len(self.val_source):
             point = validate(
                 model,
@@ -233,6 +237,7 @@ class _Run:
             progress.curve.append(point)
             if self.record:
                 self.record.log_validation(point)
+        # Observers of the model, and pictures.
         model.eval()
         try:
             self.look(model, progress.step, progress.seconds)

@@ -45,7 +45,7 @@ def start(data: Path, out: Path, *, steps: int = STEPS) -> subprocess.Popen[str]
 
 
 def saved_step(out: Path) -> int:
-    """Of the training's state on disk; -1 before there is one."""
+    """Step of the training's state on disk; -1 before there is one."""
     for path in out.glob("training/*/training.safetensors"):
         with safe_open(path, framework="pt") as file:
             return json.loads(file.metadata()["info"])["step"]

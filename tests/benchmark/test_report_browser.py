@@ -146,7 +146,7 @@ def test_a_link_to_a_choice_shows_it(run: Path, tmp_path: Path) -> None:
 
 
 def probe(run: Path, profile: Path, width: int, scheme: str) -> tuple[dict[str, Any], list[str]]:
-    """What the probe found, and what the console said."""
+    """Findings of the probe, and lines of the console."""
     (run / "probe.html").write_text(PROBE.replace("WIDTH", str(width)), encoding="utf-8")
     result = dump((run / "probe.html").as_uri(), profile, scheme)
     text = result.stdout.split('<pre id="found">')[1].split("</pre>")[0]

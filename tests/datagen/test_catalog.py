@@ -3,12 +3,13 @@ import json
 import numpy as np
 import pytest
 
-from datagen.catalog import CATEGORIES, FURNITURE, TABLETOP, sample_shape
+from datagen.catalog import CATEGORIES, TABLETOP, sample_shape
 from datagen.errors import UsageError
 from datagen.scene import ShapeSpec
 from datagen.shapes import FAMILIES, build
 
 SIZE = (0.04, 0.15)
+FURNITURE = [name for name, category in CATEGORIES.items() if category.group == "furniture"]
 
 
 @pytest.mark.parametrize("category", CATEGORIES)

@@ -19,7 +19,7 @@ from tests.worlds.generated import FLAGS, ROOT, hashes, make
 SIZES = {"train": 4, "val": 2, "test": 2}
 SPLIT = "train=4,val=2,test=2"
 LONG = ("--split", "train=4,val=40,test=2")
-"""What cannot be over before a signal comes that is sent once the first shard is there."""
+"""Scenes of a run that lasts until a signal comes that is sent once the first shard is there."""
 MOST_RUNS = 100
 """Within which chance must have killed twenty."""
 

@@ -53,7 +53,7 @@ def _edit(arguments: list[str]) -> int:
 
 def _bench(arguments: list[str]) -> int:
     from benchmark.commands.cli import main
-    from benchmark.execution.executor import in_this_process
+    from tests.processes import in_this_process
 
     # A process of its own would hide a traceback as the reason of a failed row.
     with in_this_process():
@@ -61,7 +61,7 @@ def _bench(arguments: list[str]) -> int:
 
 
 def _view(arguments: list[str]) -> int:
-    """What `obpose-view` does before it serves a page."""
+    """Do the work of `obpose-view` before it serves a page."""
     import tyro
 
     from obpose.commands.view import PROGRAM, Arguments

@@ -18,7 +18,7 @@ class Input:
     command: str
     """With {w} for the copy, and {o} for a path at which nothing is."""
     called: tuple[str, ...] = ()
-    """What messages may call the file, beside its name and that of a folder that it is in."""
+    """Names of the file in messages, beside its own and that of a folder that it is in."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Ending:
     seed: int
     command: str
     change: str
-    """What was done to the file."""
+    """Description of the damage to the file."""
     fault: str
-    """What is wrong with how the command ended; empty if nothing is."""
+    """Fault in how the command ended; empty if there is none."""
     place: str
     """Kind of the fault, and innermost of our functions, by which faults are told apart."""
     code: int | None

@@ -1,4 +1,4 @@
-"""What is wrong with how a command ended: tracebacks, exit codes, memory, time, messages that do not help."""
+"""Faults in how a command ended: tracebacks, exit codes, memory, time, messages that do not help."""
 
 import re
 from collections.abc import Sequence
@@ -10,18 +10,18 @@ MOST_MIB = 1024.0
 """Resident memory of the process, what was imported included."""
 EXIT_CODES = (0, 2, 3, 4)
 MOST_LINES, MOST_CHARACTERS = 12, 2000
-"""Of a message, and of one of its lines."""
+"""Limits of a message, and of one of its lines."""
 
 _INTERNAL = re.compile(
     r"NoneType|has no attribute|not subscriptable|unsupported operand|unexpected keyword|positional argument|Traceback"
     r"|must be real number|unhashable|not iterable|<class |object at 0x|__\w+__|\b(Type|Key|Attribute|Index)Error\b"
 )
-"""What only a programmer understands."""
+"""Text that only a programmer understands."""
 _WARNING = re.compile(r"(\S+\.py):\d+: (\w*Warning)")
 _OWN = re.compile(r'File "[^"]*?((?:datagen|obpose|benchmark|assets)/[^"]+)", line (\d+)(?:,? in (\S+))?')
 
 Verdict = tuple[str, str]
-"""What is wrong, and a text by which faults are told apart; two empty texts if nothing is."""
+"""Fault, and a text that distinguishes it from others; two empty texts if there is none."""
 
 
 def judge(
@@ -65,7 +65,7 @@ def _judge_message(message: str, names: Sequence[str]) -> Verdict:
 
 
 def _names(each: Input) -> list[str]:
-    """What a message may call the file: its own name, or that of the dataset, model or scene that it belongs to."""
+    """Names of the file in messages: its own, or that of the dataset, model or scene that it belongs to."""
     file = Path(each.file)
     folders = [f"w/{folder}" for folder in file.parents[:-1]]
     return [file.name, file.stem, *folders, f"{file.parts[0]},", *each.called]

@@ -1,4 +1,4 @@
-"""What counts as a bad ending."""
+"""Bad endings of commands."""
 
 from pathlib import Path
 

@@ -42,7 +42,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 
 
 def damaged(folder: Path, name: str, seed: int) -> tuple[str, bytes | None]:
-    """What was done, and what is there then; None where no file is."""
+    """Description of the change, and the file's content after it; None if there is no file."""
     folder.mkdir(exist_ok=True)
     WRITERS[name](folder / name)
     change = mutate(folder / name, np.random.default_rng(seed))

@@ -29,7 +29,7 @@ def random_boxes(
 
 
 def random_shapes(count: int, points: int, seed: int = 0) -> Float[Tensor, "shape point 3"]:
-    """Of all the kinds in `KINDS` in turn, each turned and moved."""
+    """Clouds of all kinds in `KINDS` in turn, each rotated and moved."""
     rng = np.random.default_rng(seed)
     kinds = list(KINDS.values())
     clouds = []
@@ -53,7 +53,7 @@ def box_surface(
 
 
 def trimesh_volumes(clouds: Float[Tensor, "shape point 3"]) -> Float[Tensor, "shape"]:
-    """Of the smallest boxes that trimesh finds."""
+    """Volumes of the smallest boxes that trimesh finds."""
     edges = as_tensor([trimesh.bounds.oriented_bounds(cloud)[1] for cloud in clouds.double().numpy()])
     return edges.prod(dim=1)
 

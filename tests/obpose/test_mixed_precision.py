@@ -1,4 +1,4 @@
-"""Where networks compute in half precision, geometry does not: a percent of a metre is more than an object's edge."""
+"""Networks may compute in half precision, but geometry must not: a percent of a metre is more than an object's edge."""
 
 from collections.abc import Callable
 

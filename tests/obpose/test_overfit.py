@@ -1,4 +1,4 @@
-"""That each system learns at all: two objects on a table, told apart from each other and from it, in about a minute.
+"""Each system learns to tell two objects apart from each other and from the table, in about a minute.
 
 Boxes, or labels, tell two objects apart in a single scene. Fields that fill the world explain both of them at once
 just as well; only where they have to explain several scenes is there something to be gained by one slot for each. The
@@ -65,8 +65,8 @@ def scores(model: Trainable, clips: LabelledObservation) -> dict[str, float]:
 
 
 _SEEDS = 4
-"""So many fresh models may try. Arithmetic of another machine is another seed, and slot attention, for one, keeps both
-objects in one slot with some of them."""
+"""Number of fresh models that may try. Arithmetic of another machine is another seed, and slot attention, for one,
+keeps both objects in one slot with some seeds."""
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_two_objects_are_told_apart(system: str, changes: dict[str, Any], count:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_slot_attention_tells_objects_apart_that_stand_anywhere():
-    """Where no division of the table that is the same in all scenes would do."""
+    """Objects stand anywhere, so that a fixed division of the table does not suffice."""
     clips = scenes(64, frames=1, anywhere=True)
     torch.manual_seed(0)
     model = fresh_model("slot-attention", {})

@@ -1,4 +1,4 @@
-"""What the parts of the model hand to each other; what each makes of it is tested with the part."""
+"""Arguments that the parts of the model pass to each other; the parts have tests of their own."""
 
 from typing import Any
 

@@ -41,13 +41,13 @@ class ToyModel(Trainable):
         return {"total": error.mean() + spread, "colour": error.mean().detach(), "spread": spread.detach()}
 
     def segment(self, observation: Observation) -> SceneSegmentation:
-        """What is red is slot 1; the attention masks see nothing."""
+        """Give red pixels to slot 1, and empty attention masks."""
         labels = (observation.rgb[..., 0] > 0.5).long()
         return SceneSegmentation(labels, torch.zeros_like(labels), _inference(observation))
 
 
 class QuietToy(ToyModel):
-    """The same without noise."""
+    """Toy model without noise."""
 
     noise = 0.0
 

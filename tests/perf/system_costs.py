@@ -1,4 +1,4 @@
-"""What a training step of each learned system costs in the profile `cpu`, after warm-ups.
+"""Costs of a training step of each learned system in the profile `cpu`, after warm-ups.
 
 python -m tests.perf.system_costs SYSTEM    one of them in a process of its own; prints JSON
 """
@@ -25,13 +25,13 @@ STEPS = 15
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one system."""
+    """Costs of one system."""
 
     parameters: int
     images: int
     """A step."""
     seconds: float
-    """Of CPU time a step, median."""
+    """Median CPU time of a step."""
     megabytes: float
     """Peak of the whole process, Python and libraries included."""
 

@@ -1,4 +1,4 @@
-"""What scoring costs, in milliseconds of one core: times are CPU times."""
+"""Costs of scoring, in milliseconds of one core: times are CPU times."""
 
 import time
 from statistics import median
@@ -14,7 +14,7 @@ FRAMES = 160
 GROUP = f"metrics: {FRAMES} frames at 128x128"
 LEAST_FRAMES_PER_SECOND = 500
 LEAST_SPEEDUP = 5
-"""Of all metrics together over scikit-learn's adjusted Rand index alone."""
+"""Least speed of all metrics together over that of scikit-learn's adjusted Rand index alone."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What training steps and inference cost: CPU seconds of one thread, medians. The models are untrained."""
+"""Costs of training steps and inference: CPU seconds of one thread, medians. The models are untrained."""
 
 import json
 import subprocess
@@ -17,11 +17,11 @@ from tests.worlds.observations import table_scene
 
 GFLOP = 1e9
 AUTHORS_GFLOP = 365
-"""Of a step of the authors' size."""
+"""Arithmetic of a step of the authors' size."""
 STEP_GOAL = 0.25
 """Seconds, for `obpose-loc`; with embeddings of all pixels it is missed (docs/performance.md)."""
 MOST_A_STEP = {1: 23 * GFLOP, 0: 33 * GFLOP}
-"""What a matrix product gets done meanwhile, at most, in the same run, by level of the embeddings."""
+"""Most operations that a matrix product may do in the time of a step, in the same run, by level of the embeddings."""
 
 
 @pytest.fixture(autouse=True)

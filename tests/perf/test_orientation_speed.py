@@ -1,4 +1,4 @@
-"""What an object's orientation costs, in CPU milliseconds of one core, against trimesh in the same run."""
+"""Costs of an object's orientation, in CPU milliseconds of one core, against trimesh in the same run."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -67,7 +67,7 @@ def test_goals(shapes: Tensor):
 
 @pytest.mark.parametrize("points", [10, 30, 100, 300])
 def test_error_by_number_of_points(points: int):
-    """Of boxes from points on their whole surface, modulo their symmetry."""
+    """Errors of boxes from points on their whole surface, modulo their symmetry."""
     clouds, truth, _ = random_boxes(500, points)
     named = equivalents(truth)
     errors = geodesic_distance(named, tightest(clouds)[:, None].expand_as(named)).amin(dim=1).rad2deg()

@@ -1,4 +1,4 @@
-"""What a training step waits for, in milliseconds of one core: times are CPU times."""
+"""Time that a training step waits for data, in milliseconds of one core: times are CPU times."""
 
 import resource
 import statistics
@@ -81,6 +81,6 @@ def test_size_and_time_of_compression(moving: Path):
 
 
 def _cpu_seconds() -> float:
-    """Of this process and of those children that have ended."""
+    """CPU time of this process and of those children that have ended."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)

@@ -25,7 +25,7 @@ MODEL = "obpose--moving--64x64"
 ROUNDS = 3
 GOAL_RATIO, GOAL_DB = 10, 40
 GOAL_SECONDS = 10
-"""Of the fit to a clip of ten frames: seconds of a core."""
+"""Largest time of the fit to a clip of ten frames: seconds of a core."""
 T = TypeVar("T")
 
 
@@ -70,12 +70,12 @@ def test_a_clip_is_fitted_within_seconds_and_its_details_cost_pictures_little(ti
 
 
 def cpu_seconds(renderers: list[Renderer], scene: Scene, *, antialiased: bool) -> list[float]:
-    """Of the picture of each renderer."""
+    """Times of the picture of each renderer."""
     return [timed(lambda each=each: each.render(scene, antialiased=antialiased))[1] for each in renderers]
 
 
 def timed(act: Callable[[], T]) -> tuple[T, float]:
-    """What it gives, and seconds of CPU time."""
+    """Result of a function, and its seconds of CPU time."""
     start = time.process_time()
     result = act()
     return result, time.process_time() - start

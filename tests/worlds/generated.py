@@ -18,7 +18,7 @@ from tests.paths import ROOT
 
 RESOLUTION = (32, 32)
 FLAGS = ("--recipe", "moving", "--frames", "3", "--resolution", "32x32")
-"""What makes `recipe()` on the command line."""
+"""Flags of `recipe()` on the command line."""
 
 
 def recipe(**changes: object) -> Recipe:

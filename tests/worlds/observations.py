@@ -86,7 +86,7 @@ def balls_in_depth(count: int, *, size: int, seed: int = 0) -> tuple[Observation
 
 
 def _without_table(on_table: Observation) -> tuple[Observation, torch.Tensor, torch.Tensor]:
-    """The same with nothing where the table was, the points, and which of them are not the table's."""
+    """Observation without its table, the points, and which of them are not the table's."""
     points = unproject(on_table)
     seen = points[..., 2] > 1e-4
     alone = replace(on_table, rgb=on_table.rgb * seen[..., None], depth=on_table.depth * seen, valid=seen)

@@ -29,7 +29,7 @@ SPHERE = ShapeSpec("sphere", {"radius": 0.04})
 STANDING = [(BOX, (0.2, -0.05, 0.03)), (CYLINDER, (0.3, 0.08, 0.05)), (SPHERE, (0.36, -0.1, 0.04))]
 
 RECIPE = config.Recipe(name="staged", layout=config.Layout(center=(0.28, 0.0), half_extent=(0.12, 0.12), tries=200))
-"""Where objects may be put."""
+"""Recipe with the place of the objects."""
 
 Standing = Sequence[tuple[ShapeSpec, tuple[float, float, float]]]
 

@@ -45,7 +45,7 @@ def with_noise(clip: Clip, sigma: float = 0.002) -> Clip:
 
 
 def turned(clip: Clip, angle: float) -> Clip:
-    """The same scene in a world that is turned about z, radians, and moved."""
+    """Scene in a world that is rotated about z, radians, and moved."""
     quaternion = np.array([np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
     turned_from_world = geometry.rigid(np.array([0.3, -2.0, 1.0]), quaternion)
     return dataclasses.replace(clip, world_from_camera=turned_from_world @ clip.world_from_camera)

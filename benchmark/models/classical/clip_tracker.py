@@ -13,7 +13,7 @@ from jaxtyping import Int64
 from benchmark.models.classical.above_plane import standing
 from benchmark.models.classical.points import Untrained, keep_largest, pixel_width, scene_points
 from benchmark.models.interface import Clip, Prediction
-from obpose.contact.tracking import COLOUR_SCALE, Cloud, join_small, large, split, track
+from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, join_small, large, split, track
 
 
 @dataclass

@@ -46,6 +46,7 @@ def _camera(scene: ExportScene) -> dict[str, float]:
 
 
 def _write_scene(folder: Path, scene: ExportScene, models: "_Models") -> None:
+    # Each frame of each view is an image.
     stage = stage_of_scene(scene)
     numbers = [models.add(body_key, shape) for body_key, shape in zip(_keys(stage), stage.shapes, strict=True)]
     images = [(frame, view) for frame in range(scene.frames) for view in range(scene.views)]
@@ -63,6 +64,7 @@ def _write_scene(folder: Path, scene: ExportScene, models: "_Models") -> None:
             "cam_t_w2c": translation,
             "depth_scale": DEPTH_SCALE * MILLIMETRES,
         }
+    # Object by object: masks, poses and facts of visibility.
     for row, masks in enumerate(silhouettes(scene, stage)):
         for image, (frame, view) in enumerate(images):
             silhouette, visible = masks[frame, view], scene.segmentation[frame, view] == row + 1

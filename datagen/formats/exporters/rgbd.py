@@ -27,6 +27,7 @@ def _write_clip(folder: Path, scene: ExportScene, view: int) -> None:
         write_png(folder / "rgb" / name, scene.rgb[frame, view])
         write_png(folder / "depth" / name, depth[frame])
         write_png(folder / "masks" / name, scene.segmentation[frame, view])
+    # Camera and objects; poses in one file if the camera rests.
     k, poses = scene.k[:, view], scene.world_from_camera[:, view]
     width, height = scene.size
     camera = {

@@ -85,10 +85,12 @@ def convert(images: Images, target: Target, place: str, fields: frozenset[str]) 
         raise UsageError(
             f"{place} has no {', '.join(missing)}, but other scenes of its split do; import them into two datasets."
         )
+    # Images of the target size, with the time axis that the grouping asks for.
     images = resampled(images, target.size)
     if target.grouping == "views":
         images = _as_views(images, place)
     _check_static(images, place)
+    # World, and depth that the format can hold.
     poses, estimated = _world(images, target.world, place)
     too_far = images.depth > MAX_DEPTH
     depth = np.where(too_far, np.float32(0), images.depth)
@@ -98,6 +100,7 @@ def convert(images: Images, target: Target, place: str, fields: frozenset[str]) 
         "camera/K": np.array(images.k[0], np.float64),
         "camera/world_from_camera": poses,
     }
+    # Labels, and poses of the labelled objects.
     if "segmentation" in fields:
         objects = _object_ids(images, place)
         record |= _labels(images, objects)
@@ -196,6 +199,7 @@ def _labels(images: Images, objects: Int64[np.ndarray, " object"]) -> SceneRecor
 def _poses(images: Images, cameras: Float64[np.ndarray, "view 4 4"], rows: list[int], place: str) -> SceneRecord:
     """Fields of the poses and models of some objects; poses are those that the first view gives."""
     assert images.camera_from_object is not None
+    # All views must agree on where objects are.
     every = cameras[:, None] @ images.camera_from_object[:, :, rows]
     apart = float(np.max(np.ptp(every[..., :3, 3], axis=1), initial=0))
     if apart > _SAME_PLACE:
@@ -211,6 +215,7 @@ def _poses(images: Images, cameras: Float64[np.ndarray, "view 4 4"], rows: list[
     }
     if images.models is None:
         return record
+    # Facts of the models, and boxes at the stored poses.
     models = [images.models[row] for row in rows]
     stored = rigid(record["poses/position"], record["poses/quaternion_wxyz"])
     corners = np.reshape([model.box.corners for model in models], (-1, 8, 3))

@@ -57,16 +57,19 @@ def import_dataset(request: Request, *, progress: Progress = no_progress) -> Rep
     """
     started = time.monotonic()
     with new_folder(request.out) as folder:
+        # Find the recordings.
         with _reading():
             found = IMPORTERS[request.format](request.source, request.reading)
         group = request.group or found.grouping
         recordings = enough(found.recordings, request.scenes)
+        # Survey all of them, so that nothing is converted in vain.
         with progress(len(recordings)) as advance:
             surveyed = []
             for recording in recordings:
                 with _reading():
                     surveyed.append((recording, recording.survey()))
                 advance()
+        # Convert them, split by split.
         plan = plan_scenes(surveyed, replace(request, group=group))
         target = Target(group, plan.size, plan.objects, request.world)
         fields = {split: _fields(plan, split) for split in SPLITS}

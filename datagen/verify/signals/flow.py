@@ -58,12 +58,14 @@ class Pending:
 def _check_image(case: Case, name: str, frame: int, view: int, other: int) -> Iterator[str | Pending]:
     flow = case.record[f"flow/{name}"][frame, view].reshape(-1, 2).astype(np.float64)
     state = case.record[f"flow/{name}_occlusion"][frame, view].ravel()
+    # A flow beyond the clip is 0 and unknown.
     if not 0 <= other < case.record["segmentation"].shape[0]:
         if np.any(flow != 0) or np.any(state != UNKNOWN):
             yield "there is no such frame, but a flow to it"
         return
     if np.any(state >= UNKNOWN):
         yield f"{np.count_nonzero(state >= UNKNOWN)} pixels have no flow, but there is such a frame"
+    # Expected flow from depth and poses, and its change by one step of depth.
     depth = case.depth(frame, view).ravel()
     row = np.where(depth > 0, case.segmentation(frame, view).ravel().astype(int) - 1, -2)
     pixels, z = _moved(case, frame, other, view, row, depth)
@@ -80,6 +82,7 @@ def _check_image(case: Case, name: str, frame: int, view: int, other: int) -> It
             f"{np.count_nonzero(error > 0)} of {len(error)} pixels are off, by up to "
             f"{np.max(np.abs(flow[worst] - expected[worst])):.3f} pixels (allowed {np.max(allowed[worst]):.3f})"
         )
+    # Targets clearly inside or outside of the image have that state.
     margin, size = np.max(allowed, axis=1)[:, None], np.array([width, height])
     inner = before & np.all((pixels > margin) & (pixels < size - margin), axis=1)
     outer = ~before | np.any((pixels < -margin) | (pixels > size + margin), axis=1)

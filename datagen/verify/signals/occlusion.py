@@ -51,17 +51,20 @@ def judge(case: Case, sights: Sequence[Sight]) -> list[Verdicts]:
     lines = _lines(case, sights)
     row, world = np.concatenate([sight.row for sight in sights]), lines.center + lines.depth[:, None] * lines.ray
     shown, hidden = row < 0, np.zeros(len(row), bool)
+    # Each object may show its own points and hide others.
     for place, shape in enumerate(case.shapes):
         part = np.flatnonzero((row == place) | _near_box(case, lines, place))
         poses, depth = case.world_from_object[lines.frame[part], place], lines.depth[part]
         origins = np.einsum("pj,pji->pi", lines.center[part] - poses[:, :3, 3], poses[:, :3, :3])
         local = np.einsum("pj,pji->pi", lines.ray[part], poses[:, :3, :3])
         points = origins + depth[:, None] * local
+        # A point of its own is shown if its surface clearly faces the camera.
         own = np.flatnonzero(row[part] == place)
         if len(own):
             normal = surface_normals(shape, points[own], local[own])
             length = np.sqrt(np.sum(local[own] ** 2, axis=1))
             shown[part[own]] = np.sum(normal * local[own], axis=1) < -FACING * length
+        # A line that surely meets the object hides its point; one that comes near it decides nothing.
         near, far = clip_to_box(shape.minimum_box, origins, local, NEAR_MISS + SHELL)
         some = np.flatnonzero(near < np.minimum(far, depth))
         ends, there = np.minimum(far, depth - LAST), part[some]
@@ -74,9 +77,11 @@ def judge(case: Case, sights: Sequence[Sight]) -> list[Verdicts]:
             met, passed = np.isfinite(hit), closest > NEAR_MISS + sideways
         hidden[there] |= met & (sideways == 0)
         shown[there[~passed]] = False
+        # Points of others are undecided close to its surface.
         others = some[(row[there] != place) & shown[there]]
         close = mesh.within(points[others], CLOSE) if mesh else shape.signed_distance(points[others]) <= CLOSE
         shown[part[others[close]]] = False
+    # The table hides points below it.
     shown[(world[:, 2] < 0) & (row >= 0)] = False
     hidden |= _below_table(case, lines) & (row != -1)
     ends = np.cumsum([len(sight.row) for sight in sights])[:-1]

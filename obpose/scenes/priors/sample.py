@@ -56,6 +56,7 @@ def sample_scene(
     Raises:
         UsageError: there is no room for this many objects.
     """
+    # Objects with room beside each other; drawn again if there is none.
     camera = cameras[0].world_from_camera[:3, 3]
     for _ in range(_LAYOUTS):
         drawn = prior.objects.draw(origin.model, objects, generator)

@@ -1,4 +1,4 @@
-"""What stands on the screen after a run."""
+"""Terminal output after a run."""
 
 import dataclasses
 import io
@@ -48,7 +48,7 @@ def test_marks_are_explained_beneath_where_they_occur():
 
 
 def test_seeds_are_those_that_were_run():
-    """Where seeds make no difference, one run stands for all of them, and its failure too."""
+    """If seeds make no difference, one run stands for all of them, and its failure too."""
     runs = [scored("chance", 0.5, seed=seed) for seed in range(3)]
     runs += [scored("fixed", 0.4, seed=seed, random=False) for seed in range(3)]
     runs += [(failed_row("broken", seed=seed, random=False), None) for seed in range(3)]
@@ -112,5 +112,5 @@ def test_each_of_two_datasets_of_one_name_is_found(tmp_path: Path):
 
 
 def _renamed(row: RunRow) -> RunRow:
-    """The same on a track of the same name as all others."""
+    """Results on a track with the name of all others."""
     return dataclasses.replace(row, key=dataclasses.replace(row.key, track="mine", fit_track="mine"))

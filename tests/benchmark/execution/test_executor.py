@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmark.execution.executor import LOGS, Limits, Outcome, in_this_process, limits, run_jobs
+from benchmark.execution.executor import LOGS, Limits, Outcome, limits, run_jobs
 from datagen.errors import Busy, UsageError
+from tests.processes import in_this_process
 
 
 @dataclass(frozen=True)

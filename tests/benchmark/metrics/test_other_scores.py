@@ -80,6 +80,12 @@ def test_half_a_clip_under_another_name():
     assert (found["hota"], found["j_and_f"]) == pytest.approx((0.5**0.5, 0.5))
 
 
+def test_no_object_is_matched_to_an_empty_slot_while_there_are_others():
+    truth, labels = np.zeros((2, 4, 1, 8, 8), np.uint8)
+    truth[0, 0, :2, :2] = labels[:, 0, 6:, 6:] = 1
+    assert other_scores([count_clip(truth, labels, 0)])[0]["j_and_f"] == 0
+
+
 def test_a_false_segment_costs_precision():
     truth = np.zeros((2, 4, 4), int)
     truth[:, :2] = 1

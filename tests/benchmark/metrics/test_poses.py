@@ -31,7 +31,7 @@ def world(symmetry: tuple[str, ...] = ("C1", "C1")) -> tuple[TruePoses, np.ndarr
 
 
 def right(true: TruePoses) -> Poses:
-    """What is true, with the background's row first."""
+    """Predict the true poses, with the background's row first."""
     center = np.concatenate([NAN[None], true.box_center[0]])
     rotation = np.concatenate([np.full((1, 3, 3), np.nan), true.rotation[0] @ true.box_rotation])
     size = np.concatenate([NAN[None], true.box_size])

@@ -27,7 +27,7 @@ def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of an untrained model; its objects are small, so that there is room for some beside each other."""
+    """Checkpoint of an untrained model with small objects, several of which have room beside each other."""
     folder = tmp_path_factory.mktemp("creation") / "model"
     torch.manual_seed(0)
     sizes = {"model.pose.box_size": 0.05, "model.workspace_size": 1.5, "model.attention.inactive_points": 0}

@@ -55,7 +55,7 @@ def segmentations(made: Simulated, size: tuple[int, int], frame: int = 0) -> lis
 
 
 def check_promises(name: str, made: Simulated) -> None:
-    """What every single scene of a recipe keeps."""
+    """Promises that every single scene of a recipe keeps."""
     recipe, trajectory = load_recipe(name), made.trajectory
     count = len(made.shapes)
     assert recipe.objects.minimum <= count <= recipe.objects.maximum

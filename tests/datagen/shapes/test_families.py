@@ -1,4 +1,4 @@
-"""What holds for every member of every family, on a few members of each category."""
+"""Facts that hold for every member of every family, on a few members of each category."""
 
 import numpy as np
 import pytest

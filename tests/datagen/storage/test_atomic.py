@@ -76,7 +76,7 @@ def ended_process() -> int:
 
 
 def test_only_files_of_writers_that_are_gone_are_abandoned(tmp_path: Path):
-    other = threading.Thread(target=(release := threading.Event()).wait)
+    other = threading.Thread(target=(release := threading.Event()).wait, daemon=True)
     other.start()
     old = time.time() - 7200
     stay = {

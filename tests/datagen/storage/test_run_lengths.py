@@ -23,7 +23,7 @@ def test_the_code_is_that_of_coco(mask: np.ndarray):
     assert encode_mask(mask) == coco.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"]
 
 
-@pytest.mark.parametrize("text", [b"", b"~", b"\x00", b"o", b"52", b"P" * 30])
+@pytest.mark.parametrize("text", [b"", b"~", b"\x00", b"o", b"52", b"?P", b"P" * 30])
 def test_other_texts_are_refused(text: bytes):
     with pytest.raises(ValueError, match="run lengths"):
         decode_mask(text, 3, 5)

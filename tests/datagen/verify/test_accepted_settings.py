@@ -67,7 +67,7 @@ CHOICES = {
 }
 
 FIXED = settings(derandomize=True, deadline=None, phases=[Phase.generate], suppress_health_check=[HealthCheck.too_slow])
-"""The same examples in every run; a failing one is printed as it is, since shrinking would take minutes."""
+"""Equal examples in every run; a failing one is printed as it is, since shrinking would take minutes."""
 
 
 @st.composite

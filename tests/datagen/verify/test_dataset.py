@@ -1,4 +1,4 @@
-"""What `verify` says about a generated dataset, clean or with one scene changed and every stored hash made to fit."""
+"""Findings of `verify` in a generated dataset, clean or with one scene changed and every stored hash made to fit."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ from tests.worlds import rendered
 from tests.worlds.rendered import change_scene
 
 SCENE = 1
-"""Of the training split."""
+"""Index of a scene of the training split."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What each check catches in a staged scene whose other arrays are made to fit, and that it is silent without cause."""
+"""Each check finds its fault in a staged scene whose other arrays are made to fit, and is silent without cause."""
 
 import dataclasses
 from collections.abc import Callable

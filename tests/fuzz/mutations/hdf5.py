@@ -97,7 +97,7 @@ def a_link(file: h5py.File, name: str, rng: Generator) -> str:
 
 
 def other_type(file: h5py.File, name: str, rng: Generator) -> str:
-    """The same shape of another type."""
+    """Replace an array by one of equal shape and another type."""
     shape = _dataset(file, name).shape
     kinds: tuple[Any, ...] = (
         *DTYPES, h5py.string_dtype(), h5py.string_dtype(length=4), h5py.ref_dtype, h5py.vlen_dtype("i4"), "V8",
@@ -109,7 +109,7 @@ def other_type(file: h5py.File, name: str, rng: Generator) -> str:
 
 
 def other_shape(file: h5py.File, name: str, rng: Generator) -> str:
-    """The same type of another shape, filled with the old values."""
+    """Replace an array by one of equal type and another shape, filled with the old values."""
     old = np.asarray(_dataset(file, name)[()])
     shape = pick(rng, other_shapes(old.shape))
     _replace(file, name, data=np.resize(old, shape))
@@ -160,7 +160,7 @@ def other_text(file: h5py.File, name: str, rng: Generator) -> str:
 
 
 def other_storage(file: h5py.File, name: str, rng: Generator) -> str:
-    """The same type and shape with data elsewhere, or packed in another way."""
+    """Store an array elsewhere or packed in another way, with equal type and shape."""
     old = _dataset(file, name)
     shape, dtype, values = old.shape, old.dtype, old[()]
     how = pick(rng, ("external", "virtual", "contiguous", "checksum", "a chunk of 400 MiB"))

@@ -13,7 +13,7 @@ _OWN = {".png": "PNG", ".tif": "TIFF", ".jpg": "JPEG"}
 
 
 def other_mode(path: Path, rng: Generator) -> str:
-    """The same picture in another mode or size; the file is sound."""
+    """Store the picture in another mode or size; the file is sound."""
     with Image.open(path) as image:
         image.load()
         modes = ("1", "L", "P", "RGB", "RGBA", "LA", "CMYK", "I", "I;16", "F")

@@ -43,7 +43,7 @@ def changed_json(text: str, rng: Generator) -> tuple[str, str]:
 
 
 def changed_value(value: Any, rng: Generator) -> tuple[Any, str]:
-    """The same value with one of its parts replaced, deleted, or put in a list, and what was done."""
+    """Replace or delete a part of the value or put it in a list; gives the result and a description."""
     path = pick(rng, list(_paths(value)))
     if not path:
         return pick(rng, PLAIN), "all of it"

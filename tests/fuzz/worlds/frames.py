@@ -40,7 +40,7 @@ def _frames(rgb: str, depth: str, pose: str = "") -> list[str]:
 
 
 IN_WORDS = ("first frame", "--rgb names", "--depth names")
-"""What messages call images that do not fit one another."""
+"""Names in messages of images that do not fit one another."""
 
 FRAMES = Group(
     build_frames,

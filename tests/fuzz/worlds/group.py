@@ -23,9 +23,9 @@ class Target:
     """In the world; with a `*` where its name has a hash in it."""
     commands: Sequence[str]
     share: int = 1
-    """Of the group's inputs."""
+    """Share of the group's inputs."""
     called: tuple[str, ...] = ()
-    """What messages may call it, beside its name and that of a folder that it is in."""
+    """Names of the file in messages, beside its own and that of a folder that it is in."""
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ def tiny_dataset_clip(folder: Path) -> dict[str, torch.Tensor]:
 
 @pytest.fixture(scope="module")
 def frames(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """The same clip as files, and the flags that name them."""
+    """Files of the clip, and the flags that name them."""
     folder, clip = tmp_path_factory.mktemp("frames"), Dataset(tiny_dataset).split("test")[0]
     for kind in ("rgb", "depth"):
         (folder / kind).mkdir()
@@ -81,7 +81,7 @@ def test_frames_of_ones_own_give_the_scene_of_the_same_clip(inferred: Path, fram
 
 
 def in_another_world(frames: list[str], folder: Path, *, axis: int, by: float) -> list[str]:
-    """The same flags with a camera that was moved along an axis, metres."""
+    """Flags with a camera that was moved along an axis, metres."""
     *others, camera = frames
     pose = np.loadtxt(camera.removeprefix("--camera-pose="))
     pose[axis, 3] += by

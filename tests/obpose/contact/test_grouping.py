@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from sklearn.metrics import adjusted_rand_score
 
-from obpose.contact.components import shifted
+from obpose.contact.components import OFFSETS, offsets, shifted
 from obpose.contact.grouping import LEAST, foreground_pairs, group
-from obpose.contact.offsets import OFFSETS, offsets
 
 
 def affinities(truth: np.ndarray, strength: float = 4.0, scale: int = 1) -> np.ndarray:

@@ -3,9 +3,8 @@ import math
 import pytest
 import torch
 
-from obpose.contact.components import shifted
+from obpose.contact.components import OFFSETS, offsets, shifted
 from obpose.contact.losses import DIVIDED, PULL_MARGIN, PUSH_MARGIN, affinity_loss, embedding_loss, foreground_loss
-from obpose.contact.offsets import OFFSETS, offsets
 
 
 def halves(height: int = 8, width: int = 8) -> torch.Tensor:

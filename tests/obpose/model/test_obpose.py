@@ -28,7 +28,7 @@ def _model(variant: str = "obpose", **changes: Any) -> ObPose:
 
 
 def _part(observation: Observation, **places: slice) -> Observation:
-    """Some scenes (`batch`) or frames (`frame`)."""
+    """Select scenes (`batch`) or frames (`frame`)."""
     batch, frame = places.get("batch", slice(None)), places.get("frame", slice(None))
     images = {name: getattr(observation, name)[batch, frame] for name in ("rgb", "depth", "valid")}
     return Observation(**images, k=observation.k[batch], world_from_camera=observation.world_from_camera[batch])
@@ -42,7 +42,7 @@ def _objects_alone(**options: Any) -> Observation:
 
 
 def _told(segmentation: SceneSegmentation) -> tuple[torch.Tensor, ...]:
-    """What is inferred, scene by scene."""
+    """All inferred arrays, scene by scene."""
     inference = segmentation.inference
     masks, boxes = inference.masks.log_masks.exp(), inference.boxes.center
     background = () if inference.background is None else (inference.background.mean,)

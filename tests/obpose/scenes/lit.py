@@ -17,7 +17,7 @@ from tests.obpose.analytic_fields import SMALL, BallField
 from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_scene
 
 RADIUS = 0.05
-"""Of the balls, metres."""
+"""Radius of the balls, metres."""
 GREY = 0.75
 """The table's colour."""
 VIEW = CAMERA.resized(64, 48)
@@ -58,13 +58,13 @@ def moving_balls(centers: Sequence[Sequence[Sequence[float]]], *, light: Sequenc
 
 
 def table_points(camera: Camera) -> Tensor:
-    """Where the middles of pixels lie on the table; height, width, 3."""
+    """Points of the table in the middles of pixels; height, width, 3."""
     direction, origin = camera_rays(camera.k, camera.world_from_camera, camera.height, camera.width)
     return origin - direction * (origin[2] / direction[..., 2:])
 
 
 def observed(model: ObPose, scene: Scene) -> Observation:
-    """What the scene's camera sees."""
+    """Observation of the scene's camera."""
     renderer, camera = Renderer(model), scene.cameras[0]
     images = [renderer.render(scene, frame) for frame in range(scene.frames)]
     depth = torch.stack([image.depth for image in images])[None, :, None]

@@ -1,4 +1,4 @@
-"""What holds for every model that needs no training."""
+"""Facts that hold for every model without training."""
 
 import dataclasses
 from typing import Any

@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from benchmark.metrics import clip_scores
 from benchmark.models.classical.clip_tracker import ClipTracker, follow_clearest
 from benchmark.models.classical.plane_dbscan import PlaneDbscan
-from obpose.contact.tracking import LEAST_POINTS, Cloud, kabsch, move, split
+from obpose.contact.motion.tracking import LEAST_POINTS, Cloud, kabsch, move, split
 from tests.worlds.sphere_clips import balls
 
 STEPS = np.linspace(-0.12, 0.12, 7)

@@ -1,4 +1,4 @@
-"""What the checks of signals catch, and that they are silent without cause."""
+"""The checks of signals find their faults, and are silent without cause."""
 
 import dataclasses
 from collections.abc import Callable, Mapping

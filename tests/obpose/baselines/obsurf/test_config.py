@@ -10,12 +10,12 @@ from obpose.model.nerf.along import NEAR_SHARE
 from obpose.systems import find_system
 
 STEPS = 100_000
-"""That ObPose's authors make with ObSuRF; of these the published numbers of steps are shares here."""
+"""ObSuRF's training steps in ObPose's paper; published numbers of steps are shares of these here."""
 
 
 @pytest.mark.parametrize("profile", OBSURF_PROFILES)
 def test_whatever_the_size_these_constants_are_the_published_ones(profile: str):
-    """Of the ObSuRF authors' code, in its configuration for CLEVR-3D."""
+    """The published values are those of the ObSuRF authors' configuration for CLEVR-3D."""
     config = find_system("obsurf").config(profile)
     loss, model, train = config.loss, config.model, config.train
     assert (losses.SIGMA_MAX, JITTER, NEAR_SHARE) == (10, 0.07, 0.98)

@@ -1,4 +1,4 @@
-"""What ObSuRF learns in little more than a minute: to tell two balls apart that are all there is.
+"""ObSuRF learns in little more than a minute to tell two balls apart, in scenes without anything else.
 
 Some seeds do, others do not, and arithmetic of another machine is another seed; docs/results/obsurf.md has six of each.
 """
@@ -77,7 +77,7 @@ class Balls:
 
 
 def test_no_plane_tells_balls_in_depth_apart():
-    """What is learned of them is more than a division of the table that is the same in all scenes."""
+    """A fixed division of the table cannot solve these scenes."""
     assert best_plane(balls_in_depth) < 0.95
 
 

@@ -86,7 +86,7 @@ def test_near_evenly_spread_and_balanced():
 
 @pytest.mark.parametrize(("count", "energy"), [(15, 69.306363297), (13, 49.165253058), (25, 223.347074052)])
 def test_the_energy_is_the_least_known(count: int, energy: float):
-    """Of so many charges on the unit sphere (Thomson's problem)."""
+    """Least energies of charges on the unit sphere are known (Thomson's problem)."""
     directions = kernel_points(count)[1:].double() / SHELL
     inverse = torch.pdist(directions).reciprocal().sum()
     assert float(inverse) == pytest.approx(energy, rel=1e-6)

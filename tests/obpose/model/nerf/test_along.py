@@ -1,4 +1,4 @@
-"""What is asked of the fields along rays."""
+"""Points along rays at which fields are evaluated."""
 
 import math
 

@@ -17,7 +17,7 @@ NEAR, FAR, SAMPLES, SIGMA = 0.4, 1.6, 100, 60.0
 
 
 def rays(pixels: int = 12) -> tuple[torch.Tensor, torch.Tensor]:
-    """Those of a camera one metre above the origin that looks down."""
+    """Rays of a camera one metre above the origin that looks down."""
     k = torch.tensor([[1.5 * pixels, 0, pixels / 2], [0, 1.5 * pixels, pixels / 2], [0, 0, 1]])
     pose = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))
     pose[2, 3] = 1.0

@@ -6,7 +6,7 @@ from obpose.model.pose.crop import BoxSamples, gather_box
 from obpose.types import Boxes
 
 EDGE = 0.06
-"""Of the solid, metres."""
+"""Edge of the solid, metres."""
 
 
 def half_a_cube(spacing: float) -> torch.Tensor:

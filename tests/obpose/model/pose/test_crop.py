@@ -45,7 +45,7 @@ def rows(samples: BoxSamples, batch: int, frame: int, slot: int) -> torch.Tensor
 
 
 def expected_rows(world: World, batch: int, frame: int, slot: int, samples: int) -> torch.Tensor:
-    """The same for one box from the definition: sort the points in it by their masks."""
+    """Expected samples of one box, from the definition: sort the points in it by their masks."""
     log_mask = world.log_masks[batch, frame, slot]
     inside = world.inside()[batch, frame, slot].nonzero()[:, 0]
     best = inside[log_mask[inside].argsort(descending=True)][:samples]

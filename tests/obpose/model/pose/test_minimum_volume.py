@@ -83,6 +83,14 @@ def test_a_flat_cloud_gets_the_smallest_rectangle():
     assert error_modulo_symmetry(tightest(flat @ turn.mT), turn) < 1
 
 
+def test_clouds_are_centred_on_their_valid_points_wherever_the_world_s_origin_is(shapes):
+    points, valid = shapes + torch.tensor([3.0, 0.0, 0.0]), torch.arange(shapes.shape[1]) % 3 == 1
+    clouds = gather_clouds(points, valid.expand(points.shape[:2]))
+    expected = gather_clouds(points[:, valid], torch.ones(len(points), int(valid.sum()), dtype=torch.bool))
+    torch.testing.assert_close(clouds.points[valid], expected.points)
+    torch.testing.assert_close(clouds.thickness, expected.thickness)
+
+
 def test_points_that_are_not_valid_have_no_say(shapes):
     generator = torch.Generator().manual_seed(0)
     valid = torch.rand(shapes.shape[:2], generator=generator) < 0.7
@@ -172,7 +180,7 @@ def test_an_object_seen_in_few_points_keeps_its_orientation():
 
 
 def least_angle(rotations: torch.Tensor) -> torch.Tensor:
-    """Of all names of all boxes, to the identity."""
+    """Smallest angle to the identity over all boxes and their equivalents."""
     named = equivalents(rotations)
     return geodesic_distance(named, torch.eye(3).expand_as(named)).min()
 

@@ -20,7 +20,7 @@ BALLS = ((-0.1, 0.05, 0.1), (0.12, -0.08, 0.05))
 
 
 def checks(cell: int = 16, size: float = 0.5) -> torch.Tensor:
-    """Of so many points along each edge, in logits."""
+    """Checkerboard with fields of `cell` points along each edge, in logits."""
     place = torch.arange(EDGE) // cell % 2
     signs = 2.0 * (place[:, None] != place[None, :]) - 1
     return size * signs[..., None] * torch.tensor([1.0, 1.0, -0.5])
@@ -91,7 +91,7 @@ def test_shadows_around_objects_are_not_the_table_s_where_no_light_is_known():
 
 
 def clip_of(frames: list[Observation]) -> Observation:
-    """Of one camera."""
+    """Join frames of one camera."""
     joined = {name: torch.cat([getattr(each, name) for each in frames], dim=1) for name in ("rgb", "depth", "valid")}
     return replace(frames[0], **joined)
 

@@ -17,7 +17,7 @@ def seeded(seed: int) -> torch.Generator:
 
 
 def ramp() -> torch.Tensor:
-    """What is linear in x and y, -1..1, for two of the colours."""
+    """Texture that is linear in x and y, -1..1, for two of the colours."""
     steps = torch.linspace(-1, 1, EDGE)
     x, y = torch.meshgrid(steps, steps, indexing="ij")
     return torch.stack([x, 2 * y, torch.ones_like(x)], dim=-1)

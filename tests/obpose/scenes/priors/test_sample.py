@@ -27,7 +27,7 @@ from tests.obpose.analytic_fields import BallField
 from tests.obpose.scenes.small_scenes import CAMERA, some_model, some_tables
 
 RADIUS = 0.4
-"""Of the balls, in half edges of the box of 20 cm."""
+"""Radius of the balls, in half edges of the box of 20 cm."""
 
 
 def origin() -> Origin:
@@ -91,7 +91,7 @@ def test_there_may_be_none_and_there_may_be_too_many():
 
 
 def test_objects_that_have_no_room_are_drawn_again():
-    """Of eight seeds one puts the first two such that the third has no room."""
+    """One of the eight seeds places the first two objects such that the third has no room."""
     for seed in range(8):
         assert len(sampled(3, seed=seed, room=0.25).ids) == 3
 

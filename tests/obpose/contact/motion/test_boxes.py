@@ -3,9 +3,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from obpose.contact.boxes import LEAST_POINTS, Surface, aligned, boxes_over_time, fused_points, linked_frames
-from obpose.contact.rigidity import REST, Motion
-from obpose.contact.tracking import Cloud
+from obpose.contact.motion.boxes import LEAST_POINTS, Surface, aligned, boxes_over_time, fused_points, linked_frames
+from obpose.contact.motion.rigidity import REST, Motion
+from obpose.contact.motion.tracking import Cloud
 
 HEIGHTS = 0.05, 0.03, 0.05, 0.03
 """Heights of four blocks of 2 cm, side by side along x."""

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from obpose.contact.rigidity import common_motion, register
-from obpose.contact.tracking import Cloud
+from obpose.contact.motion.rigidity import common_motion, register
+from obpose.contact.motion.tracking import Cloud
 
 
 def box(seed: int, middle: float, count: int = 60) -> np.ndarray:

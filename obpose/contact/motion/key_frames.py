@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int64
 from sklearn.metrics import adjusted_rand_score
 
-from obpose.contact.tracking import Cloud, track
+from obpose.contact.motion.tracking import Cloud, track
 
 KEY_FRAMES = 5
 """Number of images, evenly spread, whose objects are followed."""

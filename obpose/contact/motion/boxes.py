@@ -14,8 +14,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from obpose.contact.rigidity import REST, Motion, register
-from obpose.contact.tracking import COLOUR_SCALE, LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, median
+from obpose.contact.motion.rigidity import REST, Motion, register
+from obpose.contact.motion.tracking import COLOUR_SCALE, LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, median
 from obpose.model.pose.orientation import STANDING, smallest_boxes
 from obpose.model.pose.rotations import equivalents
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int64
 from scipy.spatial import KDTree
 
-from obpose.contact.tracking import LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, kabsch, median
+from obpose.contact.motion.tracking import LEAST_OUTLIER, OUTLIER_FACTOR, Cloud, Points, kabsch, median
 
 STEPS = (1, 3)
 """Frames between which motion is measured."""
