@@ -84,6 +84,10 @@ def infer(values: Infer) -> None:
             print(f"Warning: {warning}")
         labels = None if values.masks == OWN else segment_reduced(values.masks or DEFAULT, values, frames)
         scene = infer_scene(origin, frames.observation, refinements=values.refine, labels=labels)
+        for name in [] if labels is None else sorted({*labels.unique().tolist()} - {0, *scene.ids}):
+            print(
+                f"Object {name} of the masks is left out: it is outside of the workspace of the weights, or too small."
+            )
         for name in objects_outside(scene, origin.model):
             print(f"Object {name} is left out: it is at the border of the workspace of the weights.")
             scene = edit.remove(scene, name)

@@ -46,7 +46,7 @@ class Arguments(Frames):
     """Folder of a trained model, or the name of shipped weights, in place of --method."""
     method: str = AUTO
     """`auto`, which says what it chose, or a method without training: plane-components, plane-dbscan, plane-hdbscan,
-    convexity or clip-tracker."""
+    convexity, clip-tracker, plane-dbscan-colour, plane-dbscan-tracked or kmeans-xyz-rgb."""
     objects: int | None = None
     """Most objects, the largest ones first. Default: as many as there are, up to 16."""
     video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -90,10 +90,11 @@ def run(values: Arguments, *, find_method: FindMethod) -> int:
     objects = [objects_of(image, frames.points(number)) for number, image in enumerate(labels)]
     if wide := sorted({each.label for found in objects for each in found if each.box.size[:2].max() > WIDEST}):
         where = "" if len(objects) == 1 else "in some frame "
+        names = ", ".join(map(str, wide))
+        these, they = (f"Label {names} is", "It") if len(wide) == 1 else (f"Labels {names} are", "Each")
         warnings.append(
-            f"Labels {', '.join(map(str, wide))} are {where}wider than the widest object in training, "
-            f"{100 * WIDEST:.0f} cm. Each may be several objects, or a part of a floor or wall; see --workspace and "
-            "--depth-max."
+            f"{these} {where}wider than the widest object in training, {100 * WIDEST:.0f} cm. {they} may be several "
+            "objects, or a part of a floor or wall; see --workspace and --depth-max."
         )
     facts = {
         "method": name,
@@ -132,7 +133,11 @@ def _prepared(values: Arguments, find_method: FindMethod, most: int) -> "tuple[s
         method, trained = method_of(DEFAULT, most)
         frames = prepare(recording, values, trained)
         if not (unlike := _unlike_training(frames.world)):
-            return f"weights {DEFAULT}, chosen because the camera is as in their training", method, frames
+            name = (
+                f"weights {DEFAULT}, chosen because the camera is at most {FARTHEST:g} m away and at least {LOWEST:g} "
+                "degrees above the table"
+            )
+            return name, method, frames
         name = f"{UNTRAINED_CHOICE}, without training, chosen because {unlike} the weights were trained for"
         return name, find_method(UNTRAINED_CHOICE, most), prepare(recording, values, UNTRAINED)
     if values.method != AUTO:

@@ -57,7 +57,10 @@ def _files(frames: Frames) -> tuple[FrameFiles, Camera]:
         files = replace(files, poses=read_poses(frames.camera_pose, len(files.colour)))
     if files.camera is None:
         if k is None:
-            raise UsageError(f"{files.place} has no {CAMERA}; write one such as {_EXAMPLE}, or give --intrinsics.")
+            lacks = (
+                f"holds no array K, and there is no {CAMERA} beside it" if files.place.is_file() else f"has no {CAMERA}"
+            )
+            raise UsageError(f"{files.place} {lacks}; write one such as {_EXAMPLE}, or give --intrinsics.")
         camera = Camera(k[None], frames.depth_scale or files.depth_scale, euclidean=frames.euclidean)
     else:
         kind = "euclidean" if frames.euclidean else None

@@ -94,11 +94,19 @@ def check_target(out: Path, *, overwrite: bool) -> None:
     Raises:
         UsageError: it is not empty, and `overwrite` is not set, or it holds other things than an earlier result.
     """
-    if not overwrite or not out.is_dir() or not any(out.iterdir()):
+    if not out.is_dir() or not any(out.iterdir()):
         check_new_folder(out)
         return
     foreign = sorted(path.name for path in out.iterdir() if not _OWN.fullmatch(path.name))
-    if foreign or not (out / OBJECTS_FILE).is_file():
+    earlier = not foreign and (out / OBJECTS_FILE).is_file()
+    if not overwrite and earlier:
+        raise UsageError(
+            f"{out} already exists and is not empty; give another --out, or --overwrite to replace the earlier result, "
+            "nothing was changed."
+        )
+    if not overwrite:
+        check_new_folder(out)
+    elif not earlier:
         what = f"also holds {foreign[0]}" if foreign else f"holds no {OBJECTS_FILE}"
         raise UsageError(
             f"--overwrite replaces earlier results of obpose-segment only, and {out} {what}; give another --out, "

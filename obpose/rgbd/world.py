@@ -14,8 +14,8 @@ from obpose.rgbd.recording import Recording
 
 GIVEN = "as given by the camera's pose"
 FITTED = (
-    "stands on the table: z = 0 is its plane and z points up, x points horizontally towards the camera, and the origin "
-    "is the median of the plane's points. The table is"
+    "stands on the table: z = 0 is its plane and z points up, x points horizontally towards the camera, and the median "
+    "of the plane's points is {middle}. The table is {reason}"
 )
 FOUND = "the largest plane near the camera"
 TABLE_FRAMES = 5
@@ -85,7 +85,9 @@ def choose_world(recording: Recording, table: tuple[int, int] | None, center: tu
     fitted = pose_over_table(points, center=center, plane=plane)
     warnings = (WALL,) if plane is not None and given is None and named is None and is_wall(plane) else ()
     place = None if named is None else transform(fitted, named)[:2]
-    return World(fitted @ relative, f"{FITTED} {reason}", warnings, place)
+    x, y, _ = center
+    middle = f"at x = {x:.3f} m, y = {y:.3f} m, as in training" if x or y else "the origin"
+    return World(fitted @ relative, FITTED.format(middle=middle, reason=reason), warnings, place)
 
 
 def table_frames(recording: Recording) -> Int[np.ndarray, "some"]:

@@ -8,6 +8,7 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from torch import Tensor
 
 from datagen.errors import EXIT_OK, EXIT_USAGE
 from datagen.schema import decode_depth
@@ -17,7 +18,9 @@ from obpose.commands.edit_arguments import main
 from obpose.data.clips import observation_of
 from obpose.data.datasets import SceneDataset
 from obpose.geometry import unproject
-from obpose.rgbd.weights import DEFAULT
+from obpose.rgbd.frame_arguments import Frames
+from obpose.rgbd.frames import PreparedFrames
+from obpose.rgbd.weights import DEFAULT, segment_reduced
 from obpose.scenes.appearance.light import no_light, strength
 from obpose.scenes.bounds import workspace_bounds
 from obpose.scenes.model_ref import load_origin, origin_of
@@ -116,6 +119,21 @@ def test_what_frames_show_outside_the_workspace_is_left_out(frames: list[str], t
     low, high = workspace_bounds(load_origin(MODEL).model)
     centers = load_scene(tmp_path / "own").center
     assert ((centers > low - 0.011) & (centers < high + 0.001)).all()
+
+
+def test_objects_of_the_masks_that_are_left_out_are_named(
+    frames: list[str], tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
+):
+    def with_one_outside(checkpoint: str, flags: Frames, prepared: PreparedFrames) -> Tensor:
+        labels = segment_reduced(checkpoint, flags, prepared)
+        labels[~prepared.observation.valid] = 9
+        return labels
+
+    monkeypatch.setattr(edit_cli, "segment_reduced", with_one_outside)
+    flags = in_another_world(frames, tmp_path, axis=0, by=-0.5)
+    assert run("infer", "--checkpoint", MODEL, *flags, "--refine", 0, "--out", tmp_path / "own") == EXIT_OK
+    assert "Object 9 of the masks is left out: it is outside of the workspace" in capsys.readouterr().out
+    assert 9 not in load_scene(tmp_path / "own").ids
 
 
 def test_a_table_that_is_not_at_zero_gets_a_world_of_its_own(frames: list[str], tmp_path: Path, capsys):

@@ -112,7 +112,7 @@ def test_objects_wider_than_in_training_are_reported(
         monkeypatch.setattr(segment, "WIDEST", widest)
         assert run(scene, tmp_path / str(widest), **flags) == EXIT_OK
         assert (
-            "Warning: Labels 1 are in some frame wider than the widest object in training, 10 cm."
+            "Warning: Label 1 is in some frame wider than the widest object in training, 10 cm. It may be"
             in capsys.readouterr().out
         ) == warned
 
@@ -126,7 +126,7 @@ def test_a_wide_object_in_a_later_frame_is_reported(
     Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
     monkeypatch.setattr(segment, "WIDEST", 0.1)
     assert run(scene, tmp_path / "out", checkpoint=None, method="one-object", depth=depth) == EXIT_OK
-    assert "Warning: Labels 1 are in some frame wider than the widest object" in capsys.readouterr().out
+    assert "Warning: Label 1 is in some frame wider than the widest object" in capsys.readouterr().out
 
 
 def test_intrinsics_of_another_size_and_a_grid_of_holes_are_reported(scene: Path, tmp_path: Path, capsys):
@@ -197,7 +197,9 @@ def test_the_choice_depends_on_the_camera_and_is_named(scene: Path, tmp_path: Pa
 
     places = {"rgb": (scene / "rgb",), "depth": (scene / "depth",)}
     files = {**places, "intrinsics": (scene / "intrinsics").read_text()}
-    assert chosen("near", np.loadtxt(scene / "pose.txt")).startswith(f"weights {DEFAULT}, chosen because")
+    assert chosen("near", np.loadtxt(scene / "pose.txt")).startswith(
+        f"weights {DEFAULT}, chosen because the camera is at most 1.65 m away"
+    )
     for position, said in (((2.0, 0.0, 2.0), "2.8 m away, farther"), ((1.0, 0.0, 0.2), "11 degrees above the table")):
         pose = look_at(np.array(position), np.zeros(3))
         assert said in _unlike_training(World(pose[None], ""))
@@ -256,6 +258,13 @@ def test_bad_requests_end_with_one_line(scene: Path, tmp_path: Path, capsys, cha
     assert not (tmp_path / "out").exists()
 
 
+def test_an_archive_without_a_camera_says_what_is_missing(tmp_path: Path, capsys):
+    np.savez(tmp_path / "a.npz", rgb=np.zeros((4, 4, 3), np.uint8), depth=np.ones((4, 4)))
+    command = [str(tmp_path / "a.npz"), "--out", str(tmp_path / "out")]
+    assert main(command, find_method=find_method) == EXIT_USAGE
+    assert "a.npz holds no array K, and there is no camera.json beside it; write one" in capsys.readouterr().err
+
+
 def test_a_first_frame_without_depth_is_skipped(scene: Path, tmp_path: Path):
     depth = tmp_path / "depth"
     shutil.copytree(scene / "depth", depth)
@@ -282,10 +291,12 @@ def test_saturated_and_far_depth_leave_the_world_in_place(scene: Path, tmp_path:
 
 
 def test_an_existing_folder_is_left_alone(scene: Path, tmp_path: Path, capsys):
-    (tmp_path / "objects.json").write_text("mine")
+    (tmp_path / "mine.txt").write_text("mine")
     assert run(scene, tmp_path) == EXIT_USAGE
+    assert "already exists and is not empty; give another --out, nothing" in capsys.readouterr().err
+    (tmp_path / "mine.txt").rename(tmp_path / "objects.json")
     assert run(scene, tmp_path) == EXIT_USAGE
-    assert "already exists and is not empty; give another --out" in capsys.readouterr().err
+    assert "give another --out, or --overwrite to replace the earlier result" in capsys.readouterr().err
     for flags, message in (
         (("--every", 0), "--every 0"),
         (("--intrinsics", "1,2,3"), "expected fx,fy,cx,cy"),

@@ -46,6 +46,14 @@ def test_a_table_is_found_with_and_without_a_wall_behind_it(wall: list[Box], pos
     assert reasons(frame, world) == []
 
 
+def test_the_note_says_where_the_middle_of_the_table_is():
+    frame, _ = recording([TABLE, FLOOR, *THINGS], (0.8, 0.2, 0.5))
+    world, moved = (choose_world(frame, None, (x, 0.0, 0.0)) for x in (0.0, -0.1))
+    np.testing.assert_allclose(moved.poses[0, :3, 3] - world.poses[0, :3, 3], [-0.1, 0, 0], atol=1e-9)
+    assert "the median of the plane's points is the origin." in world.note
+    assert "the median of the plane's points is at x = -0.100 m, y = 0.000 m, as in training." in moved.note
+
+
 def test_a_table_that_only_later_frames_of_a_moving_camera_show_is_found():
     room = [TABLE, FLOOR, *THINGS]
     (first, pose), (second, other) = recording(room, (0.8, 0.2, 0.5)), recording(room, (0.3, 0.1, 0.9))
