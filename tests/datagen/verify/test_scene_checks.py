@@ -271,6 +271,30 @@ def test_padding_and_finiteness_are_checked(video: SceneRecord):
     assert checks(record) == {"schema"}
 
 
+def messages(record: SceneRecord) -> str:
+    return "\n".join(finding.message for finding in verify_record(record, rendered.GROUPS))
+
+
+def test_depth_where_the_table_has_ended_is_found():
+    record = rendered.record(rendered.scene(table=0.8))
+    beyond = np.argwhere(record["depth"][0, 0] == 0)[0]
+    pose = record["camera/world_from_camera"][0]
+    rays = geometry.pixel_rays(record["camera/K"][0], 64, 64) @ pose[:3, :3].T
+    record["depth"][0, 0][tuple(beyond)] = schema.encode_depth(-pose[2, 3] / rays[..., 2])[tuple(beyond)]
+    assert "return a depth beyond the table" in messages(record)
+
+
+def test_an_object_s_pixel_without_depth_is_found(video: SceneRecord):
+    record = copy(video)
+    record["depth"][0, 0][tuple(np.argwhere(record["segmentation"][0, 0] == 1)[0])] = 0
+    assert "pixels of objects without depth" in messages(record)
+
+
+def test_an_object_that_reaches_into_the_table_is_found():
+    sunk = rendered.scene([(rendered.SPHERE, (0.2, 0.05, 0.034))])
+    assert "object 1 reaches 6.06 mm into the table" in messages(rendered.record(sunk))
+
+
 def test_deep_overlap_is_found_by_contacts_and_by_surfaces():
     world = rendered.scene([(rendered.BOX, (0.2, 0.0, 0.03)), (rendered.SPHERE, (0.2, 0.05, 0.04))])
     assert checks(rendered.record(world)) == {"overlap"}
