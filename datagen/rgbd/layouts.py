@@ -6,6 +6,7 @@ rgb.txt, depth.txt, groundtruth.txt    lists of times and files, and poses, as i
 frames.npz                             arrays rgb, depth, masks of one frame or several, K, and world_from_camera
 """
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -145,7 +146,9 @@ def _mixed(place: Path) -> FrameFiles | None:
         if match is None or ending not in (*COLOUR_ENDINGS, *DEPTH_ENDINGS):
             continue
         kind = "colour" if match[2] in COLOUR else "depth" if match[2] in DEPTH else "mask"
-        kinds[kind][f"{match[1] or ''}{match[3] or ''}"] = path
+        other = kinds[kind].setdefault(f"{match[1] or ''}{match[3] or ''}", path)
+        if other is not path:
+            raise UsageError(f"{other} and {path.name} would be the same {kind} image; remove or rename one of them.")
     colour, depth, masks = kinds.values()
     if not colour or not depth:
         return None
@@ -191,7 +194,7 @@ def _rows(path: Path, columns: int) -> list[tuple]:
     """Read rows of a time and further columns; `#` starts a comment."""
     rows = [line.split() for line in read_text(path).splitlines() if line.strip() and not line.startswith("#")]
     try:
-        if not rows or any(len(row) != columns for row in rows):
+        if not rows or any(len(row) != columns or not math.isfinite(float(row[0])) for row in rows):
             raise ValueError
         return [(float(time), *rest) for time, *rest in rows]
     except ValueError:
@@ -233,12 +236,13 @@ def _archive(place: Path) -> FrameFiles | None:
     lists = [_members(place, name, count) for name in (colour, depth, mask)]
     poses: list[Pose] = []
     if "world_from_camera" in headers:
-        listed = read_npz(place, ["world_from_camera"])["world_from_camera"].astype(np.float64)
-        poses = [listed] if listed.ndim == 2 else list(listed)
-        if len(poses) not in (1, count or 1) or any(pose.shape != (4, 4) for pose in poses):
+        listed = read_npz(place, ["world_from_camera"])["world_from_camera"]
+        if listed.dtype.kind not in "uif" or listed.shape not in ((4, 4), (1, 4, 4), (count or 1, 4, 4)):
             raise UsageError(
-                f"{place}: world_from_camera has shape {listed.shape}; expected 4x4, or one for each frame."
+                f"{place}: world_from_camera has shape {listed.shape} and type {listed.dtype}; expected numbers, 4x4, "
+                "or one for each frame."
             )
+        poses = list(listed.reshape(-1, 4, 4).astype(np.float64))
         for pose in poses:
             check_pose(pose, f"{place}: world_from_camera")
     beside = place.parent / CAMERA

@@ -651,10 +651,15 @@ def read_exr(path: Path) -> np.ndarray:
         CorruptFile: it is damaged, too large, or has several channels of which none is called Z.
     """
     exr_header(path)
-    channels = {name: channel.pixels for name, channel in _open_exr(path, header_only=False).channels().items()}
+    try:
+        channels = {name: channel.pixels for name, channel in _open_exr(path, header_only=False).channels().items()}
+    except (*_NPY_ERRORS, *_IMAGE_ERRORS) as error:
+        raise CorruptFile(f"{path} is damaged or no EXR image ({brief_reason(error)}).") from None
     values = channels["Z"] if "Z" in channels else next(iter(channels.values()), None)
     if values is None or not ("Z" in channels or len(channels) == 1) or values.dtype.kind not in "uif":
         raise CorruptFile(f"{path} has the channels {', '.join(channels)}; expected depth in one channel, such as Z.")
+    if values.ndim == 3 and not np.array_equal(values, np.broadcast_to(values[..., :1], values.shape), equal_nan=True):
+        raise CorruptFile(f"{path} holds colours; expected depth in one channel, such as Z.")
     return (values if values.ndim == 2 else values[..., 0]).astype(np.float32)
 
 

@@ -30,6 +30,8 @@ _OFF_CENTRE = 0.2
 images of another size: half or double the size gives 0.25 or 0.5."""
 _LEAST_PICKED = 0.5
 """Least share of the picked pixels with a depth, relative to that of all pixels."""
+_NEAREST_MEDIAN = 0.2
+"""Median depth in metres below which the unit of depth is most likely wrong."""
 _STILL = 2e-3
 """Largest difference between poses, metres and radians, that counts as a static camera."""
 
@@ -135,7 +137,7 @@ def prepare(recording: Recording, frames: Frames, trained: Trained) -> PreparedF
         )
     every = frames.every or _step(spacing, trained.spacing, recording)
     reduced = recording.every(every)
-    warnings = (*_lens_doubts(recording), *warnings, *_holes(recording, reduced, every))
+    warnings = (*_lens_doubts(recording), *_unit_doubts(recording), *warnings, *_holes(recording, reduced, every))
     observation = observe(reduced, world.poses, workspace, trained)
     note = _resolution_note(observation, every, trained)
     return PreparedFrames(recording, observation, world, workspace, every, note, warnings)
@@ -150,6 +152,17 @@ def _lens_doubts(recording: Recording) -> tuple[str, ...]:
     return (
         f"The principal point {cx:g}, {cy:g} is far from the middle of the {width}x{height} images. If the images were "
         "resized, scale fx, fy, cx and cy alike.",
+    )
+
+
+def _unit_doubts(recording: Recording) -> tuple[str, ...]:
+    """Say that the scene is nearer than most depth cameras measure."""
+    median = float(np.median(recording.depth[recording.depth > 0]))
+    if median >= _NEAREST_MEDIAN:
+        return ()
+    return (
+        f"The median depth is {median:.2g} m, nearer than most depth cameras measure. Check the metres per unit, "
+        "--depth-scale or depth_scale in camera.json.",
     )
 
 

@@ -28,7 +28,8 @@ def read_frames(frames: Frames) -> Recording:
     if frames.depth_max is not None and not frames.depth_max > 0:
         raise UsageError(f"--depth-max is {frames.depth_max:g}; expected metres, more than 0.")
     files, camera = _files(frames)
-    recording = read_recording(files, camera)
+    named = frames.intrinsics is not None or files.camera is None
+    recording = read_recording(files, camera, lens="--intrinsics" if named else str(files.camera))
     if frames.depth_max is not None:
         recording = replace(recording, depth=np.where(recording.depth > frames.depth_max, 0, recording.depth))
     if frames.every is not None:

@@ -73,8 +73,10 @@ def named_files(rgb: Sequence[Path], depth: Sequence[Path]) -> FrameFiles:
     return FrameFiles(colours[0].parent, colours, depths, [])
 
 
-def read_recording(files: FrameFiles, camera: Camera, *, max_bytes: int = MAX_BYTES) -> Recording:
-    """Read frames, after a check of all file headers.
+def read_recording(
+    files: FrameFiles, camera: Camera, *, lens: str = "--intrinsics", max_bytes: int = MAX_BYTES
+) -> Recording:
+    """Read frames, after a check of all file headers; `lens` names the source of the camera matrix in messages.
 
     Raises:
         UsageError: files hold no colours or no depth, differ in size, or are too large; or the camera matrix belongs to
@@ -85,7 +87,7 @@ def read_recording(files: FrameFiles, camera: Camera, *, max_bytes: int = MAX_BY
     _check_memory(len(files.colour), size, max_bytes)
     if len(camera.lenses) > 1:
         raise UsageError(f"{camera.file} holds {len(camera.lenses)} camera matrices; expected one for all frames.")
-    check_intrinsics(camera.k(), size, "--intrinsics" if camera.file is None else str(camera.file))
+    check_intrinsics(camera.k(), size, lens)
     rgb = np.stack([read_colour(path) for path in files.colour])
     depth = np.stack([camera.depth(path) for path in files.depth])
     _check_depth(depth, files.depth[0])

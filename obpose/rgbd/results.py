@@ -33,8 +33,10 @@ _NEAREST = 0.01
 FPS = 10.0
 """Frames per second of the animation."""
 
-_OWN = re.compile(rf"\d{{4,}}_(labels|overlay)\.png|{SUMMARY}|{ANIMATION}\.(mp4|gif)|{OBJECTS_FILE}|{CLOUDS}")
-"""Names of the files and of the folder of a result."""
+_OWN = re.compile(
+    rf"\d{{4,}}_(labels|overlay)\.png|{SUMMARY}|{ANIMATION}\.(mp4|gif)|{OBJECTS_FILE}|{CLOUDS}/\d{{4,}}_\d{{2,}}\.ply"
+)
+"""Paths of the files of a result, relative to its folder."""
 
 Labels = Integer[np.ndarray, "height width"]
 
@@ -97,7 +99,9 @@ def check_target(out: Path, *, overwrite: bool) -> None:
     if not out.is_dir() or not any(out.iterdir()):
         check_new_folder(out)
         return
-    foreign = sorted(path.name for path in out.iterdir() if not _OWN.fullmatch(path.name))
+    inside = [path for path in (*out.iterdir(), *(out / CLOUDS).glob("*")) if path != out / CLOUDS]
+    names = {path.relative_to(out).as_posix(): path for path in inside}
+    foreign = sorted(name for name, path in names.items() if not (_OWN.fullmatch(name) and path.is_file()))
     earlier = not foreign and (out / OBJECTS_FILE).is_file()
     if not overwrite and earlier:
         raise UsageError(

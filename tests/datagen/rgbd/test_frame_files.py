@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from datagen.errors import UsageError
-from datagen.rgbd.frame_files import check_pairs, list_frames, pair_masks, sort_frames
+from datagen.rgbd.frame_files import check_pairs, list_frames, nearest_times, pair_masks, sort_frames
 
 
 def files(names: str, folder: str = "") -> list[Path]:
@@ -116,3 +116,8 @@ def test_masks_with_the_names_of_their_images_are_paired(colours: str, masks: st
 def test_masks_with_other_names_are_refused(colours: str, masks: str):
     with pytest.raises(UsageError, match="their names do not agree"):
         pair_masks(files(colours, "rgb"), files(masks, "masks"), Path())
+
+
+def test_a_time_has_one_partner():
+    assert nearest_times([0.0, 1.0, 1.2, 2.2], [1.1999]) == [None, None, 0, None]
+    assert nearest_times([0.0, 1.0, 1.2, 2.2], [1.01]) == [None, 0, None, None]

@@ -142,6 +142,8 @@ def remove(name: str) -> Callable[[Path], object]:
         (folders, remove("depth/1.png"), "2 colour images but 1 depth images"),
         (tum, lambda place: (place / "depth.txt").write_text("7 depth/a.png\n"), "no image of rgb.txt has a depth"),
         (tum, lambda place: (place / "rgb.txt").write_text("a b\n"), "expected rows of 2 columns, a time first"),
+        (tum, lambda place: (place / "rgb.txt").write_text("nan b\n"), "expected rows of 2 columns, a time first"),
+        (mixed, lambda place: save(place / "000001_rgb.png", SHOTS[0].rgb), "would be the same colour image"),
         (tum, lambda place: (place / "groundtruth.txt").write_text("1300000010.02 1 2 3 0 0 0 0\n"), "holds no pose"),
     ],
 )
@@ -158,6 +160,8 @@ def test_incomplete_recordings_are_refused(write, spoil: Callable[[Path], object
         ({"depth": np.ones((3, 36, 48))}, "rgb has 2 frames, depth another number"),
         ({"world_from_camera": np.ones((2, 4, 4))}, "holds no rigid pose"),
         ({"world_from_camera": np.tile(np.eye(4), (3, 1, 1))}, "or one for each frame"),
+        ({"world_from_camera": np.float64(1)}, "or one for each frame"),
+        ({"world_from_camera": np.full((4, 4), "1")}, "expected numbers"),
     ],
 )
 def test_arrays_that_do_not_belong_together_are_refused(changes: dict, message: str, tmp_path: Path):
@@ -165,15 +169,25 @@ def test_arrays_that_do_not_belong_together_are_refused(changes: dict, message: 
         find_frames(arrays(tmp_path / "a", **changes))
 
 
-def test_an_exr_image_of_colours_is_no_depth(tmp_path: Path):
+def test_an_exr_image_of_colours_or_a_damaged_one_is_no_depth(tmp_path: Path):
     place = exr(tmp_path / "a")
     import OpenEXR
 
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    channels = {name: np.ones((36, 48), np.float32) for name in "AB"}
-    OpenEXR.File(header, channels).write(str(place / "depth" / "0.exr"))
-    (place / "depth" / "1.exr").write_bytes(b"no image")
-    camera = read_camera(place / "camera.json")
-    for number, message in enumerate(("has the channels A, B; expected depth in one", "damaged or no EXR image")):
+    def write(path: Path, channels: dict[str, np.ndarray]) -> None:
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, channels).write(str(path))
+
+    depth = SHOTS[0].depth.astype(np.float32)
+    camera, path = read_camera(place / "camera.json"), place / "depth" / "0.exr"
+    half = path.read_bytes()[: path.stat().st_size // 2]
+    for spoil, message in (
+        (lambda: write(path, {"A": depth, "B": depth}), "has the channels A, B; expected depth in one"),
+        (lambda: write(path, {"RGB": np.stack([depth, depth, 2 * depth], axis=-1)}), "holds colours"),
+        (lambda: path.write_bytes(b"no image"), "damaged or no EXR image"),
+        (lambda: path.write_bytes(half), "damaged or no EXR image"),
+    ):
+        spoil()
         with pytest.raises(CorruptFile, match=message):
-            camera.depth(place / "depth" / f"{number}.exr")
+            camera.depth(path)
+    write(path, {"RGB": np.stack([depth] * 3, axis=-1)})
+    np.testing.assert_array_equal(camera.depth(path), depth)

@@ -148,6 +148,24 @@ def test_intrinsics_of_another_size_and_a_grid_of_holes_are_reported(scene: Path
     assert warnings("no grid", "--every", 2, depth=tmp_path / "depth") == []
 
 
+def test_a_scene_that_is_too_near_for_a_depth_camera_is_reported(scene: Path, tmp_path: Path):
+    assert run(scene, tmp_path, "--depth-scale", 1.5e-4, checkpoint=None, method="one-object") == EXIT_OK
+    (said,) = facts_of(tmp_path)["warnings"]
+    assert said.startswith("The median depth is 0.1")
+    assert "Check the metres per unit" in said
+
+
+def test_messages_about_intrinsics_name_their_source(scene: Path, tmp_path: Path, capsys):
+    for kind in ("rgb", "depth"):
+        shutil.copytree(scene / kind, tmp_path / "a" / kind)
+    wrong = json.dumps({"fx": 1, "fy": 1, "cx": 1, "cy": 1})
+    (tmp_path / "a" / "camera.json").write_text(wrong)
+    for flags, place in (((), "camera.json: fx"), (("--intrinsics", "1,1,1,1"), "obpose-segment: --intrinsics: fx")):
+        command = [str(tmp_path / "a"), *flags, "--method", "one-object", "--out", str(tmp_path / "out")]
+        assert main(command, find_method=find_method) == EXIT_USAGE
+        assert place in capsys.readouterr().err
+
+
 def test_pixels_are_as_far_apart_as_in_training(scene: Path, tmp_path: Path):
     clip = clip_and_truth(frames=1, resolution=(3 * WIDTH, 3 * HEIGHT))[0]
     Image.fromarray(clip.rgb[0, 0]).save(tmp_path / "a.png")

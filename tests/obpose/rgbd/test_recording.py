@@ -1,4 +1,5 @@
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +14,9 @@ K = intrinsics(1.0, 6, 4)
 
 
 def read(
-    rgb: list[Path], depth: list[Path], k: np.ndarray = K, *, depth_scale: float = 0.001, **limits: int
+    rgb: list[Path], depth: list[Path], k: np.ndarray = K, *, depth_scale: float = 0.001, **options: Any
 ) -> Recording:
-    return read_recording(named_files(rgb, depth), Camera(k[None], depth_scale), **limits)
+    return read_recording(named_files(rgb, depth), Camera(k[None], depth_scale), **options)
 
 
 def write_rgb(path: Path, value: int = 7, size: tuple[int, int] = (6, 4)) -> Path:

@@ -126,6 +126,13 @@ def test_only_an_earlier_result_is_replaced(tmp_path: Path):
     with pytest.raises(UsageError, match="also holds mine"):
         write(out, {"run": 3}, overwrite=True)
     assert (out / "mine").read_text() == "kept"
+    (out / "mine").rename(out / "clouds" / "mine")
+    with pytest.raises(UsageError, match="also holds clouds/mine"):
+        write(out, {"run": 3}, overwrite=True)
+    (out / "clouds" / "mine").unlink()
+    (out / "overlay.gif").mkdir()
+    with pytest.raises(UsageError, match=r"also holds overlay\.gif"):
+        write(out, {"run": 3}, overwrite=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine").write_text("kept")
     with pytest.raises(UsageError, match="also holds mine"):

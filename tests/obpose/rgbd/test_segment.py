@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import torch
 from datagen.geometry import intrinsics, look_at, unproject
 from obpose.rgbd.frames import PreparedFrames, Trained, observe
 from obpose.rgbd.recording import Recording
-from obpose.rgbd.segment import segment_frames
+from obpose.rgbd.segment import _largest, segment_frames
 from obpose.rgbd.workspace import find_workspace
 from obpose.rgbd.world import World
 from obpose.types import Observation
@@ -75,6 +76,25 @@ def test_pixels_far_from_what_is_labelled_are_background(world: tuple[PreparedFr
 def test_nothing_is_found_where_nothing_is_labelled(world: tuple[PreparedFrames, np.ndarray]):
     frames, truth = world
     assert not segment_frames(frames, knows(0 * truth)).any()
+
+
+@pytest.mark.parametrize("height", [0.008, 0.012])
+def test_bumps_lower_than_the_noise_are_no_objects(world: tuple[PreparedFrames, np.ndarray], height: float):
+    frames, truth = world
+    bump = np.zeros(truth.shape, bool)
+    bump[:, 20:100, 40:120] = True
+    bump &= truth == 0
+    above = frames.world.poses[0, 2, 3]
+    depth = frames.recording.depth * np.where(bump, 1 - height / above, 1)
+    recording = replace(frames.recording, depth=depth.astype(np.float32))
+    raised = replace(frames, recording=recording, workspace=replace(frames.workspace, floor=0.01))
+    assert segment_frames(raised, knows(bump)).any() == (height > 0.01)
+
+
+def test_specks_are_no_objects():
+    labels = np.zeros((1, 100, 100), np.int64)
+    labels[0, 0, :3], labels[0, 5, :5] = 1, 2
+    np.testing.assert_array_equal(_largest(labels, 9), labels == 2)
 
 
 def test_pixels_outside_of_the_workspace_have_no_depth(world: tuple[PreparedFrames, np.ndarray]):
