@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int64
 
+from obpose.contact.components import NEIGHBOURS, shifted
 from obpose.contact.fragments import Evidence, fragments_of, gather
 from obpose.contact.grouping import Pairs, group
 from obpose.contact.motion.key_frames import evenly_spread
@@ -22,6 +23,8 @@ FINER = 1.5
 CAUTION = 0.75
 """Subtracted from the bias for joining parts before motion is considered, and added to it afterwards, for ten images:
 errors of single images cancel, so that fewer divisions are wrong. It is 0 for one image."""
+LABELLED = 2.0
+"""Logit of whether two pixels with the same label belong together; its negative for different labels."""
 TEARING = 4000.0
 """Loss of attraction by different motion, per metre of excess residual beyond that of parts that move together."""
 MOST_TORN = 12.0
@@ -46,15 +49,44 @@ class Image(NamedTuple):
         """Label the objects of the foreground pixels, from 0, by this image alone."""
         return group(self.pairs, self.embedding, bias=bias)
 
-    def label_map(self, labels: Int64[np.ndarray, "pixel"]) -> Int64[np.ndarray, "height width"]:
-        """Arrange labels of foreground pixels, from 0, as an image with labels from 1; 0 is the background."""
-        found = np.zeros(self.mask.shape, np.int64)
-        found[self.mask] = labels + 1
-        return found
+
+class LabelledImage(NamedTuple):
+    """One image that any method has segmented on its own; its labels take the place of affinities."""
+
+    mask: Bool[np.ndarray, "height width"]
+    """Foreground."""
+    points: Float[np.ndarray, "height width 3"]
+    """Metres, in the same frame of reference for all images."""
+    rgb: Float[np.ndarray, "height width 3"]
+    """0 to 1."""
+    labels: Int64[np.ndarray, "pixel"]
+    """Object of each foreground pixel, from 0."""
+
+    @property
+    def pairs(self) -> Pairs:
+        """Neighbours, which attract each other if they have the same label, and repel each other otherwise."""
+        index = np.full(self.mask.shape, -1)
+        index[self.mask] = np.arange(np.count_nonzero(self.mask))
+        places = [[index[part] for part in shifted(self.mask.shape, offset)] for offset in NEIGHBOURS]
+        pixels = np.hstack([np.stack(both)[:, np.minimum(*both) >= 0] for both in places])
+        return Pairs(pixels, np.where(np.equal(*self.labels[pixels]), LABELLED, -LABELLED))
+
+    def groups(self, bias: float) -> Int64[np.ndarray, "pixel"]:
+        """Give the labels, whatever the bias."""
+        return self.labels
+
+
+def label_map(
+    mask: Bool[np.ndarray, "height width"], labels: Int64[np.ndarray, "pixel"]
+) -> Int64[np.ndarray, "height width"]:
+    """Arrange labels of foreground pixels, from 0, as an image with labels from 1; 0 is the background."""
+    found = np.zeros(mask.shape, np.int64)
+    found[mask] = labels + 1
+    return found
 
 
 def segment_clip(
-    images: Sequence[Image], *, bias: float, gap: float, views: int = 1
+    images: Sequence[Image] | Sequence[LabelledImage], *, bias: float, gap: float, views: int = 1
 ) -> Int64[np.ndarray, "image height width"]:
     """Label the objects of a clip.
 
@@ -70,7 +102,7 @@ def segment_clip(
     clouds = [Cloud(image.points[image.mask], COLOUR_SCALE * image.rgb[image.mask]) for image in images]
     keys = evenly_spread(clouds)
     if not keys:
-        return np.stack([image.label_map(image.groups(bias)) for image in images])
+        return np.stack([label_map(image.mask, image.groups(bias)) for image in images])
     coarse = {key: images[key].groups(bias) for key in keys}
     fine = {key: images[key].groups(bias - FINER) for key in keys}
     candidates = [track(clouds, key, coarse[key], gap) for key in keys]
@@ -90,7 +122,7 @@ def segment_clip(
     torn = np.clip(TEARING * (motion.excess - TOGETHER), 0, MOST_TORN)
     torn[(torn == 0) & motion.tumbling] = -MOST_TORN
     labels, _ = _join(labels, evidence._replace(attraction=evidence.attraction - torn), bias + caution)
-    return np.stack([image.label_map(found) for image, found in zip(images, labels, strict=True)])
+    return np.stack([label_map(image.mask, found) for image, found in zip(images, labels, strict=True)])
 
 
 def _join(

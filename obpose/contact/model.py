@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from obpose.contact.clip import Image as ClipImage
-from obpose.contact.clip import segment_clip
+from obpose.contact.clip import label_map, segment_clip
 from obpose.contact.components import OFFSETS, image_components
 from obpose.contact.config import ContactConfig
 from obpose.contact.grouping import foreground_pairs
@@ -117,7 +117,7 @@ class ContactModel(Trainable):
         images = self.clip_images(observation)
         clips = [images[first : first + frames * views] for first in range(0, len(images), frames * views)]
         labels = [segment_clip(clip, bias=bias, gap=gap, views=views) for clip in clips]
-        singles = [image.label_map(image.groups(bias)) for image in images]
+        singles = [label_map(image.mask, image.groups(bias)) for image in images]
         over_time, single = (
             torch.from_numpy(rearrange(value, "(b f v) h w -> b f v h w", b=batch, f=frames)).to(
                 observation.depth.device

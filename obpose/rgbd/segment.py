@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Int, Integer, UInt8
 from scipy.spatial import KDTree
 
-from obpose.contact.motion.key_frames import follow_objects
-from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud
+from obpose.contact.clip import CAUTION, LabelledImage, segment_clip
 from obpose.geometry import unproject
 from obpose.rgbd.frames import PreparedFrames, Trained
 from obpose.types import Observation
@@ -21,6 +20,8 @@ UNTRAINED = Trained(spacing=0.006, learned=False)
 """Pixel spacing that methods without training get."""
 GAP = 0.06
 """Points of a video that belong to no object so far start new ones, connected if at most so many metres apart."""
+BIAS = -CAUTION
+"""Parts of a video are one object if most frames say so, unless they move apart."""
 LEAST_SHARE = 4e-4
 """Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
 NEAR = 3.0
@@ -36,8 +37,9 @@ def segment_frames(
 ) -> UInt8[np.ndarray, "frame height width"]:
     """Label the objects of all frames in full resolution, at most `most` of them, from 1 by decreasing size.
 
-    The method sees the reduced frames; with `video`, one by one. Each pixel of the full frames above the table then
-    gets the label of the nearest reduced point in space. So the outlines are those of the depth image.
+    The method sees the reduced frames; with `video`, one by one (`obpose.contact.clip`). Each pixel of the full frames
+    above the table then gets the label of the nearest reduced point in space. So the outlines are those of the depth
+    image.
     """
     points = [unproject(frames.still(frame)).numpy()[0, 0, 0] for frame in range(len(frames.recording.depth))]
     labels = _followed(frames, method, points, most) if video else method(frames.observation)
@@ -47,18 +49,13 @@ def segment_frames(
 
 
 def _followed(frames: PreparedFrames, method: Method, points: Sequence[np.ndarray], most: int) -> Labels:
-    """Label each frame on its own, and follow its largest objects through the video in the world frame."""
-    clouds, objects, masks = [], [], []
+    """Label each frame on its own, and join the largest objects over the video in the world frame."""
+    images = []
     for frame, places in enumerate(points):
         still = frames.still(frame)
         found = _largest(np.where(still.valid[:, 0, 0].numpy(), method(still), 0), most)[0].astype(np.int64)
-        masks.append(found > 0)
-        clouds.append(Cloud(places[found > 0], COLOUR_SCALE * still.rgb[0, 0, 0].numpy()[found > 0]))
-        objects.append(found[found > 0] - 1)
-    labels = np.zeros((len(masks), *masks[0].shape), np.int64)
-    for frame, found in enumerate(follow_objects(clouds, objects, gap=GAP)):
-        labels[frame][masks[frame]] = found + 1
-    return labels
+        images.append(LabelledImage(found > 0, places, still.rgb[0, 0, 0].numpy(), found[found > 0] - 1))
+    return segment_clip(images, bias=BIAS, gap=GAP)
 
 
 def _refined(frames: PreparedFrames, frame: int, labels: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import adjusted_rand_score
 
-from obpose.contact.clip import Image, segment_clip
+from obpose.contact.clip import CAUTION, Image, LabelledImage, segment_clip
 from obpose.contact.grouping import foreground_pairs
 from tests.obpose.contact.test_grouping import affinities
 from tests.worlds.sphere_clips import balls
@@ -63,6 +63,20 @@ def test_motion_decides_where_the_network_is_undecided(rigid: bool):
     ]
     found, expected = segmented([images[0], *undecided]), truth > 0 if rigid else truth
     assert len(np.unique(found)) == len(np.unique(expected))
+    assert adjusted_rand_score(found[truth > 0], expected[truth > 0]) > 0.95
+
+
+@pytest.mark.parametrize(("joined", "apart"), [((), True), ((1, 2, 3, 4), True), ((1, 2, 3, 4), False)])
+def test_what_most_images_join_stays_one_object_unless_it_moves_apart(joined: tuple[int, ...], apart: bool):
+    images, truth = clip_of(PASSING if apart else paths((X, 0 * X - 0.04), (X, 0 * X + 0.04)))
+    labelled = [
+        LabelledImage(image.mask, image.points, image.rgb, 0 * own if frame in joined else own)
+        for frame, image in enumerate(images)
+        for own in [truth[frame][image.mask] - 1]
+    ]
+    found = segment_clip(labelled, bias=-CAUTION, gap=0.03)
+    expected = (truth > 0).astype(np.int64) if not apart else truth
+    assert found.max() == expected.max()
     assert adjusted_rand_score(found[truth > 0], expected[truth > 0]) > 0.95
 
 
