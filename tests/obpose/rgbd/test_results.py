@@ -130,8 +130,8 @@ def test_only_an_earlier_result_is_replaced(tmp_path: Path):
     with pytest.raises(UsageError, match="also holds clouds/mine"):
         write(out, {"run": 3}, overwrite=True)
     (out / "clouds" / "mine").unlink()
-    (out / "overlay.gif").mkdir()
-    with pytest.raises(UsageError, match=r"also holds overlay\.gif"):
+    (out / "0009_labels.png").mkdir()
+    with pytest.raises(UsageError, match=r"also holds 0009_labels\.png"):
         write(out, {"run": 3}, overwrite=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine").write_text("kept")
