@@ -1,5 +1,6 @@
 """Process that cuts one mesh with CoACD: `python -m datagen.meshes.coacd_process MESH HULLS SECONDS PARENT`."""
 
+import os
 import resource
 import shutil
 import sys
@@ -17,7 +18,7 @@ def main(source: str, target: str, seconds: str, parent: str) -> None:
 
     If the process of the number `parent` dies, this one deletes the folder of the two files and exits.
     """
-    interrupts.end_with(int(parent), lambda: shutil.rmtree(Path(target).parent, ignore_errors=True))
+    interrupts.end_with(int(parent), lambda: _delete(Path(target).parent))
     # The hard limit is higher, because reaching it would raise another signal.
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
     import coacd
@@ -29,6 +30,17 @@ def main(source: str, target: str, seconds: str, parent: str) -> None:
     )
     corners = [np.asarray(vertices, np.float64) for vertices, _ in parts]
     np.savez(target, corners=np.concatenate(corners), counts=np.array([len(part) for part in corners]))
+    # The parent may have died since the thread that watches it looked last.
+    if os.getppid() != int(parent):
+        _delete(Path(target).parent)
+
+
+def _delete(folder: Path) -> None:
+    """Delete a folder; again if the other thread wrote into it meanwhile."""
+    for _ in range(10):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
 
 
 if __name__ == "__main__":
