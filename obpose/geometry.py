@@ -100,7 +100,7 @@ def sample_rays_where(
 
 @full_precision
 def to_box(points: Places, center: Centers, rotation: Rotations, size: float) -> Places:
-    """Object-frame coordinates, in -1..1 within the box (paper, eq. transform): 2/s R^-1 (p - T)."""
+    """Object-frame coordinates, in -1..1 within the box (paper, eq. 6): 2/s R^-1 (p - T)."""
     return (points - center[..., None, :]) @ rotation * (2 / size)
 
 

@@ -124,7 +124,7 @@ class ContactObPose(ObPose):
 def assignment_loss(log_masks: ComponentRays, logits: ComponentRays, weight: RayValues) -> Float[Tensor, ""]:
     """Cross-entropy between given masks and the shares of the density at the surface: -log sum_k m_k sigma_hat_k.
 
-    This is the second sum of the mixture loss (paper, eq. attention_mask), with the gradient to the fields instead of
+    This is the second sum of the mixture loss (paper, eq. 10), with the gradient to the fields instead of
     the masks.
     """
     shares = log_sum_exp(log_masks + log_share(logits), dim=2)

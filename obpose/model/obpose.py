@@ -166,7 +166,7 @@ class ObPose(Trainable):
         return center, observed_rotation(views.points, owners, slots=center.shape[2])
 
     def _observed_center(self, views: EmbeddedViews, masks: Masks) -> SlotPoints:
-        """T: the observed centre (paper, section Object Location and Orientation Conditioned Encoding)."""
+        """T: the observed centre (paper, eq. 4)."""
         points, valid, exponent = (
             views.embeddings.points,
             views.embeddings.valid,

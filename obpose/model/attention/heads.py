@@ -60,7 +60,7 @@ class Heads(nn.Module):
         if features:
             # zeta_f.
             self.features = mlp(EMBEDDING, _HIDDEN, FEATURE, activation=nn.ReLU)
-        # rho: the logits of the pre-scope s^p (paper, section IC-SBP).
+        # rho: the logits of the pre-scope s^p (paper, eq. 3).
         if icsbp and config.has_background:
             self.prescope = mlp(COLOUR, _HIDDEN, 2, activation=nn.ReLU)
 

@@ -152,7 +152,7 @@ class ICSBP(Attention):
         for frame in range(colour.shape[1]):
             for _ in range(self.config.mean_shift_steps):
                 with torch.no_grad():
-                    # m_k = s_{k-1} alpha_k (paper, section IC-SBP).
+                    # m_k = s_{k-1} alpha_k (paper, eq. 1).
                     alpha = _exp(self._log_alpha_at(seed, colour[:, frame])) * active[..., None]
                     remaining = pad(1 - alpha[:, :-1], (0, 0, 1, 0), value=1).cumprod(dim=1)
                     masks = scope[:, frame, None] * alpha * remaining
@@ -192,7 +192,7 @@ class ICSBP(Attention):
                 alpha = self._log_alpha_at(seed, colour)[:, 0]
                 near = sharpen(alpha, exponent)
                 log_residual_scope.append((near + log_scope).logsumexp(dim=-1) - (near + whole).logsumexp(dim=-1))
-                # s_k = s_{k-1} (1 - alpha_k) (paper, section IC-SBP).
+                # s_k = s_{k-1} (1 - alpha_k) (paper, eq. 2).
                 log_scope = log_scope + log1mexp(alpha) * active[-1][:, None]
         return torch.cat(chosen, dim=1), torch.stack(active, dim=-1), torch.stack(log_residual_scope, dim=-1)
 
@@ -244,7 +244,7 @@ def mean_shift(seed: SeedColours, weights: Float[Tensor, "batch slot point"], co
 
 
 def break_sticks(alpha: LogAlpha, log_prescope: Prescope, valid: GridValid, active: Active) -> Masks:
-    """Masks m_k = s_{k-1} alpha_k with s_k = s_{k-1} (1 - alpha_k) (paper, section IC-SBP), from log alpha.
+    """Masks m_k = s_{k-1} alpha_k with s_k = s_{k-1} (1 - alpha_k) (paper, eq. 1 and 2), from log alpha.
 
     Deviations, as in the authors' code: s_0 is the pre-scope, so there is a background mask. The last slot does not
     take the remainder: s_K is kept separately, and a loss penalises it.
@@ -280,7 +280,7 @@ def divide_by_softmax(
 
 
 def add_remainder_slot(masks: Masks) -> Masks:
-    """Add a slot that takes the remaining scope: m_K = s_{K-1}, as in the paper's equation and GENESIS-V2."""
+    """Add a slot that takes the remaining scope: m_K = s_{K-1}, as in the paper's eq. 1 and GENESIS-V2."""
     return Masks(
         log_masks=torch.cat([masks.log_masks, masks.log_scope[:, :, None]], dim=2),
         log_scope=torch.full_like(masks.log_scope, EXCLUDED),

@@ -1,4 +1,4 @@
-"""Losses of the attention masks (paper, eq. attention_mask and the L2 loss below it).
+"""Losses of the attention masks (paper, eq. 10 and 11).
 
 The decoder's part is a target without gradient in both, as in the authors' code, which has only the mixture.
 `log_likelihood` is that of `obpose.model.losses.observation.colour_log_likelihood`, `log_share` is
@@ -20,7 +20,7 @@ from obpose.types import ComponentRays, RayValues
 
 
 def attention_loss(log_masks: ComponentRays, fields: FieldsAlongRays, config: LossConfig) -> Float[Tensor, ""]:
-    """L_att (paper) in the form of the configuration."""
+    """L_att (paper, eq. 10 or 11) in the form of the configuration."""
     likelihood, share, weight = surface_likelihood(fields), log_share(fields.surface.logits), fields.rays.weight
     if config.attention == "l2":
         return attention_l2(log_masks, likelihood, share, weight)
@@ -35,7 +35,7 @@ def attention_mixture(
     *,
     floor: float,
 ) -> Float[Tensor, ""]:
-    """Mixture loss (paper, eq. attention_mask): -log sum_k m_k N_k sigma_hat_k - log sum_k m_k sigma_hat_k.
+    """Mixture loss (paper, eq. 10): -log sum_k m_k N_k sigma_hat_k - log sum_k m_k sigma_hat_k.
 
     Deviations: e^floor, the likelihood of an outlier, is added to both sums, so that rays that no mask can explain do
     not pull (the authors' code adds 1e-8). Each colour channel has its own mixture, as in the authors' code.
@@ -64,7 +64,7 @@ def attention_l2(
     log_share: ComponentRays,
     weight: RayValues,
 ) -> Float[Tensor, ""]:
-    """L2 loss (paper, below eq. attention_mask): sum_k (N_k / N(0|0) - m_k)^2 sigma_hat_k + (m_k - sigma_hat_k)^2.
+    """L2 loss (paper, eq. 11): sum_k (N_k / N(0|0) - m_k)^2 sigma_hat_k + (m_k - sigma_hat_k)^2.
 
     N_k is the likelihood of the whole colour, the product over its channels.
     """

@@ -51,7 +51,7 @@ def growth(most: float, fraction: float) -> float:
 
 
 def observation_terms(fields: FieldsAlongRays, config: LossConfig) -> dict[str, Tensor]:
-    """Compute the three terms of L_obs along rays, unweighted (paper, section Training)."""
+    """Compute the three terms of L_obs along rays, unweighted (paper, eq. 9)."""
     weight, logits = fields.rays.weight, fields.surface.logits
     return {
         "colour": observation.colour_mixture(log_share(logits), observation.surface_likelihood(fields), weight),
@@ -61,7 +61,7 @@ def observation_terms(fields: FieldsAlongRays, config: LossConfig) -> dict[str, 
 
 
 def remaining_scope(log_scope: Float[Tensor, "batch frame point"], valid: GridValid) -> Float[Tensor, ""]:
-    """Remaining scope s_K (paper, L_others). Deviation: the mean over valid points, not the sum."""
+    """Remaining scope s_K (paper, eq. 12). Deviation: the mean over valid points, not the sum."""
     return mean_over(log_scope.exp(), valid.to(log_scope.dtype))
 
 
@@ -71,7 +71,7 @@ def translation(
     found: Bool[Tensor, "batch frame slot"],
     active: Active,
 ) -> Float[Tensor, ""]:
-    """Squared distance in metres of T_hat and T^shape (paper, L_others), summed over slots, mean over frames.
+    """Squared distance in metres of T_hat and T^shape (paper, eq. 12), summed over slots, mean over frames.
 
     `shape` is a target without gradient. Inactive slots and shapes that were not found do not count. Deviation: the
     authors' code divides by the batch size twice.
@@ -81,7 +81,7 @@ def translation(
 
 
 def kl(latent: Latent, mask: Bool[Tensor, "..."] | None = None) -> Float[Tensor, ""]:
-    """KL(q || p) of a sequence of Gaussians (paper, L_others), summed over dimensions and slots, mean over frames.
+    """KL(q || p) of a sequence of Gaussians (paper, eq. 12), summed over dimensions and slots, mean over frames.
 
     `mask`, broadcast to batch, frame, slot, excludes inactive slots.
     """

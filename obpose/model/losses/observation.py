@@ -1,4 +1,4 @@
-"""Likelihood of the observation under the fields (paper, L_obs): weighted means over rays, in log space."""
+"""Likelihood of the observation under the fields (paper, eq. 9): weighted means over rays, in log space."""
 
 import math
 
@@ -34,7 +34,7 @@ def surface_likelihood(fields: FieldsAlongRays) -> Float[Tensor, "batch frame co
 def colour_mixture(
     log_share: ComponentRays, log_likelihood: Float[Tensor, "batch frame component ray channel"], weight: RayValues
 ) -> Float[Tensor, ""]:
-    """First term of L_obs (paper): -log sum_k N(x | c_k, std^2) sigma_hat_k / sigma_max, summed over channels.
+    """First term of L_obs (paper, eq. 9): -log sum_k N(x | c_k, std^2) sigma_hat_k / sigma_max, summed over channels.
 
     Deviation: one mixture per colour channel, as in the authors' code, instead of one over all three. No constant is
     added inside the logarithm, so that far colours keep a gradient.
@@ -44,14 +44,14 @@ def colour_mixture(
 
 
 def surface(logits: ComponentRays, weight: RayValues) -> Float[Tensor, ""]:
-    """Second term of L_obs (paper): -log sigma(p_surface)."""
+    """Second term of L_obs (paper, eq. 9): -log sigma(p_surface)."""
     return mean_over(-log_density(logits) - math.log(SIGMA_MAX), weight)
 
 
 def air(
     logits: ComponentRays, inverse_rho: RayValues, weight: RayValues, *, saturation: float | None
 ) -> Float[Tensor, ""]:
-    """Third term of L_obs (paper): sigma(p_air) / rho_air, with `air_density`'s continuation where it saturates."""
+    """Third term of L_obs (paper, eq. 9): sigma(p_air) / rho_air, continued where it saturates (`air_density`)."""
     return mean_over(SIGMA_MAX * air_density(logits, saturation=saturation) * inverse_rho, weight)
 
 

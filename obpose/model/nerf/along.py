@@ -1,4 +1,4 @@
-"""Fields along rays, which the losses compare with the observation (paper, L_obs)."""
+"""Fields along rays, which the losses compare with the observation (paper, eq. 9)."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable

@@ -169,7 +169,7 @@ def decode_background(
 
 def points_in_boxes(points: RayPoints, boxes: Boxes, active: Active, *, floor: float | None = None) -> InBox:
     """Find the points above the floor that lie in boxes of active slots, box by box."""
-    # Object-frame coordinates (paper, eq. transform).
+    # Object-frame coordinates (paper, eq. 6).
     in_box = to_box(points[:, :, None], boxes.center, boxes.rotation, boxes.size)
     inside = (in_box.abs() <= 1).all(dim=-1) & active[:, None, :, None]
     if floor is not None:

@@ -1,4 +1,4 @@
-"""Composition of the components' fields into one scene (paper, eq. apex_norm), in log space.
+"""Composition of the components' fields into one scene (paper, eq. 8), in log space.
 
 Densities are relative to sigma_max, in 0..1, as losses and voxels need them. The paper's density is sigma_max times
 that, and sigma_max occurs only where a rate per metre is meant.
@@ -25,7 +25,7 @@ _EXPONENTIAL = -20.0
 
 
 def log_density(logits: Logits) -> Joint:
-    """Log of the joint density over sigma_max (paper, eq. apex_norm): log tanh(sum_k softplus(sigma_k)).
+    """Log of the joint density over sigma_max (paper, eq. 8): log tanh(sum_k softplus(sigma_k)).
 
     Finite, with a gradient that does not vanish where the density does, for all logits.
     """
@@ -33,7 +33,7 @@ def log_density(logits: Logits) -> Joint:
 
 
 def log_share(logits: Logits) -> Logits:
-    """Log of each component's density over sigma_max (paper, eq. apex_norm): log(tanh(.) softmax_k(sigma_k))."""
+    """Log of each component's density over sigma_max (paper, eq. 8): log(tanh(.) softmax_k(sigma_k))."""
     return log_density(logits)[..., None, :] + torch.log_softmax(logits, dim=-2)
 
 
@@ -48,7 +48,7 @@ def solid_share(logits: Logits, threshold: float) -> Logits:
 
 
 def air_density(logits: Logits, *, saturation: float | None) -> Joint:
-    """Joint density over sigma_max for the air term (paper, L_obs): tanh(sum_k softplus(sigma_k)).
+    """Joint density over sigma_max for the air term (paper, eq. 9): tanh(sum_k softplus(sigma_k)).
 
     An addition: beyond a summed softplus of `saturation`, tanh is continued by its tangent. Its own gradient is exactly
     0 in single precision from about 9 on, so that such dense fog could never clear.
@@ -63,7 +63,7 @@ def air_density(logits: Logits, *, saturation: float | None) -> Joint:
 
 
 def mean_colour(logits: Logits, colours: Float[Tensor, "*shape component ray 3"]) -> Float[Tensor, "*shape ray 3"]:
-    """Colour of the composed scene (paper, after eq. apex_norm), sum_k sigma_hat_k c_k / sigma_max; black if empty."""
+    """Colour of the composed scene (paper, after eq. 8), sum_k sigma_hat_k c_k / sigma_max; black if empty."""
     return (log_share(logits).exp()[..., None] * colours).sum(dim=-3)
 
 

@@ -35,7 +35,7 @@ def render(
     sigma_max: float,
     threshold: float = 0.0,
 ) -> Rendering:
-    """Quadrature along rays (Mildenhall et al. 2020, eq. 3) of the composed density (paper, eq. apex_norm).
+    """Quadrature along rays (Mildenhall et al. 2020, eq. 3) of the composed density (paper, eq. 8).
 
     `direction` is per metre of planar depth. There are `samples` points along a ray, in the middles of equal intervals
     from planar depth `near` to `far`, metres. `sigma_max` is the density of an opaque point per metre of planar depth.
@@ -48,7 +48,7 @@ def render(
     along = repeat(direction, "b f r xyz -> b f (r sample) xyz", sample=samples)
     points = origin[..., None, :] + direction[..., None, :] * depths[:, None]
     points = rearrange(points, "b f r sample xyz -> b f (r sample) xyz")
-    # Densities and colours (paper, eq. apex_norm).
+    # Densities and colours (paper, eq. 8).
     decoded = decode(points, along)
     if decoded.colours is None:
         raise ValueError("Rendering needs colours, but `decode` gave none; let it decode with colours.")

@@ -44,7 +44,7 @@ def gather_box(
     fields then claim the neighbours. Boxes and positions get no gradient.
     """
     with torch.no_grad():
-        # Own points in the box (paper, eq. transform).
+        # Own points in the box (paper, eq. 6).
         each = points[:, :, None].expand(-1, -1, boxes.center.shape[2], -1, -1)
         in_box = to_box(each, boxes.center, boxes.rotation, boxes.size)
         inside = (in_box.abs().amax(dim=-1) <= 1) & valid[:, :, None]

@@ -74,5 +74,5 @@ class Where(nn.Module):
         return self._latent(code, draw, generator)
 
     def translation(self, z: Float[Tensor, "*shape latent"]) -> Float[Tensor, "*shape 3"]:
-        """Delta T = T_max tanh(f_where(z_where)), world frame, metres (paper, the equation after eq. transform)."""
+        """Delta T = T_max tanh(f_where(z_where)), world frame, metres (paper, eq. 7)."""
         return self._max_translation * torch.tanh(self._translation(z))

@@ -63,7 +63,7 @@ def equivalents(rotation: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape 
 
 
 def geodesic_distance(a: Float[Tensor, "*shape 3 3"], b: Float[Tensor, "*shape 3 3"]) -> Float[Tensor, "*shape"]:
-    """Angle between two rotations, radians (paper, d_SO(3)).
+    """Angle between two rotations, radians (paper, eq. 5).
 
     The paper's arccos((tr(a b^-1) - 1) / 2) loses all digits near 0 and can leave its domain by rounding. This is the
     same angle from the chord |a - b| = 2 sqrt(2) sin(angle / 2).
