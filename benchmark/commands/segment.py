@@ -16,7 +16,7 @@ def main() -> int:
 
 
 def find_method(name: str, objects: int = 16) -> "Method":
-    """Find a model without training by name, with its default options, for at most so many objects.
+    """Find a model without training by name, with its default options, for at most `objects` objects.
 
     Raises:
         UsageError: there is none.

@@ -23,7 +23,7 @@ from obpose.geometry import unproject
 LEAST_PIXELS = 6
 """Number of pixels of a 64x64 image from which a component is a pseudo-object."""
 MOST_OBJECTS = 6
-"""No more objects are pasted into an image with this many."""
+"""Number of objects of an image from which on no more are pasted into it."""
 PASTED = (1, 2, 3)
 """Numbers of pseudo-objects that are pasted into an image."""
 PLACES = 12
