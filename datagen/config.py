@@ -316,6 +316,11 @@ class Recipe:
         """Whether clips have more than one frame."""
         return self.frames > 1
 
+    @property
+    def most_objects(self) -> int:
+        """Largest number of objects of a scene of the recipe or its parts."""
+        return max(self.for_scene(index).objects.maximum for index in range(max(1, len(self.parts))))
+
     def for_scene(self, index: int) -> "Recipe":
         """The recipe that scene `index` of a split follows: itself, or one of its parts.
 
