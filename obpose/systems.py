@@ -294,8 +294,8 @@ def _differing(own: Mapping[str, Any], config: Any) -> int:
 def slots_for(segments: int) -> dict[str, int]:
     """Configuration change for a dataset with this many segments per scene, the background included.
 
-    Datasets and the benchmark count the background, `model.slots` does not. This is the only conversion;
-    `obpose.config.ModelConfig.segments` is its inverse.
+    Datasets and the benchmark count the background, `model.slots` does not. The property `segments` of configurations
+    is the inverse.
     """
     return {"model.slots": segments - 1}
 

@@ -23,12 +23,13 @@ def find_method(name: str, objects: int = 16) -> "Method":
     """
     from benchmark.models.adapters.own_frames import segment_observation
     from benchmark.models.classical import CLASSICAL, STRONGER  # late: `--version` needs no NumPy
+    from benchmark.models.interface import slots_for_objects
     from datagen.errors import unknown_name
 
     methods = {**CLASSICAL, **STRONGER}
     if name not in methods:
         raise unknown_name("method", name, methods)
-    segmenter = methods[name].build({"slots": objects + 1, **methods[name].default})
+    segmenter = methods[name].build({"slots": slots_for_objects(objects), **methods[name].default})
     segmenter.fit([], [], seed=0, budget=0.0)
     return partial(segment_observation, segmenter)
 
