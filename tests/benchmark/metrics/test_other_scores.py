@@ -90,6 +90,14 @@ def slow_hota(truth: np.ndarray, prediction: np.ndarray) -> float:
     return float(np.mean(scores))
 
 
+def test_scores_of_single_images_are_ordered_by_frame_and_then_by_view():
+    truth = np.zeros((2, 3, 4, 4), int)
+    truth[:, :, :2] = 1
+    wrong = truth.copy()
+    wrong[1, 0] = 0
+    assert other_scores([count_clip(truth, wrong, 0)])[0]["f1"].tolist() == [1, 1, 1, 0, 1, 1]
+
+
 def test_scenes_without_objects_are_undefined():
     empty = np.zeros((2, 4, 4), int)
     found = dict(zip(OTHER_METRICS, others(empty, empty + 1, 0), strict=True))
