@@ -28,7 +28,7 @@ OF_THE_WHOLE = ("name", "description", "resolution", "parts", "overrides")
 
 
 MESH_PREFIX = "mesh:"
-"""Stands before the names of meshes in `objects.categories`."""
+"""Prefix of the names of meshes in `objects.categories`."""
 
 
 @dataclass(frozen=True)
@@ -227,9 +227,9 @@ class Physics:
     table_restitution: float = 0.7
     """Bounciness of the table."""
     rolling_friction: float = 0.0005
-    """Metres; torque against rolling = this x normal force x sum of both Coulomb coefficients."""
+    """Coefficient in metres: torque against rolling = this x normal force x sum of both Coulomb coefficients."""
     spinning_friction: float = 0.001
-    """Metres; torque against spinning about the contact normal = this x normal force x sum of both coefficients."""
+    """Coefficient in metres: torque against spinning = this x normal force x sum of both Coulomb coefficients."""
     deepest_overlap: float = 0.001
     """Deepest allowed overlap of two bodies at the start, metres."""
     deepest_in_motion: float = 0.002
@@ -315,6 +315,11 @@ class Recipe:
     def video(self) -> bool:
         """Whether clips have more than one frame."""
         return self.frames > 1
+
+    @property
+    def most_objects(self) -> int:
+        """Largest number of objects of a scene of the recipe or its parts."""
+        return max(self.for_scene(index).objects.maximum for index in range(max(1, len(self.parts))))
 
     def for_scene(self, index: int) -> "Recipe":
         """The recipe that scene `index` of a split follows: itself, or one of its parts.

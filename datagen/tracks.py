@@ -3,7 +3,6 @@
 path = find_track("moving").prepare(("val", "test"))    # makes what is missing in the cache folder
 """
 
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,12 +15,11 @@ from datagen.console.text import counted
 from datagen.errors import DatagenError, UsageError, unknown_name
 from datagen.rgbd import OBJECTS
 from datagen.schema import EditKind
+from datagen.storage.atomic import cache_folder
 from datagen.storage.portable_names import check_dataset_name
 from datagen.storage.reader import Dataset
 from datagen.storage.spec import recipe_of
 
-CACHE = "OBPOSE_CACHE"
-"""Environment variable that names the cache folder; the default is `~/.cache/obpose`."""
 SIZES = {"train": 2000, "val": 100, "test": 300}
 """Scenes of each split."""
 SEED = 0
@@ -244,10 +242,5 @@ def find_dataset(track: str, spec_hash: str, folders: Iterable[Path]) -> Path | 
     return None
 
 
-def cache_folder() -> Path:
-    """Folder in which tracks are cached."""
-    return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()
-
-
 def _slots(recipe: Recipe) -> int:
-    return 1 + max(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts))))
+    return 1 + recipe.most_objects

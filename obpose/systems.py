@@ -156,11 +156,11 @@ DESCRIPTIONS = {
 
 
 _LARGER_BOXES: Changes = {"model.pose.box_size": 0.35}
-"""For objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
+"""Changes for objects of up to 30 cm; objects of other tracks are at most 18 cm long, and boxes 20 cm."""
 _FEWER_DIVISIONS: Changes = {"contact.bias": 2.5}
-"""For stills. Pasted images have more contacts than these tracks, and there is no motion to join parts again."""
+"""Changes for stills. Pasted images have more contacts than these tracks, and no motion joins parts again."""
 _COMPLETED: Changes = {"model.pose.max_translation": 0.05}
-"""For few kinds of shapes, whose hidden sides can be learned from other views."""
+"""Changes for few kinds of shapes, whose hidden sides can be learned from other views."""
 
 
 def _obpose_system(variant: str) -> System:
@@ -294,8 +294,8 @@ def _differing(own: Mapping[str, Any], config: Any) -> int:
 def slots_for(segments: int) -> dict[str, int]:
     """Configuration change for a dataset with this many segments per scene, the background included.
 
-    Datasets and the benchmark count the background, `model.slots` does not. This is the only conversion;
-    `obpose.config.ModelConfig.segments` is its inverse.
+    Datasets and the benchmark count the background, `model.slots` does not. The property `segments` of configurations
+    is the inverse.
     """
     return {"model.slots": segments - 1}
 

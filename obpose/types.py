@@ -94,7 +94,7 @@ class Embeddings:
     """Embeddings of the points of the grid (paper, section Encoder)."""
 
     points: Float[Tensor, "batch frame point 3"]
-    """World frame, metres; 0 where not valid."""
+    """Surface points, world frame, metres; 0 where not valid."""
     valid: Bool[Tensor, "batch frame point"]
     """Whether the point was observed."""
     position: Float[Tensor, "batch frame point 3"]
@@ -163,7 +163,7 @@ class Rays:
     origin: Float[Tensor, "batch frame ray 3"]
     """Camera centre."""
     direction: Float[Tensor, "batch frame ray 3"]
-    """From the camera to the surface, per metre of planar depth (not of unit length)."""
+    """Vector from the camera to the surface, per metre of planar depth (not of unit length)."""
     depth: Float[Tensor, "batch frame ray"]
     """Planar z of the surface, metres; a positive number also where not valid."""
 

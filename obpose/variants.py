@@ -74,7 +74,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 """
 
 SEARCHED: dict[str, dict[str, Any]] = {"ic-sbp": {"train.learning_rate": 3e-3}}
-"""Further changes in the profile `cpu`, chosen for it by the declared search (docs/results.md)."""
+"""Further changes in the profile `cpu`, chosen for it by the declared search (docs/results/search.md)."""
 
 PROFILES: dict[str, dict[str, Any]] = {
     "cpu": {},

@@ -10,7 +10,7 @@ from benchmark.execution.executor import Limits, Runnable, limits
 from benchmark.execution.on_cluster import on_cluster
 from benchmark.execution.plan import Request, Weights
 from benchmark.models.adapters.predictions import PredictionFolder
-from benchmark.models.interface import LARGEST_LABEL
+from benchmark.models.interface import LARGEST_LABEL, slots_for_objects
 from benchmark.models.registry import budget_of, discover, expand, find_model, row_names
 from benchmark.names import check_model_name, find_twin
 from benchmark.ranking.text import plain_number
@@ -94,7 +94,7 @@ def request_of(values: arguments.Run) -> Request:
         steps=values.steps,
         pretrained=values.pretrained,
         weights=_weights(values),
-        slots=tuple(dict.fromkeys(objects + 1 for objects in values.slots)),  # the background takes one more
+        slots=tuple(dict.fromkeys(map(slots_for_objects, values.slots))),
         profile=values.profile,
     )
 

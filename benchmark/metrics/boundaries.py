@@ -29,16 +29,19 @@ def region_and_boundary(
     (rules of DAVIS 2017, unsupervised).
     """
     tables = np.concatenate([tables, np.zeros_like(tables[..., :1])], axis=3)  # the last slot is always empty
+    # J of all pairs, and with F their mean over frames.
     visible, used = tables[:, :, 1:].sum(axis=3) > 0, tables.sum(axis=2) > 0
     overlap = intersection_over_union(tables.reshape(-1, *tables.shape[2:]))[:, 1:]
     regions = np.where(visible[..., None] | used[:, :, None], overlap.reshape(*visible.shape, -1), 1.0)
     scores = (regions + boundary_overlap(truth, prediction, *regions.shape[2:])).mean(axis=1) / 2
+    # Slots that may be matched; objects that are left over get the empty slot.
     there, candidates = visible.sum(axis=1) > 0, used.sum(axis=1) > 0
     candidates[np.arange(len(tables)), backgrounds] = False
     missing = there.sum(axis=1) - candidates.sum(axis=1)
     empty = np.arange(there.shape[1]) < missing[:, None]
     columns = [scores * candidates[:, None], scores[:, :, -1:] * empty[:, None]]
     scores = np.concatenate(columns, axis=2) * there[:, :, None]
+    # The matching with the largest mean.
     total = np.where(best_pairs(scores), scores, 0.0).sum(axis=(1, 2))
     return np.where(there.sum(axis=1) > 0, total / np.maximum(there.sum(axis=1), 1), np.nan)
 
@@ -58,6 +61,7 @@ def boundary_overlap(
     true = [_Boundaries(truth.reshape(-1, *image), group, radius) for group in range(objects // GROUP + 1)]
     found = [_Boundaries(prediction.reshape(-1, *image), group, radius) for group in range(-(-slots // GROUP))]
     shape = (truth.shape[0] * truth.shape[1], GROUP * len(true), GROUP * len(found))
+    # Boundary pixels of each pair that are near the other boundary, a byte of labels at a time.
     near_true, near_found = np.zeros(shape), np.zeros(shape)
     true_pixels, found_pixels = np.zeros((*shape[:2], 1)), np.zeros((shape[0], 1, shape[2]))
     for (i, one), (j, two) in product(enumerate(true), enumerate(found)):
@@ -65,6 +69,7 @@ def boundary_overlap(
         near_found[:, rows, columns], true_pixels[:, rows, 0] = one.near(two)
         pairs, found_pixels[:, 0, columns] = two.near(one)
         near_true[:, rows, columns] = pairs.swapaxes(1, 2)
+    # F = 2 P R / (P + R).
     precision, recall = near_true / np.maximum(found_pixels, 1), near_found / np.maximum(true_pixels, 1)
     scores = 2 * precision * recall / np.maximum(precision + recall, np.finfo(np.float64).tiny)
     scores = np.where((true_pixels == 0) & (found_pixels == 0), 1.0, scores)

@@ -46,14 +46,18 @@ def hota(
     For each alpha it is the root of DetA times AssA. DetA is the share of matches among matches, missed objects and
     false segments. AssA is the mean over matches of their pair's share of the frames in which one of both is there.
     """
+    # Number of frames that show the object, plus of those that show the slot, for each pair.
     either = visible.sum(axis=1)[:, :, None] + used.sum(axis=1)[:, None, :]
     total = visible.sum(axis=(1, 2)) + used.sum(axis=(1, 2))
+    # Alignment of each pair over the clip: frames that they may share, by the share of their overlap in each.
     unions = overlaps.sum(axis=2, keepdims=True) + overlaps.sum(axis=3, keepdims=True) - overlaps
     together = np.divide(overlaps, unions, out=np.zeros_like(overlaps), where=unions > EPSILON).sum(axis=1)
     alignment = together / np.maximum(either - together, EPSILON)
+    # Pairs of each frame, and matches among them for each alpha.
     paired = np.where(best_pairs(alignment[:, None] * overlaps), overlaps, -1.0)
     matches = np.stack([(paired >= alpha - EPSILON).sum(axis=1) for alpha in ALPHAS])
     found = matches.sum(axis=(2, 3))
+    # AssA: the mean over matches of TPA / (TPA + FNA + FPA); HOTA: the root of DetA AssA.
     association = (matches * matches / np.maximum(either - matches, 1)).sum(axis=(2, 3)) / np.maximum(found, 1)
     scores = np.sqrt(association * found / np.maximum(total - found, 1)).mean(axis=0)
     return np.where(visible.any(axis=(1, 2)), scores, np.nan)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float64, Int64
 from benchmark.metrics.overlap import intersection_over_union
 
 ERROR_TYPES = ("merged", "split", "missed", "leaked", "switched")
-"""In the order of the last axis of `errors_by_type`."""
+"""Names of the types, in the order of the last axis of `errors_by_type`."""
 
 MEANINGS = {
     "merged": "shares its slot with another object",
@@ -26,7 +26,7 @@ PART = 0.2
 def errors_by_type(
     tables: Int64[np.ndarray, "frame truth slot"], background_slot: int
 ) -> Bool[np.ndarray, "frame object type"]:
-    """Which errors befall each object in each frame of one view; types as in `ERROR_TYPES`.
+    """Find the errors of each object in each frame of one view; types as in `ERROR_TYPES`.
 
     An object's home is the slot that holds most of its pixels. It is
 

@@ -37,12 +37,15 @@ def kernel_distance(
     if min(len(one), len(other)) < 2:
         raise ValueError(f"The samples have {len(one)} and {len(other)} members; expected two or more in each.")
     both = np.concatenate([one, other])
+    # Kernel of all members, in standard deviations.
     scale = both.std(axis=0)
     kernel = _gaussian((both - both.mean(axis=0)) / np.where(scale > 0, scale, 1.0))
+    # Random divisions that keep groups together.
     groups = np.concatenate([one_groups, other_groups + one_groups.max(initial=-1) + 1])
     names, member = np.unique(groups, return_inverse=True)
     of_one = len(np.unique(one_groups))
     drawn = np.stack([_division(len(names), of_one, rng)[member] for _ in range(divisions)])
+    # The samples themselves, then the divisions.
     first = np.arange(len(both)) < len(one)
     found, *others = squared_discrepancies(kernel, np.concatenate([first[None], drawn]))
     return KernelDistance(float(found), float((1 + np.sum(np.array(others) >= found)) / (1 + divisions)))

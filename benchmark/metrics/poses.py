@@ -154,12 +154,14 @@ def _image_errors(
     errors: dict[str, list[float]] = {name: [] for name in _ERRORS}
     errors |= {"posed": [1.0] * len(pairs) + missed, "box_iou": [] if found.size is None else missed}
     for row, label in pairs:
+        # Position.
         center = found.center[frame, view, label]
         errors["translation_error"].append(float(np.linalg.norm(center - true.box_center[frame, row])))
         visible = true.visible_center[frame, view, row]
         errors["translation_error_visible"].append(float(np.linalg.norm(center - visible)))
         if found.rotation is None:
             continue
+        # Orientation, and the box.
         rotation = found.rotation[frame, view, label]
         if true.symmetry[row] != "SO3":
             pose, symmetry = true.rotation[frame, row], true.symmetry[row]

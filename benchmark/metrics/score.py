@@ -158,7 +158,7 @@ def scores_of(clip: CountedClip) -> ClipScores:
 
 
 def other_scores(clips: Sequence[CountedClip]) -> list[ClipScores]:
-    """`OTHER_METRICS` of clips of equal shape; many at once are cheaper. nan over time where clips have one frame."""
+    """Compute `OTHER_METRICS` of clips of equal shape, many at once; nan over time where clips have one frame."""
     frames, views, *image = clips[0].truth.shape
     # Contingency tables of all clips, padded to one size; each view is a clip from here on.
     rows, columns = (max(2, *(clip.tables.shape[axis] for clip in clips)) for axis in (2, 3))

@@ -35,6 +35,11 @@ def object_slots(slots: int) -> int:
     return slots - 1
 
 
+def slots_for_objects(objects: int) -> int:
+    """Slot count of the benchmark for a number of objects: the inverse of `object_slots`."""
+    return objects + 1
+
+
 @dataclass(frozen=True, eq=False)
 class Clip:
     """RGB-D frames of one scene from static cameras. Frames of reference are those of `datagen.geometry`."""

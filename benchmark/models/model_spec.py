@@ -81,7 +81,7 @@ class ModelSpec:
     views: Views | None = None
     """Views that it uses, if declared."""
     configured: Callable[[Path], "ModelSpec"] | None = None
-    """Returns the specification for the weights in a folder, whose priors and views may differ from the model's."""
+    """Function that gives the specification for weights in a folder, whose priors and views may differ."""
 
     @property
     def default(self) -> Options:

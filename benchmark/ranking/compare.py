@@ -13,18 +13,11 @@ from rich.text import Text
 
 from benchmark.ranking import statistics
 from benchmark.ranking.columns import place_title, without_floor
-from benchmark.ranking.standings import (
-    ALL_METRICS,
-    ModelResult,
-    Progress,
-    compare_results,
-    load_scores,
-    silent,
-    unranked,
-)
+from benchmark.ranking.standings import ALL_METRICS, ModelResult, compare_results, load_scores, unranked
 from benchmark.ranking.statistics import Difference
 from benchmark.ranking.text import decimals_that_show, one_line
 from benchmark.results.run_folder import check_runs
+from datagen.console.progress import Tracker, untracked
 from datagen.console.text import counted
 from datagen.errors import UsageError
 
@@ -62,7 +55,7 @@ class Comparison:
 
 
 def compare(
-    folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS, progress: Progress = silent
+    folder: Path, one: str, two: str, metrics: Iterable[str] = ALL_METRICS, progress: Tracker = untracked
 ) -> list[Comparison]:
     """Compare every metric on every track on which both models have scores, fitted on the same track.
 

@@ -44,17 +44,10 @@ from benchmark.ranking.columns import (
     track_title,
     with_poses,
 )
-from benchmark.ranking.standings import (
-    RANKED_METRICS,
-    SWITCHES,
-    ModelResult,
-    Progress,
-    comparable_groups,
-    load_standings,
-    silent,
-)
+from benchmark.ranking.standings import RANKED_METRICS, SWITCHES, ModelResult, comparable_groups, load_standings
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import COUNTS, RunRow
+from datagen.console.progress import Tracker, untracked
 from datagen.storage.atomic import write_atomically
 
 Cell = str | int | float
@@ -67,7 +60,7 @@ SUMMARISED = (*METRICS, *CLIP_METRICS, SWITCHES)
 """Metrics of all results; the others have columns behind those of the costs."""
 
 
-def write(folder: Path, progress: Progress = silent) -> list[ModelResult]:
+def write(folder: Path, progress: Tracker = untracked) -> list[ModelResult]:
     """Write all tables into a run folder, and return the results that they show.
 
     Raises:

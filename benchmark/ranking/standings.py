@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations, groupby
 from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -20,6 +19,7 @@ from benchmark.ranking import statistics
 from benchmark.ranking.failed_seeds import HEADLINE, cause_of_failure, has_finite_loss
 from benchmark.ranking.statistics import Difference, Resamples, Summary
 from benchmark.results.run_folder import RunRow, SceneTable, load_runs, load_scenes
+from datagen.console.progress import Tracker, untracked
 from datagen.console.text import counted
 from datagen.errors import CorruptFile
 
@@ -34,19 +34,8 @@ USES_LABELS, TUNED, PRETRAINED = "†", "‡", "§"
 
 BOOTSTRAP_SEED = 0
 
-Item = TypeVar("Item")
-
 Scores = tuple[Float64[np.ndarray, "seed scene"], Float64[np.ndarray, "seed scene"]]
 """Scores of one metric: each scene's mean, and the number of values behind it."""
-
-
-@runtime_checkable
-class Progress(Protocol):
-    """Function that iterates over a sequence and shows how many items are done."""
-
-    def __call__(self, items: Sequence[Item], title: str, /) -> Iterable[Item]:
-        """Iterate over the items; `title` describes the work."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,12 +173,7 @@ class ModelResult:
         return statistics.spread(self.seed_means(metric))[0]
 
 
-def silent(items: Sequence[Item], title: str) -> Iterable[Item]:
-    """Show no progress; a `Progress`."""
-    return items
-
-
-def load_standings(folder: Path, progress: Progress = silent) -> list[ModelResult]:
+def load_standings(folder: Path, progress: Tracker = untracked) -> list[ModelResult]:
     """Load and rank all results of a run folder.
 
     Raises:
@@ -198,7 +182,7 @@ def load_standings(folder: Path, progress: Progress = silent) -> list[ModelResul
     return standings(*load_scores(folder, progress), progress)
 
 
-def load_scores(folder: Path, progress: Progress = silent) -> tuple[list[RunRow], list[SceneTable | None]]:
+def load_scores(folder: Path, progress: Tracker = untracked) -> tuple[list[RunRow], list[SceneTable | None]]:
     """Load the rows of a run folder and their scene tables."""
     rows = load_runs(folder)
     _check_scenes(folder, rows)
@@ -220,7 +204,7 @@ def _check_scenes(folder: Path, rows: Iterable[RunRow]) -> None:
 
 
 def standings(
-    rows: Sequence[RunRow], tables: Sequence[SceneTable | None], progress: Progress = silent
+    rows: Sequence[RunRow], tables: Sequence[SceneTable | None], progress: Tracker = untracked
 ) -> list[ModelResult]:
     """Build the results of rows and their scene tables, ordered by track, track fitted on and model, and rank them."""
     groups = comparable_groups(unranked(rows, tables))

@@ -46,7 +46,7 @@ class Limits:
 
 
 LIMITS = (Limits(6, 4, 40, 4), Limits(6, 3, 16, 4), Limits(4, 2, 12, 3), Limits(3, 1, 8, 2), Limits(1, 0, 0, 1))
-"""From generous to frugal; the first with which the page is small enough is used."""
+"""Sizes of the gallery, from generous to frugal; the first with which the page is small enough is used."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class Result:
 
     row: RunRow
     scenes: Columns | None
-    """None if the run failed."""
+    """Scores scene by scene; None if the run failed."""
 
     @property
     def name(self) -> str:

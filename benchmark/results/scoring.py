@@ -8,9 +8,9 @@ from benchmark.clips import ClipSequence, has_true_poses, read_true_poses, read_
 from benchmark.metrics import clip_scores_of, count_clip, other_scores
 from benchmark.metrics.poses import pose_scores
 from benchmark.metrics.score import ClipScores
-from benchmark.ranking.standings import Progress, silent
 from benchmark.results.labels import check_labels_fit, each_pose, labels_path, locate, read_labels
 from benchmark.results.run_folder import RunRow, save_scenes, scene_line
+from datagen.console.progress import Tracker, untracked
 from datagen.errors import DatagenError
 from datagen.storage.reader import Dataset, Split, read_depth
 
@@ -61,7 +61,7 @@ def _scene_scores(path: Path, scenes: Split) -> Iterator[ClipScores]:
             yield one | two
 
 
-def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, progress: Progress = silent) -> int:
+def rescore(folder: Path, rows: Sequence[RunRow], data: Sequence[Path] = (), *, progress: Tracker = untracked) -> int:
     """Recompute the scene tables of all finished rows of a run folder from their label maps; return their number.
 
     The datasets are searched in the folders `data` first.

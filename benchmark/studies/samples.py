@@ -212,7 +212,7 @@ def _sample(origin: Origin, prior: ScenePrior, objects: int, camera: Camera, gen
 
 
 def _obpose(origin: Origin) -> Segmenter:
-    model = LearnedSegmenter("obpose", slots=origin.model.config.model.slots + 1, checkpoint=origin.folder)
+    model = LearnedSegmenter("obpose", slots=origin.model.config.model.segments, checkpoint=origin.folder)
     model.fit([], [], seed=0, budget=0.0)
     return model
 

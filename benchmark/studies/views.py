@@ -49,7 +49,7 @@ class Picture:
     """Colour and depth of one image."""
 
     rgb: Float[np.ndarray, "height width 3"]
-    """From 0 to 1."""
+    """Colours in 0..1."""
     depth: Float[np.ndarray, "height width"]
     """Planar, metres; 0 for none."""
 

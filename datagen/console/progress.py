@@ -1,9 +1,9 @@
 """Progress bars and status lines of all commands, on standard error; bars appear on terminals only."""
 
-from collections.abc import Callable, Iterable, Iterator, Sized
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from rich.console import Console
 from rich.progress import (
@@ -28,6 +28,16 @@ Advance = Callable[[], None]
 
 Progress = Callable[[int], AbstractContextManager[Advance]]
 """Function that starts to show progress over a number of scenes."""
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """Function that iterates over a sequence and shows how many items are done, such as `tracked`."""
+
+    def __call__(self, items: Sequence[Item], title: str, /) -> Iterable[Item]:
+        """Iterate over the items; `title` describes the work."""
+        ...
+
 
 _WINDOW_SECONDS = 120.0
 """Time over which the speed of a training is averaged to estimate the time left."""
@@ -84,6 +94,11 @@ def tracked(items: Iterable[Item], title: str, total: int | None = None) -> Iter
         for item in items:
             yield item
             advance()
+
+
+def untracked(items: Sequence[Item], title: str) -> Iterable[Item]:
+    """Iterate without showing progress; a `Tracker`."""
+    return items
 
 
 @contextmanager

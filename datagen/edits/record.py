@@ -79,7 +79,6 @@ def _images(stage: Stage, own: SceneRecord, renderer: Renderer) -> SceneRecord:
 _FINER = 3
 """Number of sample points per pixel along each axis, as in the rasteriser; an object shows if any point hits it."""
 
-Clip = UInt8[np.ndarray, "frame view height width"]
 Mask = Bool[np.ndarray, "frame view height width"]
 
 

@@ -64,4 +64,4 @@ class Request:
     fps: float | None = None
     """Frames per second of clips; default the source's, or 10."""
     reading: ReadOptions = field(default_factory=ReadOptions)
-    """How files are read."""
+    """Options of reading files."""

@@ -22,11 +22,8 @@ from scipy.spatial import ConvexHull, QhullError
 from datagen.errors import DatagenError, UsageError
 from datagen.meshes.distance import MeshSolid
 from datagen.meshes.topology import signed_volume
-from datagen.storage.atomic import write_atomically
+from datagen.storage.atomic import cache_folder, write_atomically
 from datagen.storage.safe_io import read_npz
-
-CACHE = "OBPOSE_CACHE"
-"""Environment variable that names the cache folder; the default is `~/.cache/obpose`."""
 
 CONVEX_SHARE = 0.97
 """Share of its convex hull that a mesh must fill to be taken for convex."""
@@ -110,11 +107,6 @@ def find_hulls(
     )
     write_atomically(path, buffer.getvalue())
     return hulls
-
-
-def cache_folder() -> Path:
-    """Folder of everything that can be computed again."""
-    return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()
 
 
 def _stored(path: Path, seconds: float) -> Hulls | None:

@@ -53,7 +53,7 @@ class MeshEntry:
     hulls: int
     """Number of convex hulls."""
     hulls_method: str
-    """How the hulls were made, see `datagen.meshes.hulls.Hulls.method`."""
+    """Method by which the hulls were made, see `datagen.meshes.hulls.Hulls.method`."""
     hulls_sha256: str
     """Hash of the hulls; other hulls would move differently."""
     center: tuple[float, float, float]

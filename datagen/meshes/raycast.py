@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 from datagen.errors import UsageError
 from datagen.meshes.distance import MeshSolid
 
-_FAR = 1e30
-
 
 def first_hits(
     solid: MeshSolid, origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]

@@ -104,7 +104,7 @@ def _success(result: Result | DatagenError) -> Result:
 
 
 class Cancellation(threading.Event):
-    """Is set once Dask has no use for the task that made it: its client has cancelled it, or is gone."""
+    """Event that is set once Dask has no use for the task that made it: its client has cancelled it, or is gone."""
 
     def __init__(self):
         from distributed import get_worker

@@ -38,7 +38,7 @@ class Run:
     overwrite: bool = False
     """Whether to replace a dataset of other settings in the same folder."""
     progress: Progress = no_progress
-    """Shows the progress."""
+    """Progress display."""
 
 
 @dataclass(frozen=True)

@@ -205,8 +205,8 @@ def make_scene(
 
 
 def object_rows(recipe: Recipe) -> int:
-    """Length of the object axis: the most objects that a scene of the recipe or its parts can have."""
-    return max(1, *(recipe.for_scene(index).objects.maximum for index in range(max(1, len(recipe.parts)))))
+    """Length of the object axis: the most objects that a scene can have, at least 1."""
+    return max(1, recipe.most_objects)
 
 
 def _simulate(

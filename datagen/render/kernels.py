@@ -113,7 +113,7 @@ def _linear_table() -> np.ndarray:
 LINEAR = _linear_table()
 
 SKY_SCALE = 0.63
-"""Makes the mean of `_sky` one."""
+"""Factor that makes the mean of `_sky` one."""
 
 
 class Skins(NamedTuple):

@@ -108,7 +108,7 @@ class MitsubaRenderer(RasterRenderer):
         return np.average(traced, axis=0, weights=shares)
 
     def _build(self, pixel: float) -> tuple[dict[str, Any], "list[list[_Look]]"]:
-        """Everything but cameras and poses, for images whose pixels show about so many metres."""
+        """Everything but cameras and poses, for images whose pixels show about `pixel` metres."""
         if self._built is None or not 0.8 < pixel / self._built[0] < 1.25:
             table = [_table(self._scene, pixel), _floor(self._scene, pixel)]
             fixed: dict[str, Any] = {
@@ -234,7 +234,7 @@ def _colors(material: Material, points: Float[np.ndarray, "*axes 3"], width: flo
 
 
 def _square(scene: Scene, half: float, height: float, texel: float) -> _Part:
-    """A square that shows the table's pattern in texels of so many metres."""
+    """A square that shows the table's pattern in texels of `texel` metres."""
     count = 1 if scene.table.material.pattern == "plain" else int(np.clip(2 * half / texel, 2, MOST_TEXELS))
     center = half * (2 * (np.arange(count) + 0.5) / count - 1)
     x, y = np.meshgrid(center, -center)

@@ -31,7 +31,6 @@ def find_table(
     *,
     up: Float[np.ndarray, "3"] | None = None,
     near: Float[np.ndarray, "3"] | None = None,
-    seed: int = 0,
 ) -> Plane | None:
     """Find the plane that is most likely the table, with its normal towards the camera; None if there is no plane.
 
@@ -43,11 +42,10 @@ def find_table(
         points: Camera frame (x right, y down, z forward), metres; the image is upright unless `up` is given.
         up: Direction of the world's z axis in the camera frame, if known; the table is level then.
         near: A point on the table, if known.
-        seed: Random seed.
     """
     if not len(points):
         return None
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     sample = _near_sample(points, rng)
     if near is not None:
         local = points[np.linalg.norm(points - near, axis=1) < _AROUND]

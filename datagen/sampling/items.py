@@ -1,4 +1,4 @@
-"""Which objects a scene holds: category, shape and mechanical properties, before anything is placed."""
+"""Choice of the objects of a scene: category, shape and mechanical properties, before anything is placed."""
 
 from dataclasses import dataclass
 

@@ -18,6 +18,9 @@ from datagen.errors import Busy, DatagenError, UsageError
 from datagen.storage.locks import FolderLock
 from datagen.storage.spec import SPEC_FILE
 
+CACHE = "OBPOSE_CACHE"
+"""Environment variable that names the cache folder; the default is `~/.cache/obpose`."""
+
 _TEMPORARY = re.compile(r"\.(?P<target>.+)\.partial-(?P<host>.+)-(?P<process>\d+)-(?P<thread>\d+)")
 _ABANDONED_SECONDS = 3600
 """Age from which a temporary file of another host counts as abandoned."""
@@ -253,6 +256,11 @@ def _is_abandoned(path: Path) -> bool:
         return not is_running(int(match["process"]))
     others = {thread.native_id for thread in threading.enumerate()} - {threading.get_native_id()}
     return int(match["thread"]) not in others
+
+
+def cache_folder() -> Path:
+    """Folder of everything that can be made again, such as tracks and hulls."""
+    return Path(os.environ.get(CACHE) or Path.home() / ".cache" / "obpose").expanduser()
 
 
 def is_running(process: int) -> bool:

@@ -243,7 +243,7 @@ class Checked:
 
 
 _shared = functools.lru_cache(maxsize=64)(lambda names: names)
-"""Gives one object for equal names, so that a million shards do not hold as many copies."""
+"""Give one object for equal names, so that a million shards do not hold as many copies."""
 
 
 class Shard:

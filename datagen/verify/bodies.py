@@ -22,7 +22,7 @@ BOX_TOLERANCE = 1e-5
 
 
 def check_poses(case: Case) -> Iterator[Finding]:
-    """Orientations are unit quaternions."""
+    """Check that orientations are unit quaternions."""
     quaternions = case.record["poses/quaternion_wxyz"][:, : case.count].astype(np.float64)
     error = np.abs(np.sqrt(np.sum(quaternions**2, axis=-1)) - 1)
     if np.any(error > 1e-5):
@@ -30,7 +30,7 @@ def check_poses(case: Case) -> Iterator[Finding]:
 
 
 def check_boxes(case: Case) -> Iterator[Finding]:
-    """Stored 3D boxes are the minimum boxes at the stored poses and hold the shapes."""
+    """Check that stored 3D boxes are the minimum boxes at the stored poses and hold the shapes."""
     for row, shape in enumerate(case.shapes):
         inside = (shape.vertices - shape.minimum_box.center) @ shape.minimum_box.rotation
         over = np.max(np.abs(inside) - 0.5 * shape.minimum_box.size)
@@ -45,7 +45,7 @@ def check_boxes(case: Case) -> Iterator[Finding]:
 
 
 def check_overlap(case: Case) -> Iterator[Finding]:
-    """Nothing overlaps deeply: by the stored contacts in any frame, by the exact surfaces in frame 0."""
+    """Check that no overlap is deep: by stored contacts in any frame, by exact surfaces in frame 0."""
     for frame, gap in enumerate(case.record["contacts/gap"]):
         deepest = case.allowed.physics.deepest_in_motion if frame else DEEPEST
         if np.min(gap) < -deepest - GAP_ROUNDING:
@@ -57,7 +57,7 @@ def check_overlap(case: Case) -> Iterator[Finding]:
 
 
 def check_exact_overlap(case: Case) -> Iterator[Finding]:
-    """Nothing overlaps deeply in frame 0, by the exact surfaces."""
+    """Check that no overlap is deep in frame 0, by the exact surfaces."""
     allowed = DEEPEST + HULL_SLACK
     for row in range(case.count):
         depth, other = _deepest(case, row)

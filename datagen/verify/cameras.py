@@ -22,7 +22,7 @@ PATHS = "camera/world_from_camera_of_frame"
 
 
 def check_paths(case: Case) -> Iterator[Finding]:
-    """Poses of moving cameras are rigid and begin with the pose of frame 0."""
+    """Check that poses of moving cameras are rigid and begin with the pose of frame 0."""
     poses = case.record[PATHS]
     product = np.swapaxes(poses[..., :3, :3], -1, -2) @ poses[..., :3, :3]
     if np.max(np.abs(product - np.eye(3))) > RIGID or np.any(np.linalg.det(poses[..., :3, :3]) < 0):

@@ -20,7 +20,7 @@ _CAMERAS = ("camera/K", "camera/world_from_camera", "camera/world_from_camera_of
 
 
 def check_edit(case: Case, kind: EditKind) -> Iterator[Finding]:
-    """Images of an edited scene show the scene that its edit describes."""
+    """Check that images of an edited scene show the scene that its edit describes."""
     row = int(case.record[f"edits/{kind}/object"]) - 1
     if row >= case.count:
         yield Finding("edits", f"{kind}: there is no object {row + 1}")
@@ -42,7 +42,7 @@ def check_edit(case: Case, kind: EditKind) -> Iterator[Finding]:
 
 
 def check_effects(case: Case) -> Iterator[Finding]:
-    """No object has effects where it is seen, and those of the removed one change the picture."""
+    """Check that no object has effects on its own pixels, and that those of the removed one change the picture."""
     effects = case.record["edits/remove/effects"]
     if np.any(np.unpackbits(effects, axis=-1, bitorder="little")[..., case.count :]):
         yield Finding("edits", "remove: effects of objects that are not there")

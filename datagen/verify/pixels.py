@@ -49,7 +49,7 @@ ORDER_TOLERANCE = 1.0 * DEPTH_SCALE
 
 
 def check_surfaces(case: Case) -> Iterator[Finding]:
-    """Pixels that carry an object's id lie on that object's surface."""
+    """Check that pixels with an object's id lie on its surface."""
     for frame, view in case.images:
         segmentation, depth, moment = case.segmentation(frame, view), case.depth(frame, view), case.at(frame)
         if np.max(segmentation) > case.count:
@@ -144,7 +144,7 @@ def _local_rays(
 
 
 def check_table(case: Case) -> Iterator[Finding]:
-    """Pixels without an object show the table's top where their ray meets it and nothing where it does not."""
+    """Check that pixels without an object show the table's top where their ray meets it, and nothing elsewhere."""
     for frame, view in case.images:
         moment = case.at(frame)
         depth, rays, center = case.depth(frame, view), moment.rays[view], moment.center(view)
@@ -214,7 +214,7 @@ class Rays:
 
 
 def check_order(case: Case) -> Iterator[Finding]:
-    """No object lies in front of what a pixel shows, and amodal counts are what the shapes alone would cover."""
+    """Check that no object lies in front of what a pixel shows, and that amodal counts are those of shapes alone."""
     for row in range(case.count):
         tally = Tally(case.record["segmentation"].shape[:2])
         for rays in _rays_near(case, row):

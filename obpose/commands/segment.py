@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 PROGRAM = "obpose-segment"
 FindMethod = Callable[[str, int], "Method"]
-"""Function that finds a method without training by name, for so many objects; raises UsageError if there is none."""
+"""Function that finds a method without training by name, for at most a number of objects; or raises UsageError."""
 AUTO = "auto"
 UNTRAINED_CHOICE = "plane-hdbscan"
 FARTHEST, LOWEST = 1.65, 21.0

@@ -37,7 +37,7 @@ class Image(NamedTuple):
     mask: Bool[np.ndarray, "height width"]
     """Foreground."""
     points: Float[np.ndarray, "height width 3"]
-    """Metres, in the same frame of reference for all images."""
+    """Surface points in metres, in the same frame of reference for all images."""
     rgb: Float[np.ndarray, "height width 3"]
     """0 to 1."""
     pairs: Pairs
@@ -56,7 +56,7 @@ class LabelledImage(NamedTuple):
     mask: Bool[np.ndarray, "height width"]
     """Foreground."""
     points: Float[np.ndarray, "height width 3"]
-    """Metres, in the same frame of reference for all images."""
+    """Surface points in metres, in the same frame of reference for all images."""
     rgb: Float[np.ndarray, "height width 3"]
     """0 to 1."""
     labels: Int64[np.ndarray, "pixel"]
@@ -93,7 +93,7 @@ def segment_clip(
     Args:
         images: Images in the order of time; those of one time, one per view, follow each other.
         bias: Added to the logits of affinities in single images; larger values divide less.
-        gap: Points that belong to no followed object start new ones, connected if at most so many metres apart.
+        gap: Largest distance in metres of neighbouring points of a new object; points of no followed object start one.
         views: Number of views.
 
     Returns:

@@ -24,7 +24,7 @@ class ContactModelConfig:
     gap: float = 0.06
     """Largest distance in metres between neighbouring points of a pseudo-object."""
     bias: float = 0.5
-    """Added to the logits of affinities before pixels are grouped: larger values divide less."""
+    """Value added to the logits of affinities before pixels are grouped: larger values divide less."""
     division_gap: float | None = None
     """Neighbouring points farther apart than this, metres, are divided whatever the network says; None: never. It makes
     frames of unfamiliar cameras safer, and divides what an object in front hides in the middle."""

@@ -27,7 +27,7 @@ class Images:
     rgb: Float[Tensor, "image 3 height width"]
     """sRGB in 0..1."""
     points: Float[Tensor, "image 3 height width"]
-    """Metres; 0 where not valid."""
+    """Surface points in metres; 0 where not valid."""
     normals: Float[Tensor, "image 3 height width"]
     """Unit normals from central differences; 0 where not valid."""
     valid: Bool[Tensor, "image height width"]

@@ -32,7 +32,7 @@ from obpose.types import Observation, PastedObservation, Segmentation
 EMBEDDING = 8
 """Channels of the embedding."""
 POSITION, COLOUR = 8.0, 1.5
-"""Position in metres and colour, times these, are added to channels of the embedding (Novotny et al. 2018)."""
+"""Factors of position in metres and of colour, which are added to channels of the embedding (Novotny et al. 2018)."""
 CROP = 48
 """Edge of training crops in pixels, at 64 pixels' width."""
 FOREGROUND, PUSH, AFFINITY = 2.0, 0.5, 2.0

@@ -39,7 +39,7 @@ class UNet(nn.Module):
     """Image-to-image network; sides are padded to multiples of eight."""
 
     def __init__(self, inputs: int, outputs: int):
-        """Build the layers for so many input and output channels."""
+        """Build the layers for given numbers of input and output channels."""
         super().__init__()
         self.stem = nn.Conv2d(inputs, WIDTHS[0], 3, padding=1)
         self.encoder = nn.ModuleList(

@@ -19,11 +19,12 @@ from obpose.contact.motion.tracking import COLOUR_SCALE, Cloud, track
 from obpose.data.clips import ClipSource, observation_of
 from obpose.errors import UsageError
 from obpose.geometry import unproject
+from obpose.random_streams import training_rng
 
 LEAST_PIXELS = 6
 """Number of pixels of a 64x64 image from which a component is a pseudo-object."""
 MOST_OBJECTS = 6
-"""No more objects are pasted into an image with this many."""
+"""Number of objects of an image from which on no more are pasted into it."""
 PASTED = (1, 2, 3)
 """Numbers of pseudo-objects that are pasted into an image."""
 PLACES = 12
@@ -126,7 +127,7 @@ class PastedClips:
         """
         if frames != 1:
             raise UsageError(f"Pasted images are single frames; expected train.frames=1, not {frames}.")
-        rng = np.random.default_rng([self._seed, 2, index, start])
+        rng = training_rng(self._seed, "pasted image", index, start)
         scene = self._scene(index)
         for _ in range(rng.choice(PASTED) if scene.count else 0):
             other = self._scene(int(rng.integers(len(self))))
@@ -175,7 +176,7 @@ class ClipsWithPasted:
 
     def window(self, index: int, start: int, frames: int) -> dict[str, Tensor]:
         """Read a window of a clip, with pasted images that depend on the seed, the clip and its start."""
-        rng = np.random.default_rng([self._seed, 3, index, start])
+        rng = training_rng(self._seed, "choice of images", index, start)
         places = rng.integers(
             (len(self), self._pasted.frames_of_clip), size=(round(IMAGES_PER_FRAME * frames), 2)
         ).tolist()

@@ -35,7 +35,7 @@ class BackboneOutput:
     """The grid of embeddings."""
 
     points: Float[Tensor, "image height width 3"]
-    """World frame, metres; 0 where not valid."""
+    """Surface points, world frame, metres; 0 where not valid."""
     valid: Bool[Tensor, "image height width"]
     rgb: Float[Tensor, "image height width 3"]
     """Standardised colours (`standard_colours`)."""

@@ -17,7 +17,7 @@ class Box:
     """Upright box in the world frame."""
 
     center: Float[np.ndarray, "3"]
-    """Metres."""
+    """Centre, metres."""
     rotation: Float[np.ndarray, "3 3"]
     """world_from_box: a rotation about z; x is the longer horizontal side."""
     size: Float[np.ndarray, "3"]

@@ -15,13 +15,13 @@ Labels = Int[np.ndarray, "frame height width"]
 Method = Callable[[Observation], Labels]
 """Function that labels the objects of a batch of one clip with one view; 0 is the background."""
 MOST_OBJECTS = 255
-"""Label images have 8 bits."""
+"""Largest number of objects: label images have 8 bits."""
 UNTRAINED = Trained(spacing=0.006, learned=False)
 """Pixel spacing that methods without training get."""
 GAP = 0.06
-"""Points of a video that belong to no object so far start new ones, connected if at most so many metres apart."""
+"""Largest distance in metres of neighbouring points of a new object of a video."""
 BIAS = -CAUTION
-"""Parts of a video are one object if most frames say so, unless they move apart."""
+"""Bias of joining parts of a video: with this one they are one object if most frames say so, unless they move apart."""
 LEAST_SHARE = 4e-4
 """Segments with a smaller share of the pixels of all frames are noise: 123 pixels of one frame of 640x480."""
 NEAR = 3.0

@@ -28,7 +28,7 @@ DEFAULT = "supervised--desk--128x96"
 def method_of(checkpoint: str | Path, objects: int | None = None) -> tuple[Method, Trained]:
     """Load weights as a method, and describe the scenes that they were trained on.
 
-    The IC-SBP of ObPose looks for so many `objects`, by default for as many as in training; other weights have no
+    The IC-SBP of ObPose looks for `objects` objects, by default for as many as in training; other weights have no
     limit.
 
     Raises:

@@ -16,6 +16,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from obpose.data.clips import ClipSource, stack
 from obpose.errors import DatagenError
+from obpose.random_streams import training_rng
 from obpose.types import Observation
 
 READERS_FOR_A_GPU = 8
@@ -46,7 +47,7 @@ class Sampling:
 
     def windows(self, step: int) -> list[Window]:
         """Choose the windows of a step: each clip once per shuffled epoch, at a random first frame."""
-        places = np.random.default_rng([self.seed, 1, step]).integers(
+        places = training_rng(self.seed, "window", step).integers(
             self.frames_of_clip - self.frames + 1, size=self.batch
         )
         numbers = range(step * self.batch, (step + 1) * self.batch)
@@ -144,4 +145,4 @@ def _begin_and_end_apart(_reader: int) -> None:
 
 @lru_cache(maxsize=2)
 def _order(seed: int, epoch: int, clips: int) -> Int[np.ndarray, " clips"]:
-    return np.random.default_rng([seed, 0, epoch]).permutation(clips)
+    return training_rng(seed, "epoch", epoch).permutation(clips)

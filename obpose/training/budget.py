@@ -45,7 +45,7 @@ class Budget:
 
 
 HALVINGS = 1
-"""How often `halving` halves the learning rate over the budget."""
+"""Number of halvings of the learning rate over the budget, with `halving`."""
 
 
 def learning_rate(config: TrainConfig, fraction: float) -> float:

@@ -5,7 +5,6 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from lightning_fabric import Fabric
@@ -14,6 +13,7 @@ from torch import Tensor
 
 from obpose.config import TrainConfig
 from obpose.errors import UsageError
+from obpose.random_streams import training_seed
 
 _MEMORY = {-1: 2**31 - 1, -2: 2**26, -3: 2**25}
 """Options of mallopt(3): never trim; grow by 64 MiB; allocate blocks under 32 MiB, the maximum, on the heap."""
@@ -69,8 +69,7 @@ def keep_memory() -> None:
 
 def noise_of(step: int, *, seed: int, process: int, device: torch.device) -> torch.Generator:
     """Generator of the noise of a step in a process, so that a run resumes exactly without saved generator states."""
-    number = np.random.SeedSequence([seed, 2, step, process]).generate_state(1)[0]
-    return torch.Generator(device).manual_seed(int(number))
+    return torch.Generator(device).manual_seed(training_seed(seed, "noise", step, process))
 
 
 def mean_over_processes(fabric: Fabric, values: Float[Tensor, " value"]) -> Float[Tensor, " value"]:

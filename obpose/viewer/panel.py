@@ -35,10 +35,10 @@ class Commands:
     """Callbacks of the controls."""
 
     edit: Callable[[Callable[[Session], None]], None]
-    """Called with a change of the session."""
+    """Function called with a change of the session."""
     fit: Callable[[], None]
     sample: Callable[[str], None]
-    """Called with the number of objects, as text."""
+    """Function called with the number of objects, as text."""
     save: Callable[[], None]
 
 

@@ -25,7 +25,7 @@ ISSUE = [
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(tracks.CACHE, str(tmp_path))
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path))
     return tmp_path
 
 

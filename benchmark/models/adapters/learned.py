@@ -78,7 +78,7 @@ class LearnedSegmenter:
         return self._segment(self._model, clip)
 
     def looking_for(self, objects: int) -> "LearnedSegmenter":
-        """Copy this segmenter, and let the copy look for so many objects if its number of slots can be changed."""
+        """Copy this segmenter; the copy looks for the given number of objects if its number of slots can be changed."""
         other = copy.copy(self)
         other._model = copy.deepcopy(self._model)
         look_for(other._model, objects)

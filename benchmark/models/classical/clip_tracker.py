@@ -21,7 +21,7 @@ class ClipTracker(Untrained):
     """RANSAC plane removal, components of the clearest frame, tracking; implements `Segmenter`."""
 
     gap: float = 3.0
-    """Components are connected over gaps of so many pixels' width."""
+    """Largest gap over which components are connected, in pixel widths."""
 
     def segment(self, clip: Clip) -> Prediction:
         """Label 0 is the plane, points below it, and holes; another label is one object in the whole clip."""

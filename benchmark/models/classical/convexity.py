@@ -26,7 +26,7 @@ LEAST_PIXELS = 6
 ADOPTION = 4.0
 """Smaller segments join others within this many times the gap."""
 DARK = 0.05
-"""Added to the brightness that colours are divided by: dark pixels have no reliable hue."""
+"""Value added to the brightness that colours are divided by: dark pixels have no reliable hue."""
 
 Image3 = Float[np.ndarray, "height width 3"]
 

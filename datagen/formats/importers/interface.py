@@ -84,7 +84,7 @@ class Found:
 
     recordings: Sequence[Recording]
     grouping: Grouping
-    """How its images are grouped if the user does not say."""
+    """Grouping of its images if the user does not say."""
     notes: tuple[str, ...] = ()
     """Facts that the user should know, such as scenes that were left out."""
 

@@ -55,7 +55,7 @@ class Plan:
 
 
 def enough(recordings: Sequence[Recording], scenes: int | None) -> list[Recording]:
-    """As many recordings as a number of scenes in each split needs, so that large datasets are not read in vain."""
+    """As many recordings as a number of scenes in each split needs, so that large datasets are not read whole."""
     if scenes is None:
         return list(recordings)
     taken: Counter[str | None] = Counter()

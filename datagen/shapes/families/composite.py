@@ -105,13 +105,13 @@ def build_snowman(radii: list[float], distances: list[float]) -> Shape:
 
 
 def sample_dumbbell(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Balls at both ends."""
+    """Draw a dumbbell with balls at both ends."""
     ball, bar = rng.uniform(0.14, 0.21), rng.uniform(0.045, 0.09)
     return rounded({"ball_radius": ball, "bar_radius": bar, "distance": 1 - 2 * ball}, longest(rng, size))
 
 
 def sample_weight(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Round or hexagonal discs at both ends."""
+    """Draw a weight with round or hexagonal discs at both ends."""
     disc, height = rng.uniform(0.2, 0.38), rng.uniform(0.14, 0.26)
     lengths = {"disc_radius": disc, "disc_height": height, "bar_radius": rng.uniform(0.06, 0.11)}
     corners = int(rng.choice([0, 0, 6, 8]))
@@ -119,27 +119,27 @@ def sample_weight(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_hammer(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A mallet."""
+    """Draw a mallet."""
     head = np.array([rng.uniform(0.4, 0.7), rng.uniform(0.18, 0.3), rng.uniform(0.18, 0.3)])
     parameters = {"handle_radius": rng.uniform(0.04, 0.07), "handle_length": 1 - head[2], "head_size": head}
     return rounded(parameters, longest(rng, size))
 
 
 def sample_bracket(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A shelf bracket with plates of different lengths."""
+    """Draw a shelf bracket with plates of different lengths."""
     base = rng.uniform(0.55, 0.95)
     parameters = {"base": base, "upright": 1.0, "width": rng.uniform(0.35, 0.7), "thickness": rng.uniform(0.08, 0.14)}
     return rounded({**parameters, "gusset": base * rng.uniform(0.4, 0.7)}, longest(rng, size))
 
 
 def sample_jack(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Three bars, all of them equal in half of the cases."""
+    """Draw three crossing bars; they are equal in half of the cases."""
     lengths = [1.0, 1.0, 1.0] if rng.uniform() < 0.5 else [1.0, *rng.uniform(0.6, 0.95, 2)]
     return rounded({"lengths": lengths, "width": rng.uniform(0.2, 0.35)}, longest(rng, size))
 
 
 def sample_tower(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A toy tower."""
+    """Draw a toy tower."""
     heights = rng.uniform(0.6, 1, 3)
     base = rng.uniform(0.4, 0.9)
     names = ("block_height", "drum_height", "tip_height")
@@ -149,7 +149,7 @@ def sample_tower(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_snowman(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Two or three balls."""
+    """Draw a snowman of two or three balls."""
     radii = [1.0, *np.cumprod(rng.uniform(0.65, 0.85, int(rng.integers(1, 3))))]
     distances = [0.85 * (a + b) for a, b in pairwise(radii)]
     length = radii[0] + sum(distances) + radii[-1]

@@ -88,7 +88,7 @@ def build_angle(arm_x: float, arm_z: float, thickness: float, height: float) -> 
 
 
 def sample_prism(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Three to eight corners, from tiles to pencils."""
+    """Draw a prism with three to eight corners, from tiles to pencils."""
     corners = int(rng.choice([3, 5, 6, 8]))
     height = rng.uniform(0.4, 3)
     extent = np.ptp(_regular(corners, 1.0), axis=0).max()
@@ -96,14 +96,14 @@ def sample_prism(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_star(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Four to seven points."""
+    """Draw a star with four to seven points."""
     points, inner, height = int(rng.integers(4, 8)), rng.uniform(0.42, 0.6), rng.uniform(0.3, 0.9)
     parameters = {"points": points, "outer_radius": 1.0, "inner_radius": inner, "height": height}
     return rounded(parameters, longest(rng, size) / np.ptp(_regular(points, 1.0), axis=0).max())
 
 
 def sample_gear(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Six to ten teeth."""
+    """Draw a gear wheel with six to ten teeth."""
     teeth, height = int(rng.integers(6, 11)), rng.uniform(0.3, 0.9)
     share = round(rng.uniform(0.4, 0.5), 6)
     lengths = {"outer_radius": 1.0, "inner_radius": rng.uniform(0.7, 0.8), "height": height}
@@ -113,34 +113,34 @@ def sample_gear(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_cross(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Plus signs with equal or different bars."""
+    """Draw a plus sign with equal or different bars."""
     other = 1.0 if rng.uniform() < 0.5 else rng.uniform(0.6, 0.95)
     parameters = {"length_x": 1.0, "length_y": other, "width": rng.uniform(0.2, 0.4), "height": rng.uniform(0.2, 0.6)}
     return rounded(parameters, longest(rng, size))
 
 
 def sample_tee(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A letter T."""
+    """Draw a letter T."""
     thickness, stem = rng.uniform(0.2, 0.35), rng.uniform(0.5, 1.0)
     parameters = {"bar": 1.0, "stem": stem, "thickness": thickness, "height": rng.uniform(0.2, 0.7)}
     return rounded(parameters, longest(rng, size) / max(1, stem + thickness))
 
 
 def sample_channel(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A letter U."""
+    """Draw a letter U."""
     depth = rng.uniform(0.5, 1.1)
     parameters = {"width": 1.0, "depth": depth, "thickness": rng.uniform(0.15, 0.28), "height": rng.uniform(0.25, 0.9)}
     return rounded(parameters, longest(rng, size) / max(1, depth))
 
 
 def sample_arrow(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """An arrow with a broad head."""
+    """Draw an arrow with a broad head."""
     parameters = draw(rng, length=1.0, head_length=(0.35, 0.5), head_width=(0.55, 0.85), shaft_width=(0.2, 0.35))
     return rounded(parameters | draw(rng, height=(0.2, 0.5)), longest(rng, size))
 
 
 def sample_angle(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A letter L with arms of different lengths."""
+    """Draw a letter L with arms of different lengths."""
     other = rng.uniform(0.5, 0.95)
     parameters = {"arm_x": other, "arm_z": 1.0, "thickness": rng.uniform(0.15, 0.3), "height": rng.uniform(0.2, 0.8)}
     return rounded(parameters, longest(rng, size))

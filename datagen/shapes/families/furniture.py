@@ -193,7 +193,7 @@ def sample_chair(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_stool(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """One, three or four legs."""
+    """Draw a stool with one, three or four legs."""
     height = rng.uniform(0.45, 0.8)
     lengths = draw(rng, radius=(0.16, 0.22), height=height, thickness=(0.04, 0.07), leg_radius=(0.018, 0.03))
     return rounded(lengths, longest(rng, size) / height) | {"legs": int(rng.choice([1, 3, 4]))}
@@ -208,7 +208,7 @@ def sample_bench(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_sofa(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """One to three seats."""
+    """Draw a sofa with one to three seats."""
     seats = int(rng.integers(1, 4))
     width = 0.45 + seats * rng.uniform(0.5, 0.6)
     depth, seat, back = rng.uniform(0.75, 0.9), rng.uniform(0.25, 0.35), rng.uniform(0.4, 0.5)
@@ -218,14 +218,14 @@ def sample_sofa(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_bed(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Single or double."""
+    """Draw a single or double bed."""
     lengths = draw(rng, width=(0.9, 1.7), length=2.05, height=(0.28, 0.38), mattress=(0.14, 0.22))
     lengths |= draw(rng, board_height=(0.7, 1.0), thickness=(0.05, 0.08))
     return rounded(lengths, longest(rng, size) / 2.05)
 
 
 def sample_table(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Rectangular, square in one of four cases."""
+    """Draw a rectangular table, a square one in one of four cases."""
     width = rng.uniform(0.9, 1.6)
     depth = width if rng.uniform() < 0.25 else rng.uniform(0.6, 0.85)
     lengths = draw(rng, width=width, depth=depth, height=(0.5, 0.78), thickness=(0.04, 0.08), leg=(0.05, 0.1))
@@ -233,14 +233,14 @@ def sample_table(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_round_table(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A round top on one, three or four legs: a stool of other proportions."""
+    """Draw a round top on one, three or four legs: a stool of other proportions."""
     radius = rng.uniform(0.45, 0.6)
     lengths = draw(rng, radius=radius, height=(0.6, 0.8), thickness=(0.04, 0.07), leg_radius=(0.03, 0.06))
     return rounded(lengths, longest(rng, size) / (2 * radius)) | {"legs": int(rng.choice([1, 3, 4]))}
 
 
 def sample_desk(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A writing desk."""
+    """Draw a writing desk."""
     width = rng.uniform(1.1, 1.6)
     lengths = draw(
         rng, width=width, depth=(0.55, 0.75), height=(0.7, 0.78), thickness=(0.04, 0.06), drawers=(0.35, 0.45)
@@ -256,7 +256,7 @@ def sample_cabinet(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_shelf(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Three to six boards, with or without a rear wall."""
+    """Draw a shelf of three to six boards, with or without a rear wall."""
     width, height = rng.uniform(0.6, 1.1), rng.uniform(0.8, 1.6)
     lengths = draw(rng, width=width, depth=(0.25, 0.4), height=height, thickness=(0.03, 0.05), foot=(0.06, 0.12))
     lengths["back"] = rng.uniform(0.015, 0.03) if rng.uniform() < 0.6 else 0.0

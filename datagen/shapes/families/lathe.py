@@ -40,7 +40,7 @@ def turned(profile: Corners, wall: float = 0.0, floor: float = 0.0) -> Part:
 
 
 def sample_bottle(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A body, a shoulder, a neck and a cap."""
+    """Draw a bottle: a body, a shoulder, a neck and a cap."""
     radius, neck = rng.uniform(0.16, 0.26), rng.uniform(0.05, 0.08)
     body, shoulder = rng.uniform(0.45, 0.6), rng.uniform(0.15, 0.25)
     share = np.linspace(0, 1, 7)
@@ -51,7 +51,7 @@ def sample_bottle(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_pawn(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A foot, a slim waist and a ball on top."""
+    """Draw a pawn: a foot, a slim waist and a ball on top."""
     foot, waist, head = rng.uniform(0.24, 0.34), rng.uniform(0.08, 0.13), rng.uniform(0.16, 0.22)
     share = np.linspace(0, 1, 6)
     body = np.stack([waist + (foot * 0.8 - waist) * (1 - share) ** 2, 0.12 + share * (0.88 - 2 * head)], axis=1)
@@ -64,7 +64,7 @@ def sample_pawn(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_vase(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A hollow belly between a foot and a mouth."""
+    """Draw a vase: a hollow belly between a foot and a mouth."""
     foot, belly, mouth = rng.uniform(0.12, 0.2), rng.uniform(0.25, 0.4), rng.uniform(0.14, 0.28)
     where = rng.uniform(0.3, 0.6)
     z = np.linspace(0, 1, 11)
@@ -76,7 +76,7 @@ def sample_vase(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_bowl(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """An open round wall on a foot."""
+    """Draw a bowl: an open round wall on a foot."""
     foot, height = rng.uniform(0.18, 0.28), rng.uniform(0.32, 0.5)
     angles = np.linspace(rng.uniform(0.15, 0.3), rng.uniform(1.2, 1.5), 8)
     share = (np.sin(angles) - np.sin(angles[0])) / (np.sin(angles[-1]) - np.sin(angles[0]))
@@ -87,7 +87,7 @@ def sample_bowl(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_cup(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A straight tumbler that widens towards its rim."""
+    """Draw a straight tumbler that widens towards its rim."""
     height, low = rng.uniform(0.9, 1.5), rng.uniform(0.3, 0.47)
     profile = [[low, 0.0], [0.5, height]]
     parameters = {"profile": profile, "wall": rng.uniform(0.03, 0.05), "floor": 0.08}
@@ -95,7 +95,7 @@ def sample_cup(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_goblet(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A hollow calyx on a stem and a foot."""
+    """Draw a goblet: a hollow calyx on a stem and a foot."""
     foot, stem, rim = rng.uniform(0.2, 0.28), rng.uniform(0.035, 0.05), rng.uniform(0.2, 0.3)
     start = rng.uniform(0.35, 0.5)
     angles = np.linspace(0.15, rng.uniform(1.3, 1.8), 7)

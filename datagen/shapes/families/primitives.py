@@ -71,7 +71,7 @@ def odd_last(lengths: list[float]) -> list[float]:
 
 
 def sample_box(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A brick, a bar, a plate, or (one in five each) a box on a square and a cube."""
+    """Draw a brick, a bar, a plate, or (one in five each) a box on a square and a cube."""
     kind = rng.uniform()
     x, y, z = rng.uniform(0.3, 1, 3)
     sides = [x, x, x] if kind < 0.2 else [x, x, z] if kind < 0.4 else [x, y, z]
@@ -79,18 +79,18 @@ def sample_box(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_crate(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """An open box, from trays to bins."""
+    """Draw an open box, from trays to bins."""
     lengths = draw(rng, width=1.0, depth=(0.6, 1.0), height=(0.2, 0.6), wall=(0.025, 0.04))
     return rounded(lengths, longest(rng, size))
 
 
 def sample_cube(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A box with equal sides."""
+    """Draw a cube."""
     return rounded({"size": [1.0, 1.0, 1.0]}, longest(rng, size))
 
 
 def sample_sphere(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Any radius."""
+    """Draw a ball of any radius."""
     return rounded({"radius": 0.5}, longest(rng, size))
 
 
@@ -101,18 +101,18 @@ def sample_cylinder(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_can(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A cylinder as high as it is wide."""
+    """Draw a cylinder as high as it is wide."""
     return rounded({"radius": 0.5, "height": 1.0}, longest(rng, size))
 
 
 def sample_cone(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A cone on its base, with a tip."""
+    """Draw a cone on its base, with a tip."""
     height = rng.uniform(0.7, 2)
     return rounded({"low_radius": 0.5, "high_radius": 0.0, "height": height}, longest(rng, size) / max(1, height))
 
 
 def sample_frustum(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A cut cone that narrows towards +z."""
+    """Draw a cut cone that narrows towards +z."""
     height, high = rng.uniform(0.5, 2), rng.uniform(0.15, 0.4)
     return rounded({"low_radius": 0.5, "high_radius": high, "height": height}, longest(rng, size) / max(1, height))
 
@@ -124,13 +124,13 @@ def sample_capsule(rng: np.random.Generator, size: Size) -> dict[str, Any]:
 
 
 def sample_torus(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """A ring with an open hole."""
+    """Draw a ring with an open hole."""
     tube = rng.uniform(0.22, 0.5)
     return rounded({"ring_radius": 1.0, "tube_radius": tube}, longest(rng, size) / (2 + 2 * tube))
 
 
 def sample_ellipsoid(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Three different half axes, or (one in three) a spheroid."""
+    """Draw an ellipsoid with three different half axes, or (one in three) a spheroid."""
     x, y, z = rng.uniform(0.45, 1, 3)
     axes = [x, x, z] if rng.uniform() < 1 / 3 else [x, y, z]
     return rounded({"half_axes": axes}, longest(rng, size) / (2 * max(axes)))

@@ -38,7 +38,7 @@ def build(half_axes: list[float], roundness: float, squareness: float) -> Shape:
 
 
 def sample(rng: np.random.Generator, size: Size) -> dict[str, Any]:
-    """Half of them rounded boxes, the others anything from pillows to diamonds; one in four with equal a and b."""
+    """Draw a rounded box (half of the cases) or anything from pillows to diamonds; one in four has equal a and b."""
     half_axes = rng.uniform(0.4, 1, 3)
     if rng.uniform() < 0.25:
         half_axes[1] = half_axes[0]

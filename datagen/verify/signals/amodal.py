@@ -19,7 +19,7 @@ SHARE, FEW = 0.05, 3
 
 
 def check_amodal(case: Case) -> Iterator[Finding]:
-    """Masks hold the visible pixels, as many pixels as stored, and end where the solids do."""
+    """Check that masks hold the visible pixels, as many pixels as stored, and end where the solids do."""
     height, width = case.record["segmentation"].shape[2:]
     for row in range(case.count):
         borders: list[Border] = []

@@ -19,7 +19,7 @@ SHARE, FEW = 0.05, 3
 
 
 def check_coordinates(case: Case) -> Iterator[Finding]:
-    """Coordinates lie in the object's box, at the pixel's centre and at its depth; the background has zeros."""
+    """Check that coordinates are in the object's box, at the pixel's centre and depth; the background's are zero."""
     for frame, view in case.images:
         stored, labels = case.record["object_coordinates"][frame, view], case.segmentation(frame, view)
         if np.any(stored[labels == 0]):

@@ -31,7 +31,7 @@ a surface, may decide otherwise."""
 
 
 def check_flow(case: Case) -> Iterator[Finding]:
-    """Flow is where the stored poses take the point at each pixel's stored depth; occlusion is that of the solids."""
+    """Check that flow follows from stored poses and depth, and occlusion from the solids."""
     for name, step in (("forward", 1), ("backward", -1)):
         pending: list[Pending] = []
         for frame, view in case.images:

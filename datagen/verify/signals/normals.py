@@ -33,7 +33,7 @@ SHARE, FEW = 0.02, 5
 
 
 def check_normals(case: Case) -> Iterator[Finding]:
-    """Normals have unit length, are the table's on the table, and those of the solids on objects."""
+    """Check that normals have unit length, and are those of the table and of the solids."""
     for frame, view in case.images:
         normals = case.record["normals"][frame, view].astype(np.float64) / NORMAL_SCALE
         moment, depth, labels = case.at(frame), case.depth(frame, view), case.segmentation(frame, view)

@@ -19,7 +19,7 @@ RESERVE = 1e-2
 
 
 def check_tracks(case: Case) -> Iterator[Finding]:
-    """Points are rigid with their objects, on their surfaces, and at their places in all images."""
+    """Check that points are rigid with their objects, on their surfaces, and at their places in all images."""
     row = case.record["tracks/object"].astype(int) - 1
     if np.any(row >= case.count):
         yield Finding("tracks", f"a point is on object {np.max(row) + 1}, but the scene has {case.count}")

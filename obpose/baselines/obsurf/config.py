@@ -69,10 +69,10 @@ class ObsurfLossConfig:
     overlap: float = 0.05
     """Weight of the overlap loss; 0 omits the term. [code]"""
     overlap_start: float = 0.2
-    """Share of the budget after which this weight grows from 0. [code: 20,000 steps, of the 100,000 that ObPose's
-    authors make with it]"""
+    """Share of the budget after which the weight of the overlap loss grows from 0. [code: 20,000 steps, of the 100,000
+    that ObPose's authors make with it]"""
     overlap_full: float = 0.4
-    """Share of the budget at which it reaches its value. [code: 40,000 steps]"""
+    """Share of the budget at which the weight of the overlap loss reaches its value. [code: 40,000 steps]"""
     colour_std: float = 0.2
     """Standard deviation of a colour. [code]"""
 
@@ -109,7 +109,7 @@ OBSURF_SEARCHED: dict[str, dict[str, Any]] = {
     "obsurf": {"train.learning_rate": 3e-3, "model.decoder.unit_scales": True},
     "obsurf-no-overlap-depth": {"train.learning_rate": 3e-3, "train.object_rays": 0.5},
 }
-"""Further changes in the profile `cpu`, chosen for it by the declared search (docs/results.md)."""
+"""Further changes in the profile `cpu`, chosen for it by the declared search (docs/results/search.md)."""
 
 OBSURF_PROFILES: dict[str, dict[str, Any]] = {
     "cpu": {},

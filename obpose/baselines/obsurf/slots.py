@@ -14,7 +14,7 @@ HEADS = 4
 _LEAST_HIDDEN = 128
 """Smallest hidden width of the MLP."""
 _EPSILON = 1e-8
-"""Added to the attention before it is normalised over tokens."""
+"""Value added to the attention before it is normalised over tokens."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ def follow_objects(clouds: Sequence[Cloud], objects: Labels, *, gap: float) -> L
     Args:
         clouds: Foreground of each image, in the order of time.
         objects: Objects of its points, found in each image on its own.
-        gap: Points that belong to no followed object start new ones, connected if at most so many metres apart.
+        gap: Largest distance in metres of neighbouring points of a new object; points of no followed object start one.
     """
     candidates = [track(clouds, key, objects[key], gap) for key in evenly_spread(clouds)] or [objects]
 

@@ -1,4 +1,4 @@
-"""Do parts of a clip move as one rigid body? Registered together, they fit worse than each on its own if not.
+"""Tests of whether parts of a clip move as one rigid body: otherwise they fit worse together than each on its own.
 
 Moving alike proves little, as a stack slides as a whole. Turning over together does.
 """
@@ -18,11 +18,11 @@ STEPS = (1, 3)
 LEAST_POINTS = 8
 """Parts with fewer points in a frame are not registered."""
 NEAR = 0.04
-"""Parts are compared in two frames if they are at most so many metres apart in one of them."""
+"""Distance in metres up to which parts are compared in two frames; one frame suffices."""
 ROUNDS, JOINT_ROUNDS = 6, 4
 """Rounds of registration of a part, and of two parts from the motion of either."""
 FARTHEST = 0.05
-"""Residuals are at most so many metres, so that single points do not decide."""
+"""Upper limit of residuals in metres, so that single points do not decide."""
 LARGEST = 3
 """Number of comparisons, those with the largest excess, that are averaged."""
 TOGETHER = 0.0015

@@ -41,7 +41,7 @@ class Cloud(NamedTuple):
     """Points above the table in one frame, over all views."""
 
     points: Points
-    """Metres, in the frame of the first camera."""
+    """Positions in metres, in the frame of the first camera."""
     colours: Points
     """RGB in 0..1, times `COLOUR_SCALE`."""
 
@@ -72,7 +72,7 @@ def track(
         clouds: Foreground of each frame.
         key: Index of the key frame.
         labels: Objects of its points, from 0.
-        gap: Points of new objects are connected if at most so many metres apart.
+        gap: Largest distance in metres of neighbouring points of a new object.
 
     Returns:
         Labels of all frames, from 0, with one label for an object over time.

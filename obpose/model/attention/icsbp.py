@@ -38,7 +38,7 @@ INACTIVE_SCOPE = 0.7
 MOST_ALPHA = 1e-6
 """Log alpha is at most minus this, so that a seed never takes all of a point. [code: alpha of at most 1 - 1e-6]"""
 LEAST_ALPHA = 1e3
-"""Log alpha is at least minus this, so that it and its gradient are finite at every distance."""
+"""Negative lower bound of log alpha, so that it and its gradient are finite at every distance."""
 _LEAST_POINTS = 0.5
 """A seed does not move if its sharpened mask sums to less than this many points."""
 _LEAST_LOG = -80.0

@@ -26,7 +26,7 @@ WIDTH = 32
 POSITION_FREQUENCIES = 1
 """Number of frequencies: tokens get sin and cos of 2^i pi p, for i below this, beside position p. [ours; code: 0]"""
 _EPSILON = 1e-8
-"""Added to the attention before it is normalised over tokens, as in the paper of slot attention."""
+"""Value added to the attention before it is normalised over tokens, as in the paper of slot attention."""
 _QUERY_GAIN = 2.0
 """Gain of orthogonal queries and keys, with which slots divide the points from the start. With PyTorch's own weights,
 all slots get nearly the same share of every point, and so nearly the same codes."""

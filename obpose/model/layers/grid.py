@@ -22,7 +22,7 @@ class Grid:
     """Points of several images."""
 
     points: Float[Tensor, "image height width 3"]
-    """World frame, metres; 0 where not valid."""
+    """Surface points, world frame, metres; 0 where not valid."""
     valid: Bool[Tensor, "image height width"]
 
 

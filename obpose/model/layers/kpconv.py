@@ -15,6 +15,8 @@ from obpose.model.layers.numerics import full_precision
 
 EXTENT = 0.48
 """sigma: extent of a kernel point, in units of the radius of the neighbourhood."""
+KERNEL = 15
+"""Number of kernel points."""
 
 
 @torch.no_grad()
@@ -40,10 +42,10 @@ class KPConv(nn.Module):
     The influences are an argument, so that layers with the same geometry share them. Those of invalid neighbours are 0.
     """
 
-    def __init__(self, inputs: int, outputs: int, *, kernel: int = 15):
+    def __init__(self, inputs: int, outputs: int):
         super().__init__()
         bound = inputs**-0.5
-        self.weight = nn.Parameter(torch.empty(outputs, inputs * kernel).uniform_(-bound, bound))
+        self.weight = nn.Parameter(torch.empty(outputs, inputs * KERNEL).uniform_(-bound, bound))
 
     def forward(
         self, features: Float[Tensor, "point neighbour inputs"], influences: Float[Tensor, "point neighbour kernel"]
@@ -60,7 +62,7 @@ SHELL = 0.66
 """Distance of the outer kernel points from the centre, in units of the radius of the neighbourhood."""
 
 
-def kernel_points(count: int = 15) -> Float[Tensor, "kernel 3"]:
+def kernel_points(count: int = KERNEL) -> Float[Tensor, "kernel 3"]:
     """Place one point at the origin and the others evenly on a sphere, in units of the radius.
 
     In Thomas et al. points repel each other and the origin attracts them. With 15 points, one rests at the origin and

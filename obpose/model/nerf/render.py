@@ -1,4 +1,4 @@
-"""Volume rendering of the composed scene, slow and exact, for tests and figures; training does not need it."""
+"""Volume rendering of the composed scene, slow and exact: the reference that tests compare faster rendering with."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -14,7 +14,7 @@ MIN_PIXELS = 10
 """A slot keeps its orientation from the previous frame, initially the identity, if it has the largest mask at fewer
 pixels than this. [code: 10 points]"""
 STANDING = 0.03
-"""Objects with visible points less than this above the table stand on it, metres."""
+"""Height of the lowest visible point, metres above the table, below which an object stands on the table."""
 _POINTS = 256
 """Number of surface points of an object, spread over its pixels, that determine its orientation."""
 

@@ -21,7 +21,7 @@ class Shown:
     """Pixels that show the background."""
 
     point: Float[Tensor, "pixel 3"]
-    """World frame, metres."""
+    """Surface points, world frame, metres."""
     frame: Int[Tensor, " pixel"]
     seen: Float[Tensor, "pixel 3"]
     """Colour in the frames."""

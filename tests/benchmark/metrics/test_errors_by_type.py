@@ -44,6 +44,12 @@ def test_a_switch_is_seen_across_frames_that_hide_the_object() -> None:
     assert names(errors_by_type(tables, 0)[2, 0]) == {"switched"}
 
 
+def test_of_equal_slots_an_object_can_only_have_been_in_one() -> None:
+    """The middle frame halves it between the slots of the others: whichever it is in, it switches once."""
+    tables = np.array([[[90, 0, 0], [0, 10, 0]], [[90, 0, 0], [0, 5, 5]], [[90, 0, 0], [0, 0, 10]]])
+    assert identity_switches(intersection_over_union(tables)[:, None]).tolist() == [1]
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_switches_add_up_to_the_metric(seed: int) -> None:
     tables = np.random.default_rng(seed).integers(0, 4, (6, 4, 5))

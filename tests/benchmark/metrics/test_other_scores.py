@@ -1,5 +1,7 @@
 """Metrics of other benchmarks: HOTA, IDF1, J&F, AP@50, PQ, F1 and AMI; golden cases hold reference values."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -53,6 +55,47 @@ def test_scores_of_a_clip_do_not_depend_on_its_batch(truth: np.ndarray, predicti
     for alone, together in zip((other_scores([clip])[0] for clip in clips), other_scores(clips), strict=True):
         for name, values in alone.items():
             np.testing.assert_allclose(values, together[name], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [5, 15, 31, 39])
+def test_hota_is_that_of_its_definition(seed: int):
+    """Labels that change their names from frame to frame, so that single frames and the clip prefer other pairs."""
+    rng = np.random.default_rng(seed)
+    truth = rng.integers(0, 4, (4, 3, 4))
+    renamed = np.stack([np.array([0, *rng.permutation([1, 2, 3])])[frame] for frame in truth])
+    prediction = np.where(rng.random(truth.shape) < 0.5, renamed, rng.integers(0, 4, truth.shape))
+    assert score(truth, prediction)["hota"] == pytest.approx(slow_hota(truth, prediction), abs=1e-9)
+
+
+def slow_hota(truth: np.ndarray, prediction: np.ndarray) -> float:
+    """HOTA of three objects and slots, with all matchings tried (Luiten et al., 2021, sections 4 and 5)."""
+    objects, slots = (np.stack([maps == name for name in (1, 2, 3)], axis=1) for maps in (truth, prediction))
+    both, any_ = ((op(objects[:, :, None], slots[:, None])).sum(axis=(3, 4)) for op in (np.logical_and, np.logical_or))
+    iou = both / np.maximum(any_, 1)
+    there, used = objects.any(axis=(2, 3)), slots.any(axis=(2, 3))
+    frames = there.sum(axis=0)[:, None] + used.sum(axis=0)
+    shared = iou.sum(axis=1, keepdims=True) + iou.sum(axis=2, keepdims=True) - iou
+    potential = (iou / np.maximum(shared, 1e-12)).sum(axis=0)
+    alignment = potential / np.maximum(frames - potential, 1e-12)
+    rows = np.arange(3)
+    best = [max(permutations(rows), key=lambda to: np.sum((alignment * one)[rows, to])) for one in iou]
+    scores = []
+    for alpha in np.arange(0.05, 0.99, 0.05):
+        matches = np.zeros((3, 3))
+        for one, to in zip(iou, best, strict=True):
+            matches[rows, to] += one[rows, to] >= alpha - 1e-12
+        detection = matches.sum() / (there.sum() + used.sum() - matches.sum())
+        association = np.sum(matches * matches / np.maximum(frames - matches, 1)) / max(matches.sum(), 1)
+        scores.append(np.sqrt(detection * association))
+    return float(np.mean(scores))
+
+
+def test_scores_of_single_images_are_ordered_by_frame_and_then_by_view():
+    truth = np.zeros((2, 3, 4, 4), int)
+    truth[:, :, :2] = 1
+    wrong = truth.copy()
+    wrong[1, 0] = 0
+    assert other_scores([count_clip(truth, wrong, 0)])[0]["f1"].tolist() == [1, 1, 1, 0, 1, 1]
 
 
 def test_scenes_without_objects_are_undefined():

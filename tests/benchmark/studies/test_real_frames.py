@@ -39,7 +39,7 @@ def test_true_and_predicted_masks_are_rows_of_their_own(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(tracks, "SIZES", {"train": 0, "val": 2, "test": 0})
-    monkeypatch.setenv(tracks.CACHE, str(tmp_path / "cache"))
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path / "cache"))
     command = ["import", "--format", "rgbd", str(source), "--split", "test"]
     out = tmp_path / "run"
     for name, flags in {"true": [], "predicted": ["--predicted-masks"]}.items():

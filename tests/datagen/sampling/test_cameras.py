@@ -145,3 +145,14 @@ def test_a_path_that_is_not_the_recipes_is_found(motion: str):
     other = recipe(motion=motion, orbit=31.0, travel=(0.0, 0.21, 0.0), shake=0.001)
     assert list(check_cameras(record, other, ()))
     assert list(check_cameras(record, recipe(), ()))
+
+
+@pytest.mark.parametrize("way", ["up", "out"])
+def test_one_frame_beside_an_orbit_is_found(way: str):
+    wanted = recipe(motion="orbit")
+    poses = paths(wanted)
+    away = (poses[3, 0, :3, 3] - wanted.rig.target) * [1, 1, 0]
+    poses[3, 0, :3, 3] += [0, 0, 0.001] if way == "up" else 0.001 * away / np.linalg.norm(away)
+    record = {"camera/world_from_camera": poses[0], "camera/world_from_camera_of_frame": poses}
+    found = [(finding.view, finding.message) for finding in check_cameras(record, wanted, ())]
+    assert found == [(0, "the orbit is up to 1.000 mm off")]

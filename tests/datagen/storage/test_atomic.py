@@ -46,6 +46,19 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.Mon
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_contents_are_durable_before_the_file_has_its_name_and_the_name_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path, synced = tmp_path / "file", []
+
+    def sync(descriptor: int) -> None:
+        synced.append((Path(os.readlink(f"/proc/self/fd/{descriptor}")), path.exists()))
+
+    monkeypatch.setattr("os.fsync", sync)
+    write_atomically(path, b"one")
+    assert synced == [(temporary_path(path), False), (tmp_path, True)]
+
+
 def test_a_file_is_no_folder(tmp_path: Path):
     (tmp_path / "notes").write_text("mine")
     with pytest.raises(UsageError, match="notes is a file"), locked_folder(tmp_path / "notes"):

@@ -16,6 +16,7 @@ from datagen.storage.spec import (
     make_spec,
     read_spec,
     recipe_of,
+    rendered_recipe_of,
     settings_hash,
     shard_numbers,
     shard_ranges,
@@ -31,6 +32,13 @@ RASTER = {"name": "raster", "version": 1}
 def spec(**changes):
     values = {"seed": 0, "splits": {"train": 8}, "resolution": (128, 128), "renderer": RASTER, **changes}
     return make_spec(values.pop("recipe", MOVING), **values)
+
+
+def test_the_cameras_of_the_images_may_be_others_than_those_of_the_recipe():
+    rig = {"rig": {**MOVING["rig"], "distance": 2.5}, "views": 3}
+    assert rendered_recipe_of(spec()) == recipe_of(spec())
+    found = rendered_recipe_of(spec(rig=rig))
+    assert (found.views, found.rig.distance, found.objects) == (3, 2.5, recipe_of(spec()).objects)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from datagen.scene import Camera, Scene, ShapeSpec, scene_from_json
 from datagen.schema import SceneRecord
 from datagen.sensor import sense
 from datagen.verify import verify_record
-from datagen.verify.bodies import check_boxes
+from datagen.verify.bodies import check_boxes, check_exact_overlap
 from datagen.verify.scene_case import make_case
 from tests.worlds import rendered
 
@@ -301,6 +301,12 @@ def test_deep_overlap_is_found_by_contacts_and_by_surfaces():
     record = rendered.record(rendered.scene())
     record["contacts/gap"][0, 1, 2] = record["contacts/gap"][0, 2, 1] = -0.0011
     assert checks(record) == {"overlap"}
+
+
+@pytest.mark.parametrize(("depth", "is_found"), [(0.0015, False), (0.0025, True)])
+def test_surfaces_may_overlap_by_two_millimetres(depth: float, is_found: bool):
+    beside = rendered.scene([(rendered.SPHERE, (0.2, 0.0, 0.04)), (rendered.SPHERE, (0.2, 0.08 - depth, 0.04))])
+    assert any(check_exact_overlap(make_case(rendered.record(beside)))) == is_found
 
 
 def test_contacts_of_later_frames_may_be_as_deep_as_the_recipe_says(video: SceneRecord):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sklearn.metrics import adjusted_rand_score
 
 from obpose.contact.clip import CAUTION, Image, LabelledImage, segment_clip
@@ -78,6 +79,19 @@ def test_what_most_images_join_stays_one_object_unless_it_moves_apart(joined: tu
     expected = (truth > 0).astype(np.int64) if not apart else truth
     assert found.max() == expected.max()
     assert adjusted_rand_score(found[truth > 0], expected[truth > 0]) > 0.95
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.02])
+def test_parts_that_turn_over_together_are_one_object_unless_they_move_apart(slip: float):
+    """Two halves of an image that every frame labels apart: turned over in the second frame, slid apart in the last."""
+    mask, rgb = np.ones((20, 20), bool), np.zeros((20, 20, 3))
+    labels = np.tile(np.repeat([0, 1], 10), 20)
+    body = np.random.default_rng(0).uniform(-1, 1, (400, 3)) * [0.03, 0.02, 0.015] + np.outer(labels, [0.06, 0, 0])
+    turned = body @ Rotation.from_euler("y", 15, degrees=True).as_matrix().T
+    apart = turned + np.outer(labels, [0, slip, 0])
+    images = [LabelledImage(mask, points.reshape(20, 20, 3), rgb, labels) for points in (body, turned, apart)]
+    found = segment_clip(images, bias=0.0, gap=0.03)
+    assert len(np.unique(found)) == (1 if slip == 0 else 2)
 
 
 def test_views_of_the_same_time_are_no_motion():

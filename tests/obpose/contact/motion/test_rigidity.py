@@ -38,6 +38,14 @@ def test_joint_residuals_grow_with_relative_motion(slip: float):
     assert found[0, 1] < 1e-6 if slip == 0 else found[0, 1] > 0.003
 
 
+def test_one_slip_counts_in_a_long_clip_as_in_a_short_one():
+    one, other = box(0, 0.0), box(1, 0.06)
+    frames = [cloud(one + shift(t), other + shift(t, 0.02 if t > 5 else 0.0)) for t in range(12)]
+    labels = [np.repeat([0, 1], 60)] * 12
+    short, long = (common_motion(part, labels[: len(part)]).excess[0, 1] for part in (frames[5:7], frames))
+    assert long > 0.9 * short > 0.003
+
+
 def test_parts_that_are_far_apart_or_seen_once_are_not_compared():
     one, other = box(0, 0.0), box(1, 0.3)
     far = [cloud(one, other + shift(0, 0.01 * t)) for t in range(4)]
