@@ -31,9 +31,9 @@ FindMethod = Callable[[str, int], "Method"]
 """Function that finds a method without training by name, for at most a number of objects; or raises UsageError."""
 AUTO = "auto"
 UNTRAINED_CHOICE = "plane-hdbscan"
-FARTHEST, LOWEST = 1.65, 21.0
+FARTHEST, LOWEST = 2.6, 21.0
 """Greatest distance (metres) and least elevation (degrees) of cameras for which `auto` takes the weights. Those
-of their training images are 0.5 to 1.3 m and 25 to 85 degrees; docs/own_frames.md compares methods beyond."""
+of their training images are 0.4 to 1.3 m and 25 to 85 degrees; docs/own_frames.md compares methods beyond."""
 WIDEST = 0.35
 """Greatest width of the upright box of an object in 100 validation scenes of `desk`, metres."""
 

@@ -216,7 +216,7 @@ def test_the_choice_depends_on_the_camera_and_is_named(scene: Path, tmp_path: Pa
     places = {"rgb": (scene / "rgb",), "depth": (scene / "depth",)}
     files = {**places, "intrinsics": (scene / "intrinsics").read_text()}
     assert chosen("near", np.loadtxt(scene / "pose.txt")).startswith(
-        f"weights {DEFAULT}, chosen because the camera is at most 1.65 m away"
+        f"weights {DEFAULT}, chosen because the camera is at most 2.6 m away"
     )
     for position, said in (((2.0, 0.0, 2.0), "2.8 m away, farther"), ((1.0, 0.0, 0.2), "11 degrees above the table")):
         pose = look_at(np.array(position), np.zeros(3))
