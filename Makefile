@@ -41,7 +41,7 @@ demo: .venv/.core
 	$(BIN)/obpose-datagen --video --scenes 100 --resolution 64x64 --out demo/moving
 	$(BIN)/obpose-datagen verify demo/moving
 	$(BIN)/obpose-bench --model training-free --seeds 2 --data demo/moving --out demo/results
-	$(BIN)/obpose-bench --model obpose-contact --pretrained --fit-track mixed --data demo/moving --out demo/results
+	$(BIN)/obpose-bench --model obpose-contact --pretrained --fit-track moving --data demo/moving --out demo/results
 	$(BIN)/obpose-datagen preview demo/moving --out demo/contact-sheet.png
 	@echo
 	@echo "The main job ran end to end:"

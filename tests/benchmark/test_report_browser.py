@@ -25,7 +25,7 @@ FLAGS = [
     "--enable-logging=stderr",
     "--virtual-time-budget=20000",
 ]
-WIDTHS = (1400, 1100, 820, 390)
+WIDTHS = (1280, 1100, 820, 390)
 
 pytestmark = [
     pytest.mark.slow,
@@ -92,6 +92,10 @@ frame.addEventListener("load", async () => {
       };
     }
   }
+  const board = [...page.querySelectorAll(".board")].find(visible);
+  for (const name of board.querySelectorAll(".name")) name.textContent = "obpose-contact-pretrained-density";
+  const beyond = board.getBoundingClientRect().right - board.parentElement.getBoundingClientRect().right;
+  if (beyond > 1) problems.push(`long names: the leaderboard is ${beyond} px wider than its column`);
   const background = view.getComputedStyle(page.body).backgroundColor;
   document.getElementById("found").textContent = JSON.stringify({ problems, seen, background });
 });
