@@ -37,7 +37,10 @@ def write_png(path: Path, picture: Picture) -> None:
 
 def write_gif(path: Path, pictures: Iterable[Picture], *, fps: float) -> None:
     """Write a looping GIF atomically."""
-    first, *rest = (Pillow.fromarray(picture) for picture in pictures)
+    # Pillow's default palette drops the colours of small regions, such as the cap of a bottle.
+    first, *rest = (
+        Pillow.fromarray(picture).quantize(256, Pillow.Quantize.MAXCOVERAGE, kmeans=2) for picture in pictures
+    )
     data = io.BytesIO()
     first.save(data, "GIF", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0)
     write_atomically(path, data.getvalue())

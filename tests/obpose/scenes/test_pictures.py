@@ -40,6 +40,16 @@ def test_files_hold_what_was_drawn(tmp_path):
         assert found.info["duration"] == 250
 
 
+def test_a_gif_keeps_the_colours_of_small_regions(tmp_path):
+    noise = np.random.default_rng(0).integers(50, 120, (128, 128, 3), dtype=np.uint8)
+    noise[30:32, 30:32] = [130, 110, 20]
+    ramp = np.arange(0, 256, 2, dtype=np.uint8)[:, None, None].repeat(128, 1).repeat(3, 2)
+    write_gif(tmp_path / "a.gif", [np.concatenate([noise, ramp], axis=1)], fps=4.0)
+    with Pillow.open(tmp_path / "a.gif") as found:
+        kept = np.array(found.convert("RGB"))[31, 31]
+    np.testing.assert_allclose(kept.astype(int), [130, 110, 20], atol=10)
+
+
 def test_a_turntable_goes_round_and_looks_at_the_same_point():
     center = torch.tensor([0.0, 0.0, 0.0])
     pose = CAMERA.world_from_camera.clone()
