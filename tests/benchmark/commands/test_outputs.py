@@ -23,7 +23,7 @@ def scored(model: str, score: float, *, track: str = "moving", seed: int = 0, **
 
 def printed(runs: Sequence[Run]) -> list[str]:
     console = Console(width=FILE_WIDTH, file=io.StringIO())
-    console.print(means_table(standings(*zip(*runs, strict=True))))
+    console.print(means_table(standings([row for row, _ in runs], [table for _, table in runs])))
     assert isinstance(console.file, io.StringIO)
     return [line.strip() for line in console.file.getvalue().splitlines() if line.strip()]
 
