@@ -14,6 +14,8 @@ from rich.table import Table
 from benchmark import report
 from benchmark.ranking import leaderboard
 from benchmark.ranking.columns import (
+    FAILED_SEEDS,
+    FRACTIONAL_RANKS,
     HEADLINE_POSES,
     HEADLINE_SCORES,
     RANK,
@@ -78,14 +80,16 @@ def means_table(results: Sequence[ModelResult]) -> Group:
     for group in comparable_groups(results):
         for row in map(Row, best_first(group)):
             result = row.result
-            failed = min(result.n_failed, result.n_runs) - (result.n_runs - result.n_scored)
-            seeds = SEEDS.cell(row) + (f", {failed} failed" if failed else "")
+            failures = min(result.n_failed, result.n_runs) - (result.n_runs - result.n_scored)
+            seeds = SEEDS.cell(row) + (f", {failures} failed" if failures else "")
             means = [result.mean(score.name) for score in HEADLINE_SCORES]
             cells = ["–" if math.isnan(mean) else f"{mean:z.3f}" for mean in means]
             table.add_row(*map(terminal, (*_names(result), result.marks, RANK.cell(row), seeds, *cells)))
         table.add_section()
     marks = [f"{mark} {meaning}." for mark, meaning in marks_explained(results)]
-    return Group(table, *map(terminal, (*marks, *caveats(results))))
+    shared = [FRACTIONAL_RANKS] if any(result.rank and result.rank % 1 for result in results) else []
+    failed = [FAILED_SEEDS] if any(result.n_failed for result in results) else []
+    return Group(table, *map(terminal, (*shared, *marks, *failed, *caveats(results))))
 
 
 def poses_table(results: Sequence[ModelResult]) -> Group | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmark.ranking import statistics
 from benchmark.ranking.columns import (
+    FAILED_SEEDS,
     FRACTIONAL_RANKS,
     GROUP_LETTERS,
     HEADLINE_SCORES,
@@ -42,13 +43,15 @@ def leaderboard(group: Sequence[ModelResult], numbers: Mapping[str, int]) -> dic
 
 
 def legend(group: Sequence[ModelResult], ranks: Iterable[str]) -> Iterator[str]:
-    """Explain what occurs in the leaderboard: group letters, shared ranks, marks, and caveats."""
+    """Explain what occurs in the leaderboard: shared ranks, group letters, marks, failed seeds, and caveats."""
     yield f"{RANK.note} Each block is ranked by itself; leaderboard.csv ranks all models of a track together."
     if any("." in rank for rank in ranks):
         yield FRACTIONAL_RANKS
     if any(letters for result in group for letters in result.group_letters):
         yield f"Letters behind a score: {GROUP_LETTERS}"
     yield from (f"{mark} {meaning}." for mark, meaning in marks_explained(group))
+    if any(result.n_failed for result in group):
+        yield FAILED_SEEDS
     yield from caveats(group)
 
 

@@ -23,7 +23,7 @@ def scored(model: str, score: float, *, track: str = "moving", seed: int = 0, **
 
 def printed(runs: Sequence[Run]) -> list[str]:
     console = Console(width=FILE_WIDTH, file=io.StringIO())
-    console.print(means_table(standings(*zip(*runs, strict=True))))
+    console.print(means_table(standings([row for row, _ in runs], [table for _, table in runs])))
     assert isinstance(console.file, io.StringIO)
     return [line.strip() for line in console.file.getvalue().splitlines() if line.strip()]
 
@@ -65,6 +65,14 @@ def test_seeds_are_those_that_were_run():
         "broken": ["0", "of", "1"],
     }
     assert any("do not depend on the seed: broken, fixed." in line for line in lines)
+    assert any("A seed failed if" in line for line in lines)
+
+
+def test_shared_ranks_and_failed_seeds_are_explained_only_where_they_occur():
+    tied = "".join(printed([scored("a", 0.5), scored("b", 0.5)]))
+    assert "A rank of 2.5" in tied
+    assert "A seed failed if" not in tied
+    assert "A rank of 2.5" not in "".join(printed([scored("a", 0.5), scored("b", 0.4)]))
 
 
 def test_weights_that_were_given_were_trained_and_not_fitted():

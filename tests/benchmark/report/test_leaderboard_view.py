@@ -27,6 +27,8 @@ def test_models_are_ranked_among_those_of_their_block():
     notes = " ".join(legend(found, ["1.5"]))
     assert "A rank of 2.5" in notes
     assert "A rank of 2.5" not in " ".join(legend(found, ["1"]))
+    assert "A seed failed if" not in notes
+    assert "A seed failed if" in " ".join(legend(standings([run_row("net", status="failed")], [None]), ["1"]))
 
 
 @pytest.mark.parametrize(
