@@ -15,6 +15,7 @@ from datagen.storage.atomic import write_atomically
 PROGRAM = "python -m benchmark.studies"
 STUDIES = {
     "fitted_scenes": "Draw scenes as inferred, fitted to their frames, and edited",
+    "mesh_extents": "Compare the extents of meshes of inferred objects with the true ones",
     "real_frames": "List the scores of each frame of runs on the track real-table",
     "samples": "Compare sampled scenes with real ones, in numbers and in a picture",
     "views": "Compare rendered pictures with the input view and with other views",

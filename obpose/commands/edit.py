@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from joblib import cpu_count
@@ -219,8 +220,9 @@ def mesh(values: Mesh) -> None:
     mesh = object_mesh(model, scene, values.object, frame=frame, resolution=values.cells, floor=floor)
     with new_file(values.out) as out:
         write_mesh(out, mesh)
-    sides = " x ".join(f"{100 * side:.1f}" for side in mesh.extents)
-    print(f"{values.out}: {counted(len(mesh.faces), 'triangle')}, {sides} cm along the world's axes")
+    along = np.ptp(mesh.vertices @ scene.rotation[frame, scene.place(values.object)].numpy(), axis=0)
+    sides = " x ".join(f"{100 * side:.1f}" for side in along)
+    print(f"{values.out}: {counted(len(mesh.faces), 'triangle')}, {sides} cm along the axes of the object's box")
 
 
 def _edited(change: Callable[[Any, Scene], Scene]) -> Callable[[Any], None]:

@@ -3,20 +3,22 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.data.clips import select_part
 from obpose.data.resolution import fitting_model
+from obpose.geometry import unproject
 from obpose.model.attention.given import Labels
 from obpose.model.obpose import ObPose
+from obpose.model.pose.orientation import half_extents
 from obpose.scenes.appearance import no_appearance
 from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.find_table_texture import find_texture
 from obpose.scenes.model_ref import Origin
 from obpose.scenes.refine import refine
 from obpose.scenes.scene import Camera, Scene
-from obpose.types import Inference, Observation
+from obpose.types import Inference, Observation, SceneSegmentation
 
 APPEARANCE_FRAMES = 10
 """Number of frames, evenly spaced, from which light and texture are estimated."""
@@ -53,14 +55,27 @@ def infer_labelled(
     observation = views_as_trained(origin.model, observation)
     model = fitting_model(origin.model, observation)
     found = model.segment(observation, labels)
-    scene = _fitted(model, observation, scene_of(found.inference, cameras, origin), refinements)
-    return Inferred(scene, found.labels[0])
+    scene = scene_of(found.inference, cameras, origin)
+    seen = _seen_extents(observation, found)[[name - 1 for name in scene.ids]]
+    scene = scene.with_appearance(half_extent=seen)
+    return Inferred(_fitted(model, observation, scene, refinements), found.labels[0])
 
 
 def fit_to_frames(scene: Scene, model: ObPose, observation: Observation, *, refinements: int) -> Scene:
     """Refine a scene that `infer_scene` inferred without refinements."""
     observation = views_as_trained(model, observation)
     return _fitted(fitting_model(model, observation), observation, scene, refinements)
+
+
+def _seen_extents(observation: Observation, found: SceneSegmentation) -> Float[Tensor, "slot 3"]:
+    """Half edges of the boxes around what the frames show of each slot: their upper quartile over frames, 0 if none.
+
+    In some frames the object is hidden in part, in others labels are wrong.
+    """
+    boxes, labels = found.inference.boxes, found.labels.masked_fill(~observation.valid, 0)
+    extents = half_extents(boxes.center, boxes.rotation, unproject(observation), labels)[0]
+    usual = extents.masked_fill(extents.isinf(), torch.nan).nanquantile(0.75, dim=0)
+    return usual.nan_to_num(nan=0.0)
 
 
 def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: int) -> Scene:

@@ -7,7 +7,9 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 import trimesh
+from jaxtyping import Float
 from skimage.measure import marching_cubes
+from torch import Tensor
 from trimesh.visual import ColorVisuals
 
 from datagen.geometry import LINEAR
@@ -23,8 +25,8 @@ from obpose.scenes.scene import Scene
 FORMATS = (".ply", ".glb")
 _EMPTY = -20.0
 """Logit outside of the box."""
-SURFACE = 0.9
-"""Density at the surface, as a share of the largest. Chosen by measurement: docs/create.md, section Meshes."""
+SURFACE = 0.5
+"""Density at the surface, as a share of the largest: docs/create.md, section Meshes."""
 
 
 @torch.no_grad()
@@ -41,7 +43,9 @@ def object_mesh(
     """Extract the surface of an object from its density (marching cubes, Lorensen and Cline 1987).
 
     The mesh is in the world frame, in metres. The faces of the object's box close it where the field reaches beyond
-    them. The colour of a vertex is the field's as far behind it as it was trained, seen from outside.
+    them. Fields are larger than their objects, so the mesh shrinks along each axis of the box to what the frames showed
+    (`Appearance.half_extent`). The colour of a vertex is the field's as far behind it as it was trained, seen from
+    outside.
 
     The field is evaluated at `resolution` points along each edge of the box. The mesh is cut at the height `floor` in
     the world, metres, because no camera saw what is below a table. `surface` is the density there, as a share of the
@@ -70,15 +74,24 @@ def object_mesh(
     corners, faces, _, _ = marching_cubes(around, level)
     # The padding lies a step outside the box; what it closes is cut off there.
     in_box = torch.from_numpy((corners - 1) * (2 / (resolution - 1)) - 1).to(lattice.dtype).clamp(-1, 1)
-    vertices = from_box(in_box, center, rotation, settings.pose.box_size)
-    mesh = trimesh.Trimesh(vertices.numpy(), faces, process=False)
+    mesh = trimesh.Trimesh(from_box(in_box, center, rotation, settings.pose.box_size).numpy(), faces, process=False)
     mesh.fix_normals()
     # Colours as far behind the surface as they were trained, seen from outside.
     inwards = -F.normalize(torch.from_numpy(np.array(mesh.vertex_normals)).to(lattice.dtype) @ rotation, dim=-1)
     _, hidden = model.object_field.density(in_box + 2 * JITTER / settings.pose.box_size * inwards, codes)
     colours = model.object_field.colour(hidden, inwards, codes)
+    seen = _shrink(in_box, 2 * scene.appearance.half_extent[place] / settings.pose.box_size)
+    mesh.vertices = from_box(seen, center, rotation, settings.pose.box_size).numpy()
     mesh.visual = ColorVisuals(mesh, vertex_colors=to_bytes(colours))
     return mesh
+
+
+def _shrink(vertices: Float[Tensor, "vertex 3"], half: Float[Tensor, "3"]) -> Float[Tensor, "vertex 3"]:
+    """Scale vertices along each axis to the part of their range that is in a box of these half edges; 0: keep them."""
+    low, high = vertices.amin(dim=0), vertices.amax(dim=0)
+    known = (half > 0) & (low < half) & (high > -half)
+    to_low, to_high = torch.where(known, low.maximum(-half), low), torch.where(known, high.minimum(half), high)
+    return to_low + (vertices - low) * (to_high - to_low) / (high - low).clamp(min=1e-6)
 
 
 def write_mesh(path: Path, mesh: trimesh.Trimesh) -> None:

@@ -66,6 +66,7 @@ def save_scene(folder: Path, scene: Scene, picture: Picture | None = None) -> No
         "background": scene.background,
         "detail": scene.appearance.detail,
         "alone": scene.appearance.own_scale,
+        "half_extent": scene.appearance.half_extent,
         "light": scene.appearance.light,
         "pattern": scene.appearance.texture,
         "k": torch.stack([camera.k for camera in scene.cameras]),
@@ -126,6 +127,7 @@ def load_scene(folder: Path) -> Scene:
         appearance=Appearance(
             tensors.get("detail", nothing.detail),
             tensors.get("alone", nothing.own_scale),
+            tensors.get("half_extent", nothing.half_extent),
             tensors.get("light", nothing.light),
             tensors.get("pattern", nothing.texture),
         ),
@@ -172,6 +174,7 @@ def _expected_file(objects: int, cameras: int, found: Forms) -> Forms:
     later = {
         "detail": (objects, EDGE, EDGE, EDGE, 4),
         "alone": (objects,),
+        "half_extent": (objects, 3),
         "light": tuple(no_light().shape),
         "pattern": tuple(no_texture().shape),
     }

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.models.model_spec import settings_of
@@ -20,13 +20,14 @@ from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
 from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
+from obpose.model.pose.orientation import half_extents
 from obpose.rgbd.weights import look_for
 from obpose.storage.checkpoint import load
 from obpose.systems import find_system, slots_for
 from obpose.trainable import Trainable
 from obpose.training.devices import keep_memory
 from obpose.training.loop import CurvePoint, train
-from obpose.types import Boxes, Observation, SceneSegmentation, Segmentation
+from obpose.types import Observation, SceneSegmentation, Segmentation
 
 
 class LearnedSegmenter:
@@ -145,7 +146,7 @@ def poses_of(model: Trainable, found: Segmentation, observation: Observation) ->
     if not isinstance(model, ObPose) or not isinstance(found, SceneSegmentation) or found.inference.where is None:
         return None
     boxes = found.inference.boxes
-    reach = _reach(boxes, found.labels, unproject(observation))
+    reach = half_extents(boxes.center, boxes.rotation, unproject(observation), found.labels)
     there = reach.isfinite().all(dim=-1)
     values = (
         boxes.center.masked_fill(~there[..., None], torch.nan),
@@ -153,21 +154,6 @@ def poses_of(model: Trainable, found: Segmentation, observation: Observation) ->
         2 * reach.masked_fill(~there[..., None], torch.nan),
     )
     return Poses(*(_with_background(value) for value in values))
-
-
-def _reach(
-    boxes: Boxes,
-    labels: Int[torch.Tensor, "view frame 1 height width"],
-    points: Float[torch.Tensor, "view frame 1 height width 3"],
-) -> Float[torch.Tensor, "view frame slot 3"]:
-    """Largest distances of each label's points from its box's centre, along the box's axes; -inf without points."""
-    flat, owner = (rearrange(array, "v f 1 h w ... -> v f (h w) ...") for array in (points, labels))
-    reaches = []
-    for slot in range(boxes.center.shape[2]):
-        local = torch.einsum("vfpi,vfij->vfpj", flat - boxes.center[:, :, slot, None], boxes.rotation[:, :, slot])
-        mine = (owner == slot + 1)[..., None]
-        reaches.append(local.abs().masked_fill(~mine, -torch.inf).amax(dim=2))
-    return torch.stack(reaches, dim=2)
 
 
 def _with_background(

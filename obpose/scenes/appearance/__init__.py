@@ -1,4 +1,4 @@
-"""Appearance of scenes beyond their latents: residual details of objects, light and table texture.
+"""Appearance of scenes beyond their latents: details and extents of objects, light and table texture.
 
 Not in the paper, whose scenes have none of these.
 """
@@ -22,6 +22,9 @@ class Appearance:
     """Residual grids of density and colour (`obpose.model.nerf.detail`)."""
     own_scale: Float[Tensor, "object"]
     """If positive, the residual grid replaces the object's field, in a cube of this many times the box's edge."""
+    half_extent: Float[Tensor, "object 3"]
+    """Half edges of the smallest box around what the frames show of the object, metres, centred like the object's box
+    and along its axes. Meshes are not larger. 0: unknown."""
     light: Light = field(default_factory=no_light)
     """Light that casts shadows on the background (`obpose.scenes.appearance.light`)."""
     texture: Texture = field(default_factory=no_texture)
@@ -29,14 +32,20 @@ class Appearance:
 
     def only(self, places: list[int]) -> "Appearance":
         """Keep the objects in these places."""
-        return replace(self, detail=self.detail[places], own_scale=self.own_scale[places])
+        kept = {name: getattr(self, name)[places] for name in _OF_OBJECTS}
+        return replace(self, **kept)
 
     def with_object(self, other: "Appearance", place: int) -> "Appearance":
         """Append an object of another scene."""
-        detail = torch.cat([self.detail, other.detail[place, None]])
-        return replace(self, detail=detail, own_scale=torch.cat([self.own_scale, other.own_scale[place, None]]))
+        joined = {name: torch.cat([getattr(self, name), getattr(other, name)[place, None]]) for name in _OF_OBJECTS}
+        return replace(self, **joined)
+
+
+_OF_OBJECTS = ("detail", "own_scale", "half_extent")
+"""Fields with one entry per object."""
 
 
 def no_appearance(objects: int, like: Tensor) -> Appearance:
     """Give the appearance of a scene that is nothing but its latents, on the device and in the type of `like`."""
-    return Appearance(no_detail(objects, like), like.new_zeros(objects), no_light(like), no_texture(like))
+    detail, own_scale, half_extent = no_detail(objects, like), like.new_zeros(objects), like.new_zeros(objects, 3)
+    return Appearance(detail, own_scale, half_extent, no_light(like), no_texture(like))

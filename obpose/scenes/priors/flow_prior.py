@@ -42,7 +42,8 @@ class FlowObjects:
         grids = together(drawn, like=self.flow.code)
         # Boxes share the centres and axes of the grids; parts of a grid outside of its box are cut off.
         scale = 2 * grids.half / model.config.model.pose.box_size
-        return Objects(self.flow.code.expand(count, -1), Appearance(grids.values, scale), face_camera=True)
+        appearance = Appearance(grids.values, own_scale=scale, half_extent=scale.new_zeros(len(scale), 3))
+        return Objects(self.flow.code.expand(count, -1), appearance, face_camera=True)
 
 
 def save_flow(origin: Origin, flow: Flow) -> Path:

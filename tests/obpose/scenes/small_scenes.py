@@ -54,6 +54,7 @@ def some_scene(*, objects: int = 3, frames: int = 2, seed: int = 0, model: str =
         appearance=Appearance(
             detail=draw(*no_detail(objects, above).shape),
             own_scale=torch.zeros(objects),
+            half_extent=torch.full((objects, 3), 0.1),
             light=torch.tensor([0.6, 0.0, 0.8, 0.3]),
             texture=0.3 * draw(EDGE, EDGE, 3),
         ),

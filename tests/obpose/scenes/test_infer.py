@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from obpose.data.resolution import fitting_model
+from obpose.geometry import unproject
 from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.find_table_texture import find_texture
 from obpose.scenes.appearance.light import no_light
@@ -80,3 +81,22 @@ def test_labels_are_of_the_views_that_the_model_got_and_name_the_objects():
     inferred = infer_labelled(origin, table_scene(batch=1, frames=2, views=3))
     assert inferred.labels.shape[:2] == (2, 1)
     assert set(inferred.labels.unique().tolist()) <= {0, *inferred.scene.ids}
+
+
+def test_extents_are_those_of_what_the_frames_show_as_inferred():
+    origin = Origin(some_model(), Path("folder"), "name", "hash")
+    clip = table_scene(batch=1, frames=4, height=20, width=20)
+    labels = torch.zeros_like(clip.valid, dtype=torch.int64)
+    labels[..., 3:9, 4:9], labels[:, 2:, :, 12:16, 10:18] = 1, 2  # the second appears later
+    inferred = infer_labelled(origin, clip, refinements=1, labels=labels)
+    at_first, points = infer_scene(origin, clip, labels=labels), unproject(clip)[0, :, 0]
+    for place, name in enumerate(inferred.scene.ids):
+        shown = [(inferred.labels[frame, 0] == name) & clip.valid[0, frame, 0] for frame in range(4)]
+        reaches = [
+            ((points[frame][mine] - at_first.center[frame, place]) @ at_first.rotation[frame, place]).abs().amax(dim=0)
+            for frame, mine in enumerate(shown)
+            if mine.any()
+        ]
+        expected = torch.stack(reaches).quantile(0.75, dim=0) if reaches else torch.zeros(3)
+        torch.testing.assert_close(inferred.scene.appearance.half_extent[place], expected)
+    assert inferred.scene.appearance.half_extent.any()

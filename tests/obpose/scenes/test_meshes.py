@@ -147,3 +147,15 @@ def test_vertex_colours_of_glb_files_are_linear():
     mesh.visual.vertex_colors = [0, 188, 255, 128]
     read = trimesh.load(io.BytesIO(to_glb(mesh)), file_type="glb", force="mesh")
     assert read.visual.vertex_colors[0].tolist() == [0, 128, 255, 128]
+
+
+def test_a_mesh_shrinks_to_what_the_frames_showed_of_its_object():
+    model, scene = ball_scene(0.5)
+    seen = torch.zeros_like(scene.appearance.half_extent)
+    seen[0] = torch.tensor([0.02, 0.03, 0.2])
+    scene = scene.with_appearance(half_extent=seen)
+    mesh, unknown = object_mesh(model, scene, 1), object_mesh(model, scene, 2)
+    in_box = (mesh.vertices - scene.center[0, 0].numpy()) @ scene.rotation[0, 0].numpy()
+    assert np.abs(in_box).max(axis=0) == pytest.approx([0.02, 0.03, 0.05], abs=2e-3)
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.02 * 0.03 * 0.05, rel=0.05)
+    assert unknown.volume == pytest.approx(4 / 3 * np.pi * 0.05**3, rel=0.03)

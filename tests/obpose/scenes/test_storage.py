@@ -136,7 +136,7 @@ def test_a_scene_knows_its_clip_and_older_ones_do_not(tmp_path: Path):
     assert load_scene(tmp_path / "old").clip is None
 
 
-@pytest.mark.parametrize("name", ["detail", "alone", "light", "pattern"])
+@pytest.mark.parametrize("name", ["detail", "alone", "half_extent", "light", "pattern"])
 def test_scenes_of_older_versions_have_less(tmp_path: Path, name: str):
     save_scene(tmp_path, some_scene())
     tensors = load_file(tmp_path / "scene.safetensors")
