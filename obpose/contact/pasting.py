@@ -23,6 +23,8 @@ from obpose.random_streams import training_rng
 
 LEAST_PIXELS = 6
 """Number of pixels of a 64x64 image from which a component is a pseudo-object."""
+HOLE = 1.5
+"""Largest distance, in pixels, of a pixel without depth from one whose point it takes in the search of components."""
 MOST_OBJECTS = 6
 """Number of objects of an image from which on no more are pasted into it."""
 PASTED = (1, 2, 3)
@@ -209,20 +211,38 @@ def _followed(scenes: Sequence[PseudoScene], gap: float) -> UInt8[np.ndarray, "f
 
 
 def pseudo_scenes(window: Mapping[str, Tensor], *, table: float, floor: float, gap: float) -> Iterator[PseudoScene]:
-    """Find the pseudo-objects in all images of a clip's window (`ClipSource`), by frames and views."""
+    """Find the pseudo-objects in all images of a clip's window (`ClipSource`), by frames and views.
+
+    Narrow holes in the depth do not divide them: a pixel without depth connects its neighbours as the nearest one
+    with depth would.
+    """
     observation = observation_of([window])
     points = unproject(observation)[0].numpy()
     rgb, depth, valid = (getattr(observation, name)[0].numpy() for name in ("rgb", "depth", "valid"))
     least = max(LEAST_PIXELS, round(LEAST_PIXELS * depth[0, 0].size / 64**2))
     for frame, view in np.ndindex(*depth.shape[:2]):
-        standing = valid[frame, view] & (points[frame, view, ..., 2] > table + floor)
+        measured = valid[frame, view]
+        filled, known = _with_narrow_holes(points[frame, view], measured)
+        labels = image_components(filled, known & (filled[..., 2] > table + floor), gap=gap, least=least)
         yield PseudoScene(
             rgb=rgb[frame, view].copy(),
-            depth=np.where(valid[frame, view], depth[frame, view], 0).astype(np.float32),
-            labels=image_components(points[frame, view], standing, gap=gap, least=least),
+            depth=np.where(measured, depth[frame, view], 0).astype(np.float32),
+            labels=np.where(measured, labels, 0).astype(np.uint8),
             k=observation.k[0, view].numpy(),
             world_from_camera=observation.world_from_camera[0, view].numpy(),
         )
+
+
+def _with_narrow_holes(
+    points: Float[np.ndarray, "height width 3"], measured: Bool[np.ndarray, "height width"]
+) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"]]:
+    """Give pixels beside one with depth the point of the nearest one; also say which pixels have a point."""
+    if measured.all() or not measured.any():
+        return points, measured
+    found = distance_transform_edt(~measured, return_indices=True)
+    assert isinstance(found, tuple)
+    distance, nearest = found
+    return points[tuple(nearest)], distance <= HOLE
 
 
 def cut_out(scene: PseudoScene, rng: np.random.Generator) -> Cutout | None:

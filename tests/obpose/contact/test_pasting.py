@@ -80,6 +80,21 @@ def test_the_image_with_the_most_objects_is_used():
     assert int(image["pseudo_labels"].max()) >= 2
 
 
+def test_narrow_holes_do_not_divide_objects_and_stay_unlabelled():
+    image = source([(-RADIUS, 0.0), (RADIUS, 0.0)]).window(0, 0, 1)
+    labels = next(pseudo_scenes(image, **SETTINGS)).labels
+    longer = int(np.argmax([np.ptp(np.nonzero(labels)[axis]) for axis in (0, 1)]))
+    middle = round(np.nonzero(labels)[longer].mean())
+    for width, count in ((2, 1), (4, 2)):
+        hole = [slice(None), slice(None)]
+        hole[longer] = slice(middle - width // 2, middle + width // 2)
+        valid = image["valid"].clone()
+        valid[0, 0][tuple(hole)] = False
+        found = next(pseudo_scenes({**image, "valid": valid}, **SETTINGS))
+        assert found.count == count
+        assert not found.labels[tuple(hole)].any()
+
+
 def test_clips_that_show_nothing_are_refused():
     with pytest.raises(UsageError, match="nothing more than"):
         PastedClips(source([], []), **SETTINGS, seed=0)
