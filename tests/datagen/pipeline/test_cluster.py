@@ -193,11 +193,11 @@ def test_workers_look_for_inputs_under_absolute_paths(tmp_path: Path, monkeypatc
     maker.check_inputs()
 
 
-def test_without_a_scheduler_the_command_says_how_to_start_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from datagen.pipeline import cluster
-
-    monkeypatch.setattr(cluster, "_SECONDS", 0.2)
-    with pytest.raises(cluster.UsageError, match="no scheduler answers there"), cluster.connected("tcp://127.0.0.1:9"):
+def test_without_a_scheduler_the_command_says_how_to_start_one():
+    with (
+        pytest.raises(UsageError, match="no scheduler answers there"),
+        connected("tcp://127.0.0.1:9", seconds=0.2),
+    ):
         pass
 
 

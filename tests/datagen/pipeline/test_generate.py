@@ -19,7 +19,7 @@ from datagen.storage.manifest import read_manifest
 from datagen.storage.reader import Dataset
 from datagen.storage.safe_io import read_json
 from datagen.storage.shard import pack
-from datagen.storage.spec import SPEC_FILE, spec_text, with_splits
+from datagen.storage.spec import SPEC_FILE, read_spec, spec_text, with_splits
 from datagen.verify.dataset import find
 from tests.worlds.generated import ROOT, compressions, hashes, make, recipe
 from tests.worlds.rendered import write_shard
@@ -271,10 +271,12 @@ def test_a_dataset_is_not_rendered_into_itself(tmp_path, overwrite: bool):
     assert shards(tmp_path / "source") == before
 
 
-def test_scenes_of_another_data_version_are_not_rendered(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr("datagen.pipeline.generate.DATA_VERSION", schema.DATA_VERSION + 1)
-    with pytest.raises(UsageError, match=f"data version {schema.DATA_VERSION}, this program"):
-        render(whole, tmp_path / "images")
+def test_scenes_of_another_data_version_are_not_rendered(whole, tmp_path):
+    other = read_spec(whole) | {"data_version": schema.DATA_VERSION + 1}
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / SPEC_FILE).write_text(spec_text(with_splits(other, other["splits"])))
+    with pytest.raises(UsageError, match=f"data version {schema.DATA_VERSION + 1}, this program"):
+        render(tmp_path / "other", tmp_path / "images")
     assert not (tmp_path / "images").exists()
 
 
