@@ -14,7 +14,6 @@ from datagen.meshes.library import Library
 from datagen.pipeline import shards
 from datagen.pipeline.cluster import connected
 from datagen.pipeline.make_scene import SceneMaker, Source
-from datagen.storage import spec
 from datagen.storage.manifest import read_manifest
 from datagen.storage.spec import Compression, make_spec
 from tests.paths import ROOT
@@ -172,10 +171,10 @@ def test_only_errors_that_may_pass_are_retried(local_cluster: str, tmp_path: Pat
     assert (tmp_path / "log").read_text() == calls * "called "
 
 
-def test_threads_of_a_worker_make_the_same_scenes(local_cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(spec, "_MOST_SCENES_PER_SHARD", 1)
-    make(tmp_path / "threads", {"train": 4}, dask=local_cluster)
-    make(tmp_path / "alone", {"train": 4})
+def test_threads_of_a_worker_make_the_same_scenes(local_cluster: str, tmp_path: Path):
+    sizes = {"train": 6, "val": 6, "test": 6}  # a shard for each of three threads
+    make(tmp_path / "threads", sizes, dask=local_cluster)
+    make(tmp_path / "alone", sizes)
     check_same(tmp_path / "threads", tmp_path / "alone")
 
 
