@@ -195,11 +195,14 @@ def shard_image(scenes: Sequence[PackedScene], attributes: Mapping[str, Any]) ->
         return file.id.get_file_image()
 
 
-def _write_array(file: h5py.File, name: str, stack: np.ndarray) -> h5py.Dataset:
-    return file.create_dataset(name, data=stack, chunks=_table_chunk(stack), shuffle=True, **_FILTERS["gzip"])
+def _write_array(
+    file: h5py.File, name: str, stack: np.ndarray, most_chunk_bytes: int = MOST_CHUNK_BYTES
+) -> h5py.Dataset:
+    chunks = _table_chunk(stack, most_chunk_bytes)
+    return file.create_dataset(name, data=stack, chunks=chunks, shuffle=True, **_FILTERS["gzip"])
 
 
-def _table_chunk(stack: np.ndarray, most_bytes: int = MOST_CHUNK_BYTES) -> tuple[int, ...]:
+def _table_chunk(stack: np.ndarray, most_bytes: int) -> tuple[int, ...]:
     """All scenes, or as many of them, or of one scene's frames, as a chunk may hold."""
     room = most_bytes // stack.itemsize
     scenes = room // max(1, math.prod(stack.shape[1:]))
