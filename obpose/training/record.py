@@ -28,9 +28,7 @@ PICTURE_CLIPS = 3
 class Record:
     """Writer of a run's folder, which only this process may write."""
 
-    def __init__(
-        self, folder: Path, config: Configuration, *, steps: int, tensorboard: bool, save_seconds: float = SAVE_SECONDS
-    ):
+    def __init__(self, folder: Path, config: Configuration, *, steps: int, tensorboard: bool, save_seconds: float):
         """Start, or resume after `steps` steps; checkpoints are due every `save_seconds`."""
         self._folder, self._config, self._save_seconds = folder, config, save_seconds
         self._steps = CsvLog(folder / STEPS, steps=steps)
