@@ -86,12 +86,12 @@ class Track:
     def labels_shape(self, split: str) -> tuple[int, int, int, int, int]:
         """Shape of the label maps of a split: scenes, frames, views, height, width."""
         recipe, (width, height) = load_recipe(self.name), self.resolution
-        return SIZES[split], recipe.frames, recipe.views, height, width
+        return self.size(split), recipe.frames, recipe.views, height, width
 
     def missing(self, splits: Iterable[str]) -> int:
         """Number of scenes of these splits still to be generated."""
         if not (self.folder / "dataset.json").exists():
-            return sum(SIZES[name] for name in splits)
+            return sum(map(self.size, splits))
         return DataFolder(self.folder).missing(splits)
 
     def prepare(self, splits: Iterable[str], *, workers: int = 1, progress: Progress = no_progress) -> Path:
@@ -109,7 +109,8 @@ class Track:
         return self.folder
 
     def _sizes(self) -> dict[str, Any]:
-        return {"splits": SIZES, "seed": SEED, "resolution": self.resolution, "edits": self.edits}
+        sizes = {split: self.size(split) for split in SIZES}
+        return {"splits": sizes, "seed": SEED, "resolution": self.resolution, "edits": self.edits}
 
 
 @dataclass(frozen=True)

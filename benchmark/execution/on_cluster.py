@@ -14,9 +14,6 @@ from datagen.errors import Busy, UsageError
 from datagen.pipeline.cluster import Cancellation, Kept, connected, memory_share, shared_mark
 from datagen.storage.atomic import write_atomically
 
-_COPY_SECONDS = 30
-"""Time between two copies of a job's state. A lost worker loses the training since the last copied checkpoint."""
-
 
 @contextmanager
 def on_cluster(address: str, out: Path) -> Iterator[None]:
@@ -76,8 +73,11 @@ def run_remotely(job: Runnable, limits: Limits, mark: Path) -> tuple[Outcome, Ma
 
 
 @contextmanager
-def _copying(folder: Path, state: Sequence[Path], kept: Kept) -> Iterator[None]:
-    """Copy the files of a job's state to the scheduler again and again, once they have changed."""
+def _copying(folder: Path, state: Sequence[Path], kept: Kept, *, every_seconds: float = 30) -> Iterator[None]:
+    """Copy the files of a job's state to the scheduler again and again, once they have changed.
+
+    A lost worker loses the training since the last copied checkpoint.
+    """
     ended, copied = threading.Event(), _read(folder, state)
 
     def copy() -> None:
@@ -88,7 +88,7 @@ def _copying(folder: Path, state: Sequence[Path], kept: Kept) -> Iterator[None]:
             copied = files
 
     def repeat() -> None:
-        while not ended.wait(_COPY_SECONDS):
+        while not ended.wait(every_seconds):
             copy()
 
     thread = threading.Thread(target=repeat, daemon=True)

@@ -18,7 +18,6 @@ RETRIES = 2
 """Number of times that an item is tried again after an exception that the user cannot fix, or `Busy`; Dask counts lost
 workers apart."""
 _POLL_SECONDS = 0.1
-_SECONDS = 30
 """Time limit for a connection to the scheduler."""
 
 Item = TypeVar("Item")
@@ -149,8 +148,8 @@ def memory_share() -> float:
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Cluster]:
-    """Connect to the scheduler at an address such as `tcp://host:8786`.
+def connected(address: str, *, seconds: float = 30) -> Iterator[Cluster]:
+    """Connect to the scheduler at an address such as `tcp://host:8786`, which has to answer within `seconds`.
 
     Raises:
         UsageError: Dask is not installed, or no scheduler answers.
@@ -165,7 +164,7 @@ def connected(address: str) -> Iterator[Cluster]:
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         get_address_host(address)  # after a malformed address, a client would hang at its end
-        client = Client(address, timeout=_SECONDS, set_as_default=False)
+        client = Client(address, timeout=seconds, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         reason = " ".join(str(error).split())
         raise UsageError(
@@ -175,7 +174,7 @@ def connected(address: str) -> Iterator[Cluster]:
     try:
         yield Cluster(client, address)
     finally:
-        client.close(timeout=_SECONDS)
+        client.close(timeout=seconds)
 
 
 @contextmanager

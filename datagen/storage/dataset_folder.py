@@ -33,13 +33,16 @@ from datagen.storage.spec import (
 _FACTS = "|".join((SPEC_FILE, MANIFEST_FILE, CARD_FILE, CROISSANT_FILE))
 _OURS = re.compile(rf"({_FACTS}|preview\.\w+|({'|'.join(SPLITS)})-\d{{5,}}\.(h5|json))")
 _WAIT_SECONDS = 0.05
-_PATIENCE_SECONDS = 600
-"""Time to wait for another process to prepare the folder."""
 
 
 @contextmanager
 def filling(
-    folder: Path, wanted: Spec, *, overwrite: bool = False, prove: Callable[[], object] = lambda: None
+    folder: Path,
+    wanted: Spec,
+    *,
+    overwrite: bool = False,
+    prove: Callable[[], object] = lambda: None,
+    patience_seconds: float = 600,
 ) -> Iterator[Spec]:
     """Hold a dataset's folder while scenes are written to it, and give the dataset's spec.
 
@@ -53,6 +56,7 @@ def filling(
         wanted: Its spec.
         overwrite: Delete a dataset of other settings; scenes of the wanted settings stay.
         prove: Called before a dataset is started; if it raises, the folder stays unchanged.
+        patience_seconds: Time to wait for another process that prepares the folder.
 
     Yields:
         The spec from now on: `wanted`, but never with fewer scenes than requested before or present.
@@ -65,7 +69,7 @@ def filling(
     """
     begun = _Begun(settings_hash(wanted))
     try:
-        lock, spec = _occupy(folder, wanted, begun, overwrite, prove)
+        lock, spec = _occupy(folder, wanted, begun, overwrite, prove, patience_seconds)
         with closing(lock):
             yield spec
     except BaseException:
@@ -86,10 +90,10 @@ class _Begun:
 
 
 def _occupy(
-    folder: Path, wanted: Spec, begun: _Begun, overwrite: bool, prove: Callable[[], object]
+    folder: Path, wanted: Spec, begun: _Begun, overwrite: bool, prove: Callable[[], object], patience_seconds: float
 ) -> tuple[FolderLock, Spec]:
     """Wait for the folder, and share it with other processes that make the same dataset."""
-    give_up = time.monotonic() + _PATIENCE_SECONDS
+    give_up = time.monotonic() + patience_seconds
     while time.monotonic() < give_up:
         _make(folder, begun)
         with ExitStack() as stack:

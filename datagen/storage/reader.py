@@ -33,8 +33,6 @@ from datagen.storage.spec import (
     views_of,
 )
 
-_MOST_OPEN_FILES = 64
-
 
 class Dataset:
     """A folder of scenes; files are opened when they are needed, so that it can be sent to worker processes.
@@ -128,10 +126,10 @@ def require_stationary(scenes: "Split", reader: str) -> None:
 
 
 class Split(Sequence[SceneRecord]):
-    """The scenes of one split, in order."""
+    """The scenes of one split, in order; at most `most_open` files are open at a time."""
 
-    def __init__(self, folder: Path, spec: Spec, name: str):
-        self.folder, self.spec, self.name = folder, spec, name
+    def __init__(self, folder: Path, spec: Spec, name: str, *, most_open: int = 64):
+        self.folder, self.spec, self.name, self._most_open = folder, spec, name, most_open
         self._per_shard: int = spec["scenes_per_shard"]
         self.settings_hash = settings_hash(spec)
         """SHA-256 of the settings; equal hashes mean equal scenes at equal indices, whatever the number of scenes."""
@@ -264,7 +262,7 @@ class Split(Sequence[SceneRecord]):
                 settings=self.settings_hash,
                 checked=self._checked.get(number),
             )
-            if len(self._shards) > _MOST_OPEN_FILES:
+            if len(self._shards) > self._most_open:
                 self._close_shard(next(iter(self._shards)))
         self._shards.move_to_end(number)
         return self._shards[number]

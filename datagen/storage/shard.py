@@ -195,13 +195,16 @@ def shard_image(scenes: Sequence[PackedScene], attributes: Mapping[str, Any]) ->
         return file.id.get_file_image()
 
 
-def _write_array(file: h5py.File, name: str, stack: np.ndarray) -> h5py.Dataset:
-    return file.create_dataset(name, data=stack, chunks=_table_chunk(stack), shuffle=True, **_FILTERS["gzip"])
+def _write_array(
+    file: h5py.File, name: str, stack: np.ndarray, most_chunk_bytes: int = MOST_CHUNK_BYTES
+) -> h5py.Dataset:
+    chunks = _table_chunk(stack, most_chunk_bytes)
+    return file.create_dataset(name, data=stack, chunks=chunks, shuffle=True, **_FILTERS["gzip"])
 
 
-def _table_chunk(stack: np.ndarray) -> tuple[int, ...]:
+def _table_chunk(stack: np.ndarray, most_bytes: int) -> tuple[int, ...]:
     """All scenes, or as many of them, or of one scene's frames, as a chunk may hold."""
-    room = MOST_CHUNK_BYTES // stack.itemsize
+    room = most_bytes // stack.itemsize
     scenes = room // max(1, math.prod(stack.shape[1:]))
     if scenes or stack.ndim == 1:
         return min(len(stack), max(1, scenes)), *stack.shape[1:]
@@ -267,9 +270,14 @@ class Shard:
         *,
         settings: str | None = None,
         checked: "Checked | None" = None,
+        most_bytes: int = MOST_ARRAY_BYTES,
     ):
-        """Open the file; `settings` is the spec's `settings_hash` if known, `checked` that of an earlier opening."""
+        """Open the file; `settings` is the spec's `settings_hash` if known, `checked` that of an earlier opening.
+
+        Images of more than `most_bytes`, stored or unpacked, are left to HDF5.
+        """
         self.path = folder / shard_name(split, number)
+        self._most_bytes = most_bytes
         self._datasets: dict[str, h5py.Dataset] = {}
         self._deflated: dict[str, bool] = {}
         self._sound: defaultdict[str, set[tuple[int, ...]]] = defaultdict(set)
@@ -338,12 +346,12 @@ class Shard:
         dataset = self._datasets[name]
         if name not in self._deflated:
             with reading_hdf5(self.path, _ADVICE):
-                is_small = dataset.id.get_storage_size() <= MOST_ARRAY_BYTES  # and each chunk with it
+                is_small = dataset.id.get_storage_size() <= self._most_bytes  # and each chunk with it
                 self._deflated[name] = is_small and self._compression == "gzip" and _is_packed_as_here(dataset, "gzip")
         count, views, *frame_shape = dataset.shape[1:]
         chosen = range(count)[frames or slice(None)]
         size = len(chosen) * views * math.prod(frame_shape) * dataset.dtype.itemsize
-        if not self._deflated[name] or size > MOST_ARRAY_BYTES:
+        if not self._deflated[name] or size > self._most_bytes:
             return None
         array = np.empty((len(chosen), views, *frame_shape), dataset.dtype)
         zeros = (0,) * len(frame_shape)

@@ -20,14 +20,14 @@ def shipped_name(model: str, track: str, resolution: tuple[int, int]) -> str:
     return f"{model}--{track}--{width}x{height}"
 
 
-def shipped_names() -> list[str]:
-    """List the names of all weights that ship with the package."""
-    return sorted(path.name for path in assets.CHECKPOINTS.glob("*--*--*x*") if path.is_dir())
+def shipped_names(folder: Path = assets.CHECKPOINTS) -> list[str]:
+    """List the names of all weights in a folder, by default of those that ship with the package."""
+    return sorted(path.name for path in folder.glob("*--*--*x*") if path.is_dir())
 
 
-def list_shipped() -> str:
+def list_shipped(folder: Path = assets.CHECKPOINTS) -> str:
     """List the names of all shipped weights in a sentence, for messages."""
-    names = shipped_names()
+    names = shipped_names(folder)
     return f"There are: {', '.join(names)}." if names else "There are none at all."
 
 
@@ -47,18 +47,19 @@ def find_shipped(model: str, track: str, resolution: tuple[int, int]) -> Path:
     )
 
 
-def shipped_to_create(track: str) -> str:
+def shipped_to_create(track: str, folder: Path = assets.CHECKPOINTS) -> str:
     """Name of the weights for pictures of a track: those of `obpose-contact`, otherwise of `obpose`.
 
     Raises:
         UsageError: neither exists.
     """
     for model in ("obpose-contact", "obpose"):
-        for name in shipped_names():
+        for name in shipped_names(folder):
             if name.startswith(f"{model}--{track}--"):
                 return name
     raise UsageError(
-        f"No weights of obpose for {track} ship with this package; say with --checkpoint which to use. {list_shipped()}"
+        f"No weights of obpose for {track} ship with this package; say with --checkpoint which to use. "
+        f"{list_shipped(folder)}"
     )
 
 

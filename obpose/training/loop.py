@@ -29,7 +29,7 @@ from obpose.training.budget import Budget, Stopwatch, learning_rate
 from obpose.training.devices import keep_memory, make_fabric, mean_over_processes, process_group
 from obpose.training.guard import check_validation
 from obpose.training.learner import Learner
-from obpose.training.record import Record
+from obpose.training.record import SAVE_SECONDS, Record
 from obpose.training.signals import StopRequest, stop_on_signals
 from obpose.training.validation import CurvePoint, Score, validate
 
@@ -85,6 +85,7 @@ def train(
     score: Score | None = None,
     device: str = "auto",
     tensorboard: bool = False,
+    save_seconds: float = SAVE_SECONDS,
     build: Build = build_model,
 ) -> Trained:
     """Train a model until its budget, `config.train.minutes` or `.steps`, is used up.
@@ -99,6 +100,7 @@ def train(
         score: ARI-FG from the true and the predicted labels of a clip; None to log losses only.
         device: `auto` (a GPU if there is one), `cpu` or `cuda`.
         tensorboard: Whether to also write curves for TensorBoard.
+        save_seconds: Wall time between two checkpoints in `folder`.
         build: Builds the model; by default the architecture that the configuration belongs to.
 
     Raises:
@@ -120,7 +122,11 @@ def train(
         progress = _resume(learner, folder, config, fabric.world_size) if folder else _Progress()
         # Otherwise a slow process would find the files that the first one writes.
         fabric.barrier()
-        record = Record(folder, config, steps=progress.step, tensorboard=tensorboard) if folder and writes else None
+        record = (
+            Record(folder, config, steps=progress.step, tensorboard=tensorboard, save_seconds=save_seconds)
+            if folder and writes
+            else None
+        )
         clips = learner.model.training_source(source)
         run = _Run(fabric, learner, clips, val_source, config, progress, record, report, look, score)
         try:

@@ -28,9 +28,9 @@ PICTURE_CLIPS = 3
 class Record:
     """Writer of a run's folder, which only this process may write."""
 
-    def __init__(self, folder: Path, config: Configuration, *, steps: int, tensorboard: bool):
-        """Start, or resume after `steps` steps."""
-        self._folder, self._config = folder, config
+    def __init__(self, folder: Path, config: Configuration, *, steps: int, tensorboard: bool, save_seconds: float):
+        """Start, or resume after `steps` steps; checkpoints are due every `save_seconds`."""
+        self._folder, self._config, self._save_seconds = folder, config, save_seconds
         self._steps = CsvLog(folder / STEPS, steps=steps)
         self._validations = CsvLog(folder / VALIDATIONS, steps=steps)
         self._board = TensorBoardLog(folder / "tensorboard", steps=steps) if tensorboard else None
@@ -70,8 +70,8 @@ class Record:
         self._saved = time.monotonic()
 
     def save_is_due(self) -> bool:
-        """Whether the last checkpoint is older than `SAVE_SECONDS`."""
-        return time.monotonic() - self._saved > SAVE_SECONDS
+        """Whether the last checkpoint is older than `save_seconds`."""
+        return time.monotonic() - self._saved > self._save_seconds
 
     def close(self) -> None:
         """Flush pending values."""

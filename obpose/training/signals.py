@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from types import FrameType
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
-ECHO_SECONDS = 1.0
-"""Time within which a second signal belongs to the same request, because shells and `torchrun` forward signals."""
 
 
 class StopRequest:
@@ -21,9 +19,10 @@ class StopRequest:
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[StopRequest]:
+def stop_on_signals(*, echo_seconds: float = 1.0) -> Iterator[StopRequest]:
     """Record SIGTERM and SIGINT instead of exiting; a later signal has its usual effect.
 
+    A second signal within `echo_seconds` belongs to the same request, because shells and `torchrun` forward signals.
     Python allows this in the main thread only; in other threads nothing is changed.
     """
     request = StopRequest()
@@ -37,7 +36,7 @@ def stop_on_signals() -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
     def note(number: int, _frame: FrameType | None) -> None:
-        if request.received and time.monotonic() - request.when > ECHO_SECONDS:
+        if request.received and time.monotonic() - request.when > echo_seconds:
             restore()
             signal.raise_signal(number)
         elif not request.received:

@@ -4,7 +4,6 @@ import csv
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,15 +14,16 @@ import numpy as np
 import pytest
 from safetensors import safe_open
 
-import assets
+from assets import CHECKPOINTS
 from benchmark.commands.cli import main
 from benchmark.results.run_folder import load_runs
 from datagen.errors import EXIT_INTERRUPTED, EXIT_OK
-from datagen.tracks import DataFolder
+from obpose.storage.checkpoint import read_config
 from tests.paths import ROOT
 from tests.processes import errors_at_end, wait_until
 
 STEPS = 16
+SHIPPED = "obpose--moving--64x64"
 
 pytestmark = pytest.mark.slow
 
@@ -123,30 +123,33 @@ def test_a_budget_in_seconds_is_kept_and_the_time_is_told_beforehand(tiny_datase
         assert 3 <= row.measured.fit_seconds < 6
 
 
-def test_weights_that_ship_need_no_training(
-    tiny_dataset: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-):
-    (trained,) = (whole / "training").iterdir()
-    data = DataFolder(tiny_dataset)
-    monkeypatch.setattr(assets, "CHECKPOINTS", tmp_path / "checkpoints")
-    name = "obpose--{}--{}x{}".format(data.name, *data.resolution)
-    (tmp_path / "checkpoints" / name).mkdir(parents=True)
-    for file in ("model.safetensors", "config.json"):
-        shutil.copy(trained / file, tmp_path / "checkpoints" / name / file)
+def test_weights_that_ship_need_no_training(tiny_dataset: Path, tmp_path: Path):
     out = tmp_path / "out"
     assert run_cli("--model", "obpose", "plane-dbscan", "--data", tiny_dataset, "--pretrained", "--out", out) == EXIT_OK
     rows = {row.key.model: row for row in load_runs(out) if row.kind == "learned"}
     assert set(rows) == {"obpose-pretrained", "obpose-pretrained-att"}
-    assert {row.pretrained for row in rows.values()} == {name}
-    assert rows["obpose-pretrained"].config["train"]["steps"] == STEPS
+    assert {row.pretrained for row in rows.values()} == {SHIPPED}
+    assert rows["obpose-pretrained"].config["train"]["steps"] == read_config(CHECKPOINTS / SHIPPED).train.steps
     assert not (out / "training").exists()
     with (out / "leaderboard.csv").open(newline="") as file:
         lines = {line["model"]: line for line in csv.DictReader(file)}
     assert (lines["obpose-pretrained"]["n_seeds"], lines["obpose-pretrained"]["marks"]) == ("1", "‡70§")
     assert lines["plane-dbscan"]["n_seeds"] == "3"
     assert "§ behind a name: pretrained" in (out / "leaderboard.md").read_text()
-    given = ("--checkpoint", trained, "--name", "mine")
-    assert run_cli(*given, "--data", tiny_dataset, "--out", tmp_path / "given") == EXIT_OK
-    for model, labels in labels_in(whole).items():
-        np.testing.assert_array_equal(labels_in(out)[model.replace("obpose", "obpose-pretrained")], labels)
-        np.testing.assert_array_equal(labels_in(tmp_path / "given")[model.replace("obpose", "mine")], labels)
+    assert_labels_of_checkpoint(SHIPPED, tiny_dataset, tmp_path / "given", labels_in(out), "obpose-pretrained")
+
+
+def test_weights_of_a_training_give_its_labels(tiny_dataset: Path, whole: Path, tmp_path: Path):
+    (trained,) = (whole / "training").iterdir()
+    assert_labels_of_checkpoint(trained, tiny_dataset, tmp_path, labels_in(whole), "obpose")
+
+
+def assert_labels_of_checkpoint(
+    checkpoint: Path | str, data: Path, out: Path, expected: dict[str, np.ndarray], name: str
+) -> None:
+    """A checkpoint gives the labels that a run has under this name."""
+    assert run_cli("--checkpoint", checkpoint, "--name", "mine", "--data", data, "--out", out) == EXIT_OK
+    found = labels_in(out)
+    assert set(found) == {"mine", "mine-att"}
+    for model, labels in found.items():
+        np.testing.assert_array_equal(labels, expected[model.replace("mine", name)])

@@ -2,7 +2,6 @@ from pathlib import Path
 
 import pytest
 
-from datagen import tracks
 from datagen.config import load_recipe
 from datagen.errors import DatagenError, UsageError
 from datagen.storage.reader import Dataset
@@ -29,11 +28,15 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+class TinyTrack(Track):
+    def size(self, split: str) -> int:
+        return {"train": 2, "val": 1, "test": 1}[split]
+
+
 @pytest.fixture
-def tiny(cache: Path, monkeypatch: pytest.MonkeyPatch) -> Track:
+def tiny(cache: Path) -> Track:
     pytest.importorskip("pybullet", reason="simulation needs PyBullet")
-    monkeypatch.setattr(tracks, "SIZES", {"train": 2, "val": 1, "test": 1})
-    return find_track("moving")
+    return TinyTrack("moving")
 
 
 def test_every_recipe_is_a_track():
@@ -91,11 +94,10 @@ def test_a_track_is_made_split_by_split_and_only_once(tiny: Track):
     assert Dataset(folder).spec["spec_hash"] == tiny.spec_hash
 
 
-def test_other_settings_of_a_recipe_have_another_folder(cache: Path, monkeypatch: pytest.MonkeyPatch):
-    before = find_track("moving").folder
-    assert before.parent == cache / "tracks"
-    monkeypatch.setattr(tracks, "SEED", 1)
-    assert find_track("moving").folder != before
+def test_other_settings_of_a_recipe_have_another_folder(cache: Path):
+    folders = {track("moving").folder for track in (Track, TinyTrack)}
+    assert len(folders) == 2
+    assert {folder.parent for folder in folders} == {cache / "tracks"}
 
 
 def test_a_dataset_in_the_place_of_a_track(tmp_path: Path):

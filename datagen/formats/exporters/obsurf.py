@@ -3,7 +3,7 @@
 ObSuRF's loader knows one camera (320x240 pixels, 35 mm lens, aimed at the origin), so other images are refused.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -31,17 +31,17 @@ _TOLERANCE = 0.05
 _REMEDY = "--resolution 320x240 --rig.field-of-view 49.13434 --rig.target 0 0 0"
 
 
-def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
-    """Write `images/`, `depths/`, `masks/` and `metadata.npz`."""
+def write(folder: Path, scenes: Iterable[ExportScene], *, most: Mapping[str, int] = MOST) -> None:
+    """Write `images/`, `depths/`, `masks/` and `metadata.npz` of at most so many image sets of each split."""
     rows: dict[int, dict[str, np.ndarray]] = {}
     counts = dict.fromkeys(FIRST, 0)
     for scene in scenes:
         for frame in range(scene.frames):
             number = FIRST[scene.split] + counts[scene.split]
             counts[scene.split] += 1
-            if counts[scene.split] > MOST[scene.split]:
+            if counts[scene.split] > most[scene.split]:
                 raise UsageError(
-                    f"ObSuRF's loader reads at most {MOST[scene.split]:,} {scene.split} scenes, and every frame is "
+                    f"ObSuRF's loader reads at most {most[scene.split]:,} {scene.split} scenes, and every frame is "
                     "one; the dataset has more. Export other splits, or a smaller dataset."
                 )
             rows[number] = _write_images(folder, scene, frame, number)

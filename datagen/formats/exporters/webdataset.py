@@ -19,14 +19,14 @@ SAMPLES_PER_SHARD = 32
 """Loaders give whole shards to their workers, so that small ones keep all of them busy."""
 
 
-def write(folder: Path, scenes: Iterable[ExportScene]) -> None:
+def write(folder: Path, scenes: Iterable[ExportScene], *, samples_per_shard: int = SAMPLES_PER_SHARD) -> None:
     """Write `SPLIT-NNNNNN.tar` files."""
     for split, members in groupby(scenes, lambda scene: scene.split):
         samples = (sample for scene in members for sample in _samples(scene))
         for number, first in enumerate(samples):
             with tarfile.open(folder / f"{split}-{number:06d}.tar", "w", format=tarfile.USTAR_FORMAT) as shard:
                 _add(shard, *first)
-                for sample in islice(samples, SAMPLES_PER_SHARD - 1):
+                for sample in islice(samples, samples_per_shard - 1):
                     _add(shard, *sample)
 
 

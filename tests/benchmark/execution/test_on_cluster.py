@@ -53,8 +53,7 @@ def test_a_job_resumes_what_a_lost_worker_or_client_left(
     assert (job.state[0] / "count").read_text() == "3"
 
 
-def test_changed_files_are_copied_while_a_job_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(on_cluster, "_COPY_SECONDS", 0.01)
+def test_changed_files_are_copied_while_a_job_runs(tmp_path: Path):
     copies, copied = [], threading.Event()
 
     class Kept:
@@ -62,7 +61,7 @@ def test_changed_files_are_copied_while_a_job_runs(tmp_path: Path, monkeypatch: 
             copies.append(files)
             copied.set()
 
-    with on_cluster._copying(tmp_path, [tmp_path / "training"], Kept()):
+    with on_cluster._copying(tmp_path, [tmp_path / "training"], Kept(), every_seconds=0.01):
         (tmp_path / "training").mkdir()
         (tmp_path / "training" / "model").write_bytes(b"weights")
         assert copied.wait(10)

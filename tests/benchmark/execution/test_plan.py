@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-import assets
+from assets import CHECKPOINTS
 from benchmark.commands.arguments import Run
 from benchmark.commands.request import request_of
 from benchmark.execution.jobs import OVERHEAD, STARTING_SECONDS, Job, Target, blank_row
@@ -186,23 +186,13 @@ def test_the_profile_is_part_of_what_a_model_that_learns_is(register):
     assert plan().keys == plan(profile="gpu").keys
 
 
-@pytest.fixture
-def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(assets, "CHECKPOINTS", tmp_path)
-    folder = tmp_path / "net--mixed--64x64"
-    folder.mkdir()
-    (folder / "model.safetensors").write_bytes(b"1")
-    return folder
-
-
-def test_shipped_weights_take_one_seed_and_the_test_split(register, shipped: Path):
-    register(extra=("att",))
-    made = plan(fit_source=MIXED, pretrained=True)
+def test_shipped_weights_take_one_seed_and_the_test_split():
+    made = plan("obpose", fit_source=MIXED, pretrained=True)
     assert [(key.model, key.fit_track, key.seed) for key in made.keys] == [
-        ("net-pretrained", "mixed", 0),
-        ("net-pretrained-att", "mixed", 0),
+        ("obpose-pretrained", "mixed", 0),
+        ("obpose-pretrained-att", "mixed", 0),
     ]
-    assert [(job.model, job.checkpoint) for job in made.jobs] == [("net", shipped)]
+    assert [(job.model, job.checkpoint) for job in made.jobs] == [("obpose", CHECKPOINTS / "obpose--mixed--64x64")]
     assert {source.name: splits for source, splits in made.splits.items() if splits} == {"moving": ("test",)}
 
 
@@ -217,18 +207,18 @@ def test_weights_of_a_folder_stand_beside_the_models(register, tmp_path: Path):
     assert (job.checkpoint, job.training_seconds, job.seed) == (tmp_path, 0.0, 0)
 
 
-def test_rows_of_other_weights_never_mix(register, shipped: Path):
-    before = plan(fit_source=MIXED, pretrained=True).keys
-    assert plan(fit_source=MIXED, pretrained=True, seconds=3.0).keys == before
-    (shipped / "model.safetensors").write_bytes(b"2")
-    assert plan(fit_source=MIXED, pretrained=True).keys != before
-    assert plan(fit_source=MIXED).keys != before
+def test_rows_of_other_weights_never_mix(tmp_path: Path):
+    def keys_of(weights: bytes, **facts: object) -> tuple[RunKey, ...]:
+        (tmp_path / "model.safetensors").write_bytes(weights)
+        return plan("plane-dbscan", weights=(Weights("obpose", tmp_path, "mine"),), **facts).keys
+
+    assert keys_of(b"1") == keys_of(b"1", seconds=3.0) != keys_of(b"2")
 
 
-def test_models_that_learn_nothing_run_beside_them_as_ever(register, shipped: Path):
-    made = plan("net", "plane-dbscan", fit_source=MIXED, pretrained=True)
-    assert sorted(job.model for job in made.jobs) == ["net", *["plane-dbscan"] * 3]
-    assert plan("plane-dbscan", fit_source=MIXED).jobs == tuple(job for job in made.jobs if job.model != "net")
+def test_models_that_learn_nothing_run_beside_them_as_ever():
+    made = plan("obpose", "plane-dbscan", fit_source=MIXED, pretrained=True)
+    assert sorted(job.model for job in made.jobs) == ["obpose", *["plane-dbscan"] * 3]
+    assert plan("plane-dbscan", fit_source=MIXED).jobs == tuple(job for job in made.jobs if job.model != "obpose")
 
 
 def test_a_wanted_row_is_the_same_whoever_asks(register):

@@ -7,10 +7,13 @@ import pytest
 from PIL import Image
 
 from benchmark.commands import cli
+from benchmark.commands.request import FITTED_ON
 from benchmark.studies.__main__ import main
 from datagen import tracks
 from datagen.commands.cli import main as datagen
+from datagen.config import load_recipe
 from datagen.errors import EXIT_OK, EXIT_USAGE
+from datagen.pipeline.generate import generate
 from tests.worlds.sphere_clips import clip_and_truth
 
 WEIGHTS = "supervised--desk--128x96"
@@ -38,8 +41,9 @@ def source(tmp_path: Path) -> Path:
 def test_true_and_predicted_masks_are_rows_of_their_own(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(tracks, "SIZES", {"train": 0, "val": 2, "test": 0})
     monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path / "cache"))
+    fitted = tracks.find_track(FITTED_ON)  # with fewer scenes than usual
+    generate(fitted.folder, load_recipe(FITTED_ON), splits={"val": 2}, resolution=fitted.resolution)
     command = ["import", "--format", "rgbd", str(source), "--split", "test"]
     out = tmp_path / "run"
     for name, flags in {"true": [], "predicted": ["--predicted-masks"]}.items():

@@ -1,17 +1,19 @@
 import json
 import logging
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from datagen.errors import DatagenError, UsageError
-from datagen.formats import export as module
 from datagen.formats.export import EXPORT_FILE, export
 from datagen.formats.export_card import export_card
 from datagen.formats.exporters import EXPORTERS, Format
-from datagen.schema import FIELDS
-from datagen.storage.reader import Dataset, Split
+from datagen.storage.reader import Dataset
+from datagen.storage.shard import pack
+from datagen.storage.spec import SPEC_FILE, read_spec, spec_text, with_splits
 from tests.worlds import rendered
 
 FORMATS: list[Format] = list(EXPORTERS)
@@ -62,13 +64,14 @@ def test_equal_datasets_give_equal_bytes(clips: Path, tmp_path: Path):
     assert all((tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes() for name in files)
 
 
-def test_a_failed_export_leaves_nothing(clips: Path, tmp_path: Path, monkeypatch):
-    def full(*_: object) -> None:
+def test_a_failed_export_leaves_nothing(clips: Path, tmp_path: Path):
+    @contextmanager
+    def full(_total: int) -> Iterator[Callable[[], None]]:
+        yield lambda: None
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module, "_write_metadata", full)
     with pytest.raises(DatagenError, match="No space left"):
-        export(clips, tmp_path / "out", "rgbd")
+        export(clips, tmp_path / "out", "rgbd", progress=full)
     assert os.listdir(tmp_path) == []
 
 
@@ -105,19 +108,28 @@ def test_splits_without_scenes_are_refused(clips: Path, tmp_path: Path):
         export(clips, tmp_path / "out", "rgbd", splits=("val", "test"))
 
 
-def test_a_dataset_without_images_has_to_be_rendered_first(clips: Path, tmp_path: Path, monkeypatch):
-    monkeypatch.setattr("datagen.storage.reader.Split.fields", lambda *_: sorted(FIELDS.keys() - {"rgb"}))
+def test_a_dataset_without_images_has_to_be_rendered_first(tmp_path: Path):
+    data = write_without(tmp_path / "data", "rgb")
     with pytest.raises(UsageError, match=r"needs rgb, .* Render it first: obpose-datagen render --from"):
-        export(clips, tmp_path / "out", "rgbd")
+        export(data, tmp_path / "out", "rgbd")
 
 
-def test_splits_that_have_the_fields_are_named(clips: Path, monkeypatch):
-    def fields(split: Split) -> list[str]:
-        return sorted(FIELDS.keys() - ({"segmentation"} if split.name == "train" else set()))
+def test_splits_that_have_the_fields_are_named(tmp_path: Path):
+    data, record = (
+        write_without(tmp_path / "data", "rgb", "scene/description"),
+        rendered.record(rendered.scene(frames=1)),
+    )
+    facts = with_splits(read_spec(data), {"train": 1, "val": 1})
+    (data / SPEC_FILE).write_text(spec_text(facts))
+    rendered.write_shard(data, facts, "val", 0, [pack(record)])
+    with pytest.raises(UsageError, match=r"needs rgb, .* Choose --splits val, or another --format"):
+        export(data, tmp_path / "out", "coco")
 
-    monkeypatch.setattr(Split, "fields", fields)
-    with pytest.raises(UsageError, match=r"needs segmentation, .* Choose --splits val, or another --format"):
-        module._check_request(Dataset(clips), EXPORTERS["coco"], {"train": 1, "val": 1}, ("train", "val"))
+
+def write_without(folder: Path, *fields: str) -> Path:
+    """A dataset of one scene that lacks some fields."""
+    record = rendered.record(rendered.scene(frames=1))
+    return rendered.write_dataset(folder, [{name: record[name] for name in record if name not in fields}])
 
 
 def test_an_incomplete_dataset_is_refused(tmp_path: Path):
@@ -138,8 +150,7 @@ def test_cards_of_imported_images_do_not_claim_a_licence(clips: Path):
     assert "synthetic" not in imported
 
 
-def test_scenes_that_cannot_be_rendered_get_other_advice(clips: Path, tmp_path: Path, monkeypatch):
-    fields = sorted(FIELDS.keys() - {"scene/description"})
-    monkeypatch.setattr("datagen.storage.reader.Split.fields", lambda *_: fields)
+def test_scenes_that_cannot_be_rendered_get_other_advice(tmp_path: Path):
+    data = write_without(tmp_path / "data", "scene/description")
     with pytest.raises(UsageError, match="320x240 pixels, not 64x64; choose another --format"):
-        export(clips, tmp_path / "out", "obsurf")
+        export(data, tmp_path / "out", "obsurf")

@@ -14,7 +14,6 @@ from datagen.meshes.library import Library
 from datagen.pipeline import shards
 from datagen.pipeline.cluster import connected
 from datagen.pipeline.make_scene import SceneMaker, Source
-from datagen.storage import spec
 from datagen.storage.manifest import read_manifest
 from datagen.storage.spec import Compression, make_spec
 from tests.paths import ROOT
@@ -172,10 +171,10 @@ def test_only_errors_that_may_pass_are_retried(local_cluster: str, tmp_path: Pat
     assert (tmp_path / "log").read_text() == calls * "called "
 
 
-def test_threads_of_a_worker_make_the_same_scenes(local_cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(spec, "_MOST_SCENES_PER_SHARD", 1)
-    make(tmp_path / "threads", {"train": 4}, dask=local_cluster)
-    make(tmp_path / "alone", {"train": 4})
+def test_threads_of_a_worker_make_the_same_scenes(local_cluster: str, tmp_path: Path):
+    sizes = {"train": 6, "val": 6, "test": 6}  # a shard for each of three threads
+    make(tmp_path / "threads", sizes, dask=local_cluster)
+    make(tmp_path / "alone", sizes)
     check_same(tmp_path / "threads", tmp_path / "alone")
 
 
@@ -193,11 +192,11 @@ def test_workers_look_for_inputs_under_absolute_paths(tmp_path: Path, monkeypatc
     maker.check_inputs()
 
 
-def test_without_a_scheduler_the_command_says_how_to_start_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from datagen.pipeline import cluster
-
-    monkeypatch.setattr(cluster, "_SECONDS", 0.2)
-    with pytest.raises(cluster.UsageError, match="no scheduler answers there"), cluster.connected("tcp://127.0.0.1:9"):
+def test_without_a_scheduler_the_command_says_how_to_start_one():
+    with (
+        pytest.raises(UsageError, match="no scheduler answers there"),
+        connected("tcp://127.0.0.1:9", seconds=0.2),
+    ):
         pass
 
 

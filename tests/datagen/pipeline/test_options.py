@@ -79,6 +79,11 @@ def test_scenes_are_rendered_again_with_still_cameras(clips: Path, tmp_path: Pat
     assert find(tmp_path) == []
 
 
+def test_scenes_without_images_take_less_than_a_kilobyte_a_frame(tmp_path: Path):
+    generate(tmp_path, recipe(frames=10), splits={"train": 20}, renderer=None)
+    assert sum(path.stat().st_size for path in tmp_path.glob("*.h5")) < 20 * 10 * 1000
+
+
 def test_empty_scenes_are_verified(tmp_path: Path):
     empty = recipe(objects=Objects(minimum=0, maximum=0), rig=Rig(motion="orbit"))
     generate(tmp_path, empty, splits={"val": 1}, resolution=(32, 24), signals=SIGNALS)

@@ -258,19 +258,19 @@ def test_an_image_does_not_depend_on_what_was_rendered_before(raster, made):
         np.testing.assert_array_equal(getattr(used, name), getattr(fresh, name))
 
 
-@pytest.mark.parametrize("size", [64, 402])
-def test_blocks_that_are_not_searched_for_shadows_cast_none(monkeypatch, size: int):
-    world, searcher = six_objects(), RasterRenderer()
-    searcher.load(world, [build(each.shape) for each in world.bodies])
-    image, rasterise = searcher.render(poses(world), FRONT, size, size), searcher._light_map
+class SearchesEverything(RasterRenderer):
+    """A renderer that searches all blocks of the light's map for shadows."""
 
-    def search_everything(light_map, margin):
-        rasterise(light_map, margin)
+    def _light_map(self, light_map, margin):
+        super()._light_map(light_map, margin)
         light_map.tiles[:] = -FAR
         light_map.counts[:] = np.multiply.outer(*2 * [np.arange(len(light_map.counts))])
 
-    monkeypatch.setattr(searcher, "_light_map", search_everything)
-    np.testing.assert_array_equal(searcher.render(poses(world), FRONT, size, size).rgb, image.rgb)
+
+@pytest.mark.parametrize("size", [64, 402])
+def test_blocks_that_are_not_searched_for_shadows_cast_none(raster, size: int):
+    found, expected = (render(each, six_objects(), FRONT, size, size).rgb for each in (raster, SearchesEverything()))
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_images_own_their_memory(raster):

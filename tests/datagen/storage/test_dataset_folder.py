@@ -7,7 +7,6 @@ import h5py
 import pytest
 
 from datagen.errors import Busy, CorruptFile, DatagenError, UsageError
-from datagen.storage import dataset_folder as folder_module
 from datagen.storage.dataset_folder import filling, settle, write_file
 from datagen.storage.locks import FolderLock
 from datagen.storage.shard import pack
@@ -293,12 +292,11 @@ def test_a_run_that_waited_in_vain_begins_the_dataset_itself(tmp_path):
     assert other == [spec(train=5)] == [read_spec(tmp_path / "a" / "b")]
 
 
-def test_a_process_that_never_gets_ready_is_not_waited_for_forever(tmp_path, monkeypatch):
-    monkeypatch.setattr(folder_module, "_PATIENCE_SECONDS", 0.1)
+def test_a_process_that_never_gets_ready_is_not_waited_for_forever(tmp_path):
     with closing(FolderLock(tmp_path)) as lock:
         assert lock.take_alone()
         with pytest.raises(Busy, match="has been preparing"):
-            begin(tmp_path, spec(train=3))
+            begin(tmp_path, spec(train=3), patience_seconds=0.1)
 
 
 def fail(folder, wanted, **options) -> None:

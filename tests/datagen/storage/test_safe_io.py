@@ -38,13 +38,6 @@ def image_size(path) -> tuple[int, int]:
 READERS = (read_bytes, read_text, read_json, read_npy, npy_shape, image_size)
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """Limits of a kilobyte and a thousand pixels."""
-    for name in ("MOST_ARRAY_BYTES", "MOST_CHUNK_BYTES", "MOST_IMAGE_PIXELS", "MOST_OBJECTS"):
-        monkeypatch.setattr(safe_io, name, 1000)
-
-
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("read", [*READERS, lambda path: read_npz(path, ["a"])])
 def test_a_pipe_is_refused_and_never_opened(tmp_path, read):
@@ -137,11 +130,12 @@ def _hard_loop(file, folder):
 
 
 def _large_chunk(file, folder):
-    file.create_dataset("x", (2000,), np.uint8, chunks=(2000,))
+    size = safe_io.MOST_CHUNK_BYTES + 1
+    file.create_dataset("x", (size,), np.uint8, chunks=(size,))
 
 
 def _many_objects(file, folder):
-    for number in range(1001):
+    for number in range(safe_io.MOST_OBJECTS):
         file.create_group(f"g{number}")
 
 
@@ -149,7 +143,7 @@ OUTSIDE = (_external_storage, _external_link, _virtual, _soft_link, _soft_loop, 
 
 
 @pytest.mark.parametrize("build", [*OUTSIDE, *(_in_a_group(kind) for kind in OUTSIDE), _large_chunk, _many_objects])
-def test_hdf5_files_that_refer_elsewhere_or_are_too_large_are_refused(tmp_path, build, small):
+def test_hdf5_files_that_refer_elsewhere_or_are_too_large_are_refused(tmp_path, build):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         build(file, tmp_path)
     with (
@@ -170,14 +164,14 @@ def test_hdf5_arrays_are_read_in_whole_or_in_part(tmp_path):
         np.testing.assert_array_equal(read_hdf5(dataset, (1, slice(0, 2))), values[1, :2])
 
 
-def test_hdf5_parts_are_measured_before_they_are_read(tmp_path, small):
+def test_hdf5_parts_are_measured_before_they_are_read(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("x", (10**6, 1000), np.uint8, chunks=(1, 1000))
     with open_hdf5(tmp_path / "a.h5") as file:
         dataset = hdf5_dataset(file, "x")
         assert read_hdf5(dataset, 0).shape == (1000,)
-        for selection in ((), slice(0, 2), slice(None), (slice(3, 7), slice(0, 500))):
-            with pytest.raises(ValueError, match="bytes, more than 1,000"):
+        for selection in ((), slice(0, 540_000), slice(None), (slice(3, 900_000), slice(0, 600))):
+            with pytest.raises(ValueError, match="bytes, more than 536,870,912"):
                 read_hdf5(dataset, selection)
 
 
@@ -242,7 +236,7 @@ def test_malformed_npy_files_are_refused(tmp_path, content):
         read_npz(tmp_path / "a.npz", ["x"])
 
 
-def test_npy_and_npz_round_trip_and_are_measured_first(tmp_path, small):
+def test_npy_and_npz_round_trip_and_are_measured_first(tmp_path):
     values = np.arange(12.0).reshape(3, 4)
     np.save(tmp_path / "a.npy", values)
     np.savez(tmp_path / "a.npz", x=values, other=values)
@@ -267,8 +261,8 @@ def _png_header(width, height):
     return start + struct.pack(">I", 10**6) + b"IDAT"
 
 
-@pytest.mark.parametrize("size", [(1001, 1), (50_000, 50_000), (2**31 - 1, 2**31 - 1)])
-def test_large_images_are_refused_by_their_header(tmp_path, small, size):
+@pytest.mark.parametrize("size", [(40_000_001, 1), (50_000, 50_000), (2**31 - 1, 2**31 - 1)])
+def test_large_images_are_refused_by_their_header(tmp_path, size):
     (tmp_path / "a.png").write_bytes(_png_header(*size))
     with pytest.raises(CorruptFile, match=r"a\.png has .* pixels"):
         image_size(tmp_path / "a.png")

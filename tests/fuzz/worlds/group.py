@@ -64,12 +64,12 @@ def run_undamaged(group: Group, world: Path, scratch: Path) -> None:
         shutil.rmtree(scratch)
 
 
-def run(command: str, code: int = 0) -> None:
-    """Run a command that has to end with this code.
+def run(command: str) -> None:
+    """Run a command that has to succeed.
 
     Raises:
         RuntimeError: it does not.
     """
-    found, trace = run_command(command.split(" "))
-    if found != code:
-        raise RuntimeError(f"{command} ended with {found}: {trace}")
+    code, trace = run_command(command.split(" "))
+    if code != 0:
+        raise RuntimeError(f"{command} ended with {code}: {trace}")

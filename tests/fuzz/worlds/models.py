@@ -1,42 +1,45 @@
 """Models, trainings that can go on, priors and scenes."""
 
 import shutil
-from functools import partial
+import signal
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
-from unittest import mock
 
 import assets
-from datagen.errors import UsageError
+from datagen.errors import EXIT_INTERRUPTED
 from tests.fuzz.worlds.group import MOVING, TINY, Group, Target, run
 
 
 def build_models(world: Path) -> None:
     """A training that can go on, a model with its priors, a scene, and half of the learning of a flow."""
-    from obpose.scenes.priors.interface import FitSettings  # late, as PyTorch takes seconds to import
-    from obpose.training.record import Record
+    from obpose.commands.train import main as train
+    from obpose.scenes.model_ref import load_origin  # late, as PyTorch takes seconds to import
+    from obpose.scenes.priors.interface import FitSettings
+    from obpose.scenes.priors.train_flow import fit_flow
 
     run(f"obpose-datagen {MOVING} --split train=12,val=1,test=1 --out {world}/data")
-    log_step = Record.log_step
 
-    def stop_at_second(record: Record, step: int, *others: Any) -> None:
-        if step == 2:
-            raise UsageError("interrupted")
-        log_step(record, step, *others)
+    def stop(truth: object, labels: object) -> float:
+        """Stop the training at its first validation, which is after the first step."""
+        signal.raise_signal(signal.SIGTERM)
+        return 0.5
 
-    with mock.patch.object(Record, "log_step", stop_at_second), mock.patch("obpose.training.record.SAVE_SECONDS", 0):
-        run(CONTINUE.format(w=world), code=2)
+    if train(CONTINUE.format(w=world).split()[1:], score=stop) != EXIT_INTERRUPTED:
+        raise RuntimeError("The training was not interrupted.")
     run(f"obpose-train --data {world}/data --steps 1 --variant obsurf --out {world}/obsurf")
     shutil.copytree(assets.CHECKPOINTS / "obpose-contact--moving--64x64", world / "model")
     shutil.copytree(assets.CHECKPOINTS / "obpose-contact--moving--64x64", world / "learning")
     (world / "learning" / "flow.safetensors").unlink()
     infer = f"obpose-edit infer --checkpoint {world}/model --refine 0 --resolution 8x8"
     run(f"{infer} --data {world}/data --out {world}/scene")
-    with (
-        mock.patch("obpose.scenes.priors.train_flow.save_flow", side_effect=UsageError("interrupted")),
-        mock.patch("obpose.commands.edit.FitSettings", partial(FitSettings, refinements=0, save_steps=1)),
-    ):
-        run(LEARN.format(w=world), code=2)
+
+    def interrupt(line: str) -> None:
+        if line.startswith("step 1 of 1"):
+            raise KeyboardInterrupt
+
+    settings = FitSettings(12, steps=1, seed=0, workers=1, refinements=0, save_steps=1)
+    with suppress(KeyboardInterrupt):
+        fit_flow(load_origin(str(world / "learning")), world / "data", settings, interrupt)
 
 
 LEARN = "obpose-edit fit-prior --kind flow --checkpoint {w}/learning --data {w}/data --clips 12 --steps 1 --workers 1"

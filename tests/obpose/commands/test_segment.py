@@ -9,7 +9,6 @@ from PIL import Image
 
 from datagen.errors import EXIT_INCOMPLETE, EXIT_OK, EXIT_USAGE, UsageError
 from datagen.geometry import look_at, pixel_rays
-from obpose.commands import segment
 from obpose.commands.segment import Arguments, _prepared, _unlike_training, main
 from obpose.data.clips import ArrayClips
 from obpose.data.scene_stats import measure_scene
@@ -104,28 +103,23 @@ def test_a_method_without_training_segments_what_stands_on_the_table(scene: Path
     assert len(entry["size"]) == 3
 
 
-def test_objects_wider_than_in_training_are_reported(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    flags = {"checkpoint": None, "method": "one-object"}
-    for widest, warned in ((1.0, False), (0.1, True)):
-        monkeypatch.setattr(segment, "WIDEST", widest)
-        assert run(scene, tmp_path / str(widest), **flags) == EXIT_OK
+def test_objects_wider_than_in_training_are_reported(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for scale, warned in ((0.001, False), (0.002, True)):
+        out = tmp_path / str(scale)
+        assert run(scene, out, "--depth-scale", scale, checkpoint=None, method="one-object") == EXIT_OK
         assert (
-            "Warning: Label 1 is in some frame wider than the widest object in training, 10 cm. It may be"
+            "Warning: Label 1 is in some frame wider than the widest object in training, 35 cm. It may be"
             in capsys.readouterr().out
         ) == warned
 
 
-def test_a_wide_object_in_a_later_frame_is_reported(
-    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_wide_object_in_a_later_frame_is_reported(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     depth = tmp_path / "depth"
     shutil.copytree(scene / "depth", depth)
     first = min(depth.iterdir())
     Image.fromarray(np.zeros_like(np.array(Image.open(first)))).save(first)
-    monkeypatch.setattr(segment, "WIDEST", 0.1)
-    assert run(scene, tmp_path / "out", checkpoint=None, method="one-object", depth=depth) == EXIT_OK
+    doubled = {"checkpoint": None, "method": "one-object", "depth-scale": 0.002}
+    assert run(scene, tmp_path / "out", depth=depth, **doubled) == EXIT_OK
     assert "Warning: Label 1 is in some frame wider than the widest object" in capsys.readouterr().out
 
 

@@ -1,5 +1,6 @@
 import csv
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -8,8 +9,8 @@ from statistics import mean
 import pytest
 
 from benchmark.commands.train import ari_fg
-from datagen.errors import EXIT_USAGE, UsageError
-from datagen.tracks import DataFolder, Track
+from datagen.errors import EXIT_USAGE
+from datagen.tracks import Track
 from obpose.baselines.obsurf.config import ObsurfConfig
 from obpose.baselines.obsurf.model import Obsurf
 from obpose.commands.train import main
@@ -50,14 +51,14 @@ def test_a_dataset_becomes_a_run(data: Path, tmp_path: Path, capsys: pytest.Capt
 
 @pytest.mark.parametrize(("profile", "size"), [("cpu", "64x64"), ("gpu", "128x128"), ("paper", "128x128")])
 def test_larger_models_get_the_larger_images_of_a_track(
-    profile: str, size: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    profile: str, size: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    def tell(track: Track, *_splits: object, **_options: object) -> Path:
-        raise UsageError(f"{track.folder} would be made")
-
-    monkeypatch.setattr(Track, "prepare", tell)
+    monkeypatch.setenv("OBPOSE_CACHE", str(tmp_path))
+    for track in (Track("moving", "cpu"), Track("moving", "gpu")):
+        track.folder.mkdir(parents=True)
+        (track.folder / "mine").touch()
     assert main(["--track", "moving", "--profile", profile]) == EXIT_USAGE
-    assert re.search(rf"moving-{size}-\w+ would be made", "".join(capsys.readouterr().err.split("\n")))
+    assert re.search(rf"moving-{size}-\w+ holds no dataset", "".join(capsys.readouterr().err.split("\n")))
 
 
 def test_the_last_word_is_that_of_set(data: Path, tmp_path: Path):
@@ -126,17 +127,14 @@ def test_impossible_requests_end_in_one_line(
     assert errors.count("\n") == 1
 
 
-def test_a_dataset_s_own_folder_is_no_place_for_a_run(
-    data: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    def prepare(*_arguments: object, **_options: object) -> Path:
-        raise AssertionError
-
-    monkeypatch.setattr(DataFolder, "prepare", prepare)
-    before = sorted(path.name for path in data.iterdir())
-    assert main(["--data", str(data), "--steps", "1", "--out", str(data), *SETTINGS]) == EXIT_USAGE
+def test_a_dataset_s_own_folder_is_no_place_for_a_run(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    own = tmp_path / "own"
+    shutil.copytree(data, own)
+    (own / "train-00000.h5").unlink()  # preparing it would fail
+    before = sorted(path.name for path in own.iterdir())
+    assert main(["--data", str(own), "--steps", "1", "--out", str(own), *SETTINGS]) == EXIT_USAGE
     assert "holds a dataset; give another --out" in capsys.readouterr().err
-    assert sorted(path.name for path in data.iterdir()) == before
+    assert sorted(path.name for path in own.iterdir()) == before
 
 
 def test_a_dataset_without_training_scenes_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

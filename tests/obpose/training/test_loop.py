@@ -15,7 +15,6 @@ from obpose.errors import CorruptFile, Diverged, Interrupted, UsageError
 from obpose.storage.checkpoint import TrainingState, load, save_training
 from obpose.trainable import Trainable
 from obpose.training.loop import Status, Trained, train
-from obpose.training.record import Record
 from obpose.types import Observation
 from tests.obpose.toy import QuietToy, ToyClips, ToyModel, toy_config
 from tests.paths import ROOT
@@ -236,14 +235,16 @@ def test_without_clips_there_is_nothing_to_learn():
         run(source=ToyClips(clips=0))
 
 
-@pytest.mark.parametrize(("seconds", "saved"), [(-1.0, [0, 1, 2, 3, 4, 4]), (180.0, [0, 4])])
-def test_a_checkpoint_is_written_whenever_the_last_one_is_old(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seconds: float, saved: list[int]
-):
+@pytest.mark.parametrize(("seconds", "saved"), [(-1.0, [0, 1, 2, 3, 4]), (180.0, [0, 0, 0, 0, 4])])
+def test_a_checkpoint_is_written_whenever_the_last_one_is_old(tmp_path: Path, seconds: float, saved: list[int]):
     found: list[int] = []
-    monkeypatch.setattr("obpose.training.record.SAVE_SECONDS", seconds)
-    monkeypatch.setattr(Record, "save", lambda self, learner, info: found.append(info["step"]))
-    run(tmp_path, **{"train.steps": 4})
+
+    def look(_: Status | None = None) -> None:
+        found.append(load(tmp_path, ToyModel)[2]["step"])
+
+    config, options = toy_config(**{"train.steps": 4}), {"device": "cpu", "build": ToyModel, "report": look}
+    train(ToyClips(), None, config, folder=tmp_path, save_seconds=seconds, **options)
+    look()
     assert found == saved
 
 

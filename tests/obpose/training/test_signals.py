@@ -3,7 +3,6 @@ import threading
 
 import pytest
 
-from obpose.training import signals
 from obpose.training.signals import stop_on_signals
 
 
@@ -24,9 +23,8 @@ def test_an_echo_is_the_same_request():
         assert request.received is signal.SIGINT
 
 
-def test_a_later_signal_has_its_usual_effect(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(signals, "ECHO_SECONDS", -1.0)
-    with stop_on_signals():
+def test_a_later_signal_has_its_usual_effect():
+    with stop_on_signals(echo_seconds=-1.0):
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)

@@ -51,16 +51,16 @@ def test_the_loader_skips_numbers_without_images():
     assert accepted.tolist() == [0, obsurf.FIRST["val"]]
 
 
-def test_other_cameras_are_refused_with_the_command_that_helps(clips: Path, clevr: Path, tmp_path: Path, monkeypatch):
+def test_other_cameras_are_refused_with_the_command_that_helps(clips: Path, clevr: Path, tmp_path: Path):
     with pytest.raises(UsageError, match=r"320x240 pixels, not 64x64; .* --rig.field-of-view 49.13434"):
         export(clips, tmp_path / "out", "obsurf")
-    monkeypatch.setattr(obsurf, "FOCAL", 352.0)
+    scene = source(clevr)
+    scene.k = scene.k * [[349 / 350], [349 / 350], [1]]
     with pytest.raises(UsageError, match="up to 1 pixels away"):
-        export(clevr, tmp_path / "out", "obsurf")
+        obsurf.write(tmp_path / "out", [scene])
     assert not (tmp_path / "out").exists()
 
 
-def test_more_scenes_than_the_loader_reads_are_refused(clevr: Path, tmp_path: Path, monkeypatch):
-    monkeypatch.setitem(obsurf.MOST, "train", 1)
+def test_more_scenes_than_the_loader_reads_are_refused(clevr: Path, tmp_path: Path):
     with pytest.raises(UsageError, match="at most 1 train scenes"):
-        export(clevr, tmp_path / "out", "obsurf")
+        obsurf.write(tmp_path, [source(clevr)], most={"train": 1})

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 from imageio.v3 import imread
 
-from datagen.formats.scenes import ExportScene
+from datagen.formats.exporters.rgbd import write
 from tests.datagen.formats.conftest import Export, source
 
 
@@ -27,10 +27,11 @@ def test_clips_have_one_image_per_frame(clips: Path, exported: Export):
     assert sorted(path.name for path in (folder / "rgb").iterdir()) == [f"{frame:06d}.png" for frame in range(3)]
 
 
-def test_moving_cameras_have_a_pose_per_frame(clips: Path, exported: Export, monkeypatch):
-    poses = np.tile(np.eye(4), (3, 1, 1, 1))
+def test_moving_cameras_have_a_pose_per_frame(clips: Path, tmp_path: Path):
+    scene, poses = source(clips), np.tile(np.eye(4), (3, 1, 1, 1))
     poses[:, 0, 0, 3] = [0.1, 0.2, 0.3]
-    monkeypatch.setattr(ExportScene, "world_from_camera", property(lambda _: poses))
-    folder = exported(clips, "rgbd") / "train" / "000000"
+    scene.world_from_camera = poses
+    write(tmp_path, [scene])
+    folder = tmp_path / "train" / "000000"
     assert not (folder / "world_from_camera.txt").exists()
     assert [np.loadtxt(folder / "poses" / f"{frame:06d}.txt")[0, 3] for frame in range(3)] == [0.1, 0.2, 0.3]

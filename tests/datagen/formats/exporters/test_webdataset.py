@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datagen.formats.exporters import webdataset as module
-from datagen.formats.scenes import ExportScene
+from datagen.formats.exporters.webdataset import write
 from tests.datagen.formats.conftest import Export, source
+from tests.worlds import rendered
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of libraries while they are imported
 
@@ -40,18 +40,20 @@ def test_the_datasets_library_reads_every_split_and_camera(stills: Path, exporte
         assert [each["category"] for each in row["scene.json"]["objects"]] == ["box", "cylinder", "sphere"]
 
 
-def test_flow_has_rows_first_as_in_movi(clips: Path, exported: Export, monkeypatch):
-    flow = np.random.default_rng(0).random((3, 64, 64, 2), np.float32)
-    monkeypatch.setattr(ExportScene, "has_flow", lambda _, direction: direction == "forward")
-    monkeypatch.setattr(ExportScene, "flow", lambda *_: flow)
-    with tarfile.open(exported(clips, "webdataset") / "train-000000.tar") as shard:
+def test_flow_has_rows_first_as_in_movi(exported: Export, tmp_path: Path):
+    record = rendered.record(rendered.scene(), signals=("flow",))
+    del record["flow/backward"]
+    data = rendered.write_dataset(tmp_path / "data", [record])
+    with tarfile.open(exported(data, "webdataset") / "train-000000.tar") as shard:
         names = [name for name in shard.getnames() if name.endswith("flow.npy")]
-        assert names == ["000000.forward_flow.npy", "000001.forward_flow.npy"]
+        assert names == ["000000.forward_flow.npy"]
         file = shard.extractfile(names[0])
         assert file is not None
-        np.testing.assert_array_equal(np.lib.format.read_array(io.BytesIO(file.read())), flow[..., ::-1])
+        found = np.lib.format.read_array(io.BytesIO(file.read()))
+    np.testing.assert_array_equal(found, record["flow/forward"][:, 0, ..., ::-1])
+    assert np.any(found[..., 0] != found[..., 1])
 
 
-def test_shards_have_a_largest_number_of_samples(clips: Path, exported: Export, monkeypatch):
-    monkeypatch.setattr(module, "SAMPLES_PER_SHARD", 1)
-    assert len(list(exported(clips, "webdataset").glob("train-*.tar"))) == 2
+def test_shards_have_a_largest_number_of_samples(clips: Path, tmp_path: Path):
+    write(tmp_path, [source(clips, index) for index in (0, 1, 0)], samples_per_shard=2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["train-000000.tar", "train-000001.tar"]
