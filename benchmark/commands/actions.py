@@ -53,7 +53,7 @@ def run(values: arguments.Run) -> int:
     prepare(plan.splits, workers=values.workers)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
-    outputs.write(values.out, [source.folder for source in request.sources])
+    outputs.write(values.out, [source.folder for source in request.sources], made_rows=bool(plan.jobs))
     failed = [row for row in load_runs(values.out) if row.key in plan.keys and row.status == "failed"]
     if failed:
         status_console().print(f"{len(failed)} of these rows failed; --retry makes them again.")
