@@ -12,14 +12,7 @@ from jaxtyping import Float64, UInt8
 from benchmark.metrics.errors_by_type import ERROR_TYPES
 from benchmark.report.analysis import Analysis, read_maps
 from benchmark.report.observations import Objects, read_truth, scene_tables
-from benchmark.report.pictures import (
-    box_corners,
-    boxes_picture,
-    depth_picture,
-    label_picture,
-    photograph,
-    slot_colors,
-)
+from benchmark.report.pictures import box_corners, boxes_picture, depth_picture, label_picture, photograph, slot_colors
 from benchmark.results.reconstructions import chosen_scenes, load_reconstruction, shown_images, subsampled
 from datagen.inspect.preview import label_colors
 from datagen.storage.reader import read_camera_poses
@@ -203,7 +196,7 @@ class Painter:
         return {"scene": scene, "where": ", ".join(where), "rgb": rgb, "truth": truth, "maps": maps}
 
     def _clip(self, scene: int, best_first: Sequence[int]) -> dict[str, Any]:
-        """Describe the clip of a scene: RGB, depth and ground truth; label maps, boxes and reconstructions of models."""
+        """Describe the clip of a scene: RGB, depth and ground truth; labels, boxes and reconstructions of models."""
         rgb = self._record(scene)["rgb"]
         chosen = shown_images(*rgb.shape[:2])
         height, width = subsampled(rgb[0, 0]).shape[:2]

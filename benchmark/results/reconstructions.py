@@ -84,6 +84,6 @@ def _path(folder: Path, row: RunRow, scene: int) -> Path:
 
 
 def chosen_scenes(folder: Path, rows: Sequence[RunRow], count: int) -> list[int]:
-    """Scenes of a split of `count` scenes of which one of these runs has a reconstruction; all scenes if there are none."""
+    """Choose the scenes of a split that one of these runs has reconstructed; all `count` scenes if there are none."""
     scenes = [scene for scene in shown_scenes(count) if any(_path(folder, row, scene).is_file() for row in rows)]
     return scenes or list(range(count))
