@@ -47,9 +47,11 @@ def write(folder: Path, data: Sequence[Path], *, made_rows: bool = False) -> Non
     The manifest and the report keep the commands that made the rows; this one joins them if it `made_rows`.
     """
     results = leaderboard.write(folder, tracked)
-    commands = []
+    commands: list[str] = []
     if not is_packed(folder):
-        commands = list(dict.fromkeys([*commands_of(folder), *([_this_command()] if made_rows else [])]))
+        commands = commands_of(folder)
+        if made_rows and (command := _this_command()) not in commands:
+            commands.append(command)
         write_manifest(folder, results, commands=commands)
     with busy("writing the report"):
         find = partial(_dataset, folder, load_runs(folder), data)
