@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, UInt8
 
 from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.models.model_spec import settings_of
@@ -19,7 +19,7 @@ from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, select_part, separate_views
 from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
-from obpose.geometry import unproject
+from obpose.geometry import sides_of_points, unproject
 from obpose.model.obpose import ObPose
 from obpose.pictures import to_bytes
 from obpose.rgbd.weights import look_for
@@ -31,7 +31,7 @@ from obpose.systems import find_system, slots_for
 from obpose.trainable import Trainable
 from obpose.training.devices import keep_memory
 from obpose.training.loop import CurvePoint, train
-from obpose.types import Boxes, Observation, SceneSegmentation, Segmentation
+from obpose.types import Observation, SceneSegmentation, Segmentation
 
 
 class LearnedSegmenter:
@@ -174,29 +174,14 @@ def poses_of(model: Trainable, found: Segmentation, observation: Observation) ->
     if not isinstance(model, ObPose) or not isinstance(found, SceneSegmentation) or found.inference.where is None:
         return None
     boxes = found.inference.boxes
-    reach = _reach(boxes, found.labels, unproject(observation))
-    there = reach.isfinite().all(dim=-1)
+    sides = sides_of_points(unproject(observation), found.labels, boxes)
+    there = sides.isfinite().all(dim=-1)
     values = (
         boxes.center.masked_fill(~there[..., None], torch.nan),
         boxes.rotation.masked_fill(~there[..., None, None], torch.nan),
-        2 * reach.masked_fill(~there[..., None], torch.nan),
+        sides.masked_fill(~there[..., None], torch.nan),
     )
     return Poses(*(_with_background(value) for value in values))
-
-
-def _reach(
-    boxes: Boxes,
-    labels: Int[torch.Tensor, "view frame 1 height width"],
-    points: Float[torch.Tensor, "view frame 1 height width 3"],
-) -> Float[torch.Tensor, "view frame slot 3"]:
-    """Largest distances of each label's points from its box's centre, along the box's axes; -inf without points."""
-    flat, owner = (rearrange(array, "v f 1 h w ... -> v f (h w) ...") for array in (points, labels))
-    reaches = []
-    for slot in range(boxes.center.shape[2]):
-        local = torch.einsum("vfpi,vfij->vfpj", flat - boxes.center[:, :, slot, None], boxes.rotation[:, :, slot])
-        mine = (owner == slot + 1)[..., None]
-        reaches.append(local.abs().masked_fill(~mine, -torch.inf).amax(dim=2))
-    return torch.stack(reaches, dim=2)
 
 
 def _with_background(
