@@ -1,7 +1,7 @@
 """Rules for the names of models, which become parts of file names and cells of tables."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 from datagen.errors import UsageError
 from datagen.storage.portable_names import EXPECTED, is_portable, shown
@@ -65,6 +65,12 @@ def suffixes_of(name: str) -> list[str]:
     if not (found := _SUFFIX.search(name)):
         return []
     return [*suffixes_of(name[: found.start()]), re.sub("[0-9]+", "N", found[0].casefold())]
+
+
+def explain_suffixes(names: Iterable[str]) -> list[str]:
+    """Explain the suffixes that occur in names of rows, one line each."""
+    there = {suffix for name in names for suffix in suffixes_of(name)}
+    return [f"{suffix} in a name: {meaning}." for suffix, meaning in SUFFIXES.items() if suffix in there]
 
 
 def base_name(name: str) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
-from benchmark.names import SUFFIXES, suffixes_of
+from benchmark.names import explain_suffixes
 from benchmark.ranking.standings import (
     ALL_METRICS,
     PRETRAINED,
@@ -299,8 +299,7 @@ def marks_explained(results: Sequence[ModelResult]) -> list[tuple[str, str]]:
 
 def suffixes_explained(results: Sequence[ModelResult]) -> list[str]:
     """Explain the suffixes of row names that occur."""
-    there = {suffix for result in results for suffix in suffixes_of(result.row.key.model)}
-    return [f"{suffix} in a name: {meaning}." for suffix, meaning in SUFFIXES.items() if suffix in there]
+    return explain_suffixes(result.row.key.model for result in results)
 
 
 def seeds_in_words(results: Iterable[ModelResult]) -> str:
