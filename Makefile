@@ -86,6 +86,8 @@ clean:
 	rm -rf .venv demo build dist site *.egg-info
 
 .venv/.core: pyproject.toml constraints.txt
+	$(if $(strip $(PYTHON)),,$(error PYTHON is empty; expected an interpreter, 3.11 or newer. Leave PYTHON out, or name \
+		one: make PYTHON=/path/to/python3.11))
 	@$(PYTHON) -c "$$CHECK_PYTHON"
 	$(PYTHON) -m venv .venv
 	@# The CPU build first: PyPI's build for Linux on x86_64 brings 2.7 GB of CUDA packages.

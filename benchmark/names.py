@@ -1,7 +1,7 @@
 """Rules for the names of models, which become parts of file names and cells of tables."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 from datagen.errors import UsageError
 from datagen.storage.portable_names import EXPECTED, is_portable, shown
@@ -12,12 +12,23 @@ SLOTS = "-{}-slots"
 """Suffix for models with another number of object slots than the track's."""
 ATTENTION = "-att"
 """Suffix for the attention masks of our own models."""
+DENSITY = "-density"
+"""Suffix for the labels by density of models that take their masks from elsewhere."""
 REFINED = "-refined"
 """Suffix for edited scenes that were fitted to their frames first."""
 REFERENCES = "references"
 """Model name in the rows of edits that need no model."""
 
-_RESERVED = re.compile(rf".*({PRETRAINED}|{ATTENTION}|{REFINED}|{SLOTS.format('[0-9]+')})|{REFERENCES}")
+SUFFIXES = {
+    PRETRAINED: "weights that were trained before this run",
+    SLOTS.format("N"): "N object slots, in place of the track's number",
+    ATTENTION: "second segmentation of the same model: its attention masks, or the masks of each image alone",
+    DENSITY: "second segmentation of the same model: labels by the field that is densest at each pixel's surface",
+    REFINED: "scenes were fitted to their frames before the edit",
+}
+"""Meanings of the suffixes, which can be combined."""
+
+_SUFFIX = re.compile("(" + "|".join(SUFFIXES).replace("N", "[0-9]+") + ")$", re.IGNORECASE)
 
 
 def check_model_name(name: str, advice: str) -> None:
@@ -27,10 +38,11 @@ def check_model_name(name: str, advice: str) -> None:
         UsageError: it cannot be part of a file name, or has the form of the names that the benchmark makes itself.
     """
     check_row_name(name, advice)
-    if _RESERVED.fullmatch(name.casefold()):
+    if name.casefold() == REFERENCES or suffixes_of(name):
+        *others, last = SUFFIXES
         raise UsageError(
             f"{name!r} is a name that the benchmark gives itself; expected a name other than {REFERENCES!r} that does "
-            f"not end in {PRETRAINED}, {ATTENTION}, {REFINED} or {SLOTS.format('N')}. {advice}"
+            f"not end in {', '.join(others)} or {last}. {advice}"
         )
 
 
@@ -42,6 +54,33 @@ def check_row_name(name: str, advice: str) -> None:
     """
     if not is_portable(name):
         raise UsageError(f"{shown(name)} cannot be a model's name, which is part of file names; {EXPECTED}. {advice}")
+
+
+def suffixes_of(name: str) -> list[str]:
+    """List the `SUFFIXES` of a row's name.
+
+    >>> suffixes_of("obpose-4-slots-att")
+    ['-N-slots', '-att']
+    """
+    if not (found := _SUFFIX.search(name)):
+        return []
+    return [*suffixes_of(name[: found.start()]), re.sub("[0-9]+", "N", found[0].casefold())]
+
+
+def explain_suffixes(names: Iterable[str]) -> list[str]:
+    """Explain the suffixes that occur in names of rows, one line each."""
+    there = {suffix for name in names for suffix in suffixes_of(name)}
+    return [f"{suffix} in a name: {meaning}." for suffix, meaning in SUFFIXES.items() if suffix in there]
+
+
+def base_name(name: str) -> str:
+    """Name of the model behind a row: the row's name without its `SUFFIXES`.
+
+    >>> base_name("obpose-contact-pretrained-density")
+    'obpose-contact'
+    """
+    found = _SUFFIX.search(name)
+    return base_name(name[: found.start()]) if found else name
 
 
 def find_twin(name: str, taken: Collection[str]) -> str | None:

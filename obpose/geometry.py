@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import torch
 from einops import rearrange, repeat
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from obpose.model.layers.numerics import full_precision
-from obpose.types import Observation, RayPoints, Rays
+from obpose.types import Boxes, Observation, RayPoints, Rays
 
 Places = Float[Tensor, "*#shape point 3"]
 Centers = Float[Tensor, "*#shape 3"]
@@ -108,6 +108,25 @@ def to_box(points: Places, center: Centers, rotation: Rotations, size: float) ->
 def from_box(points: Places, center: Centers, rotation: Rotations, size: float) -> Places:
     """World coordinates of points in a box: the inverse of `to_box`."""
     return points @ rotation.mT * (size / 2) + center[..., None, :]
+
+
+def sides_of_points(
+    points: Float[Tensor, "batch frame view height width 3"],
+    labels: Int[Tensor, "batch frame view height width"],
+    boxes: Boxes,
+) -> Float[Tensor, "batch frame slot 3"]:
+    """Sides of the smallest boxes around the points of labels 1 on, with the centres and axes of `boxes`, metres.
+
+    nan for labels without points.
+    """
+    flat, owner = (rearrange(array, "b f v h w ... -> b f (v h w) ...") for array in (points, labels))
+    sides = []
+    for slot in range(boxes.center.shape[2]):
+        local = torch.einsum("bfpi,bfij->bfpj", flat - boxes.center[:, :, slot, None], boxes.rotation[:, :, slot])
+        mine = (owner == slot + 1)[..., None]
+        reach = local.abs().masked_fill(~mine, -torch.inf).amax(dim=2)
+        sides.append(2 * reach.masked_fill(reach.isinf(), torch.nan))
+    return torch.stack(sides, dim=2)
 
 
 def _camera_rays(

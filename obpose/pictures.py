@@ -14,7 +14,7 @@ from torch import Tensor
 from datagen.storage.atomic import write_atomically
 from obpose.config import Views
 from obpose.data.clips import separate_views
-from obpose.geometry import all_rays, from_box
+from obpose.geometry import all_rays, sides_of_points, unproject
 from obpose.model.nerf.compose import mean_colour
 from obpose.trainable import Trainable
 from obpose.types import Decoded, Inference, Observation, SceneSegmentation, Segmentation
@@ -61,14 +61,22 @@ def write_picture(path: Path, model: Trainable, clips: Observation, views: Views
 
 @torch.no_grad()
 def draw(model: Trainable, clips: Observation) -> Picture:
-    """Draw one row per frame and one column per output that the model has."""
+    """Draw one row per frame and one column per output that the model has.
+
+    Boxes are those of the benchmark: around the points of each label, with the inferred centre and axes.
+    """
     segmentation = model.segment(clips)
     reconstruction = None
     if isinstance(model, Decodes) and isinstance(segmentation, SceneSegmentation):
         reconstruction = reconstruct(model, clips, segmentation.inference)
+    edges = None
+    if isinstance(segmentation, SceneSegmentation) and segmentation.inference.where is not None:
+        boxes = segmentation.inference.boxes
+        sides = sides_of_points(unproject(clips), segmentation.labels, boxes)
+        edges = box_edges(boxes.center, boxes.rotation, sides)
     frames = sorted({0, clips.depth.shape[1] - 1})
     rows = [
-        (f"frame {frame + 1}", _tiles(clips, segmentation, reconstruction, clip, frame))
+        (f"frame {frame + 1}", _tiles(clips, segmentation, reconstruction, edges, clip, frame))
         for clip in range(len(clips.depth))
         for frame in frames
     ]
@@ -99,11 +107,11 @@ def tint(image: Picture, labels: Integer[np.ndarray, "height width"], opacity: f
 
 
 def box_edges(
-    center: Float[Tensor, "*box 3"], rotation: Float[Tensor, "*box 3 3"], size: float
+    center: Float[Tensor, "*box 3"], rotation: Float[Tensor, "*box 3 3"], sides: Float[Tensor, "*box 3"]
 ) -> Float[Tensor, "*box edge 2 3"]:
     """End points of the twelve edges of boxes, world frame, metres."""
-    corners = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3).to(center)
-    world = from_box(corners, center, rotation, size)
+    corners = torch.cartesian_prod(*[torch.tensor([-0.5, 0.5])] * 3).to(center)
+    world = (sides[..., None, :] * corners) @ rotation.mT + center[..., None, :]
     # The corners of an edge differ in one coordinate, which is one bit of their indices.
     edges = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
     return world[..., torch.tensor(edges), :]
@@ -148,7 +156,12 @@ def png(image: Image.Image) -> bytes:
 
 
 def _tiles(
-    clips: Observation, segmentation: Segmentation, reconstruction: Tensor | None, clip: int, frame: int
+    clips: Observation,
+    segmentation: Segmentation,
+    reconstruction: Tensor | None,
+    edges: Float[Tensor, "batch frame slot edge 2 3"] | None,
+    clip: int,
+    frame: int,
 ) -> dict[str, Picture]:
     """Enlarged pictures of one frame in the first view, by heading."""
     image = to_bytes(clips.rgb[clip, frame, 0])
@@ -158,14 +171,12 @@ def _tiles(
         pictures.append(to_bytes(reconstruction[clip, frame, 0]))
     factor = max(1, round(TILE / image.shape[0]))
     tiles = {name: enlarged(picture, factor) for name, picture in zip(COLUMNS, pictures, strict=False)}
-    if isinstance(segmentation, SceneSegmentation):
-        # Boxes of used labels.
-        canvas, boxes = Image.fromarray(enlarged(image, factor)), segmentation.inference.boxes
-        edges = box_edges(boxes.center[clip, frame], boxes.rotation[clip, frame], boxes.size)
+    if edges is not None:
+        canvas = Image.fromarray(enlarged(image, factor))
         camera = {"k": factor * clips.k[clip, 0], "pose": clips.world_from_camera[clip, 0]}
-        for label in segmentation.labels[clip].unique().tolist():
-            if 0 < label <= len(edges):
-                draw_box(canvas, edges[label - 1], label, **camera, width=2)
+        for label, box in enumerate(edges[clip, frame], start=1):
+            if box.isfinite().all():
+                draw_box(canvas, box, label, **camera, width=2)
         tiles[COLUMNS[-1]] = np.asarray(canvas)
     return tiles
 

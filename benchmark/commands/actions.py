@@ -17,6 +17,7 @@ from benchmark.ranking import compare as paired
 from benchmark.ranking.text import terminal
 from benchmark.results import pack as packing
 from benchmark.results import scoring as rescoring
+from benchmark.results.manifest import commands_of
 from benchmark.results.packed_runs import refuse_packed
 from benchmark.results.run_folder import RunRow, check_runs, delete_rows, load_runs
 from benchmark.results.scoring import SPLIT
@@ -53,7 +54,8 @@ def run(values: arguments.Run) -> int:
     prepare(plan.splits, workers=values.workers)
     _run_jobs(plan, values)
     repeat_rows(plan.keys, values.out)
-    outputs.write(values.out, [source.folder for source in request.sources])
+    made_rows = bool(plan.jobs) or not commands_of(values.out)
+    outputs.write(values.out, [source.folder for source in request.sources], made_rows=made_rows)
     failed = [row for row in load_runs(values.out) if row.key in plan.keys and row.status == "failed"]
     if failed:
         status_console().print(f"{len(failed)} of these rows failed; --retry makes them again.")

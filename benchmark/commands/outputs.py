@@ -25,12 +25,13 @@ from benchmark.ranking.columns import (
     Score,
     caveats,
     marks_explained,
+    suffixes_explained,
     with_poses,
 )
 from benchmark.ranking.standings import ModelResult, best_first, comparable_groups
 from benchmark.ranking.text import terminal
 from benchmark.results.labels import locate
-from benchmark.results.manifest import write_manifest
+from benchmark.results.manifest import commands_of, write_manifest
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import RunRow, load_runs
 from datagen.console.progress import busy, status_console, track_progress, tracked
@@ -40,15 +41,21 @@ FILE_WIDTH = 160
 """Characters per line if the output goes to a file or pipe."""
 
 
-def write(folder: Path, data: Sequence[Path]) -> None:
-    """Write all tables and reports of a run folder, and print the means and the paths of the files."""
+def write(folder: Path, data: Sequence[Path], *, made_rows: bool = False) -> None:
+    """Write all tables and reports of a run folder, and print the means and the paths of the files.
+
+    The manifest and the report keep the commands that made the rows; this one joins them if it `made_rows`.
+    """
     results = leaderboard.write(folder, tracked)
+    commands: list[str] = []
     if not is_packed(folder):
-        write_manifest(folder, results)
+        commands = commands_of(folder)
+        if made_rows and (command := _this_command()) not in commands:
+            commands.append(command)
+        write_manifest(folder, results, commands=commands)
     with busy("writing the report"):
         find = partial(_dataset, folder, load_runs(folder), data)
-        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-        page = report.write(folder, results, find, command=command, date=date.today().isoformat())
+        page = report.write(folder, results, find, command="; ".join(commands), date=date.today().isoformat())
     console = wide_console()
     console.print(means_table(results))
     if poses := poses_table(results):
@@ -56,6 +63,11 @@ def write(folder: Path, data: Sequence[Path]) -> None:
     console.print()
     print_path(console, "Table:  ", folder / leaderboard.FILES[0])
     print_path(console, "Report: ", page)
+
+
+def _this_command() -> str:
+    """Command line of this process; bytes that are no text become question marks."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]).encode(errors="replace").decode()
 
 
 def _dataset(folder: Path, rows: Sequence[RunRow], data: Sequence[Path], track: str, track_spec: str) -> Path | None:
@@ -89,7 +101,7 @@ def means_table(results: Sequence[ModelResult]) -> Group:
     marks = [f"{mark} {meaning}." for mark, meaning in marks_explained(results)]
     shared = [FRACTIONAL_RANKS] if any(result.rank and result.rank % 1 for result in results) else []
     failed = [FAILED_SEEDS] if any(result.n_failed for result in results) else []
-    return Group(table, *map(terminal, (*shared, *marks, *failed, *caveats(results))))
+    return Group(table, *map(terminal, (*shared, *marks, *suffixes_explained(results), *failed, *caveats(results))))
 
 
 def poses_table(results: Sequence[ModelResult]) -> Group | None:

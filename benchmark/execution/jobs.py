@@ -15,8 +15,8 @@ from benchmark.clips import ClipSequence, TruthSequence
 from benchmark.execution.executor import FITTED, Limits, Outcome, run_jobs
 from benchmark.machine import commit, peak_mib
 from benchmark.models.adapters.predictions import PredictionFolder
-from benchmark.models.contract import check_prediction
-from benchmark.models.interface import Clip, Prediction, Segmenter
+from benchmark.models.contract import check_prediction, check_reconstruction
+from benchmark.models.interface import Clip, Prediction, Reconstructs, Segmenter
 from benchmark.models.model_spec import ModelSpec, Options
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
@@ -24,6 +24,7 @@ from benchmark.models.validation import VALIDATION, ValidationScorer
 from benchmark.ranking.text import brief, one_line
 from benchmark.results.csv_files import Curve
 from benchmark.results.labels import write_labels
+from benchmark.results.reconstructions import save_reconstruction, shown_images, shown_scenes
 from benchmark.results.run_folder import (
     LABELS,
     SCENES,
@@ -295,6 +296,9 @@ def _model_rows(job: Job, fitted: _Fitted, target: Target) -> list[RunRow]:
         pretrained=job.pretrained,
         views=fitted.spec.views.on(scenes.views) if fitted.spec.views else "",
     )
+    # The report shows the first seed.
+    if isinstance(segmenter, Reconstructs) and job.seed == 0 and target.key.track not in REAL_TABLES:
+        _reconstruct(job.out, row, segmenter, clips)
     others = [dataclasses.replace(row, key=key) for key in target.extra.values()]
     return [dataclasses.replace(row, learning_curve=fitted.learning_curve), *others]
 
@@ -357,6 +361,18 @@ def segment_split(
             for name, other in others.items():
                 other.put(index, Prediction(prediction.extra[name], prediction.background_slot))
     return seconds
+
+
+def _reconstruct(out: Path, row: RunRow, segmenter: Reconstructs, clips: ClipSequence) -> None:
+    """Render the scenes that the report shows."""
+    for scene in shown_scenes(len(clips)):
+        clip = clips[scene]
+        images = shown_images(*clip.depth.shape[:2])
+        pictures = segmenter.reconstruct_images(clip, images)
+        if pictures is None:
+            return
+        check_reconstruction(pictures, len(images), clip, f"scene {scene}")
+        save_reconstruction(out, row, scene, pictures)
 
 
 def _clips(scenes: Split, spec: ModelSpec) -> ClipSequence:

@@ -36,6 +36,23 @@ def check_prediction(prediction: Prediction, clip: Clip, where: str, extra: Coll
         _check_poses(prediction.poses, clip, where)
 
 
+def check_reconstruction(images: object, count: int, clip: Clip, where: str) -> None:
+    """Check that a model rendered `count` images of a clip, none of them larger than the clip's.
+
+    Raises:
+        BadPrediction: it did not; the message describes the images.
+    """
+    height, width = clip.depth.shape[2:]
+    found = f"{images.dtype} {images.shape}" if isinstance(images, np.ndarray) else type(images).__name__
+    sizes = [(count,), range(1, height + 1), range(1, width + 1), (3,)]
+    shape = images.shape if isinstance(images, np.ndarray) and images.dtype == np.uint8 else ()
+    if len(shape) != 4 or not all(size in good for size, good in zip(shape, sizes, strict=True)):
+        raise BadPrediction(
+            f"In {where} the model gave a reconstruction {found}; expected uint8 of shape ({count}, height, width, 3), "
+            f"at most {height} x {width} pixels."
+        )
+
+
 def _check_labels(labels: np.ndarray, slot: int | None, clip: Clip, where: str) -> None:
     if labels.shape != clip.depth.shape or not np.issubdtype(labels.dtype, np.integer):
         nan = " with nan" if labels.dtype.kind == "f" and np.isnan(labels).any() else ""

@@ -120,3 +120,17 @@ class Segmenter(Protocol):
     def segment(self, clip: Clip) -> Prediction:
         """Segment one clip; the result depends on nothing but the clip and the fitted model."""
         ...
+
+
+@runtime_checkable
+class Reconstructs(Protocol):
+    """A model that can render clips; the report shows a few of its pictures beside its segmentations."""
+
+    def reconstruct_images(
+        self, clip: Clip, images: Sequence[tuple[int, int]]
+    ) -> UInt8[np.ndarray, "image rows columns 3"] | None:
+        """Render these images of a clip, given as frame and view, in the size of the clip or smaller.
+
+        None if the fitted model cannot render.
+        """
+        ...

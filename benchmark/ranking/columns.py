@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
+from benchmark.names import explain_suffixes
 from benchmark.ranking.standings import (
     ALL_METRICS,
     PRETRAINED,
@@ -264,6 +265,7 @@ def table_notes(results: Sequence[ModelResult]) -> Iterator[str]:
         + (f", which under-cover with few seeds; here models have {seeds}." if seeds else ".")
     )
     yield from NOTES
+    yield from suffixes_explained(results)
     if any(result.has_poses for result in results):
         yield from POSE_NOTES
     yield from caveats(results)
@@ -293,6 +295,11 @@ def without_floor(results: Iterable[ModelResult]) -> str:
 def marks_explained(results: Sequence[ModelResult]) -> list[tuple[str, str]]:
     """List the marks that occur, with their meanings."""
     return [(mark, meaning) for mark, meaning in MARKS.items() if any(mark in result.marks for result in results)]
+
+
+def suffixes_explained(results: Sequence[ModelResult]) -> list[str]:
+    """Explain the suffixes of row names that occur."""
+    return explain_suffixes(result.row.key.model for result in results)
 
 
 def seeds_in_words(results: Iterable[ModelResult]) -> str:

@@ -12,20 +12,10 @@ from jaxtyping import Float64, UInt8
 from benchmark.metrics.errors_by_type import ERROR_TYPES
 from benchmark.report.analysis import Analysis, read_maps
 from benchmark.report.observations import Objects, read_truth, scene_tables
-from benchmark.report.pictures import (
-    box_corners,
-    boxes_picture,
-    depth_picture,
-    label_picture,
-    photograph,
-    slot_colors,
-    subsampled,
-)
+from benchmark.report.pictures import box_corners, boxes_picture, depth_picture, label_picture, photograph, slot_colors
+from benchmark.results.reconstructions import chosen_scenes, load_reconstruction, shown_images, subsampled
 from datagen.inspect.preview import label_colors
 from datagen.storage.reader import read_camera_poses
-
-MOST_IMAGES = 8
-"""Images of a clip; longer clips are sampled evenly."""
 
 Image = tuple[int, int, int]
 """Scene, frame and view."""
@@ -68,13 +58,13 @@ def disagreements(a: Scores, b: Scores, count: int) -> list[int]:
     return [int(i) for i in np.argsort(-gaps, kind="stable")[:count] if gaps[i] > 0]
 
 
-def typical_scenes(scores: Sequence[Scores], count: int) -> list[int]:
-    """Select the scene of median difficulty by all models' mean, then the hardest ones."""
-    stacked = np.stack(scores)
+def typical_scenes(scores: Sequence[Scores], count: int, among: Sequence[int]) -> list[int]:
+    """Select the scene of median difficulty among some by all models' mean, then the hardest of these."""
+    stacked = np.stack(scores)[:, among]
     defined = np.isfinite(stacked).sum(axis=0)
     means = np.where(defined > 0, np.nansum(stacked, axis=0) / np.maximum(defined, 1), np.nan)
     order = worst_scenes(means, len(means))
-    return list(dict.fromkeys([order[len(order) // 2], *order]))[:count] if order else []
+    return [among[i] for i in dict.fromkeys([order[len(order) // 2], *order])][:count] if order else []
 
 
 def telling_image(objects: Objects, scene: int, values: Float64[np.ndarray, "observation"]) -> Image:
@@ -155,10 +145,23 @@ class Painter:
     def __init__(self, folder: Path, analysis: Analysis, album: Album, best_first: Sequence[int], limits: Limits):
         self._analysis, self._album = analysis, album
         self._worst, self._pairs = choose_cards(analysis, limits, best_first)
-        self._clips = typical_scenes(list(analysis.scores.values()), limits.clips)
+        self._among = chosen_scenes(folder, list(analysis.rows.values()), len(analysis.scenes))
+        self._clips = typical_scenes(list(analysis.scores.values()), limits.clips, self._among)
+        self._reconstructions = self._load_reconstructions(folder)
         self._maps = {model: read_maps(folder, row, self._wanted(model)) for model, row in analysis.rows.items()}
         self._records: dict[int, Mapping[str, np.ndarray]] = {}
         self._colors: dict[tuple[int, int], UInt8[np.ndarray, "slot 3"]] = {}
+
+    def _load_reconstructions(self, folder: Path) -> dict[int, dict[int, UInt8[np.ndarray, "image height width 3"]]]:
+        """Load the reconstructions of the clips, of the models that have them all."""
+        count = len(shown_images(*self._analysis.scenes.labels_shape[1:3]))
+        found = {}
+        for model, row in self._analysis.rows.items():
+            images = {scene: load_reconstruction(folder, row, scene, count) for scene in self._clips}
+            there = {scene: strip for scene, strip in images.items() if strip is not None}
+            if there and len(there) == len(self._clips):
+                found[model] = there
+        return found
 
     def _wanted(self, model: int) -> set[int]:
         lists = [*self._worst.values(), *self._pairs.values()]
@@ -167,10 +170,17 @@ class Painter:
     def gallery(self, best_first: Sequence[int]) -> dict[str, Any]:
         """Describe all pictures for the page's script; those of clips with the models in this order."""
         return {
+            "choice": self._choice,
             "worst": {str(model): [self._card(card) for card in cards] for model, cards in self._worst.items()},
             "pairs": {f"{a},{b}": [self._card(card) for card in cards] for (a, b), cards in self._pairs.items()},
             "clips": [self._clip(scene, best_first) for scene in self._clips],
         }
+
+    @property
+    def _choice(self) -> str:
+        """Explain which scenes are shown as clips."""
+        words = " with reconstructions" if self._reconstructions else ""
+        return f"Test scenes{words}: of median difficulty, then the hardest."
 
     def _card(self, card: Card) -> dict[str, Any]:
         scene, frame, view = card.image
@@ -186,10 +196,9 @@ class Painter:
         return {"scene": scene, "where": ", ".join(where), "rgb": rgb, "truth": truth, "maps": maps}
 
     def _clip(self, scene: int, best_first: Sequence[int]) -> dict[str, Any]:
-        """Describe the clip of a scene: RGB, depth, ground truth, and label maps and boxes of all models."""
+        """Describe the clip of a scene: RGB, depth and ground truth; labels, boxes and reconstructions of models."""
         rgb = self._record(scene)["rgb"]
-        every = [(frame, view) for frame in range(rgb.shape[0]) for view in range(rgb.shape[1])]
-        chosen = [every[i] for i in np.linspace(0, len(every) - 1, min(len(every), MOST_IMAGES)).round().astype(int)]
+        chosen = shown_images(*rgb.shape[:2])
         height, width = subsampled(rgb[0, 0]).shape[:2]
         layers = [
             {"name": "RGB", "picture": self._photograph(scene, chosen), "photo": True},
@@ -200,7 +209,11 @@ class Painter:
             shown = {"model": model, "score": self._score(model, scene)}
             layers.append({**shown, "picture": self._prediction(model, scene, chosen)})
             if self._maps[model][scene].boxes is not None:
-                layers.append({**shown, "picture": self._boxes(model, scene, chosen), "boxes": True, "photo": True})
+                picture = self._boxes(model, scene, chosen)
+                layers.append({**shown, "picture": picture, "part": "boxes", "photo": True})
+            if model in self._reconstructions:
+                picture = self._reconstruction(model, scene, chosen)
+                layers.append({**shown, "picture": picture, "part": "reconstruction", "photo": True})
         return {"scene": scene, "count": len(chosen), "ratio": round(width / height, 3), "layers": layers}
 
     def _score(self, model: int, scene: int) -> str:
@@ -240,6 +253,11 @@ class Painter:
         return self._place(
             name, scene, images, lambda: boxes_picture([record["rgb"][image] for image in images], corners, colors)
         )
+
+    def _reconstruction(self, model: int, scene: int, images: list[tuple[int, int]]) -> int:
+        pictures = self._reconstructions[model][scene]
+        name = f"reconstruction {self._analysis.rows[model].key.name}"
+        return self._place(name, scene, images, lambda: photograph([*pictures]))
 
     def _slot_colors(self, model: int, scene: int) -> UInt8[np.ndarray, "slot 3"]:
         if (model, scene) not in self._colors:

@@ -24,6 +24,7 @@ from benchmark.ranking.columns import (
     group_letters,
     marks_explained,
     paper_of_track,
+    suffixes_explained,
 )
 from benchmark.ranking.standings import RANKED_METRICS, ModelResult
 from benchmark.ranking.text import plain_number
@@ -43,13 +44,14 @@ def leaderboard(group: Sequence[ModelResult], numbers: Mapping[str, int]) -> dic
 
 
 def legend(group: Sequence[ModelResult], ranks: Iterable[str]) -> Iterator[str]:
-    """Explain what occurs in the leaderboard: shared ranks, group letters, marks, failed seeds, and caveats."""
+    """Explain what occurs in the leaderboard: shared ranks, letters, marks, suffixes, failed seeds, and caveats."""
     yield f"{RANK.note} Each block is ranked by itself; leaderboard.csv ranks all models of a track together."
     if any("." in rank for rank in ranks):
         yield FRACTIONAL_RANKS
     if any(letters for result in group for letters in result.group_letters):
         yield f"Letters behind a score: {GROUP_LETTERS}"
     yield from (f"{mark} {meaning}." for mark, meaning in marks_explained(group))
+    yield from suffixes_explained(group)
     if any(result.n_failed for result in group):
         yield FAILED_SEEDS
     yield from caveats(group)

@@ -34,8 +34,8 @@ def write(
 ) -> Path:
     """Write `report.html` into a run folder: self-contained, offline, and the same bytes for the same arguments.
 
-    Command and date are shown at the top. A page larger than `largest` bytes gets fewer pictures. Without a dataset, or
-    without label maps, the sections that need them say so.
+    The command that made the results and the date are shown at the top. A page larger than `largest` bytes gets fewer
+    pictures. Without a dataset, or without label maps, the sections that need them say so.
 
     Raises:
         UsageError: the folder holds no runs.

@@ -9,11 +9,9 @@ import scipy
 from jaxtyping import Float, Int64, Integer, UInt8
 from PIL import Image, ImageDraw
 
+from benchmark.results.reconstructions import SIDE, subsampled
 from datagen.geometry import project
 from datagen.inspect.preview import colored_depth, label_colors
-
-SIDE = 128
-"""Longest side of one image, pixels; larger images are subsampled."""
 
 GAP = 2
 """Transparent pixels between the images of a strip."""
@@ -85,12 +83,6 @@ def box_corners(
     pixels, depth = project(points, k, world_from_camera)
     hidden = ~np.all(depth > NEAREST, axis=1)
     return np.where(hidden[:, None, None], np.nan, pixels)
-
-
-def subsampled(image: np.ndarray) -> np.ndarray:
-    """Every n-th pixel, such that no side is longer than `SIDE`."""
-    step = -(-max(image.shape[:2]) // SIDE)
-    return image[step // 2 :: step, step // 2 :: step]
 
 
 def _uri(images: Sequence[Rgb], **options: bool | int) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark.models.validation import SCORES
+from benchmark.names import base_name
 from benchmark.ranking.columns import HEADINGS, OTHER_SCORES, POSE_SCORES, SEEDS, scenes_title, with_poses
 from benchmark.ranking.columns import SCORES as ALL_SCORES
 from benchmark.ranking.standings import PRETRAINED, ModelResult, best_first, compare_results
@@ -96,7 +97,7 @@ def facts(track: TrackResults, numbers: Mapping[str, int]) -> dict[str, Any]:
         "subtitle": f"{scenes_title(results)}; {_fitting(track)}",
         "models": sorted(ordered),
         "ordered": ordered,
-        "first": (ordered * 2)[:2],
+        "first": _first(ordered, {number: name for name, number in numbers.items()}),
         "crashed": {numbers[result.row.key.model]: result.rows[0].reason for result in results if not result.n_scenes},
         "table": table,
         "legend": list(leaderboard_view.legend(results, ranks)),
@@ -121,6 +122,13 @@ def facts(track: TrackResults, numbers: Mapping[str, int]) -> dict[str, Any]:
         "histories": _histories(results, numbers),
         "curveless": _curveless(results),
     }
+
+
+def _first(ordered: Sequence[int], names: Mapping[int, str]) -> list[int]:
+    """Choose the two models that the page compares first: the best rows of different models, if there are any."""
+    best = {base_name(names[model]): model for model in reversed(ordered)}
+    others = [model for model in ordered if model in best.values()]
+    return ([*others, *(model for model in ordered if model not in others)] * 2)[:2]
 
 
 def comparisons(track: TrackResults, numbers: Mapping[str, int]) -> dict[str, list[float]]:

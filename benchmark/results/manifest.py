@@ -1,4 +1,4 @@
-"""Manifest of a run folder: code, versions, datasets, models, and the hashes of its tables."""
+"""Manifest of a run folder: commands, code, versions, datasets, models, and the hashes of its tables."""
 
 import hashlib
 import json
@@ -9,8 +9,10 @@ from pathlib import Path
 
 from benchmark.ranking.leaderboard import FILES
 from benchmark.ranking.standings import ModelResult
+from datagen.errors import CorruptFile
 from datagen.storage.atomic import write_atomically
 from datagen.storage.manifest import package_version
+from datagen.storage.safe_io import read_json
 
 MANIFEST = "manifest.json"
 HASHED = tuple(name for name in FILES if name != "per_scene.csv")
@@ -18,10 +20,13 @@ HASHED = tuple(name for name in FILES if name != "per_scene.csv")
 PACKAGES = ("obpose", "numpy", "scipy", "scikit-learn", "h5py", "torch")
 
 
-def write_manifest(folder: Path, results: Sequence[ModelResult], hashed: Sequence[str] = HASHED) -> None:
-    """Write `manifest.json`, with the hashes of the files in `hashed`, which must exist."""
+def write_manifest(
+    folder: Path, results: Sequence[ModelResult], hashed: Sequence[str] = HASHED, commands: Sequence[str] = ()
+) -> None:
+    """Write `manifest.json`, with the hashes of the files in `hashed`, which must exist, and the `commands` if any."""
     rows = [row for result in results for row in result.rows]
     facts = {
+        **({"commands": [*commands]} if commands else {}),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.machine()}",
         "packages": {name: package_version(name) or "" for name in PACKAGES},
@@ -34,3 +39,23 @@ def write_manifest(folder: Path, results: Sequence[ModelResult], hashed: Sequenc
         "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in hashed},
     }
     write_atomically(folder / MANIFEST, (json.dumps(facts, indent=2) + "\n").encode())
+
+
+def commands_of(folder: Path) -> list[str]:
+    """Commands that made the rows of a run folder, oldest first, as its manifest lists them.
+
+    Raises:
+        CorruptFile: the manifest is damaged.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        return []
+    advice = "Delete it: it is written again, but without the commands that made the results."
+    try:
+        facts = read_json(path)
+    except CorruptFile as error:
+        raise CorruptFile(f"{error} {advice}") from None
+    commands = facts.get("commands", []) if isinstance(facts, dict) else None
+    if not isinstance(commands, list) or not all(isinstance(command, str) for command in commands):
+        raise CorruptFile(f"{path} is damaged: its commands are no list of texts. {advice}")
+    return commands

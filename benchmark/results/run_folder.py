@@ -5,6 +5,7 @@ OUT/
     scenes/NAME.csv ... one line per scene: the mean of every metric, its number of frames, and counts
     labels/NAME.h5 .... the label maps, from which all scores can be recomputed
     curves/NAME.csv ... the learning curve, if the model records one
+    reconstructions/NAME/ ... a few scenes as the model renders them, if it can
     training/ ......... files of models: checkpoints, pictures
     watched/ .......... validation scores during training, which are added to the curves
 with NAME = track--model--seed--8 hex digits of the key. All other files in OUT are derived from these.
@@ -16,6 +17,7 @@ import hashlib
 import json
 import math
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
@@ -35,6 +37,7 @@ from datagen.storage.safe_io import MOST_JSON_BYTES, brief_reason, parse_json, r
 from datagen.storage.structure import strict_converter, structure
 
 RUNS, SCENES, LABELS, CURVES, TRAINING = "runs", "scenes", "labels", "curves", "training"
+RECONSTRUCTIONS = "reconstructions"
 COUNTS = ("objects", "one_object", "undefined", "identity_switches", "ignored")
 """Columns after the metrics of a scene's line: objects (mean over frames), frames with one object, frames in which a
 metric is undefined, identity switches, ignored pixels."""
@@ -241,12 +244,13 @@ def _row(name: str, values: dict[str, Any]) -> RunRow:
 
 
 def delete_rows(folder: Path, rows: Iterable[RunRow]) -> None:
-    """Delete rows with their scores, label maps and learning curves; the models' own files in `training/` stay."""
+    """Delete rows and all files of their names; the models' own files in `training/` stay."""
     for row in rows:
         row_path(folder, row.key).unlink(missing_ok=True)
         (folder / SCENES / f"{row.key.name}.csv").unlink(missing_ok=True)
         (folder / LABELS / f"{row.key.name}.h5").unlink(missing_ok=True)
         _curve_path(folder, row.key.name).unlink(missing_ok=True)
+        shutil.rmtree(folder / RECONSTRUCTIONS / row.key.name, ignore_errors=True)
 
 
 def _curve_path(folder: Path, name: str) -> Path:

@@ -157,9 +157,9 @@ class Preview:
     scenes: tuple[int, ...] | None = None
     """Scenes to show; default the first four."""
     out: Path | None = None
-    """The picture's file, .png or .jpg; default preview.png in the folder."""
+    """The picture's file, .png or .jpg; default preview.png in the folder, without --animation."""
     animation: Path | None = None
-    """The animation's file, .gif or .mp4; default preview.gif in the folder, for clips."""
+    """The animation's file, .gif or .mp4; default preview.gif in the folder for clips, without --out."""
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,7 @@ def card(spec: Spec, figures: Summary, seen: Mapping[str, Collection[str]] | Non
     fields = '["rgb", "depth", "segmentation"]' if figures["resolution"] else '["poses/position"]'
     renderer = spec["renderer"] and f"{spec['renderer']['name']} {spec['renderer']['version']}"
     split = next(name for name, scenes in spec["splits"].items() if scenes)
+    meshes = " --assets path/to/the/meshes" if spec.get("assets") else ""
     return f"""---
 license: {license_of(spec).hub}
 task_categories:
@@ -116,8 +117,13 @@ PyTorch dataset over the folder.
 | data version, format version | {spec["data_version"]}, {spec["format_version"]} |
 | renderer and version | {renderer or "-"} |
 
-The hash of every scene's arrays is stored beside it; `obpose-datagen verify` proves arrays, hashes and geometry, and
-`obpose-datagen regenerate --split {split} --scene 0` makes a scene again and compares.
+The hash of every scene's arrays is stored beside it. The first command proves arrays, hashes and geometry; the second
+makes a scene again and compares.
+
+```sh
+obpose-datagen verify path/to/this/folder{meshes}
+obpose-datagen regenerate path/to/this/folder --split {split} --scene 0{meshes}
+```
 """
 
 

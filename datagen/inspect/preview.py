@@ -61,8 +61,8 @@ def run(
     """Draw scenes of a dataset and return the paths of the pictures.
 
     By default, these are the first four scenes of the first split that has any. The contact sheet (PNG or JPEG) goes to
-    `out`, by default `preview.png` in the dataset's folder. An animation (GIF, or MP4 with a codec) goes to `video`, by
-    default `preview.gif` for clips; stills have none.
+    `out`, and an animation (GIF, or MP4 with a codec) to `video`. Without either, they are `preview.png` and, of clips,
+    `preview.gif` in the dataset's folder.
 
     Raises:
         UsageError: there are no images, no such scenes, no codec, or a file's name has another ending.
@@ -70,16 +70,19 @@ def run(
     dataset = Dataset(folder)
     if dataset.spec["resolution"] is None:
         raise UsageError(f"{folder} holds no images; render it first with `obpose-datagen render --from {folder}`.")
-    sheet = _named(out or dataset.folder / "preview.png", SHEET_ENDINGS)
-    animation = _named(video or dataset.folder / "preview.gif", ANIMATION_ENDINGS)
+    if out is None and video is None:
+        out = dataset.folder / "preview.png"
+        video = dataset.folder / "preview.gif" if dataset.spec["recipe"]["frames"] > 1 else None
+    sheet = out and _named(out, SHEET_ENDINGS)
+    animation = video and _named(video, ANIMATION_ENDINGS)
     chosen = _chosen(_split(dataset, split), scenes)
     title = _title(dataset.spec)
-    Image.fromarray(contact_sheet(chosen, title)).save(_ready(sheet))
-    if video is None and dataset.spec["recipe"]["frames"] == 1:
-        return [sheet]
-    frames = list(animation_frames(chosen, title))
-    save_animation(_ready(animation), frames, dataset.spec["recipe"]["fps"], gif_palette(chosen))
-    return [sheet, animation]
+    if sheet:
+        Image.fromarray(contact_sheet(chosen, title)).save(_ready(sheet))
+    if animation:
+        frames = list(animation_frames(chosen, title))
+        save_animation(_ready(animation), frames, dataset.spec["recipe"]["fps"], gif_palette(chosen))
+    return [path for path in (sheet, animation) if path]
 
 
 def contact_sheet(records: dict[str, SceneRecord], title: str = "") -> Rgb:

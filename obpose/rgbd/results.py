@@ -172,8 +172,8 @@ def overlay(
     _draw_outline(image, outline, k, pose, width)
     pen, font = ImageDraw.Draw(image), ImageFont.load_default(max(10, rgb.shape[0] // 32))
     for each in objects:
-        edges = box_edges(torch.zeros(3), torch.eye(3), 1.0).double() * torch.from_numpy(each.box.size)
-        edges = edges @ torch.from_numpy(each.box.rotation.T) + torch.from_numpy(each.box.center)
+        box = (each.box.center, each.box.rotation, each.box.size)
+        edges = box_edges(*(torch.from_numpy(array.astype(np.float64)) for array in box))
         draw_box(image, edges, each.label, k=torch.from_numpy(k), pose=torch.from_numpy(pose), width=width)
         row, column = (float(np.median(index)) for index in np.nonzero(labels == each.label))
         pen.text(

@@ -8,10 +8,9 @@ from torch import Tensor
 
 from obpose.data.clips import select_part
 from obpose.data.resolution import fitting_model
-from obpose.geometry import unproject
+from obpose.geometry import sides_of_points, unproject
 from obpose.model.attention.given import Labels
 from obpose.model.obpose import ObPose
-from obpose.model.pose.orientation import half_extents
 from obpose.scenes.appearance import no_appearance
 from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.find_table_texture import find_texture
@@ -73,9 +72,8 @@ def _seen_extents(observation: Observation, found: SceneSegmentation) -> Float[T
     In some frames the object is hidden in part, in others labels are wrong.
     """
     boxes, labels = found.inference.boxes, found.labels.masked_fill(~observation.valid, 0)
-    extents = half_extents(boxes.center, boxes.rotation, unproject(observation), labels)[0]
-    usual = extents.masked_fill(extents.isinf(), torch.nan).nanquantile(0.75, dim=0)
-    return usual.nan_to_num(nan=0.0)
+    extents = sides_of_points(unproject(observation), labels, boxes)[0] / 2
+    return extents.nanquantile(0.75, dim=0).nan_to_num(nan=0.0)
 
 
 def _fitted(model: ObPose, observation: Observation, scene: Scene, refinements: int) -> Scene:

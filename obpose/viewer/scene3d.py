@@ -147,7 +147,7 @@ class Scene3D:
     def _add_object(self, name: int) -> _ObjectNodes:
         root = f"/objects/{name}"
         frame = self._scene.add_frame(root, show_axes=False)
-        edges = box_edges(torch.zeros(3), torch.eye(3), self._box).numpy()
+        edges = box_edges(torch.zeros(3), torch.eye(3), torch.full((3,), self._box)).numpy()
         box = self._scene.add_line_segments(f"{root}/box", edges, slot_colour(name))
         self._scene.add_label(f"{root}/label", str(name), anchor="center-center", font_screen_scale=0.9)
         self._nodes[name] = _ObjectNodes(frame, box)

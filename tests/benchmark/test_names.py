@@ -2,7 +2,7 @@ import unicodedata
 
 import pytest
 
-from benchmark.names import check_model_name, check_row_name, find_twin
+from benchmark.names import base_name, check_model_name, check_row_name, find_twin, suffixes_of
 from datagen.errors import UsageError
 from datagen.storage.portable_names import check_dataset_name
 
@@ -49,6 +49,7 @@ RESERVED = (
     "references",
     "obpose-pretrained",
     "mine-att",
+    "mine-density",
     "mine-refined",
     "mine-3-slots",
     "Mine-PRETRAINED",
@@ -82,3 +83,18 @@ def test_upper_and_lower_case_make_no_other_name():
     assert find_twin("Plane-DBSCAN", ["one", "plane-dbscan"]) == "plane-dbscan"
     assert find_twin("STRASSE", ["straße"]) == "straße"
     assert find_twin("plane", ["plane-dbscan"]) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "suffixes"),
+    [
+        ("obpose", "obpose", []),
+        ("plane-dbscan-tracked", "plane-dbscan-tracked", []),
+        ("attention", "attention", []),
+        ("obpose-contact-pretrained-density", "obpose-contact", ["-pretrained", "-density"]),
+        ("obpose-12-slots-att", "obpose", ["-N-slots", "-att"]),
+        ("mine-refined", "mine", ["-refined"]),
+    ],
+)
+def test_suffixes_are_told_from_the_names_of_models(name: str, base: str, suffixes: list[str]):
+    assert (base_name(name), suffixes_of(name)) == (base, suffixes)

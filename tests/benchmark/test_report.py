@@ -11,10 +11,12 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmark import report
 from benchmark.ranking import leaderboard
+from benchmark.results.reconstructions import save_reconstruction
 from benchmark.results.run_folder import load_runs, save_row
 from tests.chosen_scores import run_row, save_run, scene_table
 from tests.worlds.runs import MODELS, TRACKS, write_report, write_runs
@@ -132,6 +134,24 @@ def test_clips_of_all_models_are_there_to_be_played(text: str) -> None:
             names = [layer.get("name") for layer in clip["layers"]]
             assert names[:3] == ["RGB", "ground truth", "depth"]
             assert len(clip["layers"]) == 3 + len(MODELS)
+
+
+def test_clips_are_of_scenes_with_reconstructions_if_there_are_any(folder: Path, tmp_path: Path, text: str) -> None:
+    old = json.loads(script(text, "facts"))["galleries"]["0"]
+    assert "with reconstructions" not in old["choice"]
+    assert not [layer for clip in old["clips"] for layer in clip["layers"] if layer.get("part") == "reconstruction"]
+    shutil.copytree(folder / "run", tmp_path / "run")
+    (row, *_) = (r for r in load_runs(tmp_path / "run") if (r.key.track, r.key.model) == ("moving", "merger"))
+    for scene in (0, 5):
+        save_reconstruction(tmp_path / "run", row, scene, np.full((5, 36, 48, 3), 10 * scene, np.uint8))
+    write_report(tmp_path / "run", {track: folder / track for track in TRACKS})
+    new = (tmp_path / "run/report.html").read_text(encoding="utf-8")
+    gallery = json.loads(script(new, "facts"))["galleries"]["0"]
+    assert gallery["choice"] == "Test scenes with reconstructions: of median difficulty, then the hardest."
+    assert sorted(clip["scene"] for clip in gallery["clips"]) == [0, 5]
+    for clip in gallery["clips"]:
+        (layer,) = (layer for layer in clip["layers"] if layer.get("part") == "reconstruction")
+        assert json.loads(script(new, "facts"))["models"][layer["model"]] == "merger"
 
 
 def test_names_of_models_cannot_become_code(text: str, page: Page) -> None:

@@ -37,6 +37,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "labels.npz": lambda path: np.savez(path, labels=np.zeros((2, 1, 4, 4), np.uint8), background_slot=0),
     "image.png": lambda path: Image.new("RGB", (8, 6)).save(path),
     "image.jpg": lambda path: Image.new("RGB", (8, 6)).save(path),
+    "image.webp": lambda path: Image.new("RGB", (8, 6)).save(path),
     "image.tif": lambda path: Image.new("F", (8, 6)).save(path),
 }
 

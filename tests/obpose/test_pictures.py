@@ -8,6 +8,7 @@ import torch
 from PIL import Image
 
 from obpose.data.clips import observation_of
+from obpose.geometry import sides_of_points, unproject
 from obpose.pictures import COLUMNS, GAP, HEADER, MARGIN, PALETTE, box_edges, draw, reconstruct, tint, write_picture
 from obpose.types import Decoded
 from tests.obpose.toy import SIZE, SLOTS, ToyClips, ToyModel, toy_config
@@ -85,10 +86,30 @@ def test_boxes_have_twelve_edges_of_their_size():
     turn = torch.eye(3)
     turn[:2, :2] = torch.tensor([[angle.cos(), -angle.sin()], [angle.sin(), angle.cos()]])
     center = torch.tensor([0.1, 0.2, 0.3]).expand(2, 3)
-    edges = box_edges(center, turn.expand(2, 3, 3), 0.4)
+    edges = box_edges(center, turn.expand(2, 3, 3), torch.tensor([0.4, 0.5, 0.6]).expand(2, 3))
     assert edges.shape == (2, 12, 2, 3)
-    torch.testing.assert_close((edges[..., 0, :] - edges[..., 1, :]).norm(dim=-1), torch.full((2, 12), 0.4))
+    lengths = (edges[..., 0, :] - edges[..., 1, :]).norm(dim=-1).sort(dim=-1).values
+    torch.testing.assert_close(lengths, torch.tensor([0.4] * 4 + [0.5] * 4 + [0.6] * 4).expand(2, 12))
     torch.testing.assert_close(edges.mean(dim=(1, 2)), center)
+
+
+def test_boxes_are_drawn_around_the_points_of_each_label():
+    found = ToyModel(toy_config()).segment(clips())
+    labels = torch.zeros_like(found.labels)
+    labels[:, :, :, 2:4, 3:6] = 2
+    points = unproject(clips())
+    sides = sides_of_points(points, labels, found.inference.boxes)
+    assert sides[:, :, 0].isnan().all()
+    mine = points[0, 1, 0, 2:4, 3:6].reshape(-1, 3) - found.inference.boxes.center[0, 1, 1]
+    torch.testing.assert_close(sides[0, 1, 1], 2 * mine.abs().amax(dim=0))
+
+
+def test_a_model_without_poses_is_drawn_without_boxes(monkeypatch: pytest.MonkeyPatch):
+    model = ToyModel(toy_config())
+    found = model.segment(clips())
+    without = dataclasses.replace(found, inference=dataclasses.replace(found.inference, where=None))
+    monkeypatch.setattr(model, "segment", lambda observation: without)
+    assert draw(model, clips()).shape == (*size(4, len(COLUMNS) - 2), 3)
 
 
 @pytest.mark.parametrize("views", ["all", "separate"])

@@ -102,7 +102,7 @@ def _inference(observation: Observation) -> Inference:
         ),
         observed_center=center,
         boxes=Boxes(center, torch.eye(3).expand(batch, frames, SLOTS, 3, 3), 0.5),
-        where=None,
+        where=Latent(**latents),
         what=Latent(**latents),
         background=Latent(**background),
     )

@@ -9,19 +9,23 @@ from typing import Any
 import numpy as np
 import torch
 from einops import rearrange
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from benchmark.models.interface import Clip, Poses, Prediction
 from benchmark.models.model_spec import settings_of
 from benchmark.models.validation import ValidationScorer
+from benchmark.results.reconstructions import SIDE
 from datagen.errors import UsageError
-from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views
+from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, select_part, separate_views
 from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
-from obpose.geometry import unproject
+from obpose.geometry import sides_of_points, unproject
 from obpose.model.obpose import ObPose
-from obpose.model.pose.orientation import half_extents
+from obpose.pictures import to_bytes
 from obpose.rgbd.weights import look_for
+from obpose.scenes.infer import infer_scene
+from obpose.scenes.model_ref import Origin
+from obpose.scenes.rendering import Renderer
 from obpose.storage.checkpoint import load
 from obpose.systems import find_system, slots_for
 from obpose.trainable import Trainable
@@ -78,6 +82,26 @@ class LearnedSegmenter:
         """
         return self._segment(self._model, clip)
 
+    def reconstruct_images(
+        self, clip: Clip, images: Sequence[tuple[int, int]]
+    ) -> UInt8[np.ndarray, "image rows columns 3"] | None:
+        """Render the inferred scenes, as `segment` infers them; None if the model's objects have no poses."""
+        if not isinstance(self._model, ObPose) or self._model.where is None or self._model.background is None:
+            return None
+        origin = Origin(copy.deepcopy(self._model).cpu(), Path(), "", "")
+        renderer, observation = Renderer(origin.model), _observation(clip)
+        views = range(clip.depth.shape[1])
+        parts = [slice(None)] if self._views == "all" else [slice(view, view + 1) for view in views]
+        scenes = [infer_scene(origin, select_part(observation, views=part)) for part in parts]
+        cameras = [(scene, camera) for scene in scenes for camera in scene.cameras]
+        rendered = []
+        for frame, view in images:
+            scene, camera = cameras[view]
+            scale = min(1.0, SIDE / max(camera.width, camera.height))
+            camera = camera.resized(round(scale * camera.width), round(scale * camera.height))
+            rendered.append(to_bytes(renderer.render(scene, frame, camera, antialiased=False).rgb))
+        return np.stack(rendered)
+
     def looking_for(self, objects: int) -> "LearnedSegmenter":
         """Copy this segmenter; the copy looks for the given number of objects if its number of slots can be changed."""
         other = copy.copy(self)
@@ -86,8 +110,7 @@ class LearnedSegmenter:
         return other
 
     def _segment(self, model: Trainable, clip: Clip) -> Prediction:
-        source = ArrayClips([clip])
-        observation = observation_of([source.window(0, 0, source.frames_of_clip)]).to(device_of(model))
+        observation = _observation(clip).to(device_of(model))
         model = fitting_model(model, observation) if isinstance(model, ObPose) else model
         if self._views == "all":
             found, axes = model.segment(observation), "1 frame view h w -> frame view h w"
@@ -125,6 +148,11 @@ class LearnedSegmenter:
         return self._system.config(self._profile, {**self._changes, **run, **measured})
 
 
+def _observation(clip: Clip) -> Observation:
+    source = ArrayClips([clip])
+    return observation_of([source.window(0, 0, source.frames_of_clip)])
+
+
 def device_of(model: Trainable) -> torch.device:
     """Device that holds the model's weights."""
     return next(model.parameters()).device
@@ -146,12 +174,12 @@ def poses_of(model: Trainable, found: Segmentation, observation: Observation) ->
     if not isinstance(model, ObPose) or not isinstance(found, SceneSegmentation) or found.inference.where is None:
         return None
     boxes = found.inference.boxes
-    reach = half_extents(boxes.center, boxes.rotation, unproject(observation), found.labels)
-    there = reach.isfinite().all(dim=-1)
+    sides = sides_of_points(unproject(observation), found.labels, boxes)
+    there = sides.isfinite().all(dim=-1)
     values = (
         boxes.center.masked_fill(~there[..., None], torch.nan),
         boxes.rotation.masked_fill(~there[..., None, None], torch.nan),
-        2 * reach.masked_fill(~there[..., None], torch.nan),
+        sides.masked_fill(~there[..., None], torch.nan),
     )
     return Poses(*(_with_background(value) for value in values))
 

@@ -115,7 +115,7 @@
     return made;
   };
 
-  const nameOf = (layer) => layer.name || `${models[layer.model]}${layer.boxes ? ", boxes" : ""}`;
+  const nameOf = (layer) => layer.name || `${models[layer.model]}${layer.part ? `, ${layer.part}` : ""}`;
   const letterOf = (layer) =>
     ["a", "b"].find((letter) => layer.model !== undefined && String(layer.model) === controls[letter].value);
 
@@ -128,17 +128,18 @@
     const shown = [...new Set([0, 1, ...chosen("a"), ...chosen("b")])];
     const grid = element("div", "previews");
     grid.style.setProperty("--scenes", clips.length);
+    grid.style.setProperty("--rows", shown.length);
     grid.append(element("span"), ...clips.map((clip) => element("span", "said", `Scene ${clip.scene}`)));
     for (const index of shown) {
       const letter = letterOf(rows[index]);
-      grid.append(element("span", `label ${letter || ""}`, nameOf(rows[index])));
+      grid.append(element("span", `label ${letter || ""}`, rows[index].part || nameOf(rows[index])));
       for (const clip of clips) {
         const made = drawClip(clip, clip.layers[index], nameOf(rows[index]), letter);
-        if (clip.layers[index].score && !rows[index].boxes) made.append(element("figcaption", "", clip.layers[index].score));
+        if (clip.layers[index].score && !rows[index].part) made.append(element("figcaption", "", clip.layers[index].score));
         grid.append(made);
       }
     }
-    place.replaceChildren(grid, element("p", "note", "Test scenes: of median difficulty, then the hardest. Numbers: MSC-FG on the scene."));
+    place.replaceChildren(grid, element("p", "note", `${gallery.choice} Numbers: MSC-FG on the scene.`));
   };
 
   const drawClips = (gallery) => {
@@ -148,7 +149,7 @@
         const letter = letterOf(layer);
         const tile = drawClip(clip, layer, nameOf(layer), letter);
         const caption = element("figcaption", letter || "", nameOf(layer));
-        if (layer.score && !layer.boxes) caption.append(element("small", "", ` ${layer.score}`));
+        if (layer.score && !layer.part) caption.append(element("small", "", ` ${layer.score}`));
         tile.append(caption);
         made.append(tile);
       }

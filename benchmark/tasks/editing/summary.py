@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from benchmark.names import explain_suffixes
 from benchmark.ranking.leaderboard import Line, to_csv
 from benchmark.ranking.statistics import Summary, draw, summarise
 from benchmark.ranking.text import markdown as markdown_text
@@ -107,7 +108,8 @@ def markdown(entries: Sequence[Entry]) -> str:
         counts = {entry.scenes for entry in rows}
         said = f", {counted(counts.pop(), 'scene')}" if len(counts) == 1 else ""
         parts.append(f"## {markdown_text(track)}: {edit}{said}\n\n{_markdown_table(rows)}\n")
-    return "\n".join([*parts, *(f"{note}\n" for note in NOTES)])
+    suffixes = explain_suffixes(entry.model for entry in entries)
+    return "\n".join([*parts, *(f"{note}\n" for note in (*NOTES, *suffixes))])
 
 
 def _markdown_table(entries: Sequence[Entry]) -> str:

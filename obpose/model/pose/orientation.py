@@ -78,25 +78,6 @@ def smallest_boxes(
     return torch.einsum("bfsij,bfsj->bfsi", rotation, middle), rotation
 
 
-def half_extents(
-    center: Float[Tensor, "batch frame slot 3"],
-    rotation: Float[Tensor, "batch frame slot 3 3"],
-    points: Float[Tensor, "batch frame view height width 3"],
-    labels: Int[Tensor, "batch frame view height width"],
-) -> Float[Tensor, "batch frame slot 3"]:
-    """Half edges of the smallest box that has this centre and these axes and holds a slot's points, metres.
-
-    Objects are thus assumed symmetric about their centre. Slot k has the label k + 1. -inf without points.
-    """
-    flat, owner = (rearrange(array, "b f v h w ... -> b f (v h w) ...") for array in (points, labels))
-    reaches = []
-    for slot in range(center.shape[2]):
-        local = torch.einsum("bfpi,bfij->bfpj", flat - center[:, :, slot, None], rotation[:, :, slot])
-        mine = (owner == slot + 1)[..., None]
-        reaches.append(local.abs().masked_fill(~mine, -torch.inf).amax(dim=2))
-    return torch.stack(reaches, dim=2)
-
-
 def _own_points(
     points: Float[Tensor, "batch frame view height width 3"],
     owners: Int[Tensor, "batch frame view height width"],

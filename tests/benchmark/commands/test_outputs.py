@@ -2,15 +2,18 @@
 
 import dataclasses
 import io
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rich.console import Console
 
 from benchmark.commands.outputs import FILE_WIDTH, means_table, write
 from benchmark.ranking.standings import standings
 from benchmark.results.run_folder import RunRow, SceneTable, load_runs, save_row
+from datagen.errors import CorruptFile
 from tests.chosen_scores import failed_row, run_row, scene_table
 from tests.worlds.runs import MODELS, write_runs
 
@@ -45,6 +48,32 @@ def test_marks_are_explained_beneath_where_they_occur():
     assert text.count("‡") == 2
     assert "†" not in text
     assert "§" not in text
+
+
+def test_suffixes_of_names_are_explained_beneath_where_they_occur():
+    assert any(line.startswith("-density in a name:") for line in printed([scored("a", 0.9), scored("a-density", 0.8)]))
+    assert not any(" in a name:" in line for line in printed([scored("a", 0.9)]))
+
+
+def test_the_report_keeps_the_commands_that_made_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    write_runs(tmp_path, scenes=1, seeds=1, models={"merger": MODELS["merger"]})
+
+    def page(command: str, *, made_rows: bool) -> str:
+        monkeypatch.setattr(sys, "argv", ["/bin/obpose-bench", *command.split()])
+        write(tmp_path / "run", [], made_rows=made_rows)
+        return (tmp_path / "run/report.html").read_text(encoding="utf-8")
+
+    assert ">obpose-bench --model a<" in page("--model a", made_rows=True)
+    assert ">obpose-bench --model a<" in page("report run", made_rows=False)
+    assert ">obpose-bench --model a; obpose-bench --model b<" in page("--model b", made_rows=True)
+    assert ">obpose-bench --model a; obpose-bench --model b<" in page("--model a", made_rows=True)
+    manifest = tmp_path / "run/manifest.json"
+    for damage in ("{", '{"commands": [1]}', '["commands"]'):
+        manifest.write_text(damage)
+        with pytest.raises(CorruptFile, match="Delete it: it is written again"):
+            write(tmp_path / "run", [])
+    manifest.unlink()
+    assert "obpose-bench --model" not in page("report run", made_rows=False)
 
 
 def test_seeds_are_those_that_were_run():

@@ -12,6 +12,7 @@ from benchmark.models.interface import Clip, Prediction
 from benchmark.models.model_spec import ModelSpec, Options, Views
 from benchmark.models.registry import find_model
 from benchmark.ranking.standings import pooled
+from benchmark.results import reconstructions
 from benchmark.results.labels import read_labels
 from benchmark.results.run_folder import LABELS, RunKey, load_runs, load_scenes
 from datagen.errors import UsageError
@@ -325,3 +326,47 @@ def test_a_model_is_not_tuned_on_scenes_without_masks(tmp_path: Path, register):
     register(background, grid=({"reach": 1}, {"reach": 2}))
     with pytest.raises(UsageError, match="no masks in split val"):
         job(folder, tmp_path / "out").run()
+
+
+class Renderer(Scripted):
+    """A model that renders what it is told to."""
+
+    def __init__(self, picture: np.ndarray | None):
+        super().__init__(background)
+        self.picture, self.asked = picture, []
+
+    def reconstruct_images(self, clip: Clip, images: Sequence[tuple[int, int]]) -> np.ndarray | None:
+        self.asked.append(list(images))
+        return None if self.picture is None else np.stack([self.picture] * len(images))
+
+
+@pytest.mark.parametrize("renders", [True, False])
+def test_a_few_scenes_are_rendered_by_models_that_can(data: Path, tmp_path: Path, monkeypatch, *, renders: bool):
+    model = Renderer(np.full((48, 64, 3), 100, np.uint8) if renders else None)
+    monkeypatch.setitem(registry.MODELS, "scripted", ModelSpec(build=lambda options: model, version=3, description=""))
+    monkeypatch.setattr(reconstructions, "MOST_SCENES", 1)
+    monkeypatch.setattr(reconstructions, "MOST_IMAGES", 2)
+    job(data, tmp_path / "out").run()
+    assert model.asked == []  # not for seeds that the report does not show
+    job(data, tmp_path / "out", seed=0).run()
+    assert model.asked == [[(0, 0), (2, 1)]]
+    found = [path.name for path in (tmp_path / "out").rglob("*.webp")]
+    assert found == (["00000.webp"] if renders else [])
+    assert load_runs(tmp_path / "out")[0].status == "ok"
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        np.zeros((48, 64, 3)),
+        np.zeros((48, 64, 4), np.uint8),
+        np.zeros((48, 65, 3), np.uint8),
+        np.zeros((0, 64, 3), np.uint8),
+        np.zeros((48, 64), np.uint8),
+    ],
+)
+def test_pictures_of_the_wrong_kind_are_refused(data: Path, tmp_path: Path, monkeypatch, picture: np.ndarray):
+    spec = ModelSpec(build=lambda options: Renderer(picture), version=3, description="")
+    monkeypatch.setitem(registry.MODELS, "scripted", spec)
+    with pytest.raises(BadPrediction, match=r"In scene 0 the model gave a reconstruction .*; expected uint8"):
+        job(data, tmp_path / "out", seed=0).run()

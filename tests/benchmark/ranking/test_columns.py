@@ -18,6 +18,8 @@ from benchmark.ranking.columns import (
     paper_scores,
     scenes_title,
     seeds_in_words,
+    suffixes_explained,
+    table_notes,
     track_title,
 )
 from benchmark.ranking.standings import ModelResult, standings
@@ -100,6 +102,13 @@ def test_seeds_are_counted_where_they_make_a_difference():
     assert seeds(a=1) == "1 seed"
     assert seeds(a=3, b=1, c=2) == "1 to 3 seeds"
     assert seeds(fixed=3) == ""
+
+
+def test_suffixes_are_explained_where_they_occur():
+    assert suffixes_explained(results(net={}, plane={})) == []
+    found = results(**{"net-4-slots-att": {}, "net-2-slots": {}, "other-density": {}})
+    assert [note.split(" in a name: ")[0] for note in suffixes_explained(found)] == ["-N-slots", "-att", "-density"]
+    assert {*suffixes_explained(found)} <= {*table_notes(found)}
 
 
 def test_caveats_are_stated_where_they_apply():

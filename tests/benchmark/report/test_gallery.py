@@ -33,8 +33,10 @@ def test_disagreement_counts_in_both_directions_and_equal_scenes_are_none() -> N
 
 
 def test_typical_scenes_are_the_middling_one_and_then_the_hardest() -> None:
-    assert typical_scenes([np.array([0.9, 0.1, 0.5, NAN]), np.array([0.9, 0.3, 0.5, NAN])], 3) == [2, 1, 0]
-    assert typical_scenes([np.array([NAN])], 2) == []
+    scores = [np.array([0.9, 0.1, 0.5, NAN]), np.array([0.9, 0.3, 0.5, NAN])]
+    assert typical_scenes(scores, 3, range(4)) == [2, 1, 0]
+    assert typical_scenes(scores, 3, [0, 2]) == [0, 2]
+    assert typical_scenes([np.array([NAN])], 2, [0]) == []
 
 
 def test_the_telling_image_has_the_largest_mean() -> None:

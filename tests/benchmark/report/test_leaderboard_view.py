@@ -28,6 +28,8 @@ def test_models_are_ranked_among_those_of_their_block():
     assert "A rank of 2.5" in notes
     assert "A rank of 2.5" not in " ".join(legend(found, ["1"]))
     assert "A seed failed if" not in notes
+    assert "-att in a name:" in " ".join(legend(standings([run_row("net-att")], [tables[0]]), ["1"]))
+    assert " in a name:" not in notes
     assert "A seed failed if" in " ".join(legend(standings([run_row("net", status="failed")], [None]), ["1"]))
 
 

@@ -1,7 +1,10 @@
+import shlex
 from pathlib import Path
 
 import pytest
 
+from datagen.commands.cli import main
+from datagen.errors import EXIT_OK
 from datagen.inspect import dataset_card, stats
 from datagen.schema import FIELDS
 from datagen.storage.reader import Dataset
@@ -35,6 +38,14 @@ def test_the_loading_code_of_the_card_runs(tiny_dataset: Path):
     exec(code, names)
     assert set(names["record"]) >= {"rgb", "depth", "segmentation"}
     assert names["part"]["rgb"].shape == (1, 1, 64, 64, 3)
+
+
+def test_the_commands_of_the_card_run(tiny_dataset: Path, capsys):
+    text = dataset_card.card(Dataset(tiny_dataset).spec, stats.summary(tiny_dataset))
+    commands = text.split("```sh\n")[1].split("```")[0].replace("path/to/this/folder", str(tiny_dataset)).splitlines()
+    assert [command.split()[1] for command in commands] == ["verify", "regenerate"]
+    for command in commands:
+        assert main(shlex.split(command)[1:]) == EXIT_OK, capsys.readouterr()
 
 
 def test_the_loading_code_reads_a_split_that_has_scenes(tiny_dataset: Path):

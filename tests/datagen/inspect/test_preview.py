@@ -44,6 +44,15 @@ def test_views_stand_side_by_side_and_stills_have_no_animation(tmp_path: Path):
     assert picture.shape[0] > 4 * 120
 
 
+def test_only_the_files_that_are_named_are_written(tmp_path: Path):
+    folder = rendered.write_dataset(tmp_path / "clips", [rendered.record(rendered.scene(frames=2))])
+    before = set(folder.iterdir())
+    for named in ({"out": tmp_path / "sheet.png"}, {"video": tmp_path / "clip.gif"}):
+        assert preview.run(folder, **named) == [*named.values()]
+        assert set(folder.iterdir()) == before
+    assert preview.run(folder) == [folder / "preview.png", folder / "preview.gif"]
+
+
 def test_colours_tell_near_from_far_and_ids_apart():
     depth = preview.colored_depth(np.array([[0, 1000, 1500, 2000]], np.uint16), 1000.0, 2000.0)[0].astype(int)
     assert np.all(depth[0] == 0)

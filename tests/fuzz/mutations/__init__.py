@@ -26,6 +26,7 @@ FORMATS: dict[str, Sequence[Mutator]] = {
     ".png": (other_mode, other_mode, other_format, huge_picture),
     ".jpg": (other_mode, other_format, huge_picture),
     ".tif": (other_mode, other_format, huge_picture),
+    ".webp": (other_mode, other_format, huge_picture),
 }
 """By a file's name or ending."""
 

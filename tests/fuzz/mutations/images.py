@@ -9,7 +9,7 @@ from PIL import Image
 
 from tests.fuzz.mutations.draw import pick
 
-_OWN = {".png": "PNG", ".tif": "TIFF", ".jpg": "JPEG"}
+_OWN = {".png": "PNG", ".tif": "TIFF", ".jpg": "JPEG", ".webp": "WEBP"}
 
 
 def other_mode(path: Path, rng: Generator) -> str:
@@ -34,7 +34,7 @@ def other_format(path: Path, rng: Generator) -> str:
         image = opened.convert("RGB")
     if kind == "several":
         own = "MPO" if path.suffix == ".jpg" else _OWN[path.suffix]
-        image.save(path, own, save_all=True, append_images=[image.transpose(Image.Transpose.ROTATE_90)] * 3)
+        image.save(path, own, save_all=True, append_images=[image.transpose(Image.Transpose.ROTATE_180)] * 3)
     elif kind == "turned":
         exif = Image.Exif()
         exif[0x0112] = int(rng.integers(10))
@@ -53,6 +53,8 @@ def huge_picture(path: Path, rng: Generator) -> str:
     elif path.suffix == ".jpg":
         frame = data.index(b"\xff\xc0")
         data[frame + 5 : frame + 9] = struct.pack(">HH", side, side)
+    elif path.suffix == ".webp":
+        struct.pack_into("<HH", data, 26, side % 2**14, side % 2**14)
     else:
         (table,) = struct.unpack_from("<I", data, 4)
         (count,) = struct.unpack_from("<H", data, table)

@@ -73,6 +73,8 @@ BENCHMARKS = Group(
         Target("results/runs/data--one-cluster--0--*.json", [COMPARE, REPORT, RUN, RESCORE], 12),
         Target("results/scenes/data--plane-components--0--*.csv", [COMPARE, REPORT, RUN], 8),
         Target("results/labels/data--plane-components--0--*.h5", [RESCORE, RESCORE, REPORT], 14),
+        Target("results/reconstructions/data--obpose-loc--0--*/00000.webp", [REPORT, RUN], 8),
+        Target("results/manifest.json", [REPORT, RUN], 4),
         Target("results/curves/data--obpose-loc--0--*.csv", [REPORT, COMPARE], 6),
         Target("unfinished/training/*/training.safetensors", [GO_ON], 3),
         Target("unfinished/watched/*.csv", [GO_ON], 4),

@@ -126,6 +126,35 @@ def test_a_clip_without_any_depth_is_background(model: LearnedSegmenter):
     assert not found.labels.any()
 
 
+@pytest.mark.parametrize("views", ["all", "separate"])
+def test_it_renders_the_images_that_are_asked_for(views: str):
+    clip = clips(1, views=2, resolution=(64, 48))[0]
+    model = fitted({"changes": {"train.views": views}}, [clip])
+    images = [(0, 0), (1, 1), (0, 1)]
+    found = model.reconstruct_images(clip, images)
+    assert found is not None
+    assert (found.shape, found.dtype) == ((3, 48, 64, 3), np.uint8)
+    for picture, image in zip(found, images, strict=True):
+        alone = model.reconstruct_images(clip, [image])
+        assert alone is not None
+        np.testing.assert_array_equal(picture, alone[0])
+    assert not np.array_equal(found[0], found[2])
+
+
+def test_large_images_are_rendered_small():
+    found = fitted({}, clips(1)).reconstruct_images(clips(1, resolution=(256, 96))[0], [(0, 0)])
+    assert found is not None
+    assert found.shape == (1, 48, 128, 3)
+
+
+@pytest.mark.parametrize("name", ["slot-attention", "obsurf", "contact-masks"])
+def test_models_without_posed_objects_render_nothing(name: str):
+    model = find_model(name).build({"slots": 4, "steps": 1})
+    model.fit(clips(1), [], seed=0, budget=60.0)
+    assert isinstance(model, LearnedSegmenter)
+    assert model.reconstruct_images(clips(1)[0], [(0, 0)]) is None
+
+
 def test_a_model_without_a_background_says_so_and_segments_each_view():
     clip = with_holes(clips(1, views=2)[0], 0.2)
     model = find_model("obsurf").build({"slots": 4, "steps": 2})

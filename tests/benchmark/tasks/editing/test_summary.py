@@ -56,6 +56,12 @@ def test_rows_of_different_numbers_of_scenes_say_how_many():
     assert "| no-edit | 3 | 0.5" in text
 
 
+def test_suffixes_of_names_are_explained():
+    page = summary.markdown(summary.summaries([line(0, 1.0) | {"model": "obpose-pretrained-refined"}]))
+    assert "\n-pretrained in a name: " in page
+    assert "\n-refined in a name: scenes were fitted to their frames before the edit." in page
+
+
 def test_names_in_brackets_are_shown_as_they_are():
     console = Console(width=200, file=io.StringIO())
     named = {**line(0, 0.5), "model": "c[e]", "track": "[red]data"}
