@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmark.clips import ClipSequence, TruthSequence
+from benchmark.csv_files import Curve
 from benchmark.execution.executor import FITTED, Limits, Outcome, run_jobs
 from benchmark.machine import commit, peak_mib
 from benchmark.models.adapters.predictions import PredictionFolder
@@ -21,8 +22,6 @@ from benchmark.models.model_spec import ModelSpec, Options
 from benchmark.models.registry import find_model
 from benchmark.models.tuning import choose
 from benchmark.models.validation import VALIDATION, ValidationScorer
-from benchmark.ranking.text import brief, one_line
-from benchmark.results.csv_files import Curve
 from benchmark.results.labels import write_labels
 from benchmark.results.run_folder import (
     LABELS,
@@ -36,6 +35,7 @@ from benchmark.results.run_folder import (
     save_row,
 )
 from benchmark.results.scoring import SPLIT, score_labels
+from datagen.console.text import brief, one_line
 from datagen.errors import UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.reader import Dataset, Split

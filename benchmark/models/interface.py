@@ -24,6 +24,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer, UInt8
 
+from benchmark.metrics.poses import Poses as Poses
 from datagen.geometry import unproject
 
 LARGEST_LABEL = 255
@@ -69,21 +70,6 @@ class Clip:
         """Build a clip of some of the frames."""
         images = {name: getattr(self, name) for name in ("rgb", "depth", "valid", "truth")}
         return replace(self, **{name: None if array is None else array[frames] for name, array in images.items()})
-
-
-@dataclass(frozen=True, eq=False)
-class Poses:
-    """Oriented bounding boxes of the objects, one row per label: row 3 belongs to label 3 of that image.
-
-    World frame, metres. Rows of labels without a pose, such as the background's, are nan.
-    """
-
-    center: Float[np.ndarray, "frame view label 3"]
-    """Centre of the box of the whole object, hidden parts included."""
-    rotation: Float[np.ndarray, "frame view label 3 3"] | None = None
-    """World from box; None if the model has no orientations. The order of the box's axes does not matter."""
-    size: Float[np.ndarray, "frame view label 3"] | None = None
-    """Side lengths of the box along its axes; None if the model has no sizes. It requires `rotation`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from benchmark.ranking.standings import (
     ModelResult,
     best_first,
 )
-from benchmark.ranking.text import brief
-from datagen.console.text import counted
+from datagen.console.text import brief, counted
 
 
 @dataclass(frozen=True)

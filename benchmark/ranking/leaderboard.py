@@ -6,13 +6,8 @@ per_scene.csv ...... one line a seed and scene
 leaderboard.md, leaderboard.tex .... the main columns in the layout of the paper
 Columns named measured_* are times and memory, which differ between equal runs.
 A packed folder (`benchmark.results.packed_runs`) keeps the first two as they were published.
-
-The lines of a CSV are plain dictionaries. A data frame would turn whole numbers with gaps into floats, and import
-pandas for the few lines of `to_csv`.
 """
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -21,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmark.csv_files import Cell, Line, to_csv
 from benchmark.metrics import CLIP_METRICS, METRICS, mean_where_defined
 from benchmark.ranking import text
 from benchmark.ranking.columns import (
@@ -48,10 +44,8 @@ from benchmark.ranking.standings import RANKED_METRICS, SWITCHES, ModelResult, c
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import COUNTS, RunRow
 from datagen.console.progress import Tracker, untracked
+from datagen.console.text import one_line
 from datagen.storage.atomic import write_atomically
-
-Cell = str | int | float
-Line = Mapping[str, Cell]
 
 FILES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv", "leaderboard.md", "leaderboard.tex")
 PACKED = FILES[:2]
@@ -157,17 +151,6 @@ def scene_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             yield {**_place(row), **dict(zip(columns, values, strict=True))}
 
 
-def to_csv(lines: Iterable[Line]) -> str:
-    """Format lines as CSV with the columns of all of them; floats have six decimals, missing cells are empty."""
-    lines = list(lines)
-    names = list(dict.fromkeys(name for line in lines for name in line))
-    content = io.StringIO(newline="")
-    writer = csv.writer(content, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([_csv_cell(line.get(name, "")) for name in names] for line in lines)
-    return content.getvalue()
-
-
 def markdown(results: Sequence[ModelResult]) -> str:
     """Format all tables as one Markdown page."""
     # Escape the names in notes, but keep their emphasis.
@@ -184,7 +167,7 @@ def markdown(results: Sequence[ModelResult]) -> str:
 
 def latex(results: Sequence[ModelResult]) -> str:
     """Format all tables as LaTeX, for documents that load booktabs, adjustbox and xcolor."""
-    notes = [f"% {text.one_line(note)}" for note in (*table_notes(results), "Needs booktabs, adjustbox and xcolor.")]
+    notes = [f"% {one_line(note)}" for note in (*table_notes(results), "Needs booktabs, adjustbox and xcolor.")]
     tables = [_latex_table(table) for group in comparable_groups(results) for table in _tables(group)]
     return "\n".join(notes) + "\n\n" + "\n".join(tables)
 
@@ -361,11 +344,3 @@ def _measured(rows: Sequence[RunRow]) -> dict[str, float]:
         "measured_fit_seconds": float(np.mean([cost.fit_seconds for cost in costs])),
         "measured_peak_mib": float(np.max([cost.peak_mib for cost in costs])),
     }
-
-
-def _csv_cell(value: Cell) -> str:
-    if isinstance(value, float):
-        return f"{value:z.6f}"
-    content = text.printable(str(value))
-    # Spreadsheets would compute a cell that begins like a formula.
-    return f"'{content}" if content.startswith(("=", "+", "-", "@")) else content

@@ -8,7 +8,7 @@ DIR/
     leaderboard.csv, per_seed.csv, manifest.json ..... as in an ordinary run folder
 Equal tables are stored once. A row names the one whose table it shares: "scenes": "OTHER", or "../paper/OTHER" in
 another packed folder; "curve" does the same for learning curves. Scores have at most six decimals, and nan is an empty
-cell; learning curves are exact. `benchmark.results.pack` writes this form.
+cell; learning curves are exact. `benchmark.ranking.pack` writes this form.
 """
 
 import csv
@@ -24,7 +24,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from benchmark.results.csv_files import Curve, parse_curve
+from benchmark.csv_files import Curve, parse_curve
 from datagen.errors import CorruptFile, UsageError
 from datagen.storage.atomic import write_atomically
 from datagen.storage.safe_io import MOST_TEXT_BYTES, file_version, parse_json, read_bytes

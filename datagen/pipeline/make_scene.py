@@ -13,11 +13,11 @@ from datagen.edits import edits_record
 from datagen.edits.edit_context import stage_of
 from datagen.errors import CorruptFile, UsageError
 from datagen.meshes.library import Library
-from datagen.pipeline.records import photographs, pixel_record, scene_and_trajectory, simulation_record, with_scene
-from datagen.pipeline.visible_range import check_range
+from datagen.pipeline.records import pixel_record, scene_and_trajectory, simulation_record, with_scene
 from datagen.random_streams import Stream, scene_rng
 from datagen.render import SAMPLES, make_renderer
-from datagen.render.renderer import PathTracer, Renderer
+from datagen.render.renderer import PathTracer, Renderer, photographs
+from datagen.render.visible_range import check_range
 from datagen.sampling.cameras import sample_cameras
 from datagen.scene import Camera, Scene, Trajectory
 from datagen.schema import FIELDS, SPLITS, SceneRecord

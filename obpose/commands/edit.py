@@ -16,8 +16,8 @@ from datagen.console.text import counted
 from datagen.storage.atomic import check_new_file, check_new_folder, new_file
 from obpose.commands.edit_arguments import Add, FitPrior, Infer, Mesh, Move, Render, Rotate, Sample
 from obpose.data.datasets import SceneDataset
-from obpose.data.resolution import spacing_note
 from obpose.errors import Interrupted, UsageError
+from obpose.model.resolution import spacing_note
 from obpose.rgbd.frames import prepare_frames, trained_on
 from obpose.rgbd.weights import DEFAULT, segment_clip, segment_reduced
 from obpose.scenes import edit

@@ -10,8 +10,8 @@ from jaxtyping import Float64
 from datagen.geometry import unproject
 from obpose.config import Config
 from obpose.contact.config import ContactConfig
-from obpose.data.resolution import surface_spacing
 from obpose.errors import NoTable, UsageError
+from obpose.model.resolution import surface_spacing
 from obpose.rgbd.frame_arguments import Frames
 from obpose.rgbd.reading import parse_pixel, parse_rectangle, read_frames
 from obpose.rgbd.recording import Recording

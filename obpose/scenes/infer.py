@@ -7,9 +7,9 @@ from jaxtyping import Int
 from torch import Tensor
 
 from obpose.data.clips import select_part
-from obpose.data.resolution import fitting_model
 from obpose.model.attention.given import Labels
 from obpose.model.obpose import ObPose
+from obpose.model.resolution import fitting_model
 from obpose.scenes.appearance import no_appearance
 from obpose.scenes.appearance.find_light import find_light
 from obpose.scenes.appearance.find_table_texture import find_texture

@@ -16,10 +16,10 @@ from benchmark.models.model_spec import settings_of
 from benchmark.models.validation import ValidationScorer
 from datagen.errors import UsageError
 from obpose.data.clips import ArrayClips, LabelledArrayClips, observation_of, separate_views
-from obpose.data.resolution import fitting_model
 from obpose.data.scene_stats import measure_scene
 from obpose.geometry import unproject
 from obpose.model.obpose import ObPose
+from obpose.model.resolution import fitting_model
 from obpose.rgbd.weights import look_for
 from obpose.storage.checkpoint import load
 from obpose.systems import find_system, slots_for

@@ -12,11 +12,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from benchmark.csv_files import Curve, to_csv
 from benchmark.ranking import leaderboard
-from benchmark.ranking.leaderboard import leaderboard_lines, seed_lines, to_csv
+from benchmark.ranking.leaderboard import leaderboard_lines, seed_lines
+from benchmark.ranking.manifest import MANIFEST, write_manifest
 from benchmark.ranking.standings import load_standings
-from benchmark.results.csv_files import Curve
-from benchmark.results.manifest import MANIFEST, write_manifest
 from benchmark.results.packed_runs import (
     CURVES_FILE,
     ROWS_FILE,

@@ -1,16 +1,19 @@
-"""Check that all that a camera sees lies in the range of depths that renderers show and the format holds.
+"""Checks of what cameras see: depths in the range that renderers show and the format holds, and visible objects.
 
 Renderers cut away what is nearer than `NEAREST`, and would show what lies behind it. The format holds depths up to
 `MAX_DEPTH`. Distances along a camera's axis are meant throughout: planar depth.
 """
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
+from datagen.config import Recipe
 from datagen.errors import UsageError
 from datagen.geometry import invert_rigid, transform
+from datagen.render.raster import RasterRenderer
 from datagen.render.renderer import NEAREST
 from datagen.scene import Camera, Scene
 from datagen.schema import MAX_DEPTH
@@ -140,3 +143,22 @@ def _cut(
             share = height[here] / (height[here] - height[after])
             corners.append(polygon[here] + share * (polygon[after] - polygon[here]))
     return np.array(corners).reshape(-1, 3)
+
+
+def visible_pixels(
+    recipe: Recipe, scene: Scene, shapes: Sequence[Shape], world_from_object: Float[np.ndarray, "object 4 4"]
+) -> Int[np.ndarray, "object"]:
+    """Pixels that each object shows at these poses in its worst view."""
+    renderer = _rasteriser()
+    renderer.load(scene, shapes)
+    width, height = recipe.visibility_resolution
+    counts = []
+    for camera in scene.cameras:
+        ids = renderer.segment(world_from_object, camera, width, height)
+        counts.append(np.bincount(ids.ravel(), minlength=len(shapes) + 1)[1:])
+    return np.min(counts, axis=0)
+
+
+@cache
+def _rasteriser() -> RasterRenderer:
+    return RasterRenderer()
