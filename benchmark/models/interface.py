@@ -18,14 +18,14 @@ passed only if they apply, so they need defaults:
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer, UInt8
+from jaxtyping import Integer
 
 from benchmark.metrics.poses import Poses as Poses
-from datagen.geometry import unproject
+from datagen.rgbd.clip import Clip as Clip
 
 LARGEST_LABEL = 255
 """Largest label; label maps are stored as bytes."""
@@ -39,37 +39,6 @@ def object_slots(slots: int) -> int:
 def slots_for_objects(objects: int) -> int:
     """Slot count of the benchmark for a number of objects: the inverse of `object_slots`."""
     return objects + 1
-
-
-@dataclass(frozen=True, eq=False)
-class Clip:
-    """RGB-D frames of one scene from static cameras. Frames of reference are those of `datagen.geometry`."""
-
-    rgb: UInt8[np.ndarray, "frame view height width 3"]
-    """sRGB."""
-    depth: Float32[np.ndarray, "frame view height width"]
-    """Planar z in metres, 0 without a return."""
-    valid: Bool[np.ndarray, "frame view height width"]
-    """Whether the pixel has a depth."""
-    k: Float[np.ndarray, "view 3 3"]
-    """Camera matrices in pixels, pixel centres at +0.5."""
-    world_from_camera: Float[np.ndarray, "view 4 4"]
-    """Poses of the cameras, metres."""
-    truth: UInt8[np.ndarray, "frame view height width"] | None = None
-    """Object ids, 0 = background; None except for models registered with `uses_labels`."""
-
-    def points(
-        self, target_from_camera: Float[np.ndarray, "view 4 4"] | None = None
-    ) -> Float[np.ndarray, "frame view height width 3"]:
-        """Unproject all pixels, metres, into the world or another target frame; meaningless where `valid` is False."""
-        poses = self.world_from_camera if target_from_camera is None else target_from_camera
-        cameras = list(zip(self.k, poses, strict=True))
-        return np.stack([[unproject(d, *camera) for d, camera in zip(f, cameras, strict=True)] for f in self.depth])
-
-    def select(self, frames: slice | Sequence[int]) -> "Clip":
-        """Build a clip of some of the frames."""
-        images = {name: getattr(self, name) for name in ("rgb", "depth", "valid", "truth")}
-        return replace(self, **{name: None if array is None else array[frames] for name, array in images.items()})
 
 
 @dataclass(frozen=True, eq=False)
