@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.csv_files import Cell, Line, to_csv
-from benchmark.metrics import CLIP_METRICS, METRICS, mean_where_defined
+from benchmark.metrics import mean_where_defined
 from benchmark.ranking import text
 from benchmark.ranking.columns import (
     HEADINGS,
@@ -26,6 +26,7 @@ from benchmark.ranking.columns import (
     POSE_SCORES,
     RANK,
     SEEDS,
+    SUMMARISED,
     VIEWS,
     Column,
     Row,
@@ -40,7 +41,7 @@ from benchmark.ranking.columns import (
     track_title,
     with_poses,
 )
-from benchmark.ranking.standings import RANKED_METRICS, SWITCHES, ModelResult, comparable_groups, load_standings
+from benchmark.ranking.standings import RANKED_METRICS, ModelResult, comparable_groups, load_standings
 from benchmark.results.packed_runs import is_packed
 from benchmark.results.run_folder import COUNTS, RunRow
 from datagen.console.progress import Tracker, untracked
@@ -50,8 +51,6 @@ from datagen.storage.atomic import write_atomically
 FILES = ("leaderboard.csv", "per_seed.csv", "per_scene.csv", "leaderboard.md", "leaderboard.tex")
 PACKED = FILES[:2]
 """Tables that are part of a packed folder."""
-SUMMARISED = (*METRICS, *CLIP_METRICS, SWITCHES)
-"""Metrics of all results; the others have columns behind those of the costs."""
 
 
 def write(folder: Path, progress: Tracker = untracked) -> list[ModelResult]:
