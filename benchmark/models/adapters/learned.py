@@ -86,7 +86,7 @@ class LearnedSegmenter:
 
     def _segment(self, model: Trainable, clip: Clip) -> Prediction:
         source = ArrayClips([clip])
-        observation = observation_of([source.window(0, 0, source.frames_of_clip)]).to(device_of(model))
+        observation = observation_of([source.window(0, 0, source.frames_of_clip)]).to(next(model.parameters()).device)
         model = fitting_model(model, observation) if isinstance(model, ObPose) else model
         if self._views == "all":
             found, axes = model.segment(observation), "1 frame view h w -> frame view h w"
@@ -122,11 +122,6 @@ class LearnedSegmenter:
         measured = self._system.known(measure_scene(source).changes())
         run = {"train.seed": seed, "train.minutes": budget / 60}
         return self._system.config(self._profile, {**self._changes, **run, **measured})
-
-
-def device_of(model: Trainable) -> torch.device:
-    """Device that holds the model's weights."""
-    return next(model.parameters()).device
 
 
 def _point(point: CurvePoint) -> dict[str, float]:
