@@ -246,17 +246,20 @@ def _fit(spec: ModelSpec, job: Job) -> _Fitted:
     held_out = dataset.split("val")
     labelled = held_out.has("segmentation")
     val, truths = _clips(held_out, spec), TruthSequence(held_out) if labelled else []
+    # Tuning needs labels of the validation split.
     tuned = len(spec.grid) > 1
     if tuned and not len(val):
         raise UsageError(f"{job.fit_data} has no validation scenes, but {job.model!r} is tuned on them; make some.")
     if tuned and not labelled:
         raise UsageError(f"{job.fit_data} has no masks in split val, but {job.model!r} is tuned on them; add some.")
+    # Options of the constructor; tuning takes half of the budget.
     options = {"slots": job.fit_slots} | ({} if job.steps is None else {"steps": job.steps})
     options |= {} if job.profile == "cpu" else {"profile": job.profile}
     changes = spec.on_tracks.get(job.targets[0].key.fit_track)
     options |= {"changes": dict(changes)} if changes else {}
     budget = job.seconds / 2 if tuned else job.seconds
     chosen = choose(spec, options, train, val, truths, seed=job.seed, budget=budget).options
+    # Final fit.
     scorer = ValidationScorer(val, truths, job.state[1]) if job.folder and labelled else None
     segmenter = spec.build({**chosen, **({"folder": job.folder, "watch": scorer} if job.folder else {})})
     segmenter.fit(train, val, seed=job.seed, budget=budget)

@@ -63,6 +63,7 @@ def compare(
         UsageError: a model has no scores in this folder, or the two have no track in common.
         CorruptFile: a finished row is damaged.
     """
+    # Tracks on which both models have scores.
     check_runs(folder)
     everything = unranked(*load_scores(folder, progress))
     results = [result for result in everything if result.n_scenes > 0]

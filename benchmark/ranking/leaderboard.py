@@ -80,6 +80,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
     for result in results:
         yield {
             **dict(zip(("track", "fit_track", "model"), result.place, strict=True)),
+            # Scores, ranks and groups.
             "kind": result.row.kind,
             "marks": result.marks,
             "rank": Row(result).rank,
@@ -87,6 +88,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             **_metric_columns(result, SUMMARISED),
             **{f"{name}_group": found for name, found in zip(RANKED_METRICS, result.group_letters, strict=True)},
             **{name: _mean(values) for name, values in _counts(result).items()},
+            # Seeds and scenes.
             "n_seeds": len(result.rows),
             "n_runs": result.n_runs,
             "n_scored": result.n_scored,
@@ -97,6 +99,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             "best_floor": result.best_floor,
             "n_scenes": result.n_scenes,
             "n_skipped": result.n_skipped,
+            # Model, data and costs.
             "priors": "; ".join(result.row.priors),
             "pretrained": result.row.pretrained,
             "version": result.row.key.version,
@@ -106,6 +109,7 @@ def leaderboard_lines(results: Iterable[ModelResult]) -> Iterator[Line]:
             "device": _distinct(row.device for row in result.rows),
             "commit": _distinct(row.commit for row in result.rows),
             **_measured(result.rows),
+            # Columns that only some results have.
             **({"views": result.views} if result.views else {}),
             **_metric_columns(result, result.further_metrics),
         }
@@ -202,6 +206,7 @@ def _tables(group: Sequence[ModelResult]) -> Iterator[_Table]:
         (block.title, [[_cell(row, column, best) for column in columns] for row in block.rows])
         for block in blocks(group)
     ]
+    # Models of the paper that were not run have no scores of ours.
     missing = [model for model in paper if model not in {result.row.key.model for result in group}]
     empty = [_Cell("")] * (len(columns) - 2)
     if missing:
@@ -265,6 +270,7 @@ def _latex_table(table: _Table) -> str:
         r"        \toprule",
         rf"        {' & '.join(headings)} \\",
     ]
+    # One rule above each block.
     for title, rows in table.blocks:
         lines.append(r"        \midrule")
         if title:

@@ -127,6 +127,7 @@ class _Archive:
                 f"{self.folder} has another result in the place of {result.name}; packed results are read-only. Pack "
                 "into another folder, or delete this one and pack all of its runs again."
             )
+        # The first folder that has a result keeps it; others refer to it.
         self.results[result.row.key.place] = result
         home, _ = self.homes.setdefault(result.digest, (self.folder, result.name))
         if home == self.folder:

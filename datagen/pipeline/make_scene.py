@@ -166,6 +166,7 @@ def make_scene(
     """
     recipe = recipe_of(spec)
     given = cameras_from_values(spec.get("cameras", []))
+    # Scene and trajectory, then other cameras if wanted.
     if source:
         record, (scene, trajectory) = source, scene_and_trajectory(source)
     else:
@@ -176,6 +177,7 @@ def make_scene(
         record = with_scene(record, scene)
     if not spec["renderer"]:
         return record
+    # Images.
     shapes = tuple(build(body.shape, meshes) for body in scene.bodies)
     renderer = _renderer(spec["renderer"]["name"], spec["renderer"].get("samples", SAMPLES))
     width, height = spec["resolution"]
@@ -190,6 +192,7 @@ def make_scene(
         sensor=recipe.sensor,
         rng=_rng(spec, split, index, "sensor"),
     )
+    # Edits and signals, which depend on the images.
     stage = stage_of(scene, shapes, trajectory)
     edits = edits_record(
         stage,

@@ -139,6 +139,7 @@ def pixel_record(
     """
     images = render_clip(scene, shapes, trajectory.world_from_object, renderer, resolution)
     k = np.stack([camera.k(*resolution) for camera in scene.cameras])
+    # Pixels of each object, with and without the others in front of it.
     segmentation = stack_images(images, "segmentation")
     visible = visible_pixels(segmentation, len(shapes))
     amodal = stack_images(images, "amodal_pixels").astype(np.uint32)

@@ -84,10 +84,12 @@ def simulate_scene(
         ImpossibleScene: no scene that keeps the rules was found in `recipe.attempts` draws, or they came nowhere near.
         UsageError: the cameras cannot show the table, or PyBullet is not installed.
     """
+    # Refuse recipes that can only fail.
     rng = scene_rng(seed, split, index, "scene")
     part = recipe.for_scene(index)
     check_room(part)
     check_rig(part, cameras)
+    # Draw until a scene keeps all rules.
     rejections: Counter[str] = Counter()
     fitting: list[int] = []
     for attempt in range(1, recipe.attempts + 1):

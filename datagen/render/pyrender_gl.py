@@ -133,6 +133,7 @@ class PyrenderRenderer:
         *,
         double_sided: bool = False,
     ) -> Any:
+        # Patterns become colours of vertices, on a mesh that is fine enough.
         color, colors = linear(material.color), None
         if material.pattern != "plain":
             corners, normals = refine(corners, normals, material.period / COLORS_PER_PERIOD)

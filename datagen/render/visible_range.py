@@ -65,6 +65,7 @@ def table_fault(camera: Camera, table_size: float, width: int, height: int) -> s
     elevation = camera.world_from_camera[2, 3]
     if elevation <= 0:
         return f"stands {100 * abs(elevation):.1f} cm below the table's top; expected above it"
+    # Depths of the part of the table that lies in the view.
     corners = 0.5 * table_size * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
     corners = transform(invert_rigid(camera.world_from_camera), corners)
     depths = clip(corners, _sides(camera, width, height))[:, 2]
@@ -88,6 +89,7 @@ def near_object(
             if near := near_object(camera.at(frame), shapes, world_from_object[frame : frame + 1], width, height):
                 return frame, near[1]
         return None
+    # Only objects whose sphere comes near can be near.
     camera_from_world = invert_rigid(camera.world_from_camera)
     radii = np.array([shape.radius for shape in shapes])
     nearest = (camera_from_world @ world_from_object)[..., 2, 3] - radii

@@ -37,6 +37,7 @@ def stop_on_signals() -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
     def note(number: int, _frame: FrameType | None) -> None:
+        # A signal that is repeated at once belongs to the same request.
         if request.received and time.monotonic() - request.when > ECHO_SECONDS:
             restore()
             signal.raise_signal(number)
