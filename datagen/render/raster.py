@@ -193,22 +193,7 @@ def _row(width: int) -> kernels.Row:
     at, point, normal, look, light, color, albedo, mirrored = (np.empty((count, 3)) for _ in range(8))
     total = np.empty((width, 3))
     return kernels.Row(
-        kind,
-        owner,
-        pixel,
-        share,
-        at,
-        point,
-        normal,
-        look,
-        second,
-        albedo,
-        light,
-        blur,
-        color,
-        total,
-        mirrored,
-        fade,
+        kind, owner, pixel, share, at, point, normal, look, second, albedo, light, blur, color, total, mirrored, fade
     )
 
 
