@@ -102,7 +102,10 @@ def _conform(value: Any, kind: Any, name: str) -> Any:
     try:
         return strict_converter(_LARGEST, to_float=True).structure(value, kind)
     except ValueError as error:
-        raise UsageError(f"{name}: {error}{' or none' if type(None) in get_args(kind) else ''}.") from None
+        found, _, expected = str(error).rpartition(", expected ")
+        said = f": {found}, " if isinstance(value, list | tuple) else f"={brief(str(value), _LONGEST)}: "
+        or_none = " or none" if type(None) in get_args(kind) else ""
+        raise UsageError(f"{name}{said}expected {expected}{or_none}.") from None
 
 
 def _read(text: str, kind: Any) -> Any:
